@@ -1,0 +1,1 @@
+//! Rapier as the physics-engine controller.

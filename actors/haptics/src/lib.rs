@@ -1,0 +1,1 @@
+//! Force rendering, and the controller that serves a haptic device.

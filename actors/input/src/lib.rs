@@ -1,0 +1,1 @@
+//! Virtual trainees and other input.

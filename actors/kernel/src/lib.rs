@@ -1,0 +1,1 @@
+//! The Model actor, runtimes and rates, supervision, faults, recording, clock and lock-step.

@@ -1,0 +1,1 @@
+//! Exercises: goals, errors, scores.

@@ -1,0 +1,1 @@
+//! What people hold: haptic and input drivers, virtual and replayed ones.

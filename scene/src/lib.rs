@@ -1,0 +1,1 @@
+//! What exists, and the contract of those who act on it.

@@ -1,0 +1,1 @@
+//! What crosses crates: scenarios, faults, determinism, benches, tidy checks.

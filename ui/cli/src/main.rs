@@ -1,0 +1,3 @@
+//! The program `trocar`.
+
+fn main() {}

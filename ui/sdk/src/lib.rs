@@ -1,0 +1,1 @@
+//! The facade that users depend on: the standard controllers wired to scenarios.
