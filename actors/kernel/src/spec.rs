@@ -1,0 +1,253 @@
+//! What a session consists of, as data that both drivers take: live (actix) and lock-step.
+
+use std::fmt;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use trocar_scene::{BuildContext, Controller, ControllerError, Registry, SimTime, Snapshot, Store};
+
+use crate::supervision::{ChildSpec, GroupSpec, RuntimeClass};
+
+/// Builds a controller from the scene as it is now; called again for every restart.
+pub type Factory = Arc<dyn Fn(&BuildContext) -> Result<Box<dyn Controller>, ControllerError> + Send + Sync>;
+
+/// Something outside of the scene that must refuse a writer's words from older epochs, told before
+/// anything else happens when that writer dies or stalls: a device driver that takes its forces.
+///
+/// Called from the watchdog's thread: it must neither wait nor allocate.
+pub trait Fence: Send + Sync {
+    /// From now on refuse everything that carries an epoch below `epoch`.
+    fn raise(&self, epoch: u32);
+}
+
+/// A controller of the session.
+#[derive(Clone)]
+pub struct ControllerSpec {
+    /// Name of the writer, unique in the session; the same as `child.id`.
+    pub name: String,
+    /// Spawner part of the entities that it allocates, unique in the session; 0 belongs to the scenario.
+    pub writer: u16,
+    /// Ticks per second, > 0.
+    pub rate_hz: f64,
+    /// First tick, counted from the start of the session; staggers controllers of one rate.
+    pub phase: SimTime,
+    /// Builds it.
+    pub factory: Factory,
+    /// How it is supervised.
+    pub child: ChildSpec,
+    /// Told first when it dies or stalls.
+    pub fences: Vec<Arc<dyn Fence>>,
+    /// How many batches its ring holds.
+    pub ring_capacity: usize,
+}
+
+impl ControllerSpec {
+    /// A controller with the default supervision of its class, no phase, no fence and a ring of 64.
+    pub fn new(
+        name: impl Into<String>,
+        writer: u16,
+        class: RuntimeClass,
+        rate_hz: f64,
+        factory: impl Fn(&BuildContext) -> Result<Box<dyn Controller>, ControllerError> + Send + Sync + 'static,
+    ) -> Self {
+        let name = name.into();
+        Self {
+            child: ChildSpec::new(name.clone(), class, rate_hz),
+            name,
+            writer,
+            rate_hz,
+            phase: SimTime::ZERO,
+            factory: Arc::new(factory),
+            fences: Vec::new(),
+            ring_capacity: 64,
+        }
+    }
+    /// Time from one tick to the next, rounded to the nanosecond.
+    pub fn period(&self) -> SimTime {
+        period_of(self.rate_hz)
+    }
+}
+
+/// Time from one tick to the next at `rate_hz`, rounded to the nanosecond and at least 1 ns.
+pub fn period_of(rate_hz: f64) -> SimTime {
+    SimTime::from_secs_f64(1.0 / rate_hz).max(SimTime(1))
+}
+
+/// A participant that lives outside of the scene and that lock-step must step in virtual time: a device
+/// driver with its virtual hand. Live, it runs on a thread of its own and the kernel does not see it.
+pub trait Peer: Send {
+    /// Name for messages and fault targets.
+    fn name(&self) -> &str;
+    /// Time between two steps, ns, > 0.
+    fn period_ns(&self) -> u64;
+    /// One step at `now`.
+    fn step(&mut self, now: SimTime);
+}
+
+/// Takes the faults meant for one target that is not a controller: a device, a link, a disk.
+pub trait FaultSink: Send + Sync {
+    /// A fault begins or ends.
+    fn fault(&self, order: &FaultOrder);
+}
+
+/// Tells when a session has reached its goal.
+#[derive(Clone)]
+pub struct StopWhen {
+    /// How often it is asked.
+    pub every: SimTime,
+    /// `true` ends the session.
+    pub check: Arc<dyn Fn(&Snapshot) -> bool + Send + Sync>,
+}
+
+/// Called before anything else when a session ends, however it ends: sets a device's force to zero.
+pub type ZeroForces = Arc<dyn Fn() + Send + Sync>;
+
+/// A session: the scene at the start and everyone who acts on it.
+pub struct SessionSpec {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// This station's number, part of every entity allocated here.
+    pub station: u16,
+    /// Seeds everything random: jitter, faults, tremor.
+    pub seed: u64,
+    /// The known components.
+    pub registry: Arc<Registry>,
+    /// The scene at the start.
+    pub scene: Store,
+    /// Everyone who acts on it.
+    pub controllers: Vec<ControllerSpec>,
+    /// Who else lock-step must step; ignored live.
+    pub peers: Vec<Box<dyn Peer>>,
+    /// Fault targets beside the controllers and the Model.
+    pub fault_sinks: Vec<(String, Arc<dyn FaultSink>)>,
+    /// Supervisor tree; [`GroupSpec::default_tree`] of the children when absent.
+    pub tree: Option<GroupSpec>,
+    /// Most abandoned threads before the session gives up.
+    pub zombies_max: u32,
+    /// Called first at every end.
+    pub zero_forces: Vec<ZeroForces>,
+    /// End of the session; none: until stopped.
+    pub until: Option<SimTime>,
+    /// Ends the session when the goal is reached.
+    pub stop_when: Option<StopWhen>,
+}
+
+/// Name under which the Model stands in the supervisor tree and in fault files.
+pub const MODEL: &str = "model";
+
+/// The kinds of fault that a fault file may hold (design §5).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FaultKind {
+    /// Panic at the start of the next tick.
+    Kill,
+    /// One step that does not end for the given time.
+    Stall,
+    /// Every step takes the given time longer.
+    Slow,
+    /// The device is pulled out.
+    Unplug,
+    /// Messages are lost.
+    Drop,
+    /// Messages arrive later.
+    Delay,
+    /// Messages arrive twice.
+    Duplicate,
+    /// Messages overtake each other.
+    Reorder,
+    /// Bits of messages flip.
+    Corrupt,
+    /// No message passes.
+    Partition,
+    /// The handle's ring takes no batch.
+    QueueFull,
+    /// Numbers in the batches become NaN.
+    Nan,
+    /// Nothing can be written to the disk.
+    DiskFull,
+}
+
+impl FaultKind {
+    /// All of them, in the order of the design.
+    pub const ALL: [Self; 13] = [
+        Self::Kill,
+        Self::Stall,
+        Self::Slow,
+        Self::Unplug,
+        Self::Drop,
+        Self::Delay,
+        Self::Duplicate,
+        Self::Reorder,
+        Self::Corrupt,
+        Self::Partition,
+        Self::QueueFull,
+        Self::Nan,
+        Self::DiskFull,
+    ];
+    /// Its name in files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Kill => "kill",
+            Self::Stall => "stall",
+            Self::Slow => "slow",
+            Self::Unplug => "unplug",
+            Self::Drop => "drop",
+            Self::Delay => "delay",
+            Self::Duplicate => "duplicate",
+            Self::Reorder => "reorder",
+            Self::Corrupt => "corrupt",
+            Self::Partition => "partition",
+            Self::QueueFull => "queue_full",
+            Self::Nan => "nan",
+            Self::DiskFull => "disk_full",
+        }
+    }
+    /// Whether it strikes once (and does not heal by itself ending).
+    pub const fn is_instant(self) -> bool {
+        matches!(self, Self::Kill | Self::Stall)
+    }
+}
+
+impl fmt::Display for FaultKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// What the fault plan tells a seam to do now.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FaultOrder {
+    /// Position of the fault in its plan.
+    pub index: u32,
+    /// Whom it strikes: a controller, [`MODEL`], or a fault sink.
+    pub target: String,
+    /// What happens.
+    pub kind: FaultKind,
+    /// `true` when it begins (or strikes once), `false` when it heals.
+    pub begins: bool,
+    /// Length of a stall, extra time per step of `slow`, extra latency of `delay`; ignored by the others.
+    pub span: SimTime,
+    /// Chance per message or batch, 0 to 1, of the kinds that strike some of them.
+    pub probability: f64,
+    /// Seed of this fault's own randomness.
+    pub seed: u64,
+}
+
+/// What became of one fault: a row of the report. Times in seconds of the session.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FaultRecord {
+    /// Its id in the plan.
+    pub id: String,
+    /// Whom it struck.
+    pub target: String,
+    /// What it did.
+    pub kind: FaultKind,
+    /// When it struck.
+    pub injected_secs: Option<f64>,
+    /// When the supervisor or the Model noticed.
+    pub detected_secs: Option<f64>,
+    /// When the replacement was built.
+    pub restarted_secs: Option<f64>,
+    /// When the replacement's first tick was done.
+    pub resumed_secs: Option<f64>,
+}

@@ -1,0 +1,249 @@
+//! Child specifications and supervisor groups as data, after Erlang/OTP's `supervisor` behaviour
+//! (Armstrong, "Making reliable distributed systems in the presence of software errors", 2003, ch. 5).
+
+use serde::{Deserialize, Serialize};
+use trocar_scene::SimTime;
+
+/// When a child that ended is started again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Restart {
+    /// Always, whatever the reason.
+    Permanent,
+    /// Only after a panic, an error or a stall.
+    Transient,
+    /// Never, not even when a sibling's end took it down.
+    Temporary,
+}
+
+/// Which children of a group are restarted when one of them ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Strategy {
+    /// That one.
+    OneForOne,
+    /// That one and those started after it.
+    RestForOne,
+    /// All of them.
+    OneForAll,
+}
+
+/// What a child's thread does, which decides its scheduling priority and its place in the default tree.
+///
+/// The order is the order of priorities: who stands first is never kept waiting by who stands later.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RuntimeClass {
+    /// A device driver's thread, in which the force limits live.
+    Driver,
+    /// The thread that looks for stalls.
+    Watchdog,
+    /// The Model: short, bounded work that everybody waits for.
+    Model,
+    /// Force rendering.
+    Haptics,
+    /// Collision detection.
+    Collision,
+    /// Physics.
+    Simulation,
+    /// Exercises and virtual trainees.
+    Task,
+    /// Links to other stations.
+    Network,
+    /// Recorders and viewers.
+    Recorder,
+}
+
+/// At most `restarts` restarts within `period`; one more and the group gives up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Intensity {
+    /// How many restarts are tolerated.
+    pub restarts: u32,
+    /// The sliding window.
+    pub period: SimTime,
+}
+
+/// Pause before a restart: none before the first, then `base`, growing by `factor` up to `max`, each
+/// spread by ± `jitter`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Backoff {
+    /// Pause before the second restart in a row.
+    pub base: SimTime,
+    /// Growth from one restart in a row to the next, ≥ 1.
+    pub factor: f64,
+    /// Longest pause before jitter.
+    pub max: SimTime,
+    /// Relative spread, 0 to 1.
+    pub jitter: f64,
+    /// A child that stayed up this long starts from no pause again.
+    pub reset_after: SimTime,
+}
+
+/// Everything the supervisor has to know about one child.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ChildSpec {
+    /// Name, unique in the tree (`haptics.left`).
+    pub id: String,
+    /// When it is started again.
+    pub restart: Restart,
+    /// Longest time without a heartbeat while it runs; longer is a stall.
+    pub heartbeat_limit: SimTime,
+    /// Longest time from the order to start to the end of its construction.
+    pub start_limit: SimTime,
+    /// Longest time from the order to stop to its end; longer and it is abandoned.
+    pub shutdown_limit: SimTime,
+    /// Ticks per second; 0 for children that are woken by messages only.
+    pub rate_hz: f64,
+    /// What its thread does.
+    pub class: RuntimeClass,
+}
+
+impl ChildSpec {
+    /// The defaults of a controller of `class` that ticks at `rate_hz`: permanent, a stall after 50 ms but
+    /// no less than twenty periods, 5 s to start, 200 ms to stop.
+    pub fn new(id: impl Into<String>, class: RuntimeClass, rate_hz: f64) -> Self {
+        let twenty_periods =
+            if rate_hz > 0.0 { SimTime::from_secs_f64(20.0 / rate_hz) } else { SimTime::ZERO };
+        Self {
+            id: id.into(),
+            restart: if class == RuntimeClass::Recorder { Restart::Transient } else { Restart::Permanent },
+            heartbeat_limit: twenty_periods.max(SimTime::from_millis(50)),
+            start_limit: SimTime::from_millis(5_000),
+            shutdown_limit: SimTime::from_millis(200),
+            rate_hz,
+            class,
+        }
+    }
+    /// The same with another restart policy.
+    pub fn with_restart(mut self, restart: Restart) -> Self {
+        self.restart = restart;
+        self
+    }
+    /// The same with another heartbeat limit.
+    pub fn with_heartbeat_limit(mut self, limit: SimTime) -> Self {
+        self.heartbeat_limit = limit;
+        self
+    }
+}
+
+/// A child or a group of children.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Node {
+    /// A leaf: something that runs.
+    Child(ChildSpec),
+    /// A supervisor with children of its own.
+    Group(GroupSpec),
+}
+
+/// A supervisor: its children in the order in which they start.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GroupSpec {
+    /// Name, unique in the tree.
+    pub id: String,
+    /// Who is restarted with whom.
+    pub strategy: Strategy,
+    /// How much is tolerated before the group gives up and its parent decides.
+    pub intensity: Intensity,
+    /// Pauses between restarts.
+    pub backoff: Backoff,
+    /// Children, in start order.
+    pub children: Vec<Node>,
+}
+
+impl Default for Intensity {
+    fn default() -> Self {
+        Self { restarts: 5, period: SimTime::from_millis(10_000) }
+    }
+}
+
+impl Default for Backoff {
+    fn default() -> Self {
+        Self {
+            base: SimTime::from_millis(10),
+            factor: 2.0,
+            max: SimTime::from_millis(2_000),
+            jitter: 0.2,
+            reset_after: SimTime::from_millis(5_000),
+        }
+    }
+}
+
+impl GroupSpec {
+    /// A group with the default intensity (5 in 10 s) and back-off.
+    pub fn new(id: impl Into<String>, strategy: Strategy) -> Self {
+        Self {
+            id: id.into(),
+            strategy,
+            intensity: Intensity::default(),
+            backoff: Backoff::default(),
+            children: Vec::new(),
+        }
+    }
+    /// Adds a child at the end.
+    pub fn child(mut self, spec: ChildSpec) -> Self {
+        self.children.push(Node::Child(spec));
+        self
+    }
+    /// Adds a group at the end.
+    pub fn group(mut self, spec: Self) -> Self {
+        self.children.push(Node::Group(spec));
+        self
+    }
+    /// The same with another intensity.
+    pub fn with_intensity(mut self, restarts: u32, period: SimTime) -> Self {
+        self.intensity = Intensity { restarts, period };
+        self
+    }
+    /// The same with another back-off.
+    pub fn with_backoff(mut self, backoff: Backoff) -> Self {
+        self.backoff = backoff;
+        self
+    }
+    /// Whether no child stands anywhere below.
+    pub fn is_empty(&self) -> bool {
+        self.children.iter().all(|node| match node {
+            Node::Child(_) => false,
+            Node::Group(group) => group.is_empty(),
+        })
+    }
+
+    /// The default tree: root (rest-for-one) → model; simulation (rest-for-one: collision before physics);
+    /// devices (one-for-one); tasks (one-for-one); network (one-for-one, patient back-off); recorder.
+    ///
+    /// The Model stands in a group of its own: it resumes from the last published snapshot, which its
+    /// clients already have, so that they need not restart with it unless it keeps failing.
+    pub fn default_tree(children: impl IntoIterator<Item = ChildSpec>) -> Self {
+        let mut model = Self::new("group.model", Strategy::OneForOne);
+        let mut simulation = Self::new("group.simulation", Strategy::RestForOne);
+        let mut devices = Self::new("group.devices", Strategy::OneForOne);
+        let mut tasks = Self::new("group.tasks", Strategy::OneForOne);
+        let mut network = Self::new("group.network", Strategy::OneForOne).with_backoff(Backoff {
+            base: SimTime::from_millis(200),
+            max: SimTime::from_millis(10_000),
+            ..Backoff::default()
+        });
+        let mut recorder = Self::new("group.recorder", Strategy::OneForOne);
+        let mut all: Vec<ChildSpec> = children.into_iter().collect();
+        // Stable: children of one class keep the order in which they were given.
+        all.sort_by_key(|child| child.class);
+        for child in all {
+            let group = match child.class {
+                RuntimeClass::Model => &mut model,
+                RuntimeClass::Collision | RuntimeClass::Simulation => &mut simulation,
+                RuntimeClass::Driver | RuntimeClass::Watchdog | RuntimeClass::Haptics => &mut devices,
+                RuntimeClass::Task => &mut tasks,
+                RuntimeClass::Network => &mut network,
+                RuntimeClass::Recorder => &mut recorder,
+            };
+            group.children.push(Node::Child(child));
+        }
+        let mut root = Self::new("root", Strategy::RestForOne);
+        for group in [model, simulation, devices, tasks, network, recorder] {
+            if !group.is_empty() {
+                root.children.push(Node::Group(group));
+            }
+        }
+        root
+    }
+}
