@@ -209,7 +209,6 @@ macro_rules! compound_struct {
 }
 compound_struct!(SerializeStruct, SerializeStructVariant);
 
-
 #[cfg(test)]
 mod tests {
     use super::*;

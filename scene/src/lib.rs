@@ -1,1 +1,38 @@
-//! What exists, and the contract of those who act on it.
+//! What exists in a surgical scene, and the contract of those who act on it.
+//!
+//! The scene is a set of [`Entity`]s with [`Component`]s in [`Column`]s. A [`Snapshot`] is the scene at one
+//! [`Revision`]: shared, complete, never changing. Whoever acts on it implements [`Controller`]: one step
+//! reads a snapshot and fills [`Commands`], which the holder of the [`Store`] validates against the
+//! controller's declared [`Access`] and applies as a whole or not at all.
+//!
+//! What is absent here: threads, clocks, sockets, actors, physics, rendering, unsafe code.
+#![forbid(unsafe_code)]
+
+pub mod access;
+pub mod column;
+pub mod commands;
+pub mod component;
+pub mod components;
+pub mod controller;
+pub mod entity;
+pub mod event;
+pub mod finite;
+pub mod registry;
+pub mod snapshot;
+pub mod store;
+pub mod time;
+
+pub use access::{Access, AccessOverlap, EntitySet, WriterRules};
+pub use column::{Column, ErasedColumn};
+pub use commands::{
+    Batch, CommandError, Commands, Condition, ErasedPuts, Provenance, Puts, Transfer, WriterId,
+};
+pub use component::{Component, ComponentError, RecordPolicy};
+pub use components::*;
+pub use controller::{BuildContext, Controller, ControllerError, Job, JobOutput, JobWork, Jobs, Tick};
+pub use entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
+pub use event::{Event, EventLog, Events};
+pub use registry::{ComponentEntry, ComponentId, Registry, RegistryBuilder, RegistryError};
+pub use snapshot::Snapshot;
+pub use store::{Refusal, Store};
+pub use time::{Revision, SimTime};

@@ -1,0 +1,191 @@
+//! Who may write what: declared by a controller, checked at the start and at every batch.
+
+use thiserror::Error;
+
+use crate::component::Component;
+use crate::entity::Entity;
+use crate::registry::{ComponentId, Registry, RegistryError};
+
+/// Which entities' rows a declaration is about.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum EntitySet {
+    /// Every entity.
+    All,
+    /// The entities that the writer spawned itself.
+    Own,
+    /// These.
+    Of(Vec<Entity>),
+}
+
+/// What a controller reads and writes; checked by the Model, drawn by `trocar graph`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Access {
+    /// Components it reads, by NAME.
+    pub reads: Vec<&'static str>,
+    /// Components it writes, by NAME, and on which entities.
+    pub writes: Vec<(&'static str, EntitySet)>,
+    /// Components of which it contributes one on its own entity.
+    pub contributes: Vec<&'static str>,
+    /// Whether it creates entities; it may put any declared component on them, and despawn them.
+    pub spawns: bool,
+}
+
+impl Access {
+    /// Reads and writes nothing.
+    pub fn new() -> Self {
+        Self::default()
+    }
+    /// Also reads `T`.
+    #[must_use]
+    pub fn reads<T: Component>(mut self) -> Self {
+        self.reads.push(T::NAME);
+        self
+    }
+    /// Also writes `T` on these entities.
+    #[must_use]
+    pub fn writes<T: Component>(mut self, on: EntitySet) -> Self {
+        self.writes.push((T::NAME, on));
+        self
+    }
+    /// Also contributes a `T`.
+    #[must_use]
+    pub fn contributes<T: Component>(mut self) -> Self {
+        self.contributes.push(T::NAME);
+        self
+    }
+    /// Also creates entities.
+    #[must_use]
+    pub fn spawns(mut self) -> Self {
+        self.spawns = true;
+        self
+    }
+}
+
+/// Two writers that claim the same rows.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("'{first}' and '{second}' both write {component} of {entities}")]
+pub struct AccessOverlap {
+    /// One writer.
+    pub first: String,
+    /// The other.
+    pub second: String,
+    /// The component.
+    pub component: &'static str,
+    /// The entities in both sets, in words.
+    pub entities: String,
+}
+
+/// An [`Access`] made quick to check.
+#[derive(Clone, Debug)]
+pub struct WriterRules {
+    me: Entity,
+    spawns: bool,
+    contributes: Vec<ComponentId>,
+    /// Sorted by component; entity lists sorted.
+    writes: Vec<(ComponentId, EntitySet)>,
+    granted: Vec<(ComponentId, Entity)>,
+    revoked: Vec<(ComponentId, Entity)>,
+}
+
+impl WriterRules {
+    /// Resolves names.
+    ///
+    /// # Errors
+    /// When a component is not registered; reads count as well.
+    pub fn compile(access: &Access, registry: &Registry, me: Entity) -> Result<Self, RegistryError> {
+        for name in &access.reads {
+            registry.by_name(name)?;
+        }
+        let mut writes = Vec::with_capacity(access.writes.len());
+        for (name, set) in &access.writes {
+            let mut set = set.clone();
+            if let EntitySet::Of(list) = &mut set {
+                list.sort_unstable();
+            }
+            writes.push((registry.by_name(name)?, set));
+        }
+        writes.sort_by_key(|(id, _)| *id);
+        let mut contributes = Vec::with_capacity(access.contributes.len());
+        for name in &access.contributes {
+            contributes.push(registry.by_name(name)?);
+        }
+        Ok(Self { me, spawns: access.spawns, contributes, writes, granted: Vec::new(), revoked: Vec::new() })
+    }
+
+    /// The writer's own entity.
+    pub fn me(&self) -> Entity {
+        self.me
+    }
+    /// Whether it may create entities.
+    pub fn may_spawn(&self) -> bool {
+        self.spawns
+    }
+    /// Components it contributes.
+    pub fn contributes(&self) -> &[ComponentId] {
+        &self.contributes
+    }
+    /// Whether it spawned the entity (its own entity not included).
+    pub fn owns(&self, entity: Entity) -> bool {
+        entity.station() == self.me.station() && entity.spawner() == self.me.spawner() && entity != self.me
+    }
+    /// Whether it may write this row now.
+    pub fn may_write(&self, component: ComponentId, entity: Entity) -> bool {
+        if entity == self.me && self.contributes.contains(&component) {
+            return true;
+        }
+        if !self.granted.is_empty() && self.granted.contains(&(component, entity)) {
+            return true;
+        }
+        if !self.revoked.is_empty() && self.revoked.contains(&(component, entity)) {
+            return false;
+        }
+        self.writes.iter().filter(|(id, _)| *id == component).any(|(_, set)| match set {
+            EntitySet::All => true,
+            EntitySet::Own => self.owns(entity) || entity == self.me,
+            EntitySet::Of(list) => list.binary_search(&entity).is_ok(),
+        })
+    }
+    /// Lets it write a row that another writer handed over.
+    pub fn grant(&mut self, component: ComponentId, entity: Entity) {
+        self.revoked.retain(|row| *row != (component, entity));
+        if !self.granted.contains(&(component, entity)) {
+            self.granted.push((component, entity));
+        }
+    }
+    /// Takes the right to a row away.
+    pub fn revoke(&mut self, component: ComponentId, entity: Entity) {
+        self.granted.retain(|row| *row != (component, entity));
+        if !self.revoked.contains(&(component, entity)) {
+            self.revoked.push((component, entity));
+        }
+    }
+    /// A component and the entities that both may write, if there are any.
+    pub fn overlap(&self, other: &Self) -> Option<(ComponentId, String)> {
+        for (component, mine) in &self.writes {
+            for (_, theirs) in other.writes.iter().filter(|(id, _)| id == component) {
+                let shared = match (mine, theirs) {
+                    (EntitySet::All, EntitySet::All) => Some("all entities".to_owned()),
+                    (EntitySet::All, EntitySet::Of(list)) | (EntitySet::Of(list), EntitySet::All) => {
+                        list.first().map(|entity| format!("entity {entity}"))
+                    }
+                    (EntitySet::Of(a), EntitySet::Of(b)) => {
+                        a.iter().find(|entity| b.contains(entity)).map(|entity| format!("entity {entity}"))
+                    }
+                    (EntitySet::All, EntitySet::Own) => Some("what the second one spawns".to_owned()),
+                    (EntitySet::Own, EntitySet::All) => Some("what the first one spawns".to_owned()),
+                    (EntitySet::Own, EntitySet::Of(list)) => {
+                        list.iter().find(|e| self.owns(**e)).map(|entity| format!("entity {entity}"))
+                    }
+                    (EntitySet::Of(list), EntitySet::Own) => {
+                        list.iter().find(|e| other.owns(**e)).map(|entity| format!("entity {entity}"))
+                    }
+                    (EntitySet::Own, EntitySet::Own) => None,
+                };
+                if let Some(shared) = shared {
+                    return Some((*component, shared));
+                }
+            }
+        }
+        None
+    }
+}

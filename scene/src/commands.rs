@@ -1,0 +1,478 @@
+//! Commands: the writes of one tick, in buffers that are reused from tick to tick.
+
+use std::any::Any;
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::column::{Column, ErasedColumn, encode};
+use crate::component::{Component, ComponentError, RecordPolicy};
+use crate::entity::{Entity, EntityAllocator};
+use crate::event::Event;
+use crate::registry::{ComponentId, Registry};
+use crate::time::{Revision, SimTime};
+
+/// A writer: a controller with a name, numbered like its entities' spawner.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct WriterId(pub u16);
+
+/// Where a batch comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Who wrote it.
+    pub writer: WriterId,
+    /// Which life of the writer; older ones are fenced off.
+    pub epoch: u32,
+    /// Number of the writer's tick.
+    pub tick: u64,
+    /// The tick's time.
+    pub time: SimTime,
+    /// The snapshot that the writer had read.
+    pub based_on: Revision,
+}
+
+/// "This row has not changed since": part of a batch that must hold or the batch is a conflict.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Condition {
+    /// Component of the row.
+    pub component: ComponentId,
+    /// Entity of the row.
+    pub entity: Entity,
+    /// Latest revision that is still fine.
+    pub unchanged_since: Revision,
+}
+
+/// Handing over who may write a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Transfer {
+    /// Component of the row.
+    pub component: ComponentId,
+    /// Entity of the row.
+    pub entity: Entity,
+    /// Who may write it from the next batch on.
+    pub to: WriterId,
+}
+
+/// A command that is wrong in itself; the batch it stands in is refused as a whole.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum CommandError {
+    /// A type that no registry entry knows.
+    #[error("component '{0}' is not registered in this session")]
+    Unregistered(&'static str),
+    /// A value that its component refuses.
+    #[error("{component} of {entity}: {error}")]
+    Value {
+        /// Name of the component.
+        component: &'static str,
+        /// The entity.
+        entity: Entity,
+        /// Why.
+        error: ComponentError,
+    },
+    /// An event with a number that is not finite.
+    #[error("event '{0}': value is not finite")]
+    Event(Cow<'static, str>),
+    /// 2³² entities of one writer.
+    #[error("the writer has used up its entities")]
+    NoMoreEntities,
+}
+
+/// The writes of one tick.
+pub struct Commands {
+    registry: Arc<Registry>,
+    allocator: EntityAllocator,
+    now: SimTime,
+    puts: Vec<Option<Box<dyn ErasedPuts>>>,
+    touched: Vec<ComponentId>,
+    removes: Vec<(ComponentId, Entity)>,
+    spawns: Vec<Entity>,
+    despawns: Vec<Entity>,
+    events: Vec<Event>,
+    conditions: Vec<Condition>,
+    transfers: Vec<Transfer>,
+    error: Option<CommandError>,
+}
+
+impl Commands {
+    /// Empty buffers for the writer that owns `allocator`.
+    pub fn new(registry: Arc<Registry>, allocator: EntityAllocator) -> Self {
+        let puts = (0..registry.len()).map(|_| None).collect();
+        Self {
+            registry,
+            allocator,
+            now: SimTime::ZERO,
+            puts,
+            touched: Vec::new(),
+            removes: Vec::new(),
+            spawns: Vec::new(),
+            despawns: Vec::new(),
+            events: Vec::new(),
+            conditions: Vec::new(),
+            transfers: Vec::new(),
+            error: None,
+        }
+    }
+
+    /// The writer's own entity, which carries its contributions and its resume state.
+    pub fn me(&self) -> Entity {
+        self.allocator.me()
+    }
+
+    /// Sets the time that events of this tick get; the host calls it.
+    pub fn begin(&mut self, now: SimTime) {
+        self.now = now;
+    }
+
+    /// Sets a component of an entity. Of two puts of one row in a batch the later one counts.
+    pub fn put<T: Component>(&mut self, entity: Entity, value: T) {
+        let Some(id) = self.registry.id::<T>() else {
+            self.error.get_or_insert(CommandError::Unregistered(T::NAME));
+            return;
+        };
+        if let Err(error) = value.check() {
+            self.error.get_or_insert(CommandError::Value { component: T::NAME, entity, error });
+        }
+        let slot = &mut self.puts[usize::from(id.0)];
+        let puts = slot.get_or_insert_with(self.registry.entry(id).new_puts);
+        if let Some(puts) = puts.as_any_mut().downcast_mut::<Puts<T>>() {
+            if puts.rows.is_empty() {
+                self.touched.push(id);
+            }
+            puts.rows.push((entity, value));
+        }
+    }
+
+    /// Sets this writer's contribution to a list that several writers fill; the Model removes it when the
+    /// writer dies.
+    pub fn contribute<T: Component>(&mut self, value: T) {
+        self.put(self.allocator.me(), value);
+    }
+
+    /// Takes a component away from an entity.
+    pub fn remove<T: Component>(&mut self, entity: Entity) {
+        match self.registry.id::<T>() {
+            Some(id) => self.removes.push((id, entity)),
+            None => {
+                self.error.get_or_insert(CommandError::Unregistered(T::NAME));
+            }
+        }
+    }
+
+    /// Creates an entity. Its name is known at once; the Model is not asked.
+    pub fn spawn(&mut self) -> Entity {
+        match self.allocator.allocate() {
+            Some(entity) => {
+                self.spawns.push(entity);
+                entity
+            }
+            None => {
+                self.error.get_or_insert(CommandError::NoMoreEntities);
+                self.allocator.me()
+            }
+        }
+    }
+
+    /// Removes an entity with all its components.
+    pub fn despawn(&mut self, entity: Entity) {
+        self.despawns.push(entity);
+    }
+
+    /// Reports that something happened.
+    pub fn event(
+        &mut self,
+        name: impl Into<Cow<'static, str>>,
+        subject: Entity,
+        object: Option<Entity>,
+        value: f64,
+    ) {
+        let name = name.into();
+        if !value.is_finite() {
+            self.error.get_or_insert(CommandError::Event(name));
+            return;
+        }
+        self.events.push(Event { name, subject, object, value, at: self.now });
+    }
+
+    /// Makes the batch a conflict if the row has changed after `since`.
+    pub fn require_unchanged<T: Component>(&mut self, entity: Entity, since: Revision) {
+        match self.registry.id::<T>() {
+            Some(component) => {
+                self.conditions.push(Condition { component, entity, unchanged_since: since });
+            }
+            None => {
+                self.error.get_or_insert(CommandError::Unregistered(T::NAME));
+            }
+        }
+    }
+
+    /// Hands the right to write a row over to another writer.
+    pub fn transfer<T: Component>(&mut self, entity: Entity, to: WriterId) {
+        match self.registry.id::<T>() {
+            Some(component) => self.transfers.push(Transfer { component, entity, to }),
+            None => {
+                self.error.get_or_insert(CommandError::Unregistered(T::NAME));
+            }
+        }
+    }
+
+    /// Whether nothing was commanded.
+    pub fn is_empty(&self) -> bool {
+        self.touched.is_empty()
+            && self.removes.is_empty()
+            && self.spawns.is_empty()
+            && self.despawns.is_empty()
+            && self.events.is_empty()
+            && self.transfers.is_empty()
+            && self.error.is_none()
+    }
+
+    /// Empties the buffers and keeps their room.
+    pub fn clear(&mut self) {
+        for id in self.touched.drain(..) {
+            if let Some(puts) = &mut self.puts[usize::from(id.0)] {
+                puts.clear();
+            }
+        }
+        self.removes.clear();
+        self.spawns.clear();
+        self.despawns.clear();
+        self.events.clear();
+        self.conditions.clear();
+        self.transfers.clear();
+        self.error = None;
+    }
+
+    /// Brings the commands into canonical order (component NAME, then entity). The host calls it once
+    /// after the tick; nothing is allocated when the order is canonical already.
+    pub fn seal(&mut self) {
+        self.touched.sort_unstable();
+        for id in &self.touched {
+            if let Some(puts) = &mut self.puts[usize::from(id.0)] {
+                puts.seal();
+            }
+        }
+        self.removes.sort_unstable();
+        self.removes.dedup();
+        self.despawns.sort_unstable();
+        self.despawns.dedup();
+    }
+
+    /// The first wrong command, if there is one.
+    pub fn error(&self) -> Option<&CommandError> {
+        self.error.as_ref()
+    }
+    /// The puts of each touched component, in NAME order once sealed.
+    pub fn puts(&self) -> impl Iterator<Item = (ComponentId, &dyn ErasedPuts)> {
+        self.touched.iter().filter_map(|id| self.puts[usize::from(id.0)].as_deref().map(|puts| (*id, puts)))
+    }
+    pub(crate) fn puts_mut(&mut self, mut visit: impl FnMut(ComponentId, &mut dyn ErasedPuts)) {
+        for id in &self.touched {
+            if let Some(puts) = &mut self.puts[usize::from(id.0)] {
+                visit(*id, puts.as_mut());
+            }
+        }
+    }
+    /// Rows to take away.
+    pub fn removes(&self) -> &[(ComponentId, Entity)] {
+        &self.removes
+    }
+    /// Entities to create.
+    pub fn spawns(&self) -> &[Entity] {
+        &self.spawns
+    }
+    /// Entities to remove.
+    pub fn despawns(&self) -> &[Entity] {
+        &self.despawns
+    }
+    /// What happened.
+    pub fn events(&self) -> &[Event] {
+        &self.events
+    }
+    /// What must hold.
+    pub fn conditions(&self) -> &[Condition] {
+        &self.conditions
+    }
+    /// Rights handed over.
+    pub fn transfers(&self) -> &[Transfer] {
+        &self.transfers
+    }
+    pub(crate) fn drain_events(&mut self) -> std::vec::Drain<'_, Event> {
+        self.events.drain(..)
+    }
+
+    /// Appends the canonical encoding of everything that changes the scene: spawns, despawns, removes, puts
+    /// (NAME order, entity order), transfers, events. Derived components are left out.
+    ///
+    /// Layout: six sections, each a postcard count followed by its items; a put section per component has
+    /// the component's 32-bit key. [`Commands::decode`] reads it back.
+    ///
+    /// # Errors
+    /// When a value cannot be encoded.
+    pub fn encode(&self, out: &mut Vec<u8>) -> Result<(), ComponentError> {
+        let key = |id: ComponentId| self.registry.entry(id).key;
+        encode(&self.spawns, out)?;
+        encode(&self.despawns, out)?;
+        let kept = |id: &ComponentId| self.registry.entry(*id).record == RecordPolicy::Full;
+        encode(&(self.removes.iter().filter(|(id, _)| kept(id)).count() as u32), out)?;
+        for (id, entity) in self.removes.iter().filter(|(id, _)| kept(id)) {
+            encode(&(key(*id), entity), out)?;
+        }
+        encode(&(self.touched.iter().filter(|id| kept(id)).count() as u32), out)?;
+        for (id, puts) in self.puts().filter(|(id, _)| kept(id)) {
+            encode(&(key(id), puts.len() as u32), out)?;
+            puts.encode(out)?;
+        }
+        encode(&(self.transfers.len() as u32), out)?;
+        for transfer in &self.transfers {
+            encode(&(key(transfer.component), transfer.entity, transfer.to), out)?;
+        }
+        encode(&self.events, out)
+    }
+
+    /// Adds what [`Commands::encode`] wrote, and returns the bytes after it.
+    ///
+    /// # Errors
+    /// When the bytes are malformed, name an unknown component, or hold a refused value.
+    pub fn decode<'a>(&mut self, bytes: &'a [u8]) -> Result<&'a [u8], ComponentError> {
+        fn take<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, &'a [u8]), ComponentError> {
+            postcard::take_from_bytes(bytes).map_err(|error| ComponentError::Malformed(error.to_string()))
+        }
+        let registry = self.registry.clone();
+        let find = |key: u32| {
+            registry
+                .by_key(key)
+                .ok_or_else(|| ComponentError::Malformed(format!("unknown component key {key:#010x}")))
+        };
+        let (spawns, rest) = take::<Vec<Entity>>(bytes)?;
+        let (despawns, rest) = take::<Vec<Entity>>(rest)?;
+        self.spawns.extend(spawns);
+        self.despawns.extend(despawns);
+        let (count, mut rest) = take::<u32>(rest)?;
+        for _ in 0..count {
+            let ((key, entity), after) = take::<(u32, Entity)>(rest)?;
+            self.removes.push((find(key)?, entity));
+            rest = after;
+        }
+        let (count, mut rest) = take::<u32>(rest)?;
+        for _ in 0..count {
+            let ((key, rows), mut after) = take::<(u32, u32)>(rest)?;
+            let id = find(key)?;
+            for _ in 0..rows {
+                let (entity, value) = take::<Entity>(after)?;
+                after = registry.put_postcard(id, self, entity, value)?;
+            }
+            rest = after;
+        }
+        let (count, mut rest) = take::<u32>(rest)?;
+        for _ in 0..count {
+            let ((key, entity, to), after) = take::<(u32, Entity, WriterId)>(rest)?;
+            self.transfers.push(Transfer { component: find(key)?, entity, to });
+            rest = after;
+        }
+        let (events, rest) = take::<Vec<Event>>(rest)?;
+        self.events.extend(events);
+        Ok(rest)
+    }
+}
+
+/// The commands of one tick with their provenance; applied as a whole or not at all.
+pub struct Batch {
+    /// Where it comes from.
+    pub provenance: Provenance,
+    /// What it writes.
+    pub commands: Commands,
+}
+
+/// The puts of one component.
+pub struct Puts<T> {
+    rows: Vec<(Entity, T)>,
+}
+
+impl<T> Default for Puts<T> {
+    fn default() -> Self {
+        Self { rows: Vec::new() }
+    }
+}
+
+impl<T> Puts<T> {
+    /// The rows, in entity order once sealed.
+    pub fn rows(&self) -> &[(Entity, T)] {
+        &self.rows
+    }
+}
+
+/// Puts whose type is not known here.
+pub trait ErasedPuts: Send {
+    /// For downcasting to [`Puts`].
+    fn as_any(&self) -> &dyn Any;
+    /// For downcasting to [`Puts`].
+    fn as_any_mut(&mut self) -> &mut dyn Any;
+    /// How many rows.
+    fn len(&self) -> usize;
+    /// Whether there are none.
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+    /// Forgets the rows.
+    fn clear(&mut self);
+    /// Entity order, one row each, the later one winning.
+    fn seal(&mut self);
+    /// The entity of row `index`.
+    fn entity(&self, index: usize) -> Entity;
+    /// Checks every value again.
+    ///
+    /// # Errors
+    /// The first entity whose value is refused, and why.
+    fn check(&self) -> Result<(), (Entity, ComponentError)>;
+    /// Appends (entity, value) of every row.
+    ///
+    /// # Errors
+    /// When a value cannot be encoded.
+    fn encode(&self, out: &mut Vec<u8>) -> Result<(), ComponentError>;
+    /// Moves the rows into a column of the same type.
+    fn apply(&mut self, column: &mut dyn ErasedColumn, revision: Revision);
+}
+
+impl<T: Component> ErasedPuts for Puts<T> {
+    fn as_any(&self) -> &dyn Any {
+        self
+    }
+    fn as_any_mut(&mut self) -> &mut dyn Any {
+        self
+    }
+    fn len(&self) -> usize {
+        self.rows.len()
+    }
+    fn clear(&mut self) {
+        self.rows.clear();
+    }
+    fn seal(&mut self) {
+        if self.rows.windows(2).all(|pair| pair[0].0 < pair[1].0) {
+            return;
+        }
+        self.rows.sort_by_key(|(entity, _)| *entity);
+        // Stable order: of equal entities the later put is the last one; keep that.
+        self.rows.reverse();
+        self.rows.dedup_by_key(|(entity, _)| *entity);
+        self.rows.reverse();
+    }
+    fn entity(&self, index: usize) -> Entity {
+        self.rows[index].0
+    }
+    fn check(&self) -> Result<(), (Entity, ComponentError)> {
+        self.rows.iter().try_for_each(|(entity, value)| value.check().map_err(|error| (*entity, error)))
+    }
+    fn encode(&self, out: &mut Vec<u8>) -> Result<(), ComponentError> {
+        self.rows.iter().try_for_each(|row| encode(row, out))
+    }
+    fn apply(&mut self, column: &mut dyn ErasedColumn, revision: Revision) {
+        if let Some(column) = column.as_any_mut().downcast_mut::<Column<T>>() {
+            for (entity, value) in self.rows.drain(..) {
+                column.put(entity, value, revision);
+            }
+        }
+    }
+}

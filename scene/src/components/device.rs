@@ -1,0 +1,173 @@
+//! Devices in hands: what they say and what they are told.
+
+use nalgebra::Vector3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::component::{Component, ComponentError};
+use crate::components::graph::{Pose, Velocity};
+use crate::entity::Entity;
+use crate::finite;
+use crate::time::SimTime;
+
+/// Left or right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Side {
+    /// The trainee's left hand.
+    Left,
+    /// The trainee's right hand.
+    Right,
+}
+
+impl Side {
+    /// The other one.
+    pub fn other(self) -> Self {
+        match self {
+            Side::Left => Side::Right,
+            Side::Right => Side::Left,
+        }
+    }
+    /// `"left"` or `"right"`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Side::Left => "left",
+            Side::Right => "right",
+        }
+    }
+}
+
+/// A hand: a device registered to the world, and the instrument that it moves.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Hand {
+    /// Which hand it is.
+    pub side: Side,
+    /// The instrument it moves.
+    #[schemars(with = "String")]
+    pub instrument: Entity,
+    /// `world_from_device`: where the device's origin lies.
+    #[serde(default)]
+    pub world_from_device: Pose,
+    /// Metres in the world per metre at the device.
+    #[serde(default = "one")]
+    pub scale: f64,
+}
+fn one() -> f64 {
+    1.0
+}
+impl Component for Hand {
+    const NAME: &'static str = "hand";
+    fn check(&self) -> Result<(), ComponentError> {
+        finite::check(self)?;
+        super::graph::check_rotation(&self.world_from_device.rotation)?;
+        ComponentError::range("scale", self.scale, 0.01..=100.0, "0.01 to 100")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
+}
+
+/// What a device can do; copied into the scene when it is opened.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct DeviceInfo {
+    /// Product.
+    pub model: String,
+    /// Full extent of the workspace about the device's origin \[m\].
+    pub workspace: [f64; 3],
+    /// Largest force \[N\].
+    pub max_force: f64,
+    /// Largest stable stiffness \[N/m\].
+    pub max_stiffness: f64,
+    /// Sensed degrees of freedom.
+    pub input_dofs: u8,
+    /// Actuated degrees of freedom.
+    pub output_dofs: u8,
+}
+super::component!(DeviceInfo, "device_info");
+
+/// The latest state of a haptic device, as its driver measured it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct DeviceState {
+    /// `device_from_handle`.
+    pub handle_in_device: Pose,
+    /// Its velocity, in the device's axes.
+    pub velocity_in_device: Velocity,
+    /// Opening of the gripper \[rad\].
+    pub gripper: f64,
+    /// One bit per button.
+    pub buttons: u32,
+    /// Whether the device answers.
+    pub connected: bool,
+    /// Force that the driver let through, in the device's axes \[N\].
+    #[schemars(with = "[f64; 3]")]
+    pub applied_force: Vector3<f64>,
+    /// When it was measured.
+    pub sampled_at: SimTime,
+}
+impl Component for DeviceState {
+    const NAME: &'static str = "device_state";
+    fn check(&self) -> Result<(), ComponentError> {
+        finite::check(self)?;
+        super::graph::check_rotation(&self.handle_in_device.rotation)
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
+}
+
+/// The wrench that haptics asks a device for, in the device's axes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct DeviceForce {
+    /// Force \[N\].
+    #[schemars(with = "[f64; 3]")]
+    pub force: Vector3<f64>,
+    /// Torque \[N·m\].
+    #[schemars(with = "[f64; 3]")]
+    pub torque: Vector3<f64>,
+    /// When it was asked for.
+    pub at: SimTime,
+}
+super::component!(DeviceForce, "device_force");
+
+/// What a virtual trainee intends its hand to do, in the device's frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct HandTarget {
+    /// `device_from_handle` wanted.
+    pub handle_in_device: Pose,
+    /// Opening of the gripper wanted \[rad\].
+    pub gripper: f64,
+}
+impl Component for HandTarget {
+    const NAME: &'static str = "hand_target";
+    fn check(&self) -> Result<(), ComponentError> {
+        finite::check(self)?;
+        super::graph::check_rotation(&self.handle_in_device.rotation)
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
+}
+
+/// What a haptics controller must remember, and what it says about itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct HapticStatus {
+    /// Energy observed at the device port since the start \[J\]; passive while not negative.
+    pub energy: f64,
+    /// Smallest value that `energy` ever had \[J\].
+    pub energy_min: f64,
+    /// Energy that the passivity controller took out \[J\].
+    pub dissipated: f64,
+    /// Damping that the passivity controller injects now \[N·s/m\].
+    pub injected_damping: f64,
+    /// Largest force asked for so far \[N\].
+    pub force_max: f64,
+    /// Ticks without a fresh device sample.
+    pub stale_samples: u64,
+}
+super::component!(HapticStatus, "haptic_status");

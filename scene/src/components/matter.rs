@@ -1,0 +1,115 @@
+//! Physical properties: rigid bodies, contact, tissue, temperature, burns.
+
+use std::sync::Arc;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::component::{Component, ComponentError};
+use crate::finite;
+
+/// How a rigid body moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Motion {
+    /// Never moves.
+    #[default]
+    Static,
+    /// Moves under forces.
+    Dynamic,
+    /// Follows its written pose, whatever pushes it.
+    Kinematic,
+}
+
+/// A rigid body; its geometry is the entity's `Shape`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RigidBody {
+    /// How it moves.
+    pub motion: Motion,
+    /// Mass \[kg\]; ignored unless dynamic.
+    pub mass: f64,
+    /// Coulomb coefficient of friction.
+    pub friction: f64,
+    /// Coefficient of restitution in \[0, 1\].
+    pub restitution: f64,
+    /// Linear damping \[1/s\].
+    pub linear_damping: f64,
+    /// Angular damping \[1/s\].
+    pub angular_damping: f64,
+}
+impl Default for RigidBody {
+    fn default() -> Self {
+        Self {
+            motion: Motion::Static,
+            mass: 0.01,
+            friction: 0.5,
+            restitution: 0.0,
+            linear_damping: 0.0,
+            angular_damping: 0.0,
+        }
+    }
+}
+impl Component for RigidBody {
+    const NAME: &'static str = "rigid_body";
+    fn check(&self) -> Result<(), ComponentError> {
+        finite::check(self)?;
+        ComponentError::range("mass", self.mass, 1e-6..=1e3, "1e-6 to 1e3 kg")?;
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("restitution", self.restitution, 0.0..=1.0, "0 to 1")?;
+        ComponentError::range("linear_damping", self.linear_damping, 0.0..=1e4, "0 to 1e4 1/s")?;
+        ComponentError::range("angular_damping", self.angular_damping, 0.0..=1e4, "0 to 1e4 1/s")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
+}
+
+/// A material parameter together with where it comes from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Parameter {
+    /// The value, in the unit of its field.
+    pub value: f64,
+    /// Publication or measurement it was taken from.
+    pub source: String,
+}
+
+/// Mechanical and thermal properties of a tissue, each with its provenance.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TissueMaterial {
+    /// Density \[kg/m³\].
+    pub density: Parameter,
+    /// Young's modulus \[Pa\].
+    pub young_modulus: Parameter,
+    /// Poisson's ratio.
+    pub poisson_ratio: Parameter,
+    /// Rayleigh mass damping \[1/s\].
+    pub damping: Parameter,
+    /// Thermal conductivity \[W/(m·K)\].
+    pub conductivity: Parameter,
+    /// Specific heat capacity \[J/(kg·K)\].
+    pub heat_capacity: Parameter,
+    /// Stiffness that the hand feels, as a multiple of the one that is seen.
+    pub force_scale: Parameter,
+}
+super::component!(TissueMaterial, "tissue_material");
+
+/// Temperature per vertex \[°C\].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Temperature {
+    /// One value per vertex \[°C\].
+    pub celsius: Arc<Vec<f64>>,
+}
+super::component!(Temperature, "temperature");
+
+/// Burn damage per vertex: the Arrhenius integral Ω (Henriques, Moritz 1947).
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Burn {
+    /// One Ω per vertex; 1 means that 63 % of the protein is denatured.
+    pub omega: Arc<Vec<f64>>,
+}
+super::component!(Burn, "burn");

@@ -1,0 +1,81 @@
+//! Meshes. Topology stands apart from positions, so that a deforming body copies positions only.
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Vector2};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Triangles of a surface, as indices into [`VertexPositions`].
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SurfaceMesh {
+    /// Corner indices, counter-clockwise seen from outside.
+    pub triangles: Arc<Vec<[u32; 3]>>,
+}
+super::component!(SurfaceMesh, "surface_mesh");
+
+/// Tetrahedra of a volume, as indices into [`VertexPositions`].
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TetMesh {
+    /// Corner indices, positively oriented.
+    pub tets: Arc<Vec<[u32; 4]>>,
+}
+super::component!(TetMesh, "tet_mesh");
+
+/// Segments of a thread or band, as indices into [`VertexPositions`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LineMesh {
+    /// End point indices.
+    pub segments: Arc<Vec<[u32; 2]>>,
+    /// Radius of the tube \[m\].
+    pub radius: f64,
+}
+super::component!(LineMesh, "line_mesh");
+
+/// Vertices in the entity's frame \[m\].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct VertexPositions {
+    /// One point per vertex \[m\].
+    #[schemars(with = "Vec<[f64; 3]>")]
+    pub positions: Arc<Vec<Point3<f64>>>,
+}
+super::component!(VertexPositions, "vertex_positions");
+
+/// Texture coordinates, one per vertex, in \[0, 1\].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TextureCoordinates {
+    /// One `(u, v)` per vertex.
+    #[schemars(with = "Vec<[f64; 2]>")]
+    pub uv: Arc<Vec<Vector2<f64>>>,
+}
+super::component!(TextureCoordinates, "texture_coordinates");
+
+/// A tree of axis-aligned boxes over an entity's primitives, for whoever wants to reuse or show it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BoundingVolumeTree {
+    /// Nodes, the root first.
+    pub nodes: Arc<Vec<BoundingVolumeNode>>,
+}
+super::component!(BoundingVolumeTree, "bounding_volume_tree");
+
+/// One box of a [`BoundingVolumeTree`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BoundingVolumeNode {
+    /// Smallest corner in the entity's frame \[m\].
+    #[schemars(with = "[f64; 3]")]
+    pub min: Point3<f64>,
+    /// Largest corner in the entity's frame \[m\].
+    #[schemars(with = "[f64; 3]")]
+    pub max: Point3<f64>,
+    /// First child (inner node) or first primitive (leaf).
+    pub first: u32,
+    /// 0 for an inner node (its children are `first` and `first + 1`), else the number of primitives.
+    pub primitives: u32,
+}

@@ -1,0 +1,88 @@
+//! The components of the field.
+
+pub mod contact;
+pub mod device;
+pub mod graph;
+pub mod instrument;
+pub mod matter;
+pub mod mesh;
+pub mod shape;
+pub mod task;
+pub mod visual;
+
+pub use contact::{Collision, CollisionList, Primitive};
+pub use device::{DeviceForce, DeviceInfo, DeviceState, Hand, HandTarget, HapticStatus, Side};
+pub use graph::{Name, Parent, Pose, Velocity};
+pub use instrument::{
+    ContactPlane, Grasp, Instrument, InstrumentForce, InstrumentKind, InstrumentTarget, JawState,
+    LocalContactModel, Port,
+};
+pub use matter::{Burn, Motion, Parameter, RigidBody, Temperature, TissueMaterial};
+pub use mesh::{
+    BoundingVolumeNode, BoundingVolumeTree, LineMesh, SurfaceMesh, TetMesh, TextureCoordinates,
+    VertexPositions,
+};
+pub use shape::Shape;
+pub use task::{TaskError, TaskState, VitalSigns};
+pub use visual::{Camera, Light, Texture, VisualMaterial};
+
+use crate::registry::{RegistryBuilder, RegistryError};
+
+/// Implements [`Component`](crate::Component) with the default check and a derived schema.
+macro_rules! component {
+    ($type:ty, $name:literal) => {
+        impl $crate::component::Component for $type {
+            const NAME: &'static str = $name;
+            fn schema() -> Option<serde_json::Value> {
+                $crate::components::schema_of::<Self>()
+            }
+        }
+    };
+}
+pub(crate) use component;
+
+pub(crate) fn schema_of<T: schemars::JsonSchema>() -> Option<serde_json::Value> {
+    Some(schemars::schema_for!(T).to_value())
+}
+
+/// Registers every component of the field.
+///
+/// # Errors
+/// When a name is already taken by another type.
+pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
+    builder.register::<Name>()?;
+    builder.register::<Parent>()?;
+    builder.register::<Pose>()?;
+    builder.register::<Velocity>()?;
+    builder.register::<Shape>()?;
+    builder.register::<SurfaceMesh>()?;
+    builder.register::<TetMesh>()?;
+    builder.register::<LineMesh>()?;
+    builder.register::<VertexPositions>()?;
+    builder.register::<TextureCoordinates>()?;
+    builder.register::<BoundingVolumeTree>()?;
+    builder.register::<VisualMaterial>()?;
+    builder.register::<Light>()?;
+    builder.register::<Camera>()?;
+    builder.register::<RigidBody>()?;
+    builder.register::<TissueMaterial>()?;
+    builder.register::<Temperature>()?;
+    builder.register::<Burn>()?;
+    builder.register::<Instrument>()?;
+    builder.register::<Port>()?;
+    builder.register::<InstrumentTarget>()?;
+    builder.register::<JawState>()?;
+    builder.register::<InstrumentForce>()?;
+    builder.register::<Grasp>()?;
+    builder.register::<LocalContactModel>()?;
+    builder.register::<Hand>()?;
+    builder.register::<DeviceInfo>()?;
+    builder.register::<DeviceState>()?;
+    builder.register::<DeviceForce>()?;
+    builder.register::<HandTarget>()?;
+    builder.register::<HapticStatus>()?;
+    builder.register::<CollisionList>()?;
+    builder.register::<TaskState>()?;
+    builder.register::<VitalSigns>()?;
+    Ok(())
+}

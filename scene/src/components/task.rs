@@ -1,0 +1,63 @@
+//! Exercises: where they stand, what went wrong, how the hands moved.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::entity::Entity;
+
+/// Something that counts against the trainee.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TaskError {
+    /// Kind, such as `drop_in_view`.
+    pub kind: String,
+    /// When \[s\].
+    pub at_secs: f64,
+    /// What it happened to.
+    #[schemars(with = "Option<String>")]
+    pub entity: Option<Entity>,
+}
+
+/// State of an exercise.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct TaskState {
+    /// Name of the exercise.
+    pub task: String,
+    /// Name of the current phase.
+    pub phase: String,
+    /// Steps done.
+    pub done: u32,
+    /// Steps in all.
+    pub steps: u32,
+    /// Time on the exercise's own clock \[s\].
+    pub seconds: f64,
+    /// Whether everything was done.
+    pub completed: bool,
+    /// Whether time ran out first.
+    pub cut_off: bool,
+    /// Score 0–100, once known. FLS-style; not clinically validated.
+    pub score: Option<f64>,
+    /// What went wrong, in order; bounded.
+    pub errors: Vec<TaskError>,
+    /// Motion metrics: hand → name → value.
+    pub metrics: BTreeMap<String, BTreeMap<String, f64>>,
+}
+super::component!(TaskState, "task_state");
+
+/// Vital signs of the patient.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct VitalSigns {
+    /// Heart rate \[1/min\].
+    pub heart_rate: f64,
+    /// Mean arterial pressure \[Pa\].
+    pub arterial_pressure: f64,
+    /// Oxygen saturation in \[0, 1\].
+    pub oxygen_saturation: f64,
+    /// Blood lost \[m³\].
+    pub blood_loss: f64,
+}
+super::component!(VitalSigns, "vital_signs");

@@ -1,0 +1,281 @@
+//! The registry: which components there are in a session, and how to make, decode and parse them.
+
+use std::any::TypeId;
+use std::collections::{BTreeMap, HashMap};
+use std::hash::{BuildHasherDefault, Hasher};
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use crate::column::{Column, ErasedColumn};
+use crate::commands::{Commands, ErasedPuts, Puts};
+use crate::component::{Component, ComponentError, RecordPolicy};
+use crate::entity::Entity;
+
+/// Index of a component in its registry; ordered by NAME, so never by order of registration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ComponentId(pub u16);
+
+/// What the registry knows of one component.
+pub struct ComponentEntry {
+    /// Stable name.
+    pub name: &'static str,
+    /// Short stable key for files and hashes: the first 32 bits of BLAKE3(name).
+    pub key: u32,
+    /// Whether its changes are recorded.
+    pub record: RecordPolicy,
+    /// JSON schema of the value in a scenario file, when it may stand there.
+    pub schema: fn() -> Option<serde_json::Value>,
+    type_id: TypeId,
+    type_name: &'static str,
+    pub(crate) new_column: fn() -> Arc<dyn ErasedColumn>,
+    pub(crate) new_puts: fn() -> Box<dyn ErasedPuts>,
+    put_toml: fn(&mut Commands, Entity, toml::Value) -> Result<(), ComponentError>,
+    put_json: fn(&mut Commands, Entity, serde_json::Value) -> Result<(), ComponentError>,
+    put_postcard: for<'a> fn(&mut Commands, Entity, &'a [u8]) -> Result<&'a [u8], ComponentError>,
+}
+
+/// Something wrong with a set of components.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum RegistryError {
+    /// Two types claim one name.
+    #[error("component name '{name}' is claimed by both {first} and {second}")]
+    NameTaken {
+        /// The name.
+        name: &'static str,
+        /// The type that had it.
+        first: &'static str,
+        /// The type that wants it.
+        second: &'static str,
+    },
+    /// Two names share a key.
+    #[error("component names '{first}' and '{second}' share a key; rename one of them")]
+    KeyTaken {
+        /// One name.
+        first: &'static str,
+        /// The other.
+        second: &'static str,
+    },
+    /// More than 65,535 components.
+    #[error("too many components")]
+    Full,
+    /// No such component.
+    #[error("unknown component '{name}'; there are: {known}")]
+    Unknown {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: String,
+    },
+}
+
+/// `TypeId`s are already hashes.
+#[derive(Default)]
+struct TypeIdHasher(u64);
+impl Hasher for TypeIdHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+    fn write(&mut self, bytes: &[u8]) {
+        for chunk in bytes.chunks(8) {
+            let mut word = [0u8; 8];
+            word[..chunk.len()].copy_from_slice(chunk);
+            self.0 ^= u64::from_le_bytes(word);
+        }
+    }
+    fn write_u64(&mut self, word: u64) {
+        self.0 ^= word;
+    }
+}
+
+/// Collects components before a session starts.
+#[derive(Default)]
+pub struct RegistryBuilder {
+    entries: BTreeMap<&'static str, ComponentEntry>,
+}
+
+impl RegistryBuilder {
+    /// Without any component.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a component; adding the same type twice is fine.
+    ///
+    /// # Errors
+    /// When another type has its name.
+    pub fn register<T: Component>(&mut self) -> Result<&mut Self, RegistryError> {
+        let type_id = TypeId::of::<T>();
+        if let Some(entry) = self.entries.get(T::NAME) {
+            return if entry.type_id == type_id {
+                Ok(self)
+            } else {
+                Err(RegistryError::NameTaken {
+                    name: T::NAME,
+                    first: entry.type_name,
+                    second: std::any::type_name::<T>(),
+                })
+            };
+        }
+        let hash = blake3::hash(T::NAME.as_bytes());
+        let key = u32::from_le_bytes([
+            hash.as_bytes()[0],
+            hash.as_bytes()[1],
+            hash.as_bytes()[2],
+            hash.as_bytes()[3],
+        ]);
+        if let Some(other) = self.entries.values().find(|entry| entry.key == key) {
+            return Err(RegistryError::KeyTaken { first: other.name, second: T::NAME });
+        }
+        if self.entries.len() >= usize::from(u16::MAX) {
+            return Err(RegistryError::Full);
+        }
+        self.entries.insert(
+            T::NAME,
+            ComponentEntry {
+                name: T::NAME,
+                key,
+                record: T::RECORD,
+                schema: T::schema,
+                type_id,
+                type_name: std::any::type_name::<T>(),
+                new_column: || Arc::new(Column::<T>::default()),
+                new_puts: || Box::new(Puts::<T>::default()),
+                put_toml: |commands, entity, value| {
+                    let value: T =
+                        value.try_into().map_err(|error: toml::de::Error| malformed(error.message()))?;
+                    value.check()?;
+                    commands.put(entity, value);
+                    Ok(())
+                },
+                put_json: |commands, entity, value| {
+                    let value: T =
+                        serde_json::from_value(value).map_err(|error| malformed(&error.to_string()))?;
+                    value.check()?;
+                    commands.put(entity, value);
+                    Ok(())
+                },
+                put_postcard: |commands, entity, bytes| {
+                    let (value, rest) = postcard::take_from_bytes::<T>(bytes)
+                        .map_err(|error| malformed(&error.to_string()))?;
+                    value.check()?;
+                    commands.put(entity, value);
+                    Ok(rest)
+                },
+            },
+        );
+        Ok(self)
+    }
+
+    /// Fixes the set.
+    pub fn build(self) -> Arc<Registry> {
+        let entries: Vec<ComponentEntry> = self.entries.into_values().collect();
+        let by_type =
+            entries.iter().enumerate().map(|(id, entry)| (entry.type_id, ComponentId(id as u16))).collect();
+        let by_key =
+            entries.iter().enumerate().map(|(id, entry)| (entry.key, ComponentId(id as u16))).collect();
+        Arc::new(Registry { entries, by_type, by_key })
+    }
+}
+
+fn malformed(message: &str) -> ComponentError {
+    ComponentError::Malformed(message.trim().to_owned())
+}
+
+/// The components of a session.
+pub struct Registry {
+    entries: Vec<ComponentEntry>,
+    by_type: HashMap<TypeId, ComponentId, BuildHasherDefault<TypeIdHasher>>,
+    by_key: BTreeMap<u32, ComponentId>,
+}
+
+impl Registry {
+    /// All components of the field, and no others.
+    ///
+    /// # Panics
+    /// Never: the field's names are distinct, which a test holds.
+    pub fn of_the_field() -> Arc<Self> {
+        let mut builder = RegistryBuilder::new();
+        crate::components::register(&mut builder).expect("the field's component names are distinct");
+        builder.build()
+    }
+    /// How many components there are.
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+    /// The id of a type.
+    #[inline]
+    pub fn id<T: Component>(&self) -> Option<ComponentId> {
+        self.by_type.get(&TypeId::of::<T>()).copied()
+    }
+    /// The id of a name.
+    ///
+    /// # Errors
+    /// [`RegistryError::Unknown`] with the valid names.
+    pub fn by_name(&self, name: &str) -> Result<ComponentId, RegistryError> {
+        self.entries.binary_search_by_key(&name, |entry| entry.name).map(|id| ComponentId(id as u16)).map_err(
+            |_| RegistryError::Unknown {
+                name: name.to_owned(),
+                known: self.entries.iter().map(|entry| entry.name).collect::<Vec<_>>().join(", "),
+            },
+        )
+    }
+    /// The id of a key found in a file.
+    pub fn by_key(&self, key: u32) -> Option<ComponentId> {
+        self.by_key.get(&key).copied()
+    }
+    /// What is known of a component.
+    ///
+    /// # Panics
+    /// When the id is of another registry.
+    pub fn entry(&self, id: ComponentId) -> &ComponentEntry {
+        &self.entries[usize::from(id.0)]
+    }
+    /// Every component, ordered by NAME.
+    pub fn iter(&self) -> impl Iterator<Item = (ComponentId, &ComponentEntry)> {
+        self.entries.iter().enumerate().map(|(id, entry)| (ComponentId(id as u16), entry))
+    }
+    /// Decodes a TOML value as the named component and puts it.
+    ///
+    /// # Errors
+    /// When the value is malformed or refused by the component's check.
+    pub fn put_toml(
+        &self,
+        id: ComponentId,
+        commands: &mut Commands,
+        entity: Entity,
+        value: toml::Value,
+    ) -> Result<(), ComponentError> {
+        (self.entry(id).put_toml)(commands, entity, value)
+    }
+    /// Decodes a JSON value as the named component and puts it.
+    ///
+    /// # Errors
+    /// When the value is malformed or refused by the component's check.
+    pub fn put_json(
+        &self,
+        id: ComponentId,
+        commands: &mut Commands,
+        entity: Entity,
+        value: serde_json::Value,
+    ) -> Result<(), ComponentError> {
+        (self.entry(id).put_json)(commands, entity, value)
+    }
+    /// Decodes a value from the front of `bytes`, puts it, and returns the rest.
+    ///
+    /// # Errors
+    /// When the bytes are malformed or the value is refused by the component's check.
+    pub fn put_postcard<'a>(
+        &self,
+        id: ComponentId,
+        commands: &mut Commands,
+        entity: Entity,
+        bytes: &'a [u8],
+    ) -> Result<&'a [u8], ComponentError> {
+        (self.entry(id).put_postcard)(commands, entity, bytes)
+    }
+}

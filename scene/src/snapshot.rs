@@ -1,0 +1,137 @@
+//! Snapshots: the scene as it was at one revision, shared and never changing.
+
+use std::sync::Arc;
+
+use nalgebra::Isometry3;
+
+use crate::column::{Column, ErasedColumn, encode};
+use crate::component::{Component, ComponentError};
+use crate::components::{Name, Parent, Pose};
+use crate::entity::Entity;
+use crate::event::EventLog;
+use crate::registry::{ComponentId, Registry};
+use crate::time::{Revision, SimTime};
+
+/// Longest chain of parents that is followed; a cycle ends there.
+const MAX_DEPTH: usize = 64;
+
+/// The scene at one revision. Cloning it shares everything.
+#[derive(Clone)]
+pub struct Snapshot {
+    pub(crate) registry: Arc<Registry>,
+    pub(crate) revision: Revision,
+    pub(crate) time: SimTime,
+    pub(crate) columns: Vec<Arc<dyn ErasedColumn>>,
+    pub(crate) alive: Arc<Column<()>>,
+    pub(crate) events: Arc<EventLog>,
+}
+
+impl Snapshot {
+    /// Number of batches applied so far.
+    pub fn revision(&self) -> Revision {
+        self.revision
+    }
+    /// Time of the latest batch.
+    pub fn time(&self) -> SimTime {
+        self.time
+    }
+    /// The components of the session.
+    pub fn registry(&self) -> &Arc<Registry> {
+        &self.registry
+    }
+    /// What happened lately.
+    pub fn events(&self) -> &EventLog {
+        &self.events
+    }
+    /// The column of a component; `None` when the component is not registered.
+    #[inline]
+    pub fn column<T: Component>(&self) -> Option<&Column<T>> {
+        let id = self.registry.id::<T>()?;
+        self.columns[usize::from(id.0)].as_any().downcast_ref()
+    }
+    /// A column whose type is not known here.
+    pub fn erased_column(&self, id: ComponentId) -> &dyn ErasedColumn {
+        self.columns[usize::from(id.0)].as_ref()
+    }
+    /// A component of an entity.
+    #[inline]
+    pub fn get<T: Component>(&self, entity: Entity) -> Option<&T> {
+        self.column::<T>()?.get(entity)
+    }
+    /// Every entity with this component, in entity order.
+    pub fn iter<T: Component>(&self) -> impl Iterator<Item = (Entity, &T)> {
+        self.column::<T>().into_iter().flat_map(Column::iter)
+    }
+    /// Every entity whose component changed after `since`, in entity order.
+    pub fn iter_changed<T: Component>(&self, since: Revision) -> impl Iterator<Item = (Entity, &T)> {
+        self.column::<T>().into_iter().flat_map(move |column| column.iter_changed(since))
+    }
+    /// The revision in which a component of an entity last changed.
+    pub fn changed<T: Component>(&self, entity: Entity) -> Option<Revision> {
+        self.column::<T>()?.revision(entity)
+    }
+    /// Whether the entity exists.
+    pub fn contains(&self, entity: Entity) -> bool {
+        self.alive.get(entity).is_some()
+    }
+    /// Every entity, in order.
+    pub fn entities(&self) -> impl Iterator<Item = Entity> {
+        self.alive.iter().map(|(entity, ())| entity)
+    }
+    /// The entity of that name; the lowest one if several have it. Walks all names: not for a hot path.
+    pub fn find(&self, name: &str) -> Option<Entity> {
+        self.iter::<Name>().find(|(_, candidate)| candidate.0 == name).map(|(entity, _)| entity)
+    }
+    /// The entity's name, or its number.
+    pub fn name(&self, entity: Entity) -> String {
+        self.get::<Name>(entity).map_or_else(|| entity.to_string(), |name| name.0.clone())
+    }
+    /// `world_from_entity`: the entity's pose through all its parents; identity without any pose.
+    pub fn world_pose(&self, entity: Entity) -> Isometry3<f64> {
+        let mut world_from_entity = Isometry3::identity();
+        let mut current = Some(entity);
+        for _ in 0..MAX_DEPTH {
+            let Some(entity) = current else { break };
+            if let Some(pose) = self.get::<Pose>(entity) {
+                world_from_entity = pose.isometry() * world_from_entity;
+            }
+            current = self.get::<Parent>(entity).map(|parent| parent.0);
+        }
+        world_from_entity
+    }
+    /// All components of an entity as a JSON object, for people to read.
+    pub fn entity_json(&self, entity: Entity) -> serde_json::Value {
+        let rows = self.registry.iter().filter_map(|(id, entry)| {
+            Some((entry.name.to_owned(), self.erased_column(id).row_json(entity)?))
+        });
+        serde_json::Value::Object(rows.collect())
+    }
+
+    /// Appends the whole scene in canonical order: revision, time, entities, then for each component that
+    /// has rows its key, their number, and (entity, value) each. [`crate::Store::load`] reads it back.
+    ///
+    /// # Errors
+    /// When a value cannot be encoded.
+    pub fn encode(&self, out: &mut Vec<u8>) -> Result<(), ComponentError> {
+        encode(&(self.revision, self.time, self.alive.len() as u32), out)?;
+        for entity in self.entities() {
+            encode(&entity, out)?;
+        }
+        let filled: Vec<_> =
+            self.registry.iter().filter(|(id, _)| !self.erased_column(*id).is_empty()).collect();
+        encode(&(filled.len() as u32), out)?;
+        for (id, entry) in filled {
+            let column = self.erased_column(id);
+            encode(&(entry.key, column.len() as u32), out)?;
+            let mut result = Ok(());
+            column.for_each_entity(&mut |entity| {
+                if result.is_ok() {
+                    result = encode(&entity, out).and_then(|()| column.encode_row(entity, out).map(|_| ()));
+                }
+            });
+            result?;
+        }
+        let events: Vec<_> = self.events.since(0).map(|(_, event)| event.clone()).collect();
+        encode(&(self.events.first(), events), out)
+    }
+}

@@ -1,0 +1,242 @@
+//! The store: the one changing copy of the scene. Whoever holds it decides what gets in; see
+//! [`Store::validate`] for the rules that no write may break.
+
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use crate::access::WriterRules;
+use crate::column::{Column, ErasedColumn};
+use crate::commands::{CommandError, Commands};
+use crate::component::ComponentError;
+use crate::entity::Entity;
+use crate::event::EventLog;
+use crate::registry::{ComponentId, Registry};
+use crate::snapshot::Snapshot;
+use crate::time::{Revision, SimTime};
+
+/// Why a batch was not applied. Nothing of it was.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum Refusal {
+    /// A command is wrong in itself.
+    #[error(transparent)]
+    Command(#[from] CommandError),
+    /// A row that the writer did not declare, or does not own.
+    #[error("{component} of {entity} is not the writer's to write")]
+    NotDeclared {
+        /// Name of the component.
+        component: &'static str,
+        /// The entity.
+        entity: Entity,
+    },
+    /// An entity that does not exist.
+    #[error("entity {0} does not exist")]
+    UnknownEntity(Entity),
+    /// An entity that exists already, or is not the writer's to create or remove.
+    #[error("entity {0} is not the writer's to create or remove")]
+    NotOwner(Entity),
+    /// A precondition that no longer holds: no failure, the writer may try again.
+    #[error("conflict: {component} of {entity} changed in revision {}", changed.0)]
+    Conflict {
+        /// Name of the component.
+        component: &'static str,
+        /// The entity.
+        entity: Entity,
+        /// When it changed.
+        changed: Revision,
+    },
+}
+
+impl Refusal {
+    /// Whether it is a conflict rather than a fault.
+    pub fn is_conflict(&self) -> bool {
+        matches!(self, Refusal::Conflict { .. })
+    }
+}
+
+/// The mutable scene.
+pub struct Store {
+    current: Snapshot,
+}
+
+impl Store {
+    /// An empty scene.
+    pub fn new(registry: Arc<Registry>) -> Self {
+        let columns = registry.iter().map(|(_, entry)| (entry.new_column)()).collect();
+        Self {
+            current: Snapshot {
+                registry,
+                revision: Revision::ZERO,
+                time: SimTime::ZERO,
+                columns,
+                alive: Arc::new(Column::default()),
+                events: Arc::new(EventLog::default()),
+            },
+        }
+    }
+
+    /// Continues from a snapshot: recovery, or a branch. Costs one reference per column.
+    pub fn from_snapshot(snapshot: &Snapshot) -> Self {
+        Self { current: snapshot.clone() }
+    }
+
+    /// The scene as it is now.
+    pub fn snapshot(&self) -> Snapshot {
+        self.current.clone()
+    }
+    /// Read access without sharing.
+    pub fn view(&self) -> &Snapshot {
+        &self.current
+    }
+    /// Number of batches applied.
+    pub fn revision(&self) -> Revision {
+        self.current.revision
+    }
+
+    /// Whether a sealed batch may be applied under the writer's rules.
+    ///
+    /// # Errors
+    /// The first rule that it breaks.
+    pub fn validate(&self, commands: &Commands, rules: &WriterRules) -> Result<(), Refusal> {
+        if let Some(error) = commands.error() {
+            return Err(error.clone().into());
+        }
+        let registry = &self.current.registry;
+        for condition in commands.conditions() {
+            let changed = self.current.erased_column(condition.component).revision(condition.entity);
+            if let Some(changed) = changed.filter(|changed| *changed > condition.unchanged_since) {
+                let component = registry.entry(condition.component).name;
+                return Err(Refusal::Conflict { component, entity: condition.entity, changed });
+            }
+        }
+        for entity in commands.spawns() {
+            if !rules.may_spawn() || !rules.owns(*entity) || self.current.contains(*entity) {
+                return Err(Refusal::NotOwner(*entity));
+            }
+        }
+        for entity in commands.despawns() {
+            if !self.current.contains(*entity) {
+                return Err(Refusal::UnknownEntity(*entity));
+            }
+            if !rules.may_spawn() || !rules.owns(*entity) {
+                return Err(Refusal::NotOwner(*entity));
+            }
+        }
+        let may_touch = |id: ComponentId, entity: Entity| {
+            if !rules.may_write(id, entity) {
+                return Err(Refusal::NotDeclared { component: registry.entry(id).name, entity });
+            }
+            if entity == rules.me() || self.current.contains(entity) || commands.spawns().contains(&entity) {
+                Ok(())
+            } else {
+                Err(Refusal::UnknownEntity(entity))
+            }
+        };
+        for (id, puts) in commands.puts() {
+            for index in 0..puts.len() {
+                may_touch(id, puts.entity(index))?;
+            }
+            puts.check().map_err(|(entity, error)| CommandError::Value {
+                component: registry.entry(id).name,
+                entity,
+                error,
+            })?;
+        }
+        for (id, entity) in commands.removes() {
+            may_touch(*id, *entity)?;
+        }
+        for transfer in commands.transfers() {
+            may_touch(transfer.component, transfer.entity)?;
+        }
+        Ok(())
+    }
+
+    /// Applies commands without asking who they are from: the scenario, a replay, or a batch that
+    /// [`Store::validate`] accepted. The values move out of the buffers.
+    pub fn apply(&mut self, commands: &mut Commands, time: SimTime) -> Revision {
+        let revision = self.current.revision.next();
+        self.current.revision = revision;
+        self.current.time = self.current.time.max(time);
+        for entity in commands.spawns() {
+            Arc::make_mut(&mut self.current.alive).put(*entity, (), revision);
+        }
+        let columns = &mut self.current.columns;
+        commands.puts_mut(|id, puts| puts.apply(exclusive(&mut columns[usize::from(id.0)]), revision));
+        for (id, entity) in commands.removes() {
+            exclusive(&mut self.current.columns[usize::from(id.0)]).remove(*entity, revision);
+        }
+        for entity in commands.despawns() {
+            self.despawn(*entity, revision);
+        }
+        if !commands.events().is_empty() {
+            let events = Arc::make_mut(&mut self.current.events);
+            commands.drain_events().for_each(|event| events.push(event));
+        }
+        revision
+    }
+
+    /// Takes a writer's contributions away, because it died or was fenced. Counts as a revision.
+    pub fn remove_contributions(&mut self, rules: &WriterRules) -> Revision {
+        let revision = self.current.revision.next();
+        self.current.revision = revision;
+        for id in rules.contributes() {
+            exclusive(&mut self.current.columns[usize::from(id.0)]).remove(rules.me(), revision);
+        }
+        revision
+    }
+
+    fn despawn(&mut self, entity: Entity, revision: Revision) {
+        Arc::make_mut(&mut self.current.alive).remove(entity, revision);
+        for column in &mut self.current.columns {
+            if column.revision(entity).is_some() {
+                exclusive(column).remove(entity, revision);
+            }
+        }
+    }
+
+    /// Reads what [`Snapshot::encode`] wrote.
+    ///
+    /// # Errors
+    /// When the bytes are malformed or name unknown components.
+    pub fn load<'a>(registry: &Arc<Registry>, bytes: &'a [u8]) -> Result<(Self, &'a [u8]), ComponentError> {
+        fn take<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, &'a [u8]), ComponentError> {
+            postcard::take_from_bytes(bytes).map_err(|error| ComponentError::Malformed(error.to_string()))
+        }
+        let mut store = Self::new(registry.clone());
+        let ((revision, time, entities), mut rest) = take::<(Revision, SimTime, u32)>(bytes)?;
+        for _ in 0..entities {
+            let (entity, after) = take::<Entity>(rest)?;
+            Arc::make_mut(&mut store.current.alive).put(entity, (), revision);
+            rest = after;
+        }
+        let allocator = crate::entity::EntityAllocator::new(0, crate::entity::SCENARIO_SPAWNER);
+        let mut commands = Commands::new(registry.clone(), allocator);
+        let (columns, mut rest) = take::<u32>(rest)?;
+        for _ in 0..columns {
+            let ((key, rows), mut after) = take::<(u32, u32)>(rest)?;
+            let id = registry
+                .by_key(key)
+                .ok_or_else(|| ComponentError::Malformed(format!("unknown component key {key:#010x}")))?;
+            for _ in 0..rows {
+                let (entity, value) = take::<Entity>(after)?;
+                after = registry.put_postcard(id, &mut commands, entity, value)?;
+            }
+            rest = after;
+        }
+        let ((first, events), rest) = take::<(u64, Vec<crate::event::Event>)>(rest)?;
+        let columns = &mut store.current.columns;
+        commands.puts_mut(|id, puts| puts.apply(exclusive(&mut columns[usize::from(id.0)]), revision));
+        store.current.events = Arc::new(EventLog::restore(first, events));
+        store.current.revision = revision;
+        store.current.time = time;
+        Ok((store, rest))
+    }
+}
+
+/// The column for writing; copied first (chunks shared) when a snapshot still holds it.
+fn exclusive(column: &mut Arc<dyn ErasedColumn>) -> &mut dyn ErasedColumn {
+    if Arc::get_mut(column).is_none() {
+        *column = column.share();
+    }
+    Arc::get_mut(column).expect("a fresh copy has one owner")
+}

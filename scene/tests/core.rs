@@ -1,0 +1,81 @@
+//! One writer's batches through the store: what is accepted, what is refused, what readers see.
+
+use trocar_scene::*;
+
+fn scene() -> (std::sync::Arc<Registry>, Store, Commands, WriterRules) {
+    let registry = Registry::of_the_field();
+    let allocator = EntityAllocator::new(0, 3);
+    let commands = Commands::new(registry.clone(), allocator.clone());
+    let access = Access::new().spawns().writes::<Pose>(EntitySet::Own).contributes::<CollisionList>();
+    let rules = WriterRules::compile(&access, &registry, allocator.me()).unwrap();
+    (registry.clone(), Store::new(registry), commands, rules)
+}
+
+fn apply(store: &mut Store, commands: &mut Commands, rules: &WriterRules) -> Result<Revision, Refusal> {
+    commands.seal();
+    let result = store.validate(commands, rules).map(|()| store.apply(commands, SimTime::ZERO));
+    commands.clear();
+    result
+}
+
+#[test]
+fn a_snapshot_never_changes_and_shows_what_changed_since() {
+    let (_, mut store, mut commands, rules) = scene();
+    let entities: Vec<Entity> = (0..200).map(|_| commands.spawn()).collect();
+    for (i, entity) in entities.iter().enumerate() {
+        commands.put(*entity, Pose::at(i as f64, 0.0, 0.0));
+    }
+    apply(&mut store, &mut commands, &rules).unwrap();
+    let before = store.snapshot();
+    commands.put(entities[150], Pose::at(-1.0, 0.0, 0.0));
+    apply(&mut store, &mut commands, &rules).unwrap();
+    let after = store.snapshot();
+    assert_eq!(before.get::<Pose>(entities[150]).unwrap().translation.x, 150.0);
+    assert_eq!(after.get::<Pose>(entities[150]).unwrap().translation.x, -1.0);
+    let changed: Vec<Entity> = after.iter_changed::<Pose>(before.revision()).map(|(e, _)| e).collect();
+    assert_eq!(changed, [entities[150]]);
+    assert_eq!(after.iter::<Pose>().count(), 200);
+}
+
+#[test]
+fn bad_writes_are_refused_and_named() {
+    let (_, mut store, mut commands, rules) = scene();
+    let mine = commands.spawn();
+    commands.put(mine, Pose::at(f64::NAN, 0.0, 0.0));
+    let refusal = apply(&mut store, &mut commands, &rules).unwrap_err();
+    assert!(refusal.to_string().contains("pose"), "{refusal}");
+    assert!(!store.view().contains(mine), "nothing of a refused batch is applied");
+
+    commands.put(Entity::new(0, 0, 7), Pose::at(0.0, 0.0, 0.0));
+    assert!(matches!(apply(&mut store, &mut commands, &rules), Err(Refusal::NotDeclared { .. })));
+    commands.put(Entity::new(0, 3, 77), Pose::at(0.0, 0.0, 0.0));
+    assert!(matches!(apply(&mut store, &mut commands, &rules), Err(Refusal::UnknownEntity(_))));
+}
+
+#[test]
+fn the_encoding_of_a_batch_and_of_a_scene_round_trips() {
+    let (registry, mut store, mut commands, rules) = scene();
+    let mine = commands.spawn();
+    commands.put(mine, Pose::at(1.0, 2.0, 3.0));
+    commands.event("born", mine, None, 1.0);
+    commands.contribute(CollisionList { collisions: vec![], penetration_max: 0.5 });
+    commands.seal();
+    let mut bytes = Vec::new();
+    commands.encode(&mut bytes).unwrap();
+    let mut again = Commands::new(registry.clone(), EntityAllocator::new(0, 3));
+    assert!(again.decode(&bytes).unwrap().is_empty());
+    again.seal();
+    let mut twice = Vec::new();
+    again.encode(&mut twice).unwrap();
+    assert_eq!(bytes, twice);
+
+    apply(&mut store, &mut commands, &rules).unwrap();
+    let mut whole = Vec::new();
+    store.view().encode(&mut whole).unwrap();
+    let (loaded, rest) = Store::load(&registry, &whole).unwrap();
+    assert!(rest.is_empty());
+    assert_eq!(loaded.view().get::<Pose>(mine).unwrap().translation.z, 3.0);
+    let mut again = Vec::new();
+    loaded.view().encode(&mut again).unwrap();
+    assert_eq!(whole, again);
+}
