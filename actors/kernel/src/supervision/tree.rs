@@ -1,0 +1,178 @@
+//! A supervisor tree flattened into start order: every group covers a contiguous range of children.
+
+use std::collections::{BTreeSet, VecDeque};
+use std::ops::Range;
+
+use thiserror::Error;
+use trocar_scene::SimTime;
+
+use super::child::{Backoff, ChildSpec, GroupSpec, Intensity, Node, Strategy};
+
+/// Most children and groups of one tree.
+pub const NODES_MAX: usize = 4_096;
+
+/// Why a tree was refused.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum TreeError {
+    /// Two nodes of one name.
+    #[error("supervisor tree: '{0}' stands in it twice; names are unique")]
+    Duplicate(String),
+    /// Nothing to supervise.
+    #[error("supervisor tree: no child in it")]
+    Empty,
+    /// Too big.
+    #[error("supervisor tree: more than {NODES_MAX} nodes")]
+    TooMany,
+    /// A pause that makes no sense.
+    #[error("supervisor tree: back-off of '{group}': {field} is {value}; valid: {valid}")]
+    Backoff {
+        /// The group.
+        group: String,
+        /// Which number.
+        field: &'static str,
+        /// Its value.
+        value: f64,
+        /// What would be valid.
+        valid: &'static str,
+    },
+}
+
+/// Failures in a row, for the back-off.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Streak {
+    count: u32,
+    last: Option<SimTime>,
+}
+
+impl Streak {
+    /// Counts one more failure at `now` and gives the pause before the restart; `unit` in [0, 1) spreads it.
+    pub(super) fn pause(&mut self, backoff: &Backoff, now: SimTime, unit: f64) -> SimTime {
+        if self.last.is_none_or(|last| now.since(last) > backoff.reset_after) {
+            self.count = 0;
+        }
+        self.last = Some(now);
+        let nth = self.count;
+        self.count = self.count.saturating_add(1);
+        if nth == 0 {
+            return SimTime::ZERO;
+        }
+        let growth = backoff.factor.powi(i32::try_from(nth - 1).unwrap_or(i32::MAX));
+        let plain = (backoff.base.as_secs_f64() * growth).min(backoff.max.as_secs_f64());
+        SimTime::from_secs_f64(plain * (1.0 + backoff.jitter * (2.0 * unit - 1.0)))
+    }
+}
+
+/// Restarts within the sliding window of a group.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Window {
+    times: VecDeque<SimTime>,
+}
+
+impl Window {
+    /// Counts one more restart; `false` when that is more than the group tolerates.
+    pub(super) fn admit(&mut self, intensity: Intensity, now: SimTime) -> bool {
+        while self.times.front().is_some_and(|&first| now.since(first) > intensity.period) {
+            self.times.pop_front();
+        }
+        self.times.push_back(now);
+        self.times.len() <= intensity.restarts as usize
+    }
+    /// Forgets everything, as a restarted supervisor does.
+    pub(super) fn clear(&mut self) {
+        self.times.clear();
+    }
+}
+
+/// One supervisor.
+#[derive(Clone, Debug)]
+pub(super) struct Group {
+    pub(super) id: String,
+    pub(super) parent: Option<usize>,
+    pub(super) strategy: Strategy,
+    pub(super) intensity: Intensity,
+    pub(super) backoff: Backoff,
+    /// The children below it.
+    pub(super) leaves: Range<usize>,
+    pub(super) window: Window,
+    pub(super) streak: Streak,
+}
+
+impl Group {
+    /// Who goes down with the member that covers `member`.
+    pub(super) fn affected(&self, member: &Range<usize>) -> Range<usize> {
+        match self.strategy {
+            Strategy::OneForOne => member.clone(),
+            Strategy::RestForOne => member.start..self.leaves.end,
+            Strategy::OneForAll => self.leaves.clone(),
+        }
+    }
+}
+
+/// The flattened tree: group 0 is the root; `owner[i]` is the group of child `i`.
+pub(super) struct Flat {
+    pub(super) groups: Vec<Group>,
+    pub(super) children: Vec<ChildSpec>,
+    pub(super) owner: Vec<usize>,
+}
+
+impl Flat {
+    pub(super) fn new(root: GroupSpec) -> Result<Self, TreeError> {
+        let mut flat = Self { groups: Vec::new(), children: Vec::new(), owner: Vec::new() };
+        let mut names = BTreeSet::new();
+        flat.add(root, None, &mut names)?;
+        if flat.children.is_empty() { Err(TreeError::Empty) } else { Ok(flat) }
+    }
+
+    fn add(
+        &mut self,
+        spec: GroupSpec,
+        parent: Option<usize>,
+        names: &mut BTreeSet<String>,
+    ) -> Result<(), TreeError> {
+        let GroupSpec { id, strategy, intensity, backoff, children } = spec;
+        check_backoff(&id, &backoff)?;
+        self.claim(&id, names)?;
+        let me = self.groups.len();
+        let first = self.children.len();
+        self.groups.push(Group {
+            id,
+            parent,
+            strategy,
+            intensity,
+            backoff,
+            leaves: first..first,
+            window: Window::default(),
+            streak: Streak::default(),
+        });
+        for node in children {
+            match node {
+                Node::Child(child) => {
+                    self.claim(&child.id, names)?;
+                    self.children.push(child);
+                    self.owner.push(me);
+                }
+                Node::Group(group) => self.add(group, Some(me), names)?,
+            }
+        }
+        self.groups[me].leaves.end = self.children.len();
+        Ok(())
+    }
+
+    fn claim(&self, id: &str, names: &mut BTreeSet<String>) -> Result<(), TreeError> {
+        if names.len() >= NODES_MAX {
+            return Err(TreeError::TooMany);
+        }
+        if names.insert(id.to_owned()) { Ok(()) } else { Err(TreeError::Duplicate(id.to_owned())) }
+    }
+}
+
+fn check_backoff(group: &str, backoff: &Backoff) -> Result<(), TreeError> {
+    let wrong = |field, value, valid| TreeError::Backoff { group: group.to_owned(), field, value, valid };
+    if !(backoff.factor.is_finite() && backoff.factor >= 1.0) {
+        return Err(wrong("factor", backoff.factor, "1 or more"));
+    }
+    if !(0.0..=1.0).contains(&backoff.jitter) {
+        return Err(wrong("jitter", backoff.jitter, "0 to 1"));
+    }
+    Ok(())
+}

@@ -1,0 +1,542 @@
+//! The guarantees of the supervisor tree, one test each, named for what OTP promises and for what a
+//! shared address space adds.
+
+use trocar_kernel::supervision::{
+    Action, Backoff, Cause, ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Restart,
+    RuntimeClass, Strategy, Supervisor, TreeError,
+};
+use trocar_scene::SimTime;
+
+const A: ChildId = ChildId(0);
+const B: ChildId = ChildId(1);
+const C: ChildId = ChildId(2);
+
+fn ms(millis: u64) -> SimTime {
+    SimTime::from_millis(millis)
+}
+
+fn spec(id: &str) -> ChildSpec {
+    ChildSpec::new(id, RuntimeClass::Haptics, 1000.0)
+}
+
+/// No pauses, so that a test's times are exact.
+fn prompt() -> Backoff {
+    Backoff { base: SimTime::ZERO, factor: 1.0, max: SimTime::ZERO, jitter: 0.0, reset_after: ms(1_000) }
+}
+
+fn three(strategy: Strategy) -> GroupSpec {
+    GroupSpec::new("root", strategy).with_backoff(prompt()).child(spec("a")).child(spec("b")).child(spec("c"))
+}
+
+/// A supervisor whose driver starts and stops children at once, and that remembers what it was ordered.
+struct Rig {
+    tree: Supervisor,
+    log: Vec<Action>,
+    now: SimTime,
+    /// Children that never answer an order to stop.
+    deaf: Vec<ChildId>,
+    /// Children whose construction is not answered.
+    slow_starters: Vec<ChildId>,
+}
+
+impl Rig {
+    fn new(root: GroupSpec) -> Self {
+        Self::with(root, 2, &[], &[])
+    }
+    fn with(root: GroupSpec, zombies_max: u32, deaf: &[ChildId], slow_starters: &[ChildId]) -> Self {
+        let tree = Supervisor::new(root, 7, zombies_max).expect("a valid tree");
+        let mut rig = Self {
+            tree,
+            log: Vec::new(),
+            now: SimTime::ZERO,
+            deaf: deaf.to_vec(),
+            slow_starters: slow_starters.to_vec(),
+        };
+        rig.at(0, Event::Tick);
+        rig
+    }
+    fn at(&mut self, millis: u64, event: Event) {
+        self.now = ms(millis);
+        let mut queue = vec![event];
+        while let Some(event) = queue.pop() {
+            let mut out = Vec::new();
+            self.tree.apply(event, self.now, &mut out);
+            for action in &out {
+                match *action {
+                    Action::Start { child, incarnation, .. } if !self.slow_starters.contains(&child) => {
+                        queue.push(Event::Started { child, incarnation });
+                    }
+                    Action::Stop { child } if !self.deaf.contains(&child) => {
+                        let incarnation = self.tree.incarnation(child);
+                        queue.push(Event::Died { child, incarnation, cause: Cause::Stop });
+                    }
+                    _ => {}
+                }
+            }
+            self.log.extend(out);
+        }
+    }
+    fn died(&mut self, millis: u64, child: ChildId, cause: Cause) {
+        let incarnation = self.tree.incarnation(child);
+        self.at(millis, Event::Died { child, incarnation, cause });
+    }
+    fn panics(&mut self, millis: u64, child: ChildId) {
+        self.died(millis, child, Cause::Panic("boom".to_owned()));
+    }
+    fn stalls(&mut self, millis: u64, child: ChildId) {
+        let incarnation = self.tree.incarnation(child);
+        self.at(millis, Event::Stalled { child, incarnation });
+    }
+    fn take(&mut self) -> Vec<Action> {
+        std::mem::take(&mut self.log)
+    }
+    fn lives(&self) -> [u32; 3] {
+        [self.tree.incarnation(A), self.tree.incarnation(B), self.tree.incarnation(C)]
+    }
+    fn health(&self, child: ChildId) -> Health {
+        self.tree.health(child).expect("a child")
+    }
+}
+
+fn starts(log: &[Action]) -> Vec<u16> {
+    log.iter()
+        .filter_map(|a| if let Action::Start { child, .. } = a { Some(child.0) } else { None })
+        .collect()
+}
+fn stops(log: &[Action]) -> Vec<u16> {
+    log.iter().filter_map(|a| if let Action::Stop { child } = a { Some(child.0) } else { None }).collect()
+}
+fn position(log: &[Action], wanted: impl Fn(&Action) -> bool) -> usize {
+    log.iter().position(wanted).unwrap_or_else(|| panic!("not ordered: {log:?}"))
+}
+
+#[test]
+fn children_start_in_order_each_after_the_one_before_is_up() {
+    let mut rig = Rig::with(three(Strategy::OneForOne), 2, &[], &[B]);
+    assert_eq!(starts(&rig.take()), [0, 1]);
+    assert_eq!(rig.health(C), Health::Starting);
+    rig.at(3, Event::Started { child: B, incarnation: 1 });
+    assert_eq!(starts(&rig.take()), [2]);
+    assert!(rig.tree.is_up());
+}
+
+#[test]
+fn one_for_one_restarts_only_the_one_that_died() {
+    let mut rig = Rig::new(three(Strategy::OneForOne));
+    rig.panics(10, B);
+    assert_eq!(rig.lives(), [1, 2, 1]);
+}
+
+#[test]
+fn rest_for_one_restarts_only_later_siblings() {
+    let mut rig = Rig::new(three(Strategy::RestForOne));
+    rig.take();
+    rig.panics(10, B);
+    let log = rig.take();
+    assert_eq!(rig.lives(), [1, 2, 2]);
+    assert_eq!(stops(&log), [2]);
+    assert_eq!(starts(&log), [1, 2]);
+}
+
+#[test]
+fn one_for_all_stops_in_reverse_and_starts_in_order() {
+    let mut rig = Rig::new(three(Strategy::OneForAll));
+    rig.take();
+    rig.panics(10, B);
+    let log = rig.take();
+    assert_eq!(rig.lives(), [2, 2, 2]);
+    assert_eq!(stops(&log), [2, 0]);
+    assert_eq!(starts(&log), [0, 1, 2]);
+}
+
+#[test]
+fn nothing_of_a_cohort_starts_before_all_that_had_to_stop_have_stopped() {
+    let mut rig = Rig::with(three(Strategy::RestForOne), 2, &[C], &[]);
+    rig.take();
+    rig.panics(10, B);
+    assert!(starts(&rig.take()).is_empty(), "c is still stopping");
+    rig.died(12, C, Cause::Stop);
+    assert_eq!(starts(&rig.take()), [1, 2]);
+}
+
+#[test]
+fn permanent_restarts_after_a_normal_end() {
+    let mut rig = Rig::new(three(Strategy::OneForOne));
+    rig.died(10, A, Cause::Stop);
+    assert_eq!(rig.lives(), [2, 1, 1]);
+    assert!(rig.tree.incidents().is_empty(), "an end by itself is no incident");
+}
+
+#[test]
+fn transient_restarts_only_after_an_abnormal_end() {
+    let root = GroupSpec::new("root", Strategy::OneForOne)
+        .with_backoff(prompt())
+        .child(spec("a").with_restart(Restart::Transient))
+        .child(spec("b").with_restart(Restart::Transient))
+        .child(spec("c"));
+    let mut rig = Rig::new(root);
+    rig.died(10, A, Cause::Stop);
+    rig.died(11, B, Cause::Error("disk".to_owned()));
+    assert_eq!(rig.lives(), [1, 2, 1]);
+    assert_eq!(rig.health(A), Health::Stopped);
+}
+
+#[test]
+fn temporary_is_never_restarted_not_even_with_its_siblings() {
+    let root = GroupSpec::new("root", Strategy::OneForAll)
+        .with_backoff(prompt())
+        .child(spec("a").with_restart(Restart::Temporary))
+        .child(spec("b").with_restart(Restart::Temporary))
+        .child(spec("c"));
+    let mut rig = Rig::new(root);
+    rig.panics(10, A);
+    assert_eq!(rig.lives(), [1, 1, 1], "its own end restarts nobody");
+    assert_eq!(rig.health(A), Health::Failed);
+    rig.panics(11, C);
+    assert_eq!(rig.lives(), [1, 1, 2]);
+    assert_eq!(rig.health(B), Health::Stopped);
+}
+
+#[test]
+fn exceeding_the_intensity_makes_the_root_give_up_with_forces_zero_first() {
+    let mut rig = Rig::new(three(Strategy::OneForOne).with_intensity(2, ms(1_000)));
+    rig.panics(10, A);
+    rig.panics(20, A);
+    rig.take();
+    rig.panics(30, A);
+    let log = rig.take();
+    let zero = position(&log, |a| *a == Action::ZeroForces);
+    let stop = position(&log, |a| matches!(a, Action::Stop { .. }));
+    let close = position(&log, |a| *a == Action::CloseRecording);
+    assert!(zero < stop && stop < close);
+    assert_eq!(log.last(), Some(&Action::Exit(EXIT_GAVE_UP)));
+    assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP));
+    assert!(rig.tree.reason().is_some_and(|r| r.contains("root") && r.contains("boom")));
+}
+
+#[test]
+fn restart_count_resets_after_window() {
+    let mut rig = Rig::new(three(Strategy::OneForOne).with_intensity(2, ms(1_000)));
+    for n in 0..20 {
+        rig.panics(600 * (n + 1), A);
+    }
+    assert_eq!(rig.tree.restarts(A), 20);
+    assert_eq!(rig.tree.exit_code(), None);
+}
+
+#[test]
+fn a_group_that_gives_up_is_restarted_by_its_parent() {
+    let inner = GroupSpec::new("devices", Strategy::OneForOne)
+        .with_backoff(prompt())
+        .with_intensity(1, ms(1_000))
+        .child(spec("a"))
+        .child(spec("b"));
+    let root =
+        GroupSpec::new("root", Strategy::OneForOne).with_backoff(prompt()).group(inner).child(spec("c"));
+    let mut rig = Rig::new(root);
+    rig.panics(10, A);
+    assert_eq!(rig.lives(), [2, 1, 1]);
+    rig.panics(20, A);
+    assert_eq!(rig.lives(), [3, 2, 1], "the whole group, not its sibling");
+    // The restarted group begins with a clean sheet: one more is tolerated by itself.
+    rig.panics(30, A);
+    assert_eq!(rig.lives(), [4, 2, 1]);
+    assert_eq!(rig.tree.exit_code(), None);
+}
+
+#[test]
+fn escalation_reaches_the_root_when_every_level_is_exhausted() {
+    let inner = GroupSpec::new("devices", Strategy::OneForOne)
+        .with_backoff(prompt())
+        .with_intensity(1, ms(10_000))
+        .child(spec("a"));
+    let root = GroupSpec::new("root", Strategy::OneForOne)
+        .with_backoff(prompt())
+        .with_intensity(1, ms(10_000))
+        .group(inner)
+        .child(spec("b"))
+        .child(spec("c"));
+    let mut rig = Rig::new(root);
+    for n in 1..=3 {
+        rig.panics(10 * n, A);
+        assert_eq!(rig.tree.exit_code(), None, "after {n}");
+    }
+    rig.panics(40, A);
+    assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP));
+}
+
+#[test]
+fn the_first_restart_is_immediate_and_later_ones_back_off_up_to_a_limit() {
+    let backoff = Backoff { base: ms(10), factor: 2.0, max: ms(30), jitter: 0.0, reset_after: ms(1_000) };
+    let mut rig = Rig::new(three(Strategy::OneForOne).with_backoff(backoff).with_intensity(100, ms(100_000)));
+    let mut now = 10;
+    for pause in [0, 10, 20, 30, 30] {
+        rig.panics(now, A);
+        let life = rig.tree.incarnation(A);
+        if pause > 0 {
+            assert_eq!(rig.tree.next_deadline(ms(now)), Some(ms(now + pause)));
+            assert_eq!(rig.health(A), Health::Restarting);
+            rig.at(now + pause - 1, Event::Tick);
+            assert_eq!(rig.tree.incarnation(A), life, "too early");
+            rig.at(now + pause, Event::Tick);
+            assert_eq!(rig.tree.incarnation(A), life + 1);
+        } else {
+            assert_eq!(rig.health(A), Health::Healthy);
+        }
+        now += pause;
+    }
+    // After a quiet time it starts from no pause again.
+    rig.panics(now + 1_001, A);
+    assert_eq!(rig.health(A), Health::Healthy);
+}
+
+#[test]
+fn jitter_is_seeded_and_within_its_bounds() {
+    let pauses = |seed: u64| -> Vec<u64> {
+        let backoff =
+            Backoff { base: ms(100), factor: 1.0, max: ms(100), jitter: 0.2, reset_after: ms(10_000) };
+        let root = three(Strategy::OneForOne).with_backoff(backoff).with_intensity(100, ms(100_000));
+        let mut tree = Supervisor::new(root, seed, 2).expect("a valid tree");
+        let mut out = Vec::new();
+        let mut now = SimTime::ZERO;
+        let mut pauses = Vec::new();
+        tree.apply(Event::Tick, now, &mut out);
+        for life in 1..10 {
+            tree.apply(Event::Started { child: A, incarnation: life }, now, &mut out);
+            tree.apply(
+                Event::Died { child: A, incarnation: life, cause: Cause::Error("x".to_owned()) },
+                now,
+                &mut out,
+            );
+            if life > 1 {
+                let due = tree.next_deadline(now).expect("a pause");
+                pauses.push(due.since(now).as_nanos());
+                now = due;
+                tree.apply(Event::Tick, now, &mut out);
+            }
+        }
+        pauses
+    };
+    let first = pauses(1);
+    assert_eq!(first, pauses(1));
+    assert_ne!(first, pauses(2));
+    assert!(first.iter().all(|p| (80_000_000..=120_000_000).contains(p)), "{first:?}");
+    assert!(first.iter().any(|p| *p != first[0]));
+}
+
+#[test]
+fn a_stall_is_fenced_first_then_abandoned_then_replaced_on_a_fresh_thread() {
+    let mut rig = Rig::new(three(Strategy::OneForOne));
+    rig.take();
+    rig.stalls(100, B);
+    let log = rig.take();
+    assert_eq!(
+        log,
+        [
+            Action::Fence { child: B, epoch: 2 },
+            Action::Abandon { child: B, incarnation: 1 },
+            Action::Start { child: B, incarnation: 2, fresh: true },
+        ]
+    );
+    assert_eq!(rig.tree.zombies(), 1);
+    assert_eq!(rig.lives(), [1, 2, 1]);
+}
+
+#[test]
+fn a_panic_is_fenced_first_and_rebuilt_in_place() {
+    let mut rig = Rig::new(three(Strategy::OneForOne));
+    rig.take();
+    rig.panics(100, B);
+    assert_eq!(
+        rig.take(),
+        [Action::Fence { child: B, epoch: 2 }, Action::Start { child: B, incarnation: 2, fresh: false }]
+    );
+}
+
+#[test]
+fn words_of_a_corpse_are_ignored() {
+    let mut rig = Rig::new(three(Strategy::OneForOne));
+    rig.stalls(100, B);
+    rig.take();
+    rig.at(101, Event::Died { child: B, incarnation: 1, cause: Cause::Panic("late".to_owned()) });
+    rig.at(102, Event::Stalled { child: B, incarnation: 1 });
+    rig.at(103, Event::Started { child: B, incarnation: 1 });
+    assert!(rig.take().is_empty());
+    assert_eq!(rig.lives(), [1, 2, 1]);
+}
+
+#[test]
+fn too_many_zombies_escalate_to_the_process() {
+    let mut rig = Rig::with(three(Strategy::OneForOne), 1, &[], &[]);
+    rig.stalls(100, A);
+    assert_eq!(rig.tree.exit_code(), None);
+    rig.stalls(200, B);
+    assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP));
+    assert!(rig.tree.reason().is_some_and(|r| r.contains("abandoned")));
+}
+
+#[test]
+fn a_zombie_that_ends_after_all_no_longer_counts() {
+    let mut rig = Rig::with(three(Strategy::OneForOne), 1, &[], &[]);
+    rig.stalls(100, A);
+    rig.at(150, Event::ZombieEnded);
+    rig.stalls(200, B);
+    assert_eq!(rig.tree.exit_code(), None);
+    assert_eq!(rig.tree.zombies(), 1);
+}
+
+#[test]
+fn starting_has_a_limit_of_its_own() {
+    let mut rig = Rig::new(three(Strategy::OneForOne));
+    rig.slow_starters.push(A);
+    rig.panics(10, A);
+    assert_eq!(rig.health(A), Health::Restarting);
+    rig.stalls(200, A);
+    assert_eq!(rig.lives(), [2, 1, 1], "no heartbeat is asked for while it is built");
+    rig.at(5_009, Event::Tick);
+    assert_eq!(rig.lives(), [2, 1, 1]);
+    rig.slow_starters.clear();
+    rig.at(5_010, Event::Tick);
+    assert_eq!(rig.lives(), [3, 1, 1]);
+    assert_eq!(rig.tree.zombies(), 1);
+    assert!(rig.tree.incidents().iter().any(|i| i.cause == Cause::StartTimeout));
+}
+
+#[test]
+fn a_tree_whose_first_start_fails_does_not_come_up() {
+    let mut rig = Rig::with(three(Strategy::OneForOne), 2, &[], &[B]);
+    rig.died(1, B, Cause::Error("no such component".to_owned()));
+    assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP));
+    assert!(rig.tree.reason().is_some_and(|r| r.contains("no such component")), "{:?}", rig.tree.reason());
+    assert_eq!(rig.health(C), Health::Stopped);
+}
+
+#[test]
+fn a_failed_restart_counts_and_is_tried_again() {
+    let mut rig = Rig::new(three(Strategy::OneForOne).with_intensity(3, ms(1_000)));
+    rig.slow_starters.push(A);
+    rig.panics(10, A);
+    rig.died(11, A, Cause::Error("device busy".to_owned()));
+    assert_eq!(rig.tree.incarnation(A), 3);
+    rig.died(12, A, Cause::Error("device busy".to_owned()));
+    rig.died(13, A, Cause::Error("device busy".to_owned()));
+    assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP));
+}
+
+#[test]
+fn a_sibling_that_does_not_stop_is_abandoned_at_its_limit_and_replaced() {
+    let mut rig = Rig::with(three(Strategy::RestForOne), 2, &[C], &[]);
+    rig.panics(10, B);
+    rig.take();
+    rig.at(211, Event::Tick);
+    let log = rig.take();
+    assert!(log.contains(&Action::Abandon { child: C, incarnation: 1 }));
+    assert!(log.contains(&Action::Start { child: C, incarnation: 2, fresh: true }));
+    assert_eq!(rig.tree.zombies(), 1);
+}
+
+#[test]
+fn shutdown_zeroes_forces_first_and_ends_in_time_whatever_hangs() {
+    let model = ChildSpec::new("model", RuntimeClass::Model, 0.0);
+    let hands = GroupSpec::new("hands", Strategy::OneForOne).child(spec("b")).child(spec("c"));
+    let root = GroupSpec::new("root", Strategy::RestForOne).child(model).group(hands);
+    let mut rig = Rig::with(root, 2, &[A, B, C], &[]);
+    rig.take();
+    rig.at(1_000, Event::ShutdownRequested { code: 0 });
+    let log = rig.take();
+    assert_eq!(log[0], Action::ZeroForces);
+    assert_eq!(stops(&log), [2, 1], "the controllers first, later ones before earlier ones");
+    let mut now = 1_000;
+    while rig.tree.exit_code().is_none() {
+        now += 10;
+        assert!(now < 3_000, "still not down");
+        rig.at(now, Event::Tick);
+    }
+    let log = rig.take();
+    let model_stops = position(&log, |a| *a == Action::Stop { child: A });
+    let hand_left = position(&log, |a| matches!(a, Action::Abandon { child: C, .. }));
+    assert!(hand_left < model_stops);
+    assert_eq!(&log[log.len() - 2..], [Action::CloseRecording, Action::Exit(0)]);
+    assert!(!log.iter().any(|a| matches!(a, Action::Start { .. })));
+}
+
+#[test]
+fn nothing_is_restarted_while_the_session_ends() {
+    let mut rig = Rig::with(three(Strategy::OneForOne), 2, &[A, B, C], &[]);
+    rig.at(10, Event::ShutdownRequested { code: 0 });
+    rig.take();
+    rig.panics(11, A);
+    rig.panics(12, B);
+    rig.panics(13, C);
+    assert_eq!(rig.take(), [Action::CloseRecording, Action::Exit(0)]);
+}
+
+#[test]
+fn an_incident_tells_when_it_was_detected_restarted_and_resumed() {
+    let mut rig = Rig::new(three(Strategy::OneForOne));
+    rig.slow_starters.push(B);
+    rig.panics(100, B);
+    rig.at(103, Event::Started { child: B, incarnation: 2 });
+    rig.at(105, Event::Resumed { child: B, incarnation: 2 });
+    rig.at(106, Event::Resumed { child: B, incarnation: 2 });
+    let incident = &rig.tree.incidents()[0];
+    assert_eq!(incident.child, "b");
+    assert_eq!(incident.cause, Cause::Panic("boom".to_owned()));
+    assert_eq!(incident.detected, ms(100));
+    assert_eq!(incident.restarted, Some(ms(103)));
+    assert_eq!(incident.resumed, Some(ms(105)));
+}
+
+#[test]
+fn health_follows_lateness_holds_and_stalls() {
+    let mut rig = Rig::new(three(Strategy::OneForOne));
+    assert_eq!(rig.health(A), Health::Healthy);
+    rig.at(1, Event::Late { child: A, late: true });
+    assert_eq!(rig.health(A), Health::Late);
+    rig.at(2, Event::Held { child: A, held: true });
+    assert_eq!(rig.health(A), Health::Held);
+    assert!(!rig.tree.is_watched(A));
+    rig.at(3, Event::Held { child: A, held: false });
+    rig.at(3, Event::Late { child: A, late: false });
+    assert!(rig.tree.is_watched(A));
+    rig.slow_starters.push(A);
+    rig.stalls(4, A);
+    assert_eq!(rig.health(A), Health::Stalled);
+    rig.at(5, Event::Started { child: A, incarnation: 2 });
+    assert_eq!(rig.health(A), Health::Healthy);
+}
+
+#[test]
+fn the_default_tree_isolates_the_model_and_orders_the_groups() {
+    let child = |id: &str, class| ChildSpec::new(id, class, 100.0);
+    let root = GroupSpec::default_tree([
+        child("task", RuntimeClass::Task),
+        child("haptics.left", RuntimeClass::Haptics),
+        child("engine", RuntimeClass::Simulation),
+        child("collision", RuntimeClass::Collision),
+        child("model", RuntimeClass::Model),
+    ]);
+    let mut rig = Rig::new(root);
+    let order: Vec<&str> = (0..5).map(|i| rig.tree.spec(ChildId(i)).expect("a child").id.as_str()).collect();
+    assert_eq!(order, ["model", "collision", "engine", "haptics.left", "task"]);
+    rig.panics(10, ChildId(0));
+    assert_eq!(rig.lives(), [2, 1, 1], "clients resume with the Model, they are not restarted with it");
+    rig.panics(20, ChildId(1));
+    assert_eq!(rig.lives(), [2, 2, 2], "physics restarts with the collision detection that it follows");
+    assert_eq!(rig.tree.incarnation(ChildId(3)), 1);
+    for n in 0..5 {
+        rig.panics(10_100 + n, ChildId(0));
+        rig.at(10_100 + n, Event::Tick);
+    }
+    assert_eq!(rig.tree.exit_code(), None);
+}
+
+#[test]
+fn trees_that_make_no_sense_are_refused() {
+    let twice = GroupSpec::new("root", Strategy::OneForOne).child(spec("a")).child(spec("a"));
+    assert_eq!(Supervisor::new(twice, 0, 1).err(), Some(TreeError::Duplicate("a".to_owned())));
+    let empty = GroupSpec::new("root", Strategy::OneForOne);
+    assert_eq!(Supervisor::new(empty, 0, 1).err(), Some(TreeError::Empty));
+    let shrinking = three(Strategy::OneForOne).with_backoff(Backoff { factor: 0.5, ..Backoff::default() });
+    assert!(matches!(Supervisor::new(shrinking, 0, 1), Err(TreeError::Backoff { field: "factor", .. })));
+}
