@@ -17,6 +17,7 @@ pub mod controller;
 pub mod entity;
 pub mod event;
 pub mod finite;
+pub mod kinematics;
 pub mod registry;
 pub mod snapshot;
 pub mod store;

@@ -1,6 +1,7 @@
 //! Force rendering, and the controller that serves a haptic device.
 
-pub mod coupling;
-pub mod fulcrum;
-pub mod registration;
-pub mod spatial;
+pub mod energy;
+pub mod felt_stiffness;
+
+// The kinematics live in the scene (scene/src/kinematics/), so that virtual trainees share them.
+pub use trocar_scene::kinematics::{coupling, fulcrum, registration, spatial};

@@ -2,8 +2,8 @@
 
 use nalgebra::{Isometry3, Vector3};
 
-use crate::fulcrum::{Fulcrum, Passage};
-use crate::spatial::{Twist, Wrench};
+use super::fulcrum::{Fulcrum, Passage};
+use super::spatial::{Twist, Wrench};
 
 /// Stiffness of the end stops at the insertion limits, at the handle \[N/m\].
 const STOP_STIFFNESS: f64 = 400.0;
@@ -110,7 +110,7 @@ impl Transmission {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fulcrum::PortFriction;
+    use crate::kinematics::fulcrum::PortFriction;
     use nalgebra::UnitQuaternion;
 
     #[test]

@@ -14,7 +14,7 @@ use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::spatial::{Twist, Wrench, finite, minimal_rotation};
+use super::spatial::{Twist, Wrench, finite, minimal_rotation};
 
 /// Distance between handle and port below which the lever no longer grows \[m\].
 pub const RADIUS_SINGULAR: f64 = 0.005;

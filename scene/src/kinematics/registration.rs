@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Translation3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::spatial::{Twist, Wrench, valid_pose};
+use super::spatial::{Twist, Wrench, valid_pose};
 
 /// Why a registration was refused.
 #[derive(Clone, Debug, Error, PartialEq)]

@@ -1,0 +1,7 @@
+//! How a hand's motion becomes an instrument's: registration device → world, the port's fulcrum, and the
+//! wrenches that come back by virtual work. Pure functions, shared by haptics and virtual trainees.
+
+pub mod coupling;
+pub mod fulcrum;
+pub mod registration;
+pub mod spatial;
