@@ -1,0 +1,234 @@
+//! A position in a file's bytes: tokens and lines of text, numbers in binary, and errors that say where.
+
+use std::fmt::Display;
+use std::path::Path;
+use std::str::FromStr;
+
+use super::error::{MeshError, Place};
+use super::read::Limits;
+
+/// Longest token or line that is quoted in a message [characters].
+const QUOTED: usize = 40;
+
+/// Byte order of a binary file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Order {
+    Little,
+    Big,
+}
+
+/// A place that is turned into a line number only when a message needs it (lines are counted from the start).
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Where {
+    Place(Place),
+    LineOfByte(usize),
+}
+
+#[derive(Clone)]
+pub(super) struct Cursor<'a> {
+    pub file: &'a Path,
+    pub limits: &'a Limits,
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Cursor<'a> {
+    pub fn new(file: &'a Path, bytes: &'a [u8], limits: &'a Limits) -> Self {
+        Self { file, limits, bytes, at: 0 }
+    }
+
+    pub fn position(&self) -> usize {
+        self.at
+    }
+    pub fn seek(&mut self, at: usize) {
+        self.at = at.min(self.bytes.len());
+    }
+    pub fn remaining(&self) -> &'a [u8] {
+        &self.bytes[self.at..]
+    }
+
+    /// The line of the next byte.
+    pub fn line(&self) -> Where {
+        Where::LineOfByte(self.at)
+    }
+    pub fn byte(&self) -> Where {
+        Where::Place(Place::Byte(self.at))
+    }
+    fn place(&self, at: Where) -> Place {
+        match at {
+            Where::Place(place) => place,
+            Where::LineOfByte(at) => {
+                Place::Line(1 + self.bytes[..at.min(self.bytes.len())].iter().filter(|&&b| b == b'\n').count())
+            }
+        }
+    }
+
+    pub fn malformed(&self, at: Where, reason: impl Display) -> MeshError {
+        MeshError::Malformed { file: self.file.into(), place: self.place(at), reason: reason.to_string() }
+    }
+    pub fn unsupported(&self, at: Where, what: impl Display, supported: &'static str) -> MeshError {
+        let (file, place) = (self.file.into(), self.place(at));
+        MeshError::Unsupported { file, place, what: what.to_string(), supported }
+    }
+    pub fn too_large(&self, at: Where, what: &'static str, count: u64, limit: u64) -> MeshError {
+        MeshError::TooLarge { file: self.file.into(), place: self.place(at), what, count, limit }
+    }
+    pub fn out_of_range(
+        &self,
+        at: Where,
+        element: &'static str,
+        index: usize,
+        vertex: i64,
+        vertices: usize,
+    ) -> MeshError {
+        let (file, place) = (self.file.into(), self.place(at));
+        MeshError::IndexOutOfRange { file, place, element, index, vertex, vertices }
+    }
+
+    /// Everything up to the end of the line, which is skipped; `None` at the end of the file.
+    pub fn next_line(&mut self) -> Option<&'a [u8]> {
+        let rest = self.remaining();
+        if rest.is_empty() {
+            return None;
+        }
+        let length = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
+        self.at += (length + 1).min(rest.len());
+        let line = &rest[..length];
+        Some(line.strip_suffix(b"\r").unwrap_or(line))
+    }
+
+    /// The next line as text without surrounding white space.
+    pub fn next_text_line(&mut self, expected: &str) -> Result<&'a str, MeshError> {
+        let place = self.line();
+        let line = self
+            .next_line()
+            .ok_or_else(|| self.malformed(place, format!("the file ends where {expected} is expected")))?;
+        std::str::from_utf8(line)
+            .map(str::trim)
+            .map_err(|_| self.malformed(place, format!("{expected} is expected, but the line is not text")))
+    }
+
+    pub fn skip_space(&mut self) {
+        let rest = self.remaining();
+        self.at += rest.iter().position(|b| !b.is_ascii_whitespace()).unwrap_or(rest.len());
+    }
+
+    /// The next run of characters that are no white space; empty at the end of the file.
+    pub fn token(&mut self) -> &'a [u8] {
+        self.skip_space();
+        let rest = self.remaining();
+        let length = rest.iter().position(|b| b.is_ascii_whitespace()).unwrap_or(rest.len());
+        self.at += length;
+        &rest[..length]
+    }
+
+    /// Parses the next token; `what` names it in the error.
+    pub fn parse<T: FromStr>(&mut self, what: &str) -> Result<T, MeshError> {
+        let token = self.token();
+        let number = std::str::from_utf8(token).ok().and_then(|text| text.parse().ok());
+        number.ok_or_else(|| {
+            let found = if token.is_empty() { "the end of the file".into() } else { quoted(token) };
+            self.malformed(self.line(), format!("{what} is expected, found {found}"))
+        })
+    }
+
+    /// Parses three coordinates, which must be finite.
+    pub fn parse_point(&mut self, what: &'static str, index: usize) -> Result<[f64; 3], MeshError> {
+        let mut point = [0.0; 3];
+        for (coordinate, name) in point.iter_mut().zip(["x", "y", "z"]) {
+            *coordinate = self.parse(name)?;
+        }
+        self.finite(self.line(), what, index, &point)?;
+        Ok(point)
+    }
+
+    pub fn finite(
+        &self,
+        at: Where,
+        what: &'static str,
+        index: usize,
+        numbers: &[f64],
+    ) -> Result<(), MeshError> {
+        match numbers.iter().find(|x| !x.is_finite()) {
+            None => Ok(()),
+            Some(&value) => {
+                let (file, place) = (self.file.into(), self.place(at));
+                Err(MeshError::NotFinite { file, place, what, index, value })
+            }
+        }
+    }
+
+    /// Checks a declared count against the caller's limit and against what is left of the file, given the least
+    /// number of bytes that one of them takes.
+    pub fn count(
+        &self,
+        at: Where,
+        what: &'static str,
+        declared: u64,
+        least_bytes: u64,
+        limit: u64,
+    ) -> Result<usize, MeshError> {
+        if declared > limit {
+            return Err(self.too_large(at, what, declared, limit));
+        }
+        let possible = self.remaining().len() as u64 / least_bytes.max(1) + 1;
+        if declared > possible {
+            let (file, place) = (self.file.into(), self.place(at));
+            return Err(MeshError::Truncated { file, place, what, declared, possible });
+        }
+        Ok(declared as usize)
+    }
+
+    /// The next `length` bytes.
+    pub fn take(&mut self, length: usize, what: &str) -> Result<&'a [u8], MeshError> {
+        let rest = self.remaining();
+        if length > rest.len() {
+            let reason = format!("{what} takes {length} bytes, but the file ends after {}", rest.len());
+            return Err(self.malformed(self.byte(), reason));
+        }
+        self.at += length;
+        Ok(&rest[..length])
+    }
+
+    fn array<const N: usize>(&mut self, order: Order, what: &str) -> Result<[u8; N], MeshError> {
+        let mut bytes = [0u8; N];
+        bytes.copy_from_slice(self.take(N, what)?);
+        if order == Order::Big {
+            bytes.reverse();
+        }
+        Ok(bytes)
+    }
+    pub fn u32(&mut self, order: Order, what: &str) -> Result<u32, MeshError> {
+        self.array(order, what).map(u32::from_le_bytes)
+    }
+    pub fn i32(&mut self, order: Order, what: &str) -> Result<i32, MeshError> {
+        self.array(order, what).map(i32::from_le_bytes)
+    }
+    pub fn u64(&mut self, order: Order, what: &str) -> Result<u64, MeshError> {
+        self.array(order, what).map(u64::from_le_bytes)
+    }
+    pub fn i64(&mut self, order: Order, what: &str) -> Result<i64, MeshError> {
+        self.array(order, what).map(i64::from_le_bytes)
+    }
+    pub fn f32(&mut self, order: Order, what: &str) -> Result<f32, MeshError> {
+        self.array(order, what).map(f32::from_le_bytes)
+    }
+    pub fn f64(&mut self, order: Order, what: &str) -> Result<f64, MeshError> {
+        self.array(order, what).map(f64::from_le_bytes)
+    }
+    /// Three 64-bit coordinates, which must be finite.
+    pub fn point(&mut self, order: Order, what: &'static str, index: usize) -> Result<[f64; 3], MeshError> {
+        let place = self.byte();
+        let point = [self.f64(order, what)?, self.f64(order, what)?, self.f64(order, what)?];
+        self.finite(place, what, index, &point)?;
+        Ok(point)
+    }
+}
+
+/// A piece of the file as it may stand in a message: short, and nothing that a terminal would act on.
+pub(super) fn quoted(bytes: &[u8]) -> String {
+    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(4 * QUOTED)]);
+    let shown: String = text.chars().take(QUOTED).flat_map(char::escape_default).collect();
+    let dots = if text.chars().count() > QUOTED { "…" } else { "" };
+    format!("'{shown}{dots}'")
+}

@@ -1,0 +1,37 @@
+//! Meshes as plain data, the files they come from, and what is wrong with them.
+//!
+//! A surface keeps one vertex per *point*, and hangs normals and texture coordinates on the corners of its
+//! triangles, so that a closed body is closed by its indices even where its edges are sharp. What a renderer
+//! needs (one vertex per distinct combination) comes from [`SurfaceData::split`].
+//!
+//! Readers take bytes, not paths, apart from [`read_surface`] and [`read_tets`]. Every size that a file declares
+//! is compared with the bytes that are there before anything is allocated. What a reader accepts is well
+//! formed (finite numbers, indices in range); whether it is also *good* (closed, manifold, not inverted) is
+//! reported by [`validate_surface`] and [`validate_tets`], and whether that matters is the caller's decision
+//! ([`SurfacePolicy`], [`TetPolicy`]).
+
+mod cursor;
+mod data;
+mod error;
+mod gltf;
+mod gltf_buffer;
+mod gmsh;
+mod gmsh_v2;
+mod gmsh_v4;
+mod obj;
+mod read;
+mod stl;
+mod validate;
+mod validate_tets;
+mod vtk;
+
+pub use data::{SplitSurface, SurfaceData, TetData};
+pub use error::{MeshError, Place};
+pub use gltf::read_gltf;
+pub use gmsh::read_gmsh;
+pub use obj::read_obj;
+pub use read::{Limits, SURFACE_EXTENSIONS, TET_EXTENSIONS, read_surface, read_tets};
+pub use stl::read_stl;
+pub use validate::{Finding, SurfacePolicy, SurfaceReport, validate_surface};
+pub use validate_tets::{TetPolicy, TetReport, validate_tets};
+pub use vtk::read_vtk;

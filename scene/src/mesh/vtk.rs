@@ -1,0 +1,393 @@
+//! Legacy VTK files with an unstructured grid of tetrahedra, ASCII and binary, versions 1 to 5
+//! ("VTK File Formats", Kitware: the simple legacy formats; binary numbers are big-endian).
+//!
+//! Vertices, lines and surface cells are skipped; other volume cells are refused. Data on points and cells is
+//! not read, so all tags are 0.
+
+use std::path::Path;
+
+use nalgebra::Point3;
+
+use super::cursor::{Cursor, Order, Where, quoted};
+use super::data::TetData;
+use super::error::{MeshError, Place};
+use super::read::Limits;
+
+const TETRA: i64 = 10;
+/// Types of dimension 0 to 2: vertex, poly-vertex, line, poly-line, triangle, strip, polygon, pixel, quad, and the
+/// quadratic edge, triangle and quad.
+const LOWER: [i64; 12] = [1, 2, 3, 4, 5, 6, 7, 8, 9, 21, 22, 23];
+const SUPPORTED_CELLS: &str = "tetrahedra (type 10); cells of lower dimension are skipped";
+const KEYWORDS: &str = "POINTS, CELLS, CELL_TYPES, FIELD, METADATA, POINT_DATA, CELL_DATA";
+
+/// Type of a number in an array.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    I64,
+    U64,
+    F32,
+    F64,
+}
+
+impl Kind {
+    fn parse(cursor: &Cursor, place: Where, name: &str) -> Result<Self, MeshError> {
+        Ok(match name.to_ascii_lowercase().as_str() {
+            "char" => Kind::I8,
+            "unsigned_char" => Kind::U8,
+            "short" => Kind::I16,
+            "unsigned_short" => Kind::U16,
+            "int" => Kind::I32,
+            "unsigned_int" => Kind::U32,
+            // VTK writes `long` with 8 bytes on every platform that still matters.
+            "long" | "vtktypeint64" | "vtkidtype" => Kind::I64,
+            "unsigned_long" => Kind::U64,
+            "float" => Kind::F32,
+            "double" => Kind::F64,
+            _ => {
+                let what = format!("data type {}", quoted(name.as_bytes()));
+                let supported = "char, short, int, long, their unsigned kinds, vtktypeint64, float, double";
+                return Err(cursor.unsupported(place, what, supported));
+            }
+        })
+    }
+    fn bytes(self) -> u64 {
+        match self {
+            Kind::I8 | Kind::U8 => 1,
+            Kind::I16 | Kind::U16 => 2,
+            Kind::I32 | Kind::U32 | Kind::F32 => 4,
+            Kind::I64 | Kind::U64 | Kind::F64 => 8,
+        }
+    }
+}
+
+struct Reader<'a> {
+    cursor: Cursor<'a>,
+    binary: bool,
+}
+
+/// Reads a legacy VTK volume. `file` is for messages only.
+///
+/// # Errors
+/// Names the line or byte and the reason.
+pub fn read_vtk(file: &Path, bytes: &[u8], limits: &Limits) -> Result<TetData, MeshError> {
+    let mut cursor = Cursor::new(file, bytes, limits);
+    let binary = header(&mut cursor)?;
+    let mut reader = Reader { cursor, binary };
+    let mut points: Option<Vec<Point3<f64>>> = None;
+    let mut cells: Option<Cells> = None;
+    let mut types: Option<Vec<i64>> = None;
+    loop {
+        reader.cursor.skip_space();
+        let place = reader.cursor.line();
+        if reader.cursor.remaining().is_empty() {
+            break;
+        }
+        let line = reader.cursor.next_text_line("a keyword")?;
+        let words: Vec<&str> = line.split_whitespace().collect();
+        match (words.first().map(|word| word.to_ascii_uppercase()).as_deref(), &words[1..]) {
+            (Some("POINTS"), [count, kind]) if points.is_none() => {
+                points = Some(reader.points(place, count, kind)?);
+            }
+            (Some("CELLS"), [count, size]) if cells.is_none() => {
+                cells = Some(reader.cells(place, count, size)?);
+            }
+            (Some("CELL_TYPES"), [count]) if types.is_none() => {
+                let count = reader.count(place, "cell types", count, 2, 4, limits.elements)?;
+                types = Some(reader.integers(count, Kind::I32, "a cell type")?);
+            }
+            (Some("POINTS" | "CELLS" | "CELL_TYPES"), _) => {
+                let reason = format!("{} stands twice, or without its counts", quoted(line.as_bytes()));
+                return Err(reader.cursor.malformed(place, reason));
+            }
+            (Some("FIELD"), [_, count]) => reader.skip_field(place, count)?,
+            (Some("METADATA"), _) => reader.skip_paragraph(),
+            // Nothing after the geometry is needed.
+            (Some("POINT_DATA" | "CELL_DATA"), _) => break,
+            _ => {
+                let reason = format!("one of {KEYWORDS} is expected, found {}", quoted(line.as_bytes()));
+                return Err(reader.cursor.malformed(place, reason));
+            }
+        }
+    }
+    let missing = |what: &str| {
+        reader.cursor.malformed(Where::Place(Place::Whole), format!("the file has no {what} section"))
+    };
+    let positions = points.ok_or_else(|| missing("POINTS"))?;
+    let cells = cells.ok_or_else(|| missing("CELLS"))?;
+    let types = types.ok_or_else(|| missing("CELL_TYPES"))?;
+    assemble(&reader.cursor, positions, &cells, &types)
+}
+
+fn header(cursor: &mut Cursor) -> Result<bool, MeshError> {
+    let place = cursor.line();
+    let first = cursor.next_text_line("'# vtk DataFile Version'")?;
+    let version = first.strip_prefix("# vtk DataFile Version ").and_then(|v| v.trim().split('.').next());
+    match version.and_then(|major| major.parse::<u32>().ok()) {
+        Some(1..=5) => {}
+        Some(_) => {
+            return Err(cursor.unsupported(place, quoted(first.as_bytes()), "legacy versions 1 to 5"));
+        }
+        None => {
+            let reason = format!("'# vtk DataFile Version x.y' is expected, found {}", quoted(first.as_bytes()));
+            return Err(cursor.malformed(place, reason));
+        }
+    }
+    let place = cursor.line();
+    if cursor.next_line().is_none() {
+        return Err(cursor.malformed(place, "the file ends where its title is expected"));
+    }
+    let place = cursor.line();
+    let binary = match cursor.next_text_line("ASCII or BINARY")?.to_ascii_uppercase().as_str() {
+        "ASCII" => false,
+        "BINARY" => true,
+        other => {
+            let reason = format!("ASCII or BINARY is expected, found {}", quoted(other.as_bytes()));
+            return Err(cursor.malformed(place, reason));
+        }
+    };
+    cursor.skip_space();
+    let place = cursor.line();
+    let dataset = cursor.next_text_line("DATASET UNSTRUCTURED_GRID")?;
+    let words: Vec<String> = dataset.split_whitespace().map(str::to_ascii_uppercase).collect();
+    match words.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
+        ["DATASET", "UNSTRUCTURED_GRID"] => Ok(binary),
+        ["DATASET", _] => Err(cursor.unsupported(place, quoted(dataset.as_bytes()), "DATASET UNSTRUCTURED_GRID")),
+        _ => {
+            let reason = format!("DATASET UNSTRUCTURED_GRID is expected, found {}", quoted(dataset.as_bytes()));
+            Err(cursor.malformed(place, reason))
+        }
+    }
+}
+
+/// Cells as ranges of one list of vertices.
+struct Cells {
+    /// Where each cell begins, and where the last one ends.
+    offsets: Vec<usize>,
+    vertices: Vec<i64>,
+}
+
+impl Reader<'_> {
+    fn here(&self) -> Where {
+        if self.binary { self.cursor.byte() } else { self.cursor.line() }
+    }
+
+    fn count(
+        &self,
+        place: Where,
+        what: &'static str,
+        word: &str,
+        ascii: u64,
+        binary: u64,
+        limit: u64,
+    ) -> Result<usize, MeshError> {
+        let declared = word.parse().map_err(|_| {
+            let reason = format!("the number of {what} is expected, found {}", quoted(word.as_bytes()));
+            self.cursor.malformed(place, reason)
+        })?;
+        self.cursor.count(place, what, declared, if self.binary { binary } else { ascii }, limit)
+    }
+
+    fn integer(&mut self, kind: Kind, what: &str) -> Result<i64, MeshError> {
+        if !self.binary {
+            return self.cursor.parse(what);
+        }
+        let (cursor, order) = (&mut self.cursor, Order::Big);
+        match kind {
+            Kind::I32 => cursor.i32(order, what).map(i64::from),
+            Kind::U32 => cursor.u32(order, what).map(i64::from),
+            Kind::I64 => cursor.i64(order, what),
+            Kind::U64 => {
+                let place = cursor.byte();
+                let number = cursor.u64(order, what)?;
+                i64::try_from(number).map_err(|_| cursor.malformed(place, format!("{what} is {number}")))
+            }
+            _ => Err(cursor.unsupported(cursor.byte(), format!("{what} of type {kind:?}"), "int, vtktypeint64")),
+        }
+    }
+
+    fn integers(&mut self, count: usize, kind: Kind, what: &str) -> Result<Vec<i64>, MeshError> {
+        (0..count).map(|_| self.integer(kind, what)).collect()
+    }
+
+    fn points(&mut self, place: Where, count: &str, kind: &str) -> Result<Vec<Point3<f64>>, MeshError> {
+        let kind = Kind::parse(&self.cursor, place, kind)?;
+        let limit = self.cursor.limits.vertices;
+        let count = self.count(place, "points", count, 6, 3 * kind.bytes(), limit)?;
+        let mut points = Vec::with_capacity(count);
+        for index in 0..count {
+            let point = match (self.binary, kind) {
+                (false, _) => self.cursor.parse_point("point", index)?,
+                (true, Kind::F64) => self.cursor.point(Order::Big, "point", index)?,
+                (true, Kind::F32) => {
+                    let place = self.cursor.byte();
+                    let mut point = [0.0; 3];
+                    for coordinate in &mut point {
+                        *coordinate = self.cursor.f32(Order::Big, "a point")?.into();
+                    }
+                    self.cursor.finite(place, "point", index, &point)?;
+                    point
+                }
+                (true, kind) => {
+                    return Err(self.cursor.unsupported(place, format!("points of type {kind:?}"), "float, double"));
+                }
+            };
+            points.push(Point3::from(point));
+        }
+        Ok(points)
+    }
+
+    fn cells(&mut self, place: Where, count: &str, size: &str) -> Result<Cells, MeshError> {
+        let limit = self.cursor.limits.elements;
+        // Version 5 has a list of offsets here; it says so in the next word, which may follow a line of its own.
+        let mut ahead = self.cursor.clone();
+        if ahead.token().eq_ignore_ascii_case(b"OFFSETS") {
+            let offsets = self.count(place, "offsets of cells", count, 2, 4, limit + 1)?;
+            let connectivity = self.count(place, "corners of cells", size, 2, 4, 8 * limit)?;
+            return self.cells_with_offsets(offsets, connectivity);
+        }
+        let count = self.count(place, "cells", count, 4, 8, limit)?;
+        let size = self.count(place, "numbers of cells", size, 2, 4, 9 * limit)?;
+        let mut cells = Cells { offsets: Vec::with_capacity(count + 1), vertices: Vec::with_capacity(size) };
+        cells.offsets.push(0);
+        let mut left = size;
+        for _ in 0..count {
+            let place = self.here();
+            let corners = self.integer(Kind::I32, "the number of corners of a cell")?;
+            let fits = usize::try_from(corners).ok().filter(|&n| n < left);
+            let Some(corners) = fits else {
+                let reason = format!("a cell of {corners} corners does not fit into the declared {size} numbers");
+                return Err(self.cursor.malformed(place, reason));
+            };
+            left -= corners + 1;
+            for _ in 0..corners {
+                let vertex = self.integer(Kind::I32, "a corner of a cell")?;
+                cells.vertices.push(vertex);
+            }
+            cells.offsets.push(cells.vertices.len());
+        }
+        Ok(cells)
+    }
+
+    fn cells_with_offsets(&mut self, offsets: usize, connectivity: usize) -> Result<Cells, MeshError> {
+        let place = self.here();
+        let begins = self.named_array("OFFSETS", offsets)?;
+        let vertices = self.named_array("CONNECTIVITY", connectivity)?;
+        let mut previous = 0;
+        let mut checked = Vec::with_capacity(begins.len());
+        for (k, &begin) in begins.iter().enumerate() {
+            let valid = usize::try_from(begin).ok().filter(|&b| {
+                b >= previous && b <= vertices.len() && (k > 0 || b == 0)
+            });
+            let Some(valid) = valid else {
+                let reason = format!("offset {k} is {begin}: offsets begin at 0, grow, and end within CONNECTIVITY");
+                return Err(self.cursor.malformed(place, reason));
+            };
+            previous = valid;
+            checked.push(valid);
+        }
+        Ok(Cells { offsets: checked, vertices })
+    }
+
+    fn named_array(&mut self, name: &'static str, count: usize) -> Result<Vec<i64>, MeshError> {
+        self.cursor.skip_space();
+        let place = self.cursor.line();
+        let line = self.cursor.next_text_line(name)?;
+        match line.split_whitespace().collect::<Vec<_>>().as_slice() {
+            [word, kind] if word.eq_ignore_ascii_case(name) => {
+                let kind = Kind::parse(&self.cursor, place, kind)?;
+                let count = count as u64;
+                let least = if self.binary { kind.bytes() } else { 2 };
+                let count = self.cursor.count(place, "numbers", count, least, u64::MAX)?;
+                self.integers(count, kind, "a number of a cell")
+            }
+            _ => {
+                let reason = format!("{name} and its type are expected, found {}", quoted(line.as_bytes()));
+                Err(self.cursor.malformed(place, reason))
+            }
+        }
+    }
+
+    /// Arrays of a FIELD: `name components tuples type`, then the numbers.
+    fn skip_field(&mut self, place: Where, count: &str) -> Result<(), MeshError> {
+        let arrays = self.count(place, "arrays", count, 8, 8, self.cursor.limits.elements)?;
+        for _ in 0..arrays {
+            self.cursor.skip_space();
+            let place = self.cursor.line();
+            let line = self.cursor.next_text_line("an array of a field")?;
+            let words: Vec<&str> = line.split_whitespace().collect();
+            let [_, components, tuples, kind] = words.as_slice() else {
+                let reason = format!("name, components, tuples and type are expected, found {}", quoted(line.as_bytes()));
+                return Err(self.cursor.malformed(place, reason));
+            };
+            if kind.eq_ignore_ascii_case("string") {
+                return Err(self.cursor.unsupported(place, "a field of strings", "fields of numbers"));
+            }
+            let kind = Kind::parse(&self.cursor, place, kind)?;
+            let components = self.count(place, "components", components, 0, 0, u64::MAX)?;
+            let tuples = self.count(place, "tuples", tuples, 0, 0, u64::MAX)?;
+            let numbers = (components as u64).saturating_mul(tuples as u64);
+            let least = if self.binary { kind.bytes() } else { 2 };
+            let numbers = self.cursor.count(place, "numbers of a field", numbers, least, u64::MAX)?;
+            if self.binary {
+                self.cursor.take(numbers * kind.bytes() as usize, "a field")?;
+            } else {
+                for _ in 0..numbers {
+                    self.cursor.token();
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn skip_paragraph(&mut self) {
+        while self.cursor.next_line().is_some_and(|line| !line.trim_ascii().is_empty()) {}
+    }
+}
+
+fn assemble(
+    cursor: &Cursor,
+    positions: Vec<Point3<f64>>,
+    cells: &Cells,
+    types: &[i64],
+) -> Result<TetData, MeshError> {
+    let whole = Where::Place(Place::Whole);
+    let count = cells.offsets.len().saturating_sub(1);
+    if types.len() != count {
+        let reason = format!("there are {count} cells, but {} cell types", types.len());
+        return Err(cursor.malformed(whole, reason));
+    }
+    let mut tets = Vec::new();
+    for (cell, &kind) in types.iter().enumerate() {
+        if LOWER.contains(&kind) {
+            continue;
+        }
+        if kind != TETRA {
+            return Err(cursor.unsupported(whole, format!("cell {cell} of type {kind}"), SUPPORTED_CELLS));
+        }
+        let corners = &cells.vertices[cells.offsets[cell]..cells.offsets[cell + 1]];
+        let &[a, b, c, d] = corners else {
+            let reason = format!("cell {cell} is a tetrahedron with {} corners", corners.len());
+            return Err(cursor.malformed(whole, reason));
+        };
+        let mut tet = [0; 4];
+        for (vertex, written) in tet.iter_mut().zip([a, b, c, d]) {
+            let valid = usize::try_from(written).is_ok_and(|v| v < positions.len());
+            if !valid {
+                return Err(cursor.out_of_range(whole, "tetrahedron (cell)", cell, written, positions.len()));
+            }
+            *vertex = written as u32;
+        }
+        tets.push(tet);
+    }
+    if tets.is_empty() {
+        return Err(cursor.malformed(whole, "there is no tetrahedron in the file"));
+    }
+    let tags = vec![0; tets.len()];
+    Ok(TetData { positions, tets, tags })
+}
