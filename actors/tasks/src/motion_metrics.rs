@@ -153,8 +153,7 @@ impl MotionMetrics {
     pub fn ldlj(&self) -> Option<f64> {
         let integral = self.jerk_integral + self.jerk_tail.0 * self.jerk_tail.1;
         let dimensionless = self.secs().powi(3) / self.speed_peak.powi(2) * integral;
-        (self.jerk_tail.1 > 0.0 && self.speed_peak > 0.0 && dimensionless > 0.0)
-            .then(|| -dimensionless.ln())
+        (self.jerk_tail.1 > 0.0 && self.speed_peak > 0.0 && dimensionless > 0.0).then(|| -dimensionless.ln())
     }
 
     /// The metrics by name; units are part of the names. Those that are not defined yet are absent.
@@ -204,8 +203,7 @@ mod tests {
         let exact = -(720.0f64 / (1.875 * 1.875)).ln();
         assert!((exact + 5.322).abs() < 5e-4);
         for (distance, secs) in [(0.1, 1.0), (0.02, 0.4), (0.5, 3.0)] {
-            let fine =
-                fed(secs, 2000.0 / secs, |t| Point3::new(distance * minimum_jerk(t / secs), 0.0, 0.0));
+            let fine = fed(secs, 2000.0 / secs, |t| Point3::new(distance * minimum_jerk(t / secs), 0.0, 0.0));
             assert!((fine.ldlj().unwrap() - exact).abs() < 1e-4, "{}", fine.ldlj().unwrap() - exact);
             let coarse =
                 fed(secs, 100.0 / secs, |t| Point3::new(distance * minimum_jerk(t / secs), 0.0, 0.0));

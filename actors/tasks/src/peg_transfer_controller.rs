@@ -1,0 +1,331 @@
+//! The controller that schedules [`PegTransfer`]: scene → observations → `TaskState` and events.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+use trocar_scene::{
+    Access, BuildContext, Camera, CollisionList, Commands, Component, Controller, ControllerError, Entity,
+    EntitySet, Grasp, Hand, Motion, Parent, Pose, RegistryBuilder, RegistryError, RigidBody, Shape, Side,
+    Snapshot, TaskError, TaskState, Tick, Velocity,
+};
+
+use crate::fls_score::FlsWeights;
+use crate::peg_geometry::{FieldOfView, Peg, RingPlacement, RingShape};
+use crate::peg_rules::{ErrorKind, Happening, PegTransferSetup, RingObservation, Rules, TipObservation};
+use crate::peg_transfer::{Outcome, PegTransfer};
+
+/// `TaskState` is written at least every this many ticks, and whenever something happened.
+const WRITE_EVERY: u64 = 10;
+
+/// The exercise as a scenario file describes it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PegTransferConfig {
+    /// The trainee's dominant hand is the left one: the right hand lifts first.
+    pub left_handed: bool,
+    /// What counts as in view: lowest and highest corner of a box in world \[m\]; without it, what the
+    /// scene's camera sees.
+    pub view_box: Option<[[f64; 3]; 2]>,
+    /// Thresholds of the judgement.
+    pub rules: Rules,
+    /// Weights of the score.
+    pub weights: FlsWeights,
+}
+
+/// Everything that the exercise needs to go on after a restart; lives on the controller's own entity.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PegTransferState {
+    /// The board on which the rings started, counted in entity order.
+    pub first_board: u32,
+    /// The exercise.
+    pub exercise: PegTransfer,
+}
+impl Component for PegTransferState {
+    const NAME: &'static str = "peg_transfer_state";
+}
+
+/// Registers this crate's own components.
+///
+/// # Errors
+/// When a name is already taken by another type.
+pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
+    builder.register::<PegTransferState>()?;
+    Ok(())
+}
+
+/// Judges a peg transfer; to be run at 100 Hz.
+pub struct PegTransferController {
+    setup: PegTransferSetup,
+    rings: Vec<Entity>,
+    /// Left, right.
+    instruments: [Entity; 2],
+    state: PegTransferState,
+}
+
+fn missing(what: &str) -> ControllerError {
+    ControllerError::Scene(format!("peg transfer: {what}"))
+}
+
+impl PegTransferController {
+    /// Finds the boards (`peg_board` shapes), the rings (dynamic `torus` shapes), the hands and the camera
+    /// in the scene, and goes on where an earlier life stopped.
+    ///
+    /// # Errors
+    /// Names what the scene or the configuration lacks.
+    pub fn new(config: &PegTransferConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        config.weights.validate().map_err(|error| missing(&error.to_string()))?;
+        let known = |kind: &String| ErrorKind::ALL.iter().any(|known| known.as_str() == kind);
+        if let Some(kind) = config.weights.secs_per_error.keys().find(|kind| !known(kind)) {
+            let kinds = ErrorKind::ALL.map(ErrorKind::as_str).join(", ");
+            return Err(missing(&format!("secs_per_error: no error is called '{kind}'; there are: {kinds}")));
+        }
+        let scene = context.scene;
+        let (rings, ring) = find_rings(scene)?;
+        let pegs = find_pegs(scene)?;
+        let state = match scene.get::<PegTransferState>(context.me) {
+            Some(state) if state.exercise.ring_count() as usize == rings.len() => state.clone(),
+            _ => {
+                let first_giver = if config.left_handed { Side::Right } else { Side::Left };
+                PegTransferState {
+                    first_board: board_with_rings(scene, &rings, &ring, &pegs)?,
+                    exercise: PegTransfer::new(rings.len(), first_giver),
+                }
+            }
+        };
+        let setup = PegTransferSetup {
+            pegs,
+            ring,
+            first_board: state.first_board as usize,
+            view: find_view(scene, config)?,
+            rules: config.rules,
+            weights: config.weights.clone(),
+        };
+        let instruments = [find_instrument(scene, Side::Left)?, find_instrument(scene, Side::Right)?];
+        Ok(Self { setup, rings, instruments, state })
+    }
+
+    fn observe_rings(&self, scene: &Snapshot) -> Vec<RingObservation> {
+        let holds = |instrument: Entity, ring: Entity| {
+            scene.get::<Grasp>(instrument).is_some_and(|grasp| grasp.held == ring)
+        };
+        let mut observed: Vec<RingObservation> = self
+            .rings
+            .iter()
+            .map(|ring| RingObservation {
+                placement: placement(scene, *ring),
+                speed: scene.get::<Velocity>(*ring).map_or(0.0, |velocity| velocity.linear.norm()),
+                held_by: self.instruments.map(|instrument| holds(instrument, *ring)),
+                touched_by: [false; 2],
+            })
+            .collect();
+        for (_, list) in scene.iter::<CollisionList>() {
+            for collision in list.collisions.iter().filter(|collision| collision.depth >= 0.0) {
+                for (one, other) in [(collision.a, collision.b), (collision.b, collision.a)] {
+                    let hand = self.instruments.iter().position(|instrument| *instrument == one);
+                    let ring = self.rings.iter().position(|ring| *ring == other);
+                    if let (Some(hand), Some(ring)) = (hand, ring) {
+                        observed[ring].touched_by[hand] = true;
+                    }
+                }
+            }
+        }
+        observed
+    }
+
+    fn observe_tips(&self, scene: &Snapshot) -> [TipObservation; 2] {
+        self.instruments.map(|instrument| {
+            let tip = scene.world_pose(instrument);
+            TipObservation {
+                tip_in_world: tip.translation.vector.into(),
+                shaft_in_world: tip.rotation * Vector3::z(),
+            }
+        })
+    }
+
+    /// What the rest of the world reads.
+    fn task_state(&self) -> TaskState {
+        let exercise = &self.state.exercise;
+        let metrics = exercise.metrics();
+        let errors = exercise.errors().iter().map(|error| TaskError {
+            kind: error.kind.as_str().to_owned(),
+            at_secs: error.at_secs,
+            entity: self.rings.get(error.ring).copied(),
+        });
+        TaskState {
+            task: "peg-transfer".to_owned(),
+            phase: exercise.phase().to_owned(),
+            done: exercise.done(),
+            steps: exercise.steps(),
+            seconds: exercise.seconds(),
+            completed: exercise.outcome() == Some(Outcome::Completed),
+            cut_off: exercise.outcome() == Some(Outcome::CutOff),
+            score: exercise.score(&self.setup),
+            errors: errors.collect(),
+            metrics: BTreeMap::from([
+                (Side::Left.as_str().to_owned(), metrics[0].named()),
+                (Side::Right.as_str().to_owned(), metrics[1].named()),
+            ]),
+        }
+    }
+
+    fn report(&self, me: Entity, happening: &Happening, out: &mut Commands) {
+        let ring = |index: usize| self.rings[index];
+        let instrument = |side: Side| {
+            Some(match side {
+                Side::Left => self.instruments[0],
+                Side::Right => self.instruments[1],
+            })
+        };
+        let done = f64::from(self.state.exercise.done());
+        match *happening {
+            Happening::Started => out.event("task_started", me, None, 0.0),
+            Happening::Lifted { ring: index, by } => {
+                out.event("ring_lifted", ring(index), instrument(by), done);
+            }
+            Happening::HandedOver { ring: index, to } => {
+                out.event("ring_handed_over", ring(index), instrument(to), done);
+            }
+            Happening::Placed { ring: index, .. } => out.event("ring_placed", ring(index), None, done),
+            Happening::Returning => out.event("rings_return", me, None, done),
+            Happening::Error(error) => {
+                out.event(error.kind.as_str(), ring(error.ring), None, error.at_secs);
+            }
+            Happening::Finished => {
+                let score = self.state.exercise.score(&self.setup).unwrap_or(0.0);
+                out.event("task_finished", me, None, score);
+            }
+        }
+    }
+}
+
+impl Controller for PegTransferController {
+    fn access(&self) -> Access {
+        Access::new()
+            .reads::<Pose>()
+            .reads::<Parent>()
+            .reads::<Velocity>()
+            .reads::<Grasp>()
+            .reads::<CollisionList>()
+            .writes::<TaskState>(EntitySet::Own)
+            .writes::<PegTransferState>(EntitySet::Own)
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        if self.state.exercise.outcome().is_some() && scene.get::<TaskState>(tick.me).is_some() {
+            return Ok(());
+        }
+        let (rings, tips) = (self.observe_rings(scene), self.observe_tips(scene));
+        let happened = self.state.exercise.observe(&self.setup, tick.time.as_secs_f64(), &rings, &tips);
+        for happening in &happened {
+            self.report(tick.me, happening, out);
+        }
+        if !happened.is_empty() || tick.number.is_multiple_of(WRITE_EVERY) {
+            out.put(tick.me, self.task_state());
+        }
+        out.put(tick.me, self.state.clone());
+        Ok(())
+    }
+}
+
+fn placement(scene: &Snapshot, ring: Entity) -> RingPlacement {
+    let pose = scene.world_pose(ring);
+    RingPlacement {
+        center_in_world: pose.translation.vector.into(),
+        axis_in_world: pose.rotation * Vector3::z(),
+    }
+}
+
+fn find_rings(scene: &Snapshot) -> Result<(Vec<Entity>, RingShape), ControllerError> {
+    let moves = |entity| scene.get::<RigidBody>(entity).is_some_and(|body| body.motion == Motion::Dynamic);
+    let mut found: Option<RingShape> = None;
+    let mut rings = Vec::new();
+    for (entity, shape) in scene.iter::<Shape>() {
+        let Shape::Torus { ring_radius, tube_radius } = shape else { continue };
+        if !moves(entity) {
+            continue;
+        }
+        let ring = RingShape { ring_radius: *ring_radius, tube_radius: *tube_radius };
+        if *found.get_or_insert(ring) != ring {
+            return Err(missing(&format!(
+                "ring '{}' differs in size from the first one",
+                scene.name(entity)
+            )));
+        }
+        rings.push(entity);
+    }
+    found.map(|ring| (rings, ring)).ok_or_else(|| missing("the scene has no dynamic body with a torus shape"))
+}
+
+fn find_pegs(scene: &Snapshot) -> Result<Vec<Peg>, ControllerError> {
+    let boards = scene.iter::<Shape>().filter_map(|(entity, shape)| match shape {
+        Shape::PegBoard { pegs, peg_height, .. } => Some((entity, pegs, *peg_height)),
+        _ => None,
+    });
+    let mut found = Vec::new();
+    let mut count = 0;
+    for (board, (entity, pegs, height)) in boards.enumerate() {
+        let world_from_board = scene.world_pose(entity);
+        count = board + 1;
+        found.extend(pegs.iter().map(|[x, y]| Peg {
+            board,
+            foot_in_world: world_from_board * Point3::new(*x, *y, 0.0),
+            axis_in_world: world_from_board * Vector3::z(),
+            height,
+        }));
+    }
+    if count == 2 {
+        Ok(found)
+    } else {
+        Err(missing(&format!("the scene has {count} peg_board shapes, the exercise needs 2")))
+    }
+}
+
+fn board_with_rings(
+    scene: &Snapshot,
+    rings: &[Entity],
+    ring: &RingShape,
+    pegs: &[Peg],
+) -> Result<u32, ControllerError> {
+    let on = |board: usize| {
+        let here = |entity: &&Entity| {
+            ring.peg_inside(&placement(scene, **entity), pegs).is_some_and(|peg| pegs[peg].board == board)
+        };
+        rings.iter().filter(here).count()
+    };
+    match (on(0), on(1)) {
+        (first, 0) if first == rings.len() => Ok(0),
+        (0, second) if second == rings.len() => Ok(1),
+        (first, second) => Err(missing(&format!(
+            "all {} rings must start around the pegs of one board; {first} are on one and {second} on the other",
+            rings.len()
+        ))),
+    }
+}
+
+fn find_instrument(scene: &Snapshot, side: Side) -> Result<Entity, ControllerError> {
+    scene
+        .iter::<Hand>()
+        .find(|(_, hand)| hand.side == side)
+        .map(|(_, hand)| hand.instrument)
+        .ok_or_else(|| missing(&format!("the scene has no {} hand", side.as_str())))
+}
+
+fn find_view(scene: &Snapshot, config: &PegTransferConfig) -> Result<FieldOfView, ControllerError> {
+    if let Some([min, max]) = config.view_box {
+        if (0..3).all(|i| min[i].is_finite() && max[i].is_finite() && min[i] < max[i]) {
+            return Ok(FieldOfView::Box { min: min.into(), max: max.into() });
+        }
+        return Err(missing("view_box: the first corner must lie below the second in x, y and z"));
+    }
+    let (entity, camera) = scene
+        .iter::<Camera>()
+        .next()
+        .ok_or_else(|| missing("give a view_box or a camera: nothing says what is in view"))?;
+    Ok(FieldOfView::Frustum {
+        world_from_camera: scene.world_pose(entity),
+        vertical: camera.field_of_view,
+        aspect: camera.aspect,
+        depths: [camera.near, camera.far],
+    })
+}
