@@ -1,4 +1,20 @@
 //! The Model actor, runtimes and rates, supervision, faults, recording, clock and lock-step.
 
+pub mod chain;
+pub mod commit;
+pub mod faults;
+pub mod handle;
+pub mod model_core;
+#[cfg(test)]
+mod model_core_tests;
+pub mod publish;
+pub mod retire;
 pub mod spec;
 pub mod supervision;
+#[cfg(test)]
+mod testing;
+
+pub use chain::{CommitKind, StateHash};
+pub use commit::{Commit, CommitBuffer};
+pub use handle::{Doorbell, Intake, Lanes, LaneStatus, Submitted, WriterHandle};
+pub use model_core::{DeclareError, ModelCore, Outcome, Rejection, WriterCounts};

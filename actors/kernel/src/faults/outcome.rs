@@ -1,0 +1,305 @@
+//! What became of each fault: injected → detected → restarted → resumed, and whether that is good enough.
+
+use trocar_scene::SimTime;
+
+use super::plan::{Expect, FaultPlan};
+use crate::spec::{FaultKind, FaultRecord};
+
+/// The life of one fault, in session time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FaultRow {
+    /// Its name in the plan.
+    pub id: String,
+    /// Whom it befell.
+    pub target: String,
+    /// What went wrong.
+    pub kind: FaultKind,
+    /// When it took effect.
+    pub injected: Option<SimTime>,
+    /// When it ended by itself.
+    pub healed: Option<SimTime>,
+    /// When somebody noticed.
+    pub detected: Option<SimTime>,
+    /// When the target was started anew; never for faults that heal.
+    pub restarted: Option<SimTime>,
+    /// When the target did good work again.
+    pub resumed: Option<SimTime>,
+}
+
+impl FaultRow {
+    /// From the moment at which nothing but recovery was left to do, to the first good work.
+    pub fn recovery(&self) -> Option<SimTime> {
+        let from = match (self.restarted, self.healed) {
+            (None, Some(healed)) => healed,
+            _ => self.injected?,
+        };
+        Some(self.resumed?.since(from))
+    }
+
+    /// The row of the report.
+    pub fn record(&self) -> FaultRecord {
+        let secs = |time: Option<SimTime>| time.map(SimTime::as_secs_f64);
+        FaultRecord {
+            id: self.id.clone(),
+            target: self.target.clone(),
+            kind: self.kind,
+            injected_secs: secs(self.injected),
+            detected_secs: secs(self.detected),
+            restarted_secs: secs(self.restarted),
+            resumed_secs: secs(self.resumed),
+        }
+    }
+
+    fn begun(&self) -> bool {
+        self.injected.is_some() && self.resumed.is_none()
+    }
+}
+
+/// Figures of a run that a plan's expectations are held against.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Measured {
+    /// Largest force at any driver after its clamp \[N\].
+    pub force_newtons_max: f64,
+    /// Restarts of the Model.
+    pub model_restarts: u64,
+    /// Whether the exercise was completed.
+    pub task_completed: bool,
+    /// When the run ended: a fault that it cut off is not held against it.
+    pub ended: SimTime,
+}
+
+/// The rows of a plan, filled in as the driver sees things happen.
+///
+/// Every report may come at any time and any number of times: only the first one after the injection
+/// counts, so a driver can report each good step without asking first.
+#[derive(Clone, Debug, Default)]
+pub struct FaultLog {
+    rows: Vec<FaultRow>,
+    open: usize,
+}
+
+impl FaultLog {
+    /// One row per fault of the plan.
+    pub fn new(plan: &FaultPlan) -> Self {
+        let row = |fault: &super::FaultSpec| FaultRow {
+            id: fault.id.clone(),
+            target: fault.target.clone(),
+            kind: fault.kind,
+            injected: None,
+            healed: None,
+            detected: None,
+            restarted: None,
+            resumed: None,
+        };
+        Self { rows: plan.faults.iter().map(row).collect(), open: 0 }
+    }
+
+    /// Whether any fault has begun and not yet been overcome. Cheap: ask before composing a report.
+    pub fn is_open(&self) -> bool {
+        self.open > 0
+    }
+
+    /// Fault `index` of the plan has taken effect.
+    pub fn injected(&mut self, index: usize, now: SimTime) {
+        if let Some(row) = self.rows.get_mut(index).filter(|row| row.injected.is_none()) {
+            row.injected = Some(now);
+            self.open += 1;
+        }
+    }
+
+    /// Fault `index` of the plan has ended by itself.
+    pub fn healed(&mut self, index: usize, now: SimTime) {
+        if let Some(row) = self.rows.get_mut(index).filter(|row| row.begun()) {
+            row.healed = Some(now);
+        }
+    }
+
+    /// Something is seen to be wrong with the target.
+    pub fn detected(&mut self, target: &str, now: SimTime) {
+        for row in self.begun(target).filter(|row| row.detected.is_none()) {
+            row.detected = Some(now);
+        }
+    }
+
+    /// The target was started anew.
+    pub fn restarted(&mut self, target: &str, now: SimTime) {
+        for row in self.begun(target).filter(|row| row.detected.is_some() && row.restarted.is_none()) {
+            row.restarted = Some(now);
+        }
+    }
+
+    /// The target did good work: its batch was applied, its sample was sound, its tick came on time.
+    pub fn resumed(&mut self, target: &str, now: SimTime) {
+        if self.open == 0 {
+            return;
+        }
+        let mut closed = 0;
+        for row in self.begun(target).filter(|row| row.restarted.is_some() || row.healed.is_some()) {
+            row.resumed = Some(now);
+            closed += 1;
+        }
+        self.open -= closed;
+    }
+
+    /// The rows in the order of the plan.
+    pub fn rows(&self) -> &[FaultRow] {
+        &self.rows
+    }
+
+    fn begun(&mut self, target: &str) -> impl Iterator<Item = &mut FaultRow> {
+        self.rows.iter_mut().filter(move |row| row.begun() && row.target == target)
+    }
+}
+
+impl Expect {
+    /// What was expected and did not happen, one sentence each; empty when all holds.
+    pub fn failures(&self, rows: &[FaultRow], measured: &Measured) -> Vec<String> {
+        let mut failures = Vec::new();
+        if let Some(limit) = self.recovery_secs_max {
+            for row in rows {
+                recovery_failure(row, limit, measured.ended, &mut failures);
+            }
+        }
+        if let Some(limit) = self.force_newtons_max
+            && !(measured.force_newtons_max <= limit)
+        {
+            failures.push(format!("force {:.3} N is above {limit} N", measured.force_newtons_max));
+        }
+        if let Some(limit) = self.model_restarts_max
+            && measured.model_restarts > limit
+        {
+            failures.push(format!(
+                "the Model restarted {} times, at most {limit} allowed",
+                measured.model_restarts
+            ));
+        }
+        if let Some(expected) = self.task_completed
+            && measured.task_completed != expected
+        {
+            let said = |completed: bool| if completed { "completed" } else { "not completed" };
+            failures.push(format!(
+                "the exercise was {}, expected {}",
+                said(measured.task_completed),
+                said(expected)
+            ));
+        }
+        failures
+    }
+}
+
+fn recovery_failure(row: &FaultRow, limit: f64, ended: SimTime, failures: &mut Vec<String>) {
+    let Some(injected) = row.injected else {
+        failures.push(format!("fault '{}' never took effect", row.id));
+        return;
+    };
+    match row.recovery() {
+        Some(span) if span.as_secs_f64() <= limit => {}
+        Some(span) => failures.push(format!(
+            "fault '{}': '{}' resumed after {:.3} s, allowed {limit} s",
+            row.id,
+            row.target,
+            span.as_secs_f64()
+        )),
+        // Cut off by the end of the run before its time was up: nothing can be said.
+        None if ended.since(row.healed.unwrap_or(injected)).as_secs_f64() < limit => {}
+        None => failures.push(format!("fault '{}': '{}' never resumed", row.id, row.target)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::faults::secs;
+
+    fn plan() -> FaultPlan {
+        FaultPlan::new(7)
+            .at(secs(1.0))
+            .kill("engine")
+            .at(secs(2.0))
+            .lasting(secs(1.0))
+            .queue_full("engine")
+            .at(secs(9.0))
+            .kill("task")
+    }
+
+    #[test]
+    fn a_kill_runs_through_its_four_stages() {
+        let mut log = FaultLog::new(&plan());
+        log.detected("engine", secs(0.5));
+        log.resumed("engine", secs(0.6));
+        assert_eq!(log.rows()[0].detected, None, "nothing counts before the injection");
+        log.injected(0, secs(1.0));
+        log.resumed("engine", secs(1.0));
+        log.restarted("engine", secs(1.0));
+        assert_eq!((log.rows()[0].restarted, log.rows()[0].resumed), (None, None), "not detected yet");
+        log.detected("task", secs(1.0));
+        log.detected("engine", secs(1.001));
+        log.detected("engine", secs(1.002));
+        log.restarted("engine", secs(1.020));
+        log.resumed("engine", secs(1.022));
+        log.resumed("engine", secs(1.024));
+        let row = &log.rows()[0];
+        assert_eq!(row.detected, Some(secs(1.001)));
+        assert_eq!(row.restarted, Some(secs(1.020)));
+        assert_eq!(row.resumed, Some(secs(1.022)));
+        assert_eq!(row.recovery(), Some(secs(0.022)));
+        assert!(!log.is_open());
+    }
+
+    #[test]
+    fn a_fault_that_heals_is_measured_from_its_healing() {
+        let mut log = FaultLog::new(&plan());
+        log.injected(1, secs(2.0));
+        log.detected("engine", secs(2.002));
+        log.resumed("engine", secs(2.5));
+        assert_eq!(log.rows()[1].resumed, None, "still broken");
+        log.healed(1, secs(3.0));
+        log.resumed("engine", secs(3.004));
+        assert_eq!(log.rows()[1].recovery(), Some(secs(0.004)));
+        assert_eq!(log.rows()[1].restarted, None);
+    }
+
+    #[test]
+    fn expectations_name_what_failed() {
+        let mut log = FaultLog::new(&plan());
+        log.injected(0, secs(1.0));
+        log.detected("engine", secs(1.0));
+        log.restarted("engine", secs(1.1));
+        log.resumed("engine", secs(1.5));
+        log.injected(1, secs(2.0));
+        log.healed(1, secs(3.0));
+        let expect = Expect {
+            recovery_secs_max: Some(0.1),
+            force_newtons_max: Some(3.3),
+            model_restarts_max: Some(0),
+            task_completed: Some(true),
+        };
+        let measured = Measured {
+            force_newtons_max: f64::NAN,
+            model_restarts: 1,
+            task_completed: false,
+            ended: secs(10.0),
+        };
+        let failures = expect.failures(log.rows(), &measured);
+        assert_eq!(failures.len(), 6, "{failures:#?}");
+        assert!(failures[0].contains("0.500 s") && failures[1].contains("never resumed"));
+        assert!(failures[2].contains("never took effect") && failures[3].contains("force"));
+        let measured =
+            Measured { force_newtons_max: 3.3, model_restarts: 0, task_completed: true, ended: secs(1.55) };
+        assert!(expect.failures(&log.rows()[..1], &measured).len() == 1);
+        assert!(Expect::default().failures(log.rows(), &measured).is_empty());
+    }
+
+    #[test]
+    fn the_report_has_the_promised_keys() {
+        let log = FaultLog::new(&plan());
+        let json = serde_json::to_value(log.rows()[0].record()).expect("serialises");
+        let keys: Vec<&str> = json.as_object().expect("object").keys().map(String::as_str).collect();
+        for key in
+            ["id", "target", "kind", "injected_secs", "detected_secs", "restarted_secs", "resumed_secs"]
+        {
+            assert!(keys.contains(&key), "{key}");
+        }
+        assert_eq!(keys.len(), 7);
+    }
+}

@@ -1,0 +1,472 @@
+//! The fault plan: a TOML file, and its mirror in Rust.
+
+use std::path::Path;
+
+use serde::Deserialize;
+use thiserror::Error;
+use trocar_scene::SimTime;
+
+use crate::spec::FaultKind;
+
+/// Version of the file format that this library reads.
+const SCHEMA: u32 = 1;
+/// Most faults that one plan may hold.
+const MAX_FAULTS: usize = 1024;
+/// Largest plan file, in bytes.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+/// Latest time of a fault, in seconds: well beyond any session, well within the clock.
+const MAX_SECS: f64 = 1e6;
+
+/// Whether a fault of this kind can end by itself, and so may have `for_secs`.
+const fn can_heal(kind: FaultKind) -> bool {
+    !matches!(kind, FaultKind::Kill)
+}
+const fn takes_probability(kind: FaultKind) -> bool {
+    matches!(kind, FaultKind::Drop | FaultKind::Duplicate | FaultKind::Reorder | FaultKind::Corrupt)
+}
+
+/// One fault of a plan.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FaultSpec {
+    /// How the report names it; unique within the plan.
+    pub id: String,
+    /// When it begins.
+    pub at: SimTime,
+    /// How long it lasts; `None` lasts until the end of the session (or until the supervisor mends it).
+    pub lasting: Option<SimTime>,
+    /// Name of a controller, a device, `model`, `recorder` or a link.
+    pub target: String,
+    /// What goes wrong.
+    pub kind: FaultKind,
+    /// [`FaultKind::Slow`]: by how much each step is longer.
+    pub step: SimTime,
+    /// [`FaultKind::Drop`], [`FaultKind::Duplicate`], [`FaultKind::Reorder`], [`FaultKind::Corrupt`]:
+    /// share of messages concerned, 0 to 1.
+    pub probability: f64,
+    /// [`FaultKind::Delay`]: by how much messages are later.
+    pub delay: SimTime,
+}
+
+/// What a run under faults must still achieve; a figure left out is not checked.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Expect {
+    /// Longest time from the injection (or, for faults that heal, the healing) to the first good work
+    /// of the target \[s\].
+    pub recovery_secs_max: Option<f64>,
+    /// Largest force at any driver after its clamp \[N\].
+    pub force_newtons_max: Option<f64>,
+    /// Most restarts of the Model.
+    pub model_restarts_max: Option<u64>,
+    /// Whether the exercise must have been completed (`true`) or must not (`false`).
+    pub task_completed: Option<bool>,
+}
+
+/// Faults, when they happen, and what must hold all the same.
+///
+/// ```
+/// use trocar_kernel::faults::{FaultPlan, secs};
+/// let plan = FaultPlan::new(42)
+///     .at(secs(3.0)).kill("haptics.left")
+///     .at(secs(5.0)).lasting(secs(2.0)).queue_full("engine");
+/// assert_eq!(plan.faults.len(), 2);
+/// ```
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FaultPlan {
+    /// Seed of whatever is random in the faults.
+    pub seed: u64,
+    /// The faults in the order of the file.
+    pub faults: Vec<FaultSpec>,
+    /// What must hold.
+    pub expect: Expect,
+}
+
+/// A plan that cannot be used.
+#[derive(Debug, Error)]
+pub enum FaultPlanError {
+    /// The file could not be read.
+    #[error("{file}: {source}")]
+    Io {
+        /// The file.
+        file: String,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file is larger than any plan.
+    #[error("{file}: {bytes} bytes; a fault plan has at most {MAX_FILE_BYTES}")]
+    TooLarge {
+        /// The file.
+        file: String,
+        /// Its size.
+        bytes: u64,
+    },
+    /// Not TOML, an unknown key, or a value of the wrong type.
+    #[error("{file}: {message}")]
+    Syntax {
+        /// The file.
+        file: String,
+        /// Line, column, what is wrong and what is valid.
+        message: String,
+    },
+    /// Another version of the format.
+    #[error("{file}: schema = {found} is not known; this version reads schema = {SCHEMA}")]
+    Schema {
+        /// The file.
+        file: String,
+        /// What it says.
+        found: u32,
+    },
+    /// More faults than allowed.
+    #[error("{file}: {found} faults; a plan has at most {MAX_FAULTS}")]
+    TooMany {
+        /// The file.
+        file: String,
+        /// How many it has.
+        found: usize,
+    },
+    /// A value that makes no sense.
+    #[error("{file}: fault '{id}': {key}: {problem}")]
+    Value {
+        /// The file.
+        file: String,
+        /// The fault.
+        id: String,
+        /// The key.
+        key: &'static str,
+        /// What is wrong and what is valid.
+        problem: String,
+    },
+    /// Nothing in the session has this name.
+    #[error("fault '{id}': unknown target '{target}'; targets are: {valid}")]
+    UnknownTarget {
+        /// The fault.
+        id: String,
+        /// The name given.
+        target: String,
+        /// The names that exist.
+        valid: String,
+    },
+    /// The target cannot fail in this way.
+    #[error("fault '{id}': '{target}' is a {class} and cannot have '{kind}'; a {class} can have: {valid}")]
+    KindNotApplicable {
+        /// The fault.
+        id: String,
+        /// The target.
+        target: String,
+        /// What the target is.
+        class: &'static str,
+        /// The kind given.
+        kind: FaultKind,
+        /// The kinds that apply.
+        valid: String,
+    },
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    schema: u32,
+    #[serde(default)]
+    seed: u64,
+    #[serde(default)]
+    fault: Vec<FileFault>,
+    #[serde(default)]
+    expect: Expect,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileFault {
+    id: Option<String>,
+    at_secs: f64,
+    for_secs: Option<f64>,
+    target: String,
+    kind: FaultKind,
+    step_secs: Option<f64>,
+    probability: Option<f64>,
+    delay_secs: Option<f64>,
+}
+
+impl FaultPlan {
+    /// An empty plan.
+    pub fn new(seed: u64) -> Self {
+        Self { seed, ..Self::default() }
+    }
+
+    /// Begins a fault at a time since the start of the session.
+    pub fn at(self, at: SimTime) -> FaultAt {
+        FaultAt { plan: self, at, lasting: None }
+    }
+
+    /// Sets what must hold.
+    pub fn expecting(mut self, expect: Expect) -> Self {
+        self.expect = expect;
+        self
+    }
+
+    /// Reads a plan file.
+    ///
+    /// # Errors
+    /// [`FaultPlanError`], naming the file, the place and what is valid.
+    pub fn read(path: &Path) -> Result<Self, FaultPlanError> {
+        let file = path.display().to_string();
+        let io = |source| FaultPlanError::Io { file: file.clone(), source };
+        let bytes = std::fs::metadata(path).map_err(io)?.len();
+        if bytes > MAX_FILE_BYTES {
+            return Err(FaultPlanError::TooLarge { file, bytes });
+        }
+        let text = std::fs::read_to_string(path).map_err(io)?;
+        Self::parse(&text, &file)
+    }
+
+    /// Parses the text of a plan; `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`FaultPlanError`], naming the place and what is valid.
+    pub fn parse(text: &str, file: &str) -> Result<Self, FaultPlanError> {
+        let parsed: File = toml::from_str(text)
+            .map_err(|error| FaultPlanError::Syntax { file: file.to_owned(), message: error.to_string() })?;
+        if parsed.schema != SCHEMA {
+            return Err(FaultPlanError::Schema { file: file.to_owned(), found: parsed.schema });
+        }
+        if parsed.fault.len() > MAX_FAULTS {
+            return Err(FaultPlanError::TooMany { file: file.to_owned(), found: parsed.fault.len() });
+        }
+        let mut plan = Self { seed: parsed.seed, faults: Vec::new(), expect: parsed.expect };
+        plan.check_expect(file)?;
+        for (index, fault) in parsed.fault.into_iter().enumerate() {
+            let id = fault.id.clone().unwrap_or_else(|| format!("fault {}", index + 1));
+            if plan.faults.iter().any(|other| other.id == id) {
+                return Err(value_error(file, &id, "id", "another fault has the same id"));
+            }
+            plan.faults.push(fault.into_spec(id, file)?);
+        }
+        Ok(plan)
+    }
+
+    fn check_expect(&self, file: &str) -> Result<(), FaultPlanError> {
+        let figures = [
+            ("recovery_secs_max", self.expect.recovery_secs_max),
+            ("force_newtons_max", self.expect.force_newtons_max),
+        ];
+        for (key, figure) in figures {
+            if figure.is_some_and(|figure| !figure.is_finite() || figure < 0.0) {
+                return Err(value_error(file, "[expect]", key, "must be a number of at least 0"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl FileFault {
+    fn into_spec(self, id: String, file: &str) -> Result<FaultSpec, FaultPlanError> {
+        let time = |key, value: f64| {
+            if (0.0..=MAX_SECS).contains(&value) {
+                Ok(SimTime::from_secs_f64(value))
+            } else {
+                Err(value_error(file, &id, key, &format!("{value} is not between 0 and {MAX_SECS} seconds")))
+            }
+        };
+        let only = |key, given: bool, taken: bool| {
+            if given && !taken {
+                Err(value_error(file, &id, key, &format!("means nothing for kind '{}'", self.kind)))
+            } else {
+                Ok(())
+            }
+        };
+        let needed = |key, missing: bool, taken: bool| {
+            if missing && taken {
+                Err(value_error(file, &id, key, &format!("kind '{}' needs it", self.kind)))
+            } else {
+                Ok(())
+            }
+        };
+        let kind = self.kind;
+        only("for_secs", self.for_secs.is_some(), can_heal(kind))?;
+        only("step_secs", self.step_secs.is_some(), kind == FaultKind::Slow)?;
+        needed("step_secs", self.step_secs.is_none(), kind == FaultKind::Slow)?;
+        only("delay_secs", self.delay_secs.is_some(), kind == FaultKind::Delay)?;
+        needed("delay_secs", self.delay_secs.is_none(), kind == FaultKind::Delay)?;
+        only("probability", self.probability.is_some(), takes_probability(kind))?;
+        needed("probability", self.probability.is_none(), takes_probability(kind))?;
+        let probability = self.probability.unwrap_or(1.0);
+        if !(0.0..=1.0).contains(&probability) {
+            let problem = format!("{probability} is not between 0 and 1");
+            return Err(value_error(file, &id, "probability", &problem));
+        }
+        Ok(FaultSpec {
+            at: time("at_secs", self.at_secs)?,
+            lasting: self.for_secs.map(|secs| time("for_secs", secs)).transpose()?,
+            step: time("step_secs", self.step_secs.unwrap_or(0.0))?,
+            delay: time("delay_secs", self.delay_secs.unwrap_or(0.0))?,
+            target: self.target,
+            kind,
+            probability,
+            id,
+        })
+    }
+}
+
+fn value_error(file: &str, id: &str, key: &'static str, problem: &str) -> FaultPlanError {
+    FaultPlanError::Value { file: file.to_owned(), id: id.to_owned(), key, problem: problem.to_owned() }
+}
+
+/// Seconds as a time of the session; negative and non-finite values give zero.
+pub fn secs(secs: f64) -> SimTime {
+    SimTime::from_secs_f64(secs)
+}
+
+/// A fault whose time is said and whose kind is not yet.
+#[must_use]
+#[derive(Debug)]
+pub struct FaultAt {
+    plan: FaultPlan,
+    at: SimTime,
+    lasting: Option<SimTime>,
+}
+
+impl FaultAt {
+    /// How long the fault lasts before it heals.
+    pub fn lasting(mut self, span: SimTime) -> Self {
+        self.lasting = Some(span);
+        self
+    }
+    /// The target panics.
+    pub fn kill(self, target: &str) -> FaultPlan {
+        self.fault(FaultKind::Kill, target)
+    }
+    /// The target's step does not return.
+    pub fn stall(self, target: &str) -> FaultPlan {
+        self.fault(FaultKind::Stall, target)
+    }
+    /// Each step of the target takes `step` longer.
+    pub fn slow(self, target: &str, step: SimTime) -> FaultPlan {
+        let mut plan = self.fault(FaultKind::Slow, target);
+        if let Some(fault) = plan.faults.last_mut() {
+            fault.step = step;
+        }
+        plan
+    }
+    /// The device is gone.
+    pub fn unplug(self, target: &str) -> FaultPlan {
+        self.fault(FaultKind::Unplug, target)
+    }
+    /// The writer's handle takes no batch.
+    pub fn queue_full(self, target: &str) -> FaultPlan {
+        self.fault(FaultKind::QueueFull, target)
+    }
+    /// Numbers that the target hands over are not finite.
+    pub fn nan(self, target: &str) -> FaultPlan {
+        self.fault(FaultKind::Nan, target)
+    }
+    /// The recorder's disk takes no byte.
+    pub fn disk_full(self) -> FaultPlan {
+        self.fault(FaultKind::DiskFull, "recorder")
+    }
+    /// A fault of any kind.
+    pub fn fault(self, kind: FaultKind, target: &str) -> FaultPlan {
+        let mut plan = self.plan;
+        plan.faults.push(FaultSpec {
+            id: format!("{kind} {target} at {} s", self.at.as_secs_f64()),
+            at: self.at,
+            lasting: self.lasting,
+            target: target.to_owned(),
+            kind,
+            step: SimTime::ZERO,
+            probability: 1.0,
+            delay: SimTime::ZERO,
+        });
+        plan
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLAN: &str = r#"
+schema = 1
+seed = 42
+[[fault]]
+id = "left-hand dies"
+at_secs = 3.0
+target = "haptics.left"
+kind = "kill"
+[[fault]]
+id = "slow physics"
+at_secs = 5.0
+for_secs = 10.0
+target = "engine"
+kind = "slow"
+step_secs = 0.004
+[expect]
+recovery_secs_max = 0.1
+force_newtons_max = 3.3
+model_restarts_max = 0
+"#;
+
+    fn error(text: &str) -> String {
+        FaultPlan::parse(text, "plan.toml").expect_err("the plan is wrong").to_string()
+    }
+
+    #[test]
+    fn file_and_rust_say_the_same() {
+        let mut read = FaultPlan::parse(PLAN, "plan.toml").expect("valid");
+        let mut built = FaultPlan::new(42)
+            .at(secs(3.0))
+            .kill("haptics.left")
+            .at(secs(5.0))
+            .lasting(secs(10.0))
+            .slow("engine", SimTime::from_millis(4))
+            .expecting(Expect {
+                recovery_secs_max: Some(0.1),
+                force_newtons_max: Some(3.3),
+                model_restarts_max: Some(0),
+                task_completed: None,
+            });
+        for fault in read.faults.iter_mut().chain(&mut built.faults) {
+            fault.id.clear();
+        }
+        assert_eq!(read, built);
+    }
+
+    #[test]
+    fn unknown_keys_and_kinds_list_the_valid_ones() {
+        let message = error("schema = 1\n[[fault]]\nat_secs = 1\ntarget = 'x'\nkind = 'kil'\n");
+        assert!(message.contains("plan.toml") && message.contains("line 5"), "{message}");
+        for kind in FaultKind::ALL {
+            assert!(message.contains(kind.name()), "{kind} is missing: {message}");
+        }
+        let message = error("schema = 1\n[[fault]]\nwhen = 1\n");
+        assert!(message.contains("`when`") && message.contains("`at_secs`"), "{message}");
+        let message = error("schema = 1\n[expect]\nforce = 1\n");
+        assert!(message.contains("force_newtons_max"), "{message}");
+    }
+
+    #[test]
+    fn senseless_values_are_refused() {
+        let fault =
+            |rest: &str| format!("schema = 1\n[[fault]]\nid = 'a'\ntarget = 'engine'\nat_secs = 1\n{rest}\n");
+        assert!(error("schema = 2").contains("schema = 2"));
+        assert!(error(&fault("kind = 'kill'\nfor_secs = 1")).contains("for_secs"));
+        assert!(error(&fault("kind = 'slow'")).contains("needs it"));
+        assert!(error(&fault("kind = 'drop'\nprobability = 1.5")).contains("between 0 and 1"));
+        assert!(error(&fault("kind = 'stall'\nfor_secs = -1")).contains("for_secs"));
+        assert!(error(&fault("kind = 'stall'\nfor_secs = nan")).contains("for_secs"));
+        assert!(error("schema = 1\n[expect]\nforce_newtons_max = nan").contains("force_newtons_max"));
+        let twice = format!(
+            "{}[[fault]]\nid = 'a'\ntarget = 'b'\nat_secs = 1\nkind = 'kill'\n",
+            fault("kind = 'kill'")
+        );
+        assert!(error(&twice).contains("same id"));
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn no_text_panics(text in "\\PC{0,200}", cut in 0usize..400) {
+            let _ = FaultPlan::parse(&text, "any");
+            let cut = cut.min(PLAN.len());
+            let _ = FaultPlan::parse(&format!("{}{text}", &PLAN[..cut]), "any");
+        }
+    }
+}

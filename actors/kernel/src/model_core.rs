@@ -1,0 +1,498 @@
+//! The Model without its actor: takes batches, decides what gets in, and publishes snapshots.
+//!
+//! Sans-IO: no clock, no thread, no channel. The live Model and lock-step drive the same core, so that the
+//! same batches in the same order give the same revisions and the same hash.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use thiserror::Error;
+use trocar_scene::{
+    Access, AccessOverlap, Batch, Commands, ComponentError, ComponentId, Entity, Provenance, RecordPolicy,
+    Refusal, Registry, RegistryError, Revision, SimTime, Snapshot, Store, WriterId, WriterRules,
+};
+
+use crate::chain::{Chain, CommitKind, StateHash};
+use crate::commit::CommitBuffer;
+use crate::publish::{PublishClock, PublishRule};
+
+/// Most rows whose ownership has moved from one writer to another.
+const TRANSFERS_MAX: usize = 4096;
+
+/// What became of a batch.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Outcome {
+    /// It is in the scene.
+    Applied {
+        /// The revision that it made.
+        revision: Revision,
+    },
+    /// It broke a rule; nothing of it is in the scene.
+    Rejected(Rejection),
+    /// A precondition did not hold any more; nothing of it is in the scene, and nobody is to blame.
+    Conflict(Refusal),
+}
+
+/// Why a batch was rejected.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum Rejection {
+    /// From a writer that never declared itself.
+    #[error("writer {0} has not declared what it writes")]
+    UnknownWriter(u16),
+    /// From an earlier life of its writer.
+    #[error("epoch {found} is fenced off; the writer is in epoch {current}")]
+    StaleEpoch {
+        /// The batch's epoch.
+        found: u32,
+        /// The writer's.
+        current: u32,
+    },
+    /// A row handed over to nobody.
+    #[error("a row is handed over to writer {0}, which has not declared itself")]
+    UnknownHeir(u16),
+    /// Too many rows handed over.
+    #[error("more than {TRANSFERS_MAX} rows have been handed over")]
+    TooManyTransfers,
+    /// It cannot be encoded, so it could be neither hashed nor recorded.
+    #[error("the batch cannot be encoded: {0}")]
+    Unencodable(ComponentError),
+    /// It broke a rule of the scene.
+    #[error(transparent)]
+    Refused(Refusal),
+}
+
+/// A writer that the Model does not take.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum DeclareError {
+    /// Two writers of one name.
+    #[error("two writers are named '{0}'")]
+    NameTaken(String),
+    /// Two writers of one number.
+    #[error("'{name}' and '{other}' both are writer {id}")]
+    IdTaken {
+        /// The new one.
+        name: String,
+        /// The one that had it.
+        other: String,
+        /// The number.
+        id: u16,
+    },
+    /// An unknown component.
+    #[error("'{name}': {error}")]
+    Component {
+        /// The writer.
+        name: String,
+        /// What is wrong.
+        error: RegistryError,
+    },
+    /// Two writers of one row.
+    #[error(transparent)]
+    Overlap(#[from] AccessOverlap),
+}
+
+/// What the Model counts for each writer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WriterCounts {
+    /// Batches applied.
+    pub applied: u64,
+    /// Batches rejected.
+    pub rejected: u64,
+    /// Batches whose preconditions did not hold.
+    pub conflicts: u64,
+    /// Batches that made the Model panic.
+    pub quarantined: u64,
+}
+
+struct Writer {
+    name: Arc<str>,
+    id: WriterId,
+    access: Access,
+    rules: WriterRules,
+    epoch: u32,
+    counts: WriterCounts,
+    last_rejection: Option<Rejection>,
+}
+
+type Transfers = BTreeMap<(ComponentId, Entity), WriterId>;
+
+/// What readers see, and what the Model falls back to.
+#[derive(Clone)]
+struct Committed {
+    snapshot: Arc<Snapshot>,
+    chain: Chain,
+    transfers: Arc<Transfers>,
+    commits: usize,
+}
+
+/// The Model's state machine.
+pub struct ModelCore {
+    station: u16,
+    store: Store,
+    chain: Chain,
+    /// Sorted by id.
+    writers: Vec<Writer>,
+    transfers: Arc<Transfers>,
+    clock: PublishClock,
+    commits: CommitBuffer,
+    keep_commits: bool,
+    scratch: Vec<u8>,
+    committed: Committed,
+}
+
+impl ModelCore {
+    /// Owns a scene; `station` is this station's number, part of every writer's entity.
+    ///
+    /// # Errors
+    /// When the scene cannot be encoded.
+    pub fn new(store: Store, station: u16) -> Result<Self, ComponentError> {
+        let chain = Chain::begin(store.view())?;
+        let transfers = Arc::<Transfers>::default();
+        let committed = Committed {
+            snapshot: Arc::new(store.snapshot()),
+            chain,
+            transfers: transfers.clone(),
+            commits: 0,
+        };
+        Ok(Self {
+            station,
+            store,
+            chain,
+            writers: Vec::new(),
+            transfers,
+            clock: PublishClock::new(PublishRule::default()),
+            commits: CommitBuffer::new(),
+            keep_commits: false,
+            scratch: Vec::new(),
+            committed,
+        })
+    }
+
+    /// The same with other limits between publications.
+    #[must_use]
+    pub fn with_publish_rule(mut self, rule: PublishRule) -> Self {
+        self.clock = PublishClock::new(rule);
+        self
+    }
+
+    /// Continues a chain instead of beginning one at the scene: a replay from a keyframe.
+    #[must_use]
+    pub fn with_chain(mut self, head: StateHash) -> Self {
+        self.chain = Chain::resume(head);
+        self.committed.chain = self.chain;
+        self
+    }
+
+    /// Whether commits are kept for [`Self::swap_commits`]; off, so that nothing piles up unread.
+    pub fn keep_commits(&mut self, keep: bool) {
+        self.keep_commits = keep;
+    }
+
+    /// Takes a writer, or a new life of one: what it writes must not overlap with what others write. Rows
+    /// that were handed over stay where they are. Returns its epoch, which is 1 in its first life.
+    ///
+    /// # Errors
+    /// [`DeclareError`]; the writers that were declared before are not affected.
+    pub fn declare(&mut self, name: &str, id: WriterId, access: &Access) -> Result<u32, DeclareError> {
+        for other in &self.writers {
+            if *other.name == *name && other.id != id {
+                return Err(DeclareError::NameTaken(name.to_owned()));
+            }
+            if *other.name != *name && other.id == id {
+                let (name, other) = (name.to_owned(), other.name.to_string());
+                return Err(DeclareError::IdTaken { name, other, id: id.0 });
+            }
+        }
+        let known = self.writers.binary_search_by_key(&id, |writer| writer.id);
+        if let Ok(at) = known
+            && self.writers[at].access == *access
+        {
+            return Ok(self.writers[at].epoch);
+        }
+        let me = Entity::of_writer(self.station, id.0);
+        let mut rules = WriterRules::compile(access, self.store.view().registry(), me)
+            .map_err(|error| DeclareError::Component { name: name.to_owned(), error })?;
+        for other in self.writers.iter().filter(|other| other.id != id) {
+            if let Some((component, entities)) = rules.overlap(&other.rules) {
+                let component = self.store.view().registry().entry(component).name;
+                let (first, second) = (name.to_owned(), other.name.to_string());
+                return Err(AccessOverlap { first, second, component, entities }.into());
+            }
+        }
+        restore_transfers(&self.transfers, id, &mut rules);
+        match known {
+            Ok(at) => {
+                self.writers[at].access = access.clone();
+                self.writers[at].rules = rules;
+                Ok(self.writers[at].epoch)
+            }
+            Err(at) => {
+                let writer = Writer {
+                    name: name.into(),
+                    id,
+                    access: access.clone(),
+                    rules,
+                    epoch: 1,
+                    counts: WriterCounts::default(),
+                    last_rejection: None,
+                };
+                self.writers.insert(at, writer);
+                Ok(1)
+            }
+        }
+    }
+
+    /// Applies a sealed batch as a whole or not at all. `now` is the time at which it is applied, which only
+    /// decides about publication: what enters the scene and the hash is the batch's own time.
+    ///
+    /// A batch that panics in here (a component's own code) leaves the core unusable until
+    /// [`Self::recover`] is called.
+    pub fn apply(&mut self, batch: &mut Batch, now: SimTime) -> Outcome {
+        let Provenance { writer: id, epoch, tick, time, .. } = batch.provenance;
+        let Ok(at) = self.writers.binary_search_by_key(&id, |writer| writer.id) else {
+            return Outcome::Rejected(Rejection::UnknownWriter(id.0));
+        };
+        if let Err(rejection) = self.admit(at, epoch, batch) {
+            let writer = &mut self.writers[at];
+            return match rejection {
+                Rejection::Refused(refusal) if refusal.is_conflict() => {
+                    writer.counts.conflicts += 1;
+                    Outcome::Conflict(refusal)
+                }
+                rejection => {
+                    writer.counts.rejected += 1;
+                    writer.last_rejection = Some(rejection.clone());
+                    Outcome::Rejected(rejection)
+                }
+            };
+        }
+        self.move_ownership(at, batch);
+        let revision = self.store.apply(&mut batch.commands, time);
+        let writer = &mut self.writers[at];
+        writer.counts.applied += 1;
+        self.chain.append(CommitKind::Batch, &writer.name, tick, time, &self.scratch);
+        if self.keep_commits {
+            let head = self.chain.head();
+            self.commits.push(
+                CommitKind::Batch,
+                revision,
+                &writer.name,
+                batch.provenance,
+                head,
+                &self.scratch,
+            );
+        }
+        self.clock.applied(now);
+        Outcome::Applied { revision }
+    }
+
+    /// Everything that can be said against a batch; leaves its encoding in `scratch`.
+    fn admit(&mut self, at: usize, epoch: u32, batch: &Batch) -> Result<(), Rejection> {
+        let writer = &self.writers[at];
+        if epoch != writer.epoch {
+            return Err(Rejection::StaleEpoch { found: epoch, current: writer.epoch });
+        }
+        self.store.validate(&batch.commands, &writer.rules).map_err(Rejection::Refused)?;
+        for transfer in batch.commands.transfers() {
+            if self.position(transfer.to).is_none() {
+                return Err(Rejection::UnknownHeir(transfer.to.0));
+            }
+        }
+        if self.transfers.len() + batch.commands.transfers().len() > TRANSFERS_MAX {
+            return Err(Rejection::TooManyTransfers);
+        }
+        self.scratch.clear();
+        batch.commands.encode(&mut self.scratch).map_err(Rejection::Unencodable)
+    }
+
+    fn move_ownership(&mut self, from: usize, batch: &Batch) {
+        for transfer in batch.commands.transfers() {
+            let row = (transfer.component, transfer.entity);
+            self.writers[from].rules.revoke(row.0, row.1);
+            if let Some(heir) = self.position(transfer.to) {
+                self.writers[heir].rules.grant(row.0, row.1);
+            }
+            Arc::make_mut(&mut self.transfers).insert(row, transfer.to);
+        }
+        // Entities are never reused, so the rights to a removed one need not be remembered.
+        if !self.transfers.is_empty() && !batch.commands.despawns().is_empty() {
+            Arc::make_mut(&mut self.transfers)
+                .retain(|(_, entity), _| !batch.commands.despawns().contains(entity));
+        }
+    }
+
+    /// Ends a life of a writer: batches of its epoch are refused from now on and its contributions leave
+    /// the scene. Returns the epoch of its next life, or `None` for an unknown writer.
+    pub fn fence(&mut self, id: WriterId, now: SimTime) -> Option<u32> {
+        let at = self.position(id)?;
+        let writer = &mut self.writers[at];
+        writer.epoch += 1;
+        let revision = self.store.remove_contributions(&writer.rules);
+        // The number of fences stands where a batch has its tick.
+        let provenance = Provenance {
+            writer: id,
+            epoch: writer.epoch,
+            tick: u64::from(writer.epoch),
+            time: now,
+            based_on: revision,
+        };
+        self.scratch.clear();
+        encode_fence(self.store.view().registry(), &writer.rules, &mut self.scratch);
+        self.chain.append(CommitKind::Fence, &writer.name, provenance.tick, now, &self.scratch);
+        if self.keep_commits {
+            let head = self.chain.head();
+            self.commits.push(CommitKind::Fence, revision, &writer.name, provenance, head, &self.scratch);
+        }
+        self.clock.applied(now);
+        Some(self.writers[at].epoch)
+    }
+
+    /// Applies a recorded commit again, without asking what its writer may do: that was decided when it was
+    /// recorded. The hash afterwards is that of the commands as they are now, encoded anew.
+    ///
+    /// # Errors
+    /// When the commands cannot be encoded.
+    pub fn replay(
+        &mut self,
+        kind: CommitKind,
+        writer: &str,
+        provenance: Provenance,
+        commands: &mut Commands,
+    ) -> Result<Revision, ComponentError> {
+        self.scratch.clear();
+        commands.encode(&mut self.scratch)?;
+        self.chain.append(kind, writer, provenance.tick, provenance.time, &self.scratch);
+        // A fence is no event of the scene's own time.
+        let time = if kind == CommitKind::Fence { SimTime::ZERO } else { provenance.time };
+        self.clock.applied(provenance.time);
+        Ok(self.store.apply(commands, time))
+    }
+
+    /// Whether it is time to [`Self::publish`]; `drained` says that no batch waits.
+    pub fn is_publish_due(&self, now: SimTime, drained: bool) -> bool {
+        self.clock.is_due(now, drained)
+    }
+
+    /// Commits everything applied so far and returns the snapshot for readers.
+    pub fn publish(&mut self) -> Arc<Snapshot> {
+        let snapshot = Arc::new(self.store.snapshot());
+        self.committed = Committed {
+            snapshot: snapshot.clone(),
+            chain: self.chain,
+            transfers: self.transfers.clone(),
+            commits: self.commits.len(),
+        };
+        self.clock.published();
+        snapshot
+    }
+
+    /// After a panic in [`Self::apply`]: falls back to what was last published, blames `culprit` and
+    /// forgets what was applied since, which nobody has seen.
+    pub fn recover(&mut self, culprit: Option<WriterId>) -> Arc<Snapshot> {
+        let committed = self.committed.clone();
+        self.store = Store::from_snapshot(&committed.snapshot);
+        self.chain = committed.chain;
+        self.transfers = committed.transfers;
+        self.commits.truncate(committed.commits);
+        self.clock.published();
+        for at in 0..self.writers.len() {
+            let writer = &self.writers[at];
+            // Compiled before, so it compiles again.
+            if let Ok(mut rules) =
+                WriterRules::compile(&writer.access, self.store.view().registry(), writer.rules.me())
+            {
+                restore_transfers(&self.transfers, writer.id, &mut rules);
+                self.writers[at].rules = rules;
+            }
+        }
+        if let Some(at) = culprit.and_then(|id| self.position(id)) {
+            self.writers[at].counts.quarantined += 1;
+        }
+        committed.snapshot
+    }
+
+    /// Takes the commits since the last call, published or not, and leaves `empty` for the next ones.
+    /// Call it right after [`Self::publish`]: publish is commit.
+    pub fn swap_commits(&mut self, empty: CommitBuffer) -> CommitBuffer {
+        self.committed.commits = 0;
+        std::mem::replace(&mut self.commits, empty)
+    }
+
+    /// The scene with everything applied so far, published or not, without sharing it.
+    pub fn view(&self) -> &Snapshot {
+        self.store.view()
+    }
+    /// The last published snapshot.
+    pub fn published(&self) -> &Arc<Snapshot> {
+        &self.committed.snapshot
+    }
+    /// The state hash over everything applied so far.
+    pub fn hash(&self) -> StateHash {
+        self.chain.head()
+    }
+    /// The epoch in which a writer's batches are accepted.
+    pub fn epoch(&self, id: WriterId) -> Option<u32> {
+        self.position(id).map(|at| self.writers[at].epoch)
+    }
+    /// What was counted for a writer.
+    pub fn counts(&self, id: WriterId) -> Option<WriterCounts> {
+        self.position(id).map(|at| self.writers[at].counts)
+    }
+    /// Why a writer's batch was rejected last.
+    pub fn last_rejection(&self, id: WriterId) -> Option<&Rejection> {
+        self.writers[self.position(id)?].last_rejection.as_ref()
+    }
+    /// A writer's name.
+    pub fn name(&self, id: WriterId) -> Option<&Arc<str>> {
+        self.position(id).map(|at| &self.writers[at].name)
+    }
+    /// What every writer declared, ordered by id.
+    pub fn writers(&self) -> impl Iterator<Item = (WriterId, &str, &Access)> {
+        self.writers.iter().map(|writer| (writer.id, &*writer.name, &writer.access))
+    }
+
+    fn position(&self, id: WriterId) -> Option<usize> {
+        self.writers.binary_search_by_key(&id, |writer| writer.id).ok()
+    }
+}
+
+/// Gives a writer's fresh rules what was handed to it, and takes what it handed away.
+fn restore_transfers(transfers: &Transfers, id: WriterId, rules: &mut WriterRules) {
+    for ((component, entity), heir) in transfers {
+        if *heir == id {
+            rules.grant(*component, *entity);
+        } else {
+            rules.revoke(*component, *entity);
+        }
+    }
+}
+
+/// A fence as the commands that it amounts to: the removal of the writer's contributions, in the encoding of
+/// [`Commands::encode`], so that a replay needs to know nothing about the writer.
+fn encode_fence(registry: &Registry, rules: &WriterRules, out: &mut Vec<u8>) {
+    let kept = || {
+        let keys = rules.contributes().iter().map(|id| registry.entry(*id));
+        keys.filter(|entry| entry.record == RecordPolicy::Full)
+    };
+    let mut put = |value: u64| write_varint(value, out);
+    // Spawns, despawns.
+    put(0);
+    put(0);
+    put(kept().count() as u64);
+    for entry in kept() {
+        put(u64::from(entry.key));
+        put(rules.me().to_bits());
+    }
+    // Puts, transfers, events.
+    put(0);
+    put(0);
+    put(0);
+}
+
+/// Postcard's unsigned integers: seven bits a byte, least significant first.
+fn write_varint(mut value: u64, out: &mut Vec<u8>) {
+    while value >= 0x80 {
+        out.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    out.push(value as u8);
+}

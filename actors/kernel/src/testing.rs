@@ -1,0 +1,64 @@
+//! Toy components for the tests of this crate.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use trocar_scene::{Component, ComponentError, RecordPolicy, Registry, RegistryBuilder, finite};
+
+/// A number that everybody may have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Count(pub u64);
+impl Component for Count {
+    const NAME: &'static str = "test_count";
+}
+
+/// A number that must be finite and may be told to panic when it is checked.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Level(pub f64);
+impl Component for Level {
+    const NAME: &'static str = "test_level";
+    fn check(&self) -> Result<(), ComponentError> {
+        finite::check(self)
+    }
+}
+
+/// A list that several writers fill.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pairs(pub Vec<u32>);
+impl Component for Pairs {
+    const NAME: &'static str = "test_pairs";
+}
+
+/// Something that follows from the rest.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Shadow(pub f64);
+impl Component for Shadow {
+    const NAME: &'static str = "test_shadow";
+    const RECORD: RecordPolicy = RecordPolicy::Derived;
+}
+
+/// A component whose own code panics on one value, the second time that it is looked at: past the sender,
+/// in the Model.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Bomb(pub u32);
+impl Component for Bomb {
+    const NAME: &'static str = "test_bomb";
+    fn check(&self) -> Result<(), ComponentError> {
+        thread_local!(static LOOKS: std::cell::Cell<u32> = const { std::cell::Cell::new(0) });
+        let looks = LOOKS.get() + 1;
+        LOOKS.set(looks);
+        assert!(self.0 != 13 || looks % 2 == 1, "the bomb goes off");
+        Ok(())
+    }
+}
+
+/// All of them.
+pub fn registry() -> Arc<Registry> {
+    let mut builder = RegistryBuilder::new();
+    builder.register::<Count>().expect("new");
+    builder.register::<Level>().expect("new");
+    builder.register::<Pairs>().expect("new");
+    builder.register::<Shadow>().expect("new");
+    builder.register::<Bomb>().expect("new");
+    builder.build()
+}
