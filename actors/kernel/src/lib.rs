@@ -9,6 +9,7 @@ pub mod model_core;
 mod model_core_tests;
 pub mod publish;
 pub mod retire;
+pub mod runtime;
 pub mod spec;
 pub mod supervision;
 #[cfg(test)]

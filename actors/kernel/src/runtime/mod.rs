@@ -1,0 +1,13 @@
+//! Runtimes and rates: tickers, scheduling, statistics, and the host that runs a controller.
+
+pub mod budget;
+pub mod histogram;
+pub mod sched;
+pub mod stats;
+pub mod ticker;
+
+pub use budget::{Budget, Verdict};
+pub use histogram::{AtomicHistogram, Bars, Quantiles};
+pub use sched::Permission;
+pub use stats::{ControllerReport, TickStats};
+pub use ticker::{Clock, Due, Schedule, Ticker};

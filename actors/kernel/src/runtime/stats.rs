@@ -1,0 +1,245 @@
+//! What every controller reports about itself: rates, lateness, step time, losses, restarts.
+
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+
+use serde::{Deserialize, Serialize};
+use trocar_scene::SimTime;
+
+use super::histogram::{AtomicHistogram, Bars, Quantiles};
+use super::sched;
+
+/// A tick that starts later than this counts as missed in `on_time`, ns.
+pub const ON_TIME_NS: u64 = 1_000_000;
+
+/// Filled by a controller's host at every tick, read by anybody at any time; lives as long as the session
+/// and goes on through restarts.
+pub struct TickStats {
+    name: String,
+    rate_hz: f64,
+    lateness: AtomicHistogram,
+    step: AtomicHistogram,
+    ran: AtomicU64,
+    late: AtomicU64,
+    missed: AtomicU64,
+    rejected: AtomicU64,
+    conflicts: AtomicU64,
+    dropped: AtomicU64,
+    restarts: AtomicU32,
+    /// When the first tick was due and until when ticks were due, ns of the session; 0: none yet.
+    first_due: AtomicU64,
+    last_due: AtomicU64,
+    /// Thread whose CPU time is counted on; 0: none.
+    thread: AtomicU32,
+    /// CPU time of earlier threads, ns.
+    cpu_before: AtomicU64,
+    cpu_now: AtomicU64,
+}
+
+impl TickStats {
+    /// Nothing counted yet.
+    pub fn new(name: impl Into<String>, rate_hz: f64) -> Self {
+        Self {
+            name: name.into(),
+            rate_hz,
+            lateness: AtomicHistogram::default(),
+            step: AtomicHistogram::default(),
+            ran: AtomicU64::new(0),
+            late: AtomicU64::new(0),
+            missed: AtomicU64::new(0),
+            rejected: AtomicU64::new(0),
+            conflicts: AtomicU64::new(0),
+            dropped: AtomicU64::new(0),
+            restarts: AtomicU32::new(0),
+            first_due: AtomicU64::new(u64::MAX),
+            last_due: AtomicU64::new(0),
+            thread: AtomicU32::new(0),
+            cpu_before: AtomicU64::new(0),
+            cpu_now: AtomicU64::new(0),
+        }
+    }
+    /// Name of the controller.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// A tick that was due at `due` has run.
+    pub fn ran(&self, due: SimTime, lateness: SimTime, step: SimTime) {
+        self.ran.fetch_add(1, Ordering::Relaxed);
+        self.lateness.record(lateness.0);
+        self.step.record(step.0);
+        if lateness.0 >= ON_TIME_NS {
+            self.late.fetch_add(1, Ordering::Relaxed);
+        }
+        self.first_due.fetch_min(due.0, Ordering::Relaxed);
+        self.last_due.fetch_max(due.0, Ordering::Relaxed);
+    }
+    /// `count` scheduled ticks never ran.
+    pub fn missed(&self, count: u64) {
+        self.missed.fetch_add(count, Ordering::Relaxed);
+    }
+    /// A batch found its ring full.
+    pub fn dropped(&self) {
+        self.dropped.fetch_add(1, Ordering::Relaxed);
+    }
+    /// The Model refused a batch.
+    pub fn rejected(&self) {
+        self.rejected.fetch_add(1, Ordering::Relaxed);
+    }
+    /// A batch's precondition did not hold.
+    pub fn conflict(&self) {
+        self.conflicts.fetch_add(1, Ordering::Relaxed);
+    }
+    /// A new life begins.
+    pub fn restarted(&self) {
+        self.restarts.fetch_add(1, Ordering::Relaxed);
+    }
+    /// From now on the thread `tid` does the work; called on that thread.
+    pub fn enter_thread(&self, tid: u32) {
+        self.thread.store(tid, Ordering::Relaxed);
+    }
+    /// The thread that did the work ends; called on that thread.
+    pub fn leave_thread(&self, tid: u32) {
+        if self.thread.compare_exchange(tid, 0, Ordering::Relaxed, Ordering::Relaxed).is_ok()
+            && let Some(cpu) = sched::thread_cpu(tid)
+        {
+            self.cpu_before.fetch_add(cpu.0, Ordering::Relaxed);
+            self.cpu_now.store(0, Ordering::Relaxed);
+        }
+    }
+    /// How many ticks have run.
+    pub fn ticks(&self) -> u64 {
+        self.ran.load(Ordering::Relaxed)
+    }
+    /// How many ticks never ran.
+    pub fn ticks_missed(&self) -> u64 {
+        self.missed.load(Ordering::Relaxed)
+    }
+    /// CPU time of the controller's threads so far.
+    pub fn cpu(&self) -> SimTime {
+        if let Some(cpu) =
+            Some(self.thread.load(Ordering::Relaxed)).filter(|tid| *tid != 0).and_then(sched::thread_cpu)
+        {
+            self.cpu_now.store(cpu.0, Ordering::Relaxed);
+        }
+        SimTime(self.cpu_before.load(Ordering::Relaxed) + self.cpu_now.load(Ordering::Relaxed))
+    }
+
+    /// The row of the report; `elapsed` is the session's time so far.
+    pub fn report(&self, elapsed: SimTime) -> ControllerReport {
+        let ran = self.ticks();
+        let missed = self.ticks_missed();
+        let scheduled = ran + missed;
+        let first = self.first_due.load(Ordering::Relaxed);
+        let last = self.last_due.load(Ordering::Relaxed);
+        // From the first tick to the end of the period of the last one.
+        let active = if first <= last && self.rate_hz > 0.0 {
+            (last - first) as f64 * 1e-9 + 1.0 / self.rate_hz
+        } else {
+            0.0
+        };
+        let on_time = ran - self.late.load(Ordering::Relaxed).min(ran);
+        let ratio = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
+        ControllerReport {
+            name: self.name.clone(),
+            target_hz: self.rate_hz,
+            achieved_hz: ratio(ran as f64, active),
+            scheduled,
+            on_time: ratio(on_time as f64, scheduled as f64),
+            lateness_us: self.lateness.quantiles(),
+            step_us: self.step.quantiles(),
+            missed,
+            dropped: self.dropped.load(Ordering::Relaxed),
+            rejected: self.rejected.load(Ordering::Relaxed),
+            conflicts: self.conflicts.load(Ordering::Relaxed),
+            restarts: self.restarts.load(Ordering::Relaxed),
+            cpu_share: ratio(self.cpu().as_secs_f64(), elapsed.as_secs_f64()),
+            lateness_bars: self.lateness.bars(),
+        }
+    }
+}
+
+/// A row of `controllers[]` in the machine-readable report.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ControllerReport {
+    /// Name of the controller.
+    pub name: String,
+    /// Rate asked for, Hz.
+    pub target_hz: f64,
+    /// Rate that it ran at, from its first tick to its last, Hz.
+    pub achieved_hz: f64,
+    /// Ticks that were due.
+    pub scheduled: u64,
+    /// Share of them that started less than 1 ms late, 0 to 1.
+    pub on_time: f64,
+    /// From due to started, µs.
+    pub lateness_us: Quantiles,
+    /// From started to done, µs.
+    pub step_us: Quantiles,
+    /// Ticks that never ran.
+    pub missed: u64,
+    /// Batches that found their ring full.
+    pub dropped: u64,
+    /// Batches that the Model refused.
+    pub rejected: u64,
+    /// Batches whose preconditions did not hold.
+    pub conflicts: u64,
+    /// Lives after the first.
+    pub restarts: u32,
+    /// CPU time of its thread per time of the session, 0 to 1.
+    pub cpu_share: f64,
+    /// Lateness in a form that can be drawn.
+    pub lateness_bars: Bars,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_perfect_second_at_1_khz() {
+        let stats = TickStats::new("hand", 1_000.0);
+        for k in 0..1_000 {
+            stats.ran(SimTime::from_millis(k), SimTime::from_micros(5), SimTime::from_micros(20));
+        }
+        let row = stats.report(SimTime::from_millis(1_000));
+        assert_eq!((row.scheduled, row.missed, row.on_time), (1_000, 0, 1.0));
+        assert!((row.achieved_hz - 1_000.0).abs() < 1e-6, "{}", row.achieved_hz);
+        assert!((row.lateness_us.p50 - 5.0).abs() < 0.05 && row.lateness_us.max == 5.0);
+        assert!((row.step_us.p999 - 20.0).abs() < 0.2);
+    }
+
+    #[test]
+    fn late_and_missed_ticks_are_not_on_time() {
+        let stats = TickStats::new("hand", 1_000.0);
+        stats.ran(SimTime(0), SimTime(ON_TIME_NS - 1), SimTime(0));
+        stats.ran(SimTime::from_millis(1), SimTime(ON_TIME_NS), SimTime(0));
+        stats.missed(2);
+        let row = stats.report(SimTime::from_millis(4));
+        assert_eq!((row.scheduled, row.missed, row.on_time), (4, 2, 0.25));
+    }
+
+    #[test]
+    fn nothing_run_gives_zeros_not_nan() {
+        let row = TickStats::new("hand", 1_000.0).report(SimTime::ZERO);
+        assert_eq!((row.achieved_hz, row.on_time, row.cpu_share), (0.0, 0.0, 0.0));
+    }
+
+    #[test]
+    fn cpu_time_of_a_busy_thread_is_seen_from_outside_and_after_its_end() {
+        let stats = std::sync::Arc::new(TickStats::new("busy", 0.0));
+        let worker = stats.clone();
+        std::thread::spawn(move || {
+            let tid = sched::current_tid();
+            worker.enter_thread(tid);
+            let mut x = 0_u64;
+            while worker.cpu() < SimTime::from_millis(5) {
+                x = x.wrapping_mul(31).wrapping_add(1);
+                std::hint::black_box(x);
+            }
+            worker.leave_thread(tid);
+        })
+        .join()
+        .expect("the worker ends");
+        assert!(stats.cpu() >= SimTime::from_millis(5));
+    }
+}

@@ -1,0 +1,323 @@
+//! A ticker of high resolution on an async runtime: a kernel timer armed a little early, then a bounded
+//! spin. `tokio::time` counts in milliseconds and serves only far below 100 Hz.
+
+use std::io;
+use std::time::{Duration, Instant};
+
+use trocar_scene::SimTime;
+
+/// How early the timer is armed: the rest is spent spinning.
+pub const LEAD: SimTime = SimTime::from_micros(30);
+/// After so many ticks without a wait the runtime gets its turn.
+const YIELD_EVERY: u32 = 16;
+
+/// Time since the start of the session, on the system's monotonic clock.
+#[derive(Clone, Copy, Debug)]
+pub struct Clock {
+    start: Instant,
+}
+
+impl Clock {
+    /// A session that starts now.
+    pub fn start() -> Self {
+        Self { start: Instant::now() }
+    }
+    /// Time since then.
+    pub fn now(&self) -> SimTime {
+        SimTime(self.start.elapsed().as_nanos() as u64)
+    }
+}
+
+/// A tick to run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Due {
+    /// Its number; skipped ones count.
+    pub number: u64,
+    /// When it was due: start + number · period, exactly.
+    pub at: SimTime,
+    /// How many before it were skipped.
+    pub missed: u64,
+}
+
+/// Which tick comes next: arithmetic without a clock.
+#[derive(Clone, Copy, Debug)]
+pub struct Schedule {
+    start: SimTime,
+    period: SimTime,
+    next: u64,
+}
+
+impl Schedule {
+    /// Tick `k` is due at `start + k · period`; `next` is the first that has not run yet.
+    pub fn new(start: SimTime, period: SimTime, next: u64) -> Self {
+        Self { start, period: period.max(SimTime(1)), next }
+    }
+    /// When tick `number` is due.
+    pub fn due(&self, number: u64) -> SimTime {
+        SimTime(self.start.0.saturating_add(number.saturating_mul(self.period.0)))
+    }
+    /// When the next tick is due.
+    pub fn next_due(&self) -> SimTime {
+        self.due(self.next)
+    }
+    /// Number of the next tick.
+    pub fn next_number(&self) -> u64 {
+        self.next
+    }
+    /// The tick to run at `now`: the latest that is due. Those before it are skipped, so that a late
+    /// controller never runs a burst. `None` when none is due yet.
+    pub fn take(&mut self, now: SimTime) -> Option<Due> {
+        let at = self.next_due();
+        if now < at {
+            return None;
+        }
+        let missed = now.since(at).0 / self.period.0;
+        let number = self.next + missed;
+        self.next = number + 1;
+        Some(Due { number, at: self.due(number), missed })
+    }
+}
+
+/// Waits for the ticks of a schedule on the runtime of the calling thread.
+pub struct Ticker {
+    schedule: Schedule,
+    clock: Clock,
+    timer: imp::Timer,
+    spins: bool,
+    since_wait: u32,
+}
+
+impl Ticker {
+    /// Must be built on the runtime on which it is awaited.
+    ///
+    /// # Errors
+    /// When the system has no timer to give.
+    pub fn new(schedule: Schedule, clock: Clock) -> io::Result<Self> {
+        Ok(Self { schedule, clock, timer: imp::Timer::new()?, spins: true, since_wait: 0 })
+    }
+    /// Whether to spin for the last microseconds or to sleep through.
+    pub fn set_spinning(&mut self, spins: bool) {
+        self.spins = spins;
+    }
+    /// The schedule.
+    pub fn schedule(&self) -> &Schedule {
+        &self.schedule
+    }
+
+    /// Waits for the next tick.
+    ///
+    /// # Errors
+    /// When the system's timer fails.
+    pub async fn next(&mut self) -> io::Result<Due> {
+        let due = self.schedule.next_due();
+        let wake = if self.spins { SimTime(due.0.saturating_sub(LEAD.0)) } else { due };
+        let mut waited = false;
+        loop {
+            let now = self.clock.now();
+            if now >= wake {
+                break;
+            }
+            self.timer.sleep(now, wake).await?;
+            waited = true;
+        }
+        if waited {
+            self.since_wait = 0;
+        } else {
+            self.since_wait += 1;
+            if self.since_wait >= YIELD_EVERY {
+                self.since_wait = 0;
+                tokio::task::yield_now().await;
+            }
+        }
+        loop {
+            if let Some(due) = self.schedule.take(self.clock.now()) {
+                return Ok(due);
+            }
+            std::hint::spin_loop();
+        }
+    }
+}
+
+#[cfg(target_os = "linux")]
+mod imp {
+    use std::io;
+    use std::os::fd::OwnedFd;
+
+    use rustix::time::{
+        Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, Timespec, timerfd_create,
+        timerfd_settime,
+    };
+    use tokio::io::unix::AsyncFd;
+    use trocar_scene::SimTime;
+
+    pub(super) struct Timer {
+        fd: AsyncFd<OwnedFd>,
+    }
+
+    impl Timer {
+        pub(super) fn new() -> io::Result<Self> {
+            let fd =
+                timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::NONBLOCK | TimerfdFlags::CLOEXEC)?;
+            Ok(Self { fd: AsyncFd::register_with_interest(fd, tokio::io::Interest::READABLE)? })
+        }
+
+        pub(super) async fn sleep(&mut self, now: SimTime, until: SimTime) -> io::Result<()> {
+            let span = until.since(now).0.max(1);
+            let once = Itimerspec {
+                it_interval: Timespec { tv_sec: 0, tv_nsec: 0 },
+                it_value: Timespec {
+                    tv_sec: (span / 1_000_000_000) as i64,
+                    tv_nsec: (span % 1_000_000_000) as i64,
+                },
+            };
+            timerfd_settime(self.fd.get_ref(), TimerfdTimerFlags::empty(), &once)?;
+            loop {
+                let mut ready = self.fd.readable().await?;
+                let mut expirations = [0_u8; 8];
+                match ready.try_io(|fd| Ok(rustix::io::read(fd.get_ref(), &mut expirations)?)) {
+                    Ok(read) => {
+                        read?;
+                        // Read empty: the next edge comes from the next arming.
+                        ready.clear_ready();
+                        return Ok(());
+                    }
+                    Err(_would_block) => {}
+                }
+            }
+        }
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+mod imp {
+    use std::io;
+    use std::time::Duration;
+
+    use trocar_scene::SimTime;
+
+    /// The runtime's own timer counts in milliseconds: it takes the long part, a plain sleep the rest.
+    pub(super) struct Timer;
+
+    const COARSE: SimTime = SimTime::from_millis(2);
+
+    impl Timer {
+        pub(super) fn new() -> io::Result<Self> {
+            Ok(Self)
+        }
+        pub(super) async fn sleep(&mut self, now: SimTime, until: SimTime) -> io::Result<()> {
+            let span = until.since(now);
+            if span > COARSE {
+                tokio::time::sleep(span.since(COARSE).to_duration()).await;
+            } else {
+                std::thread::sleep(span.to_duration().max(Duration::from_micros(1)));
+            }
+            Ok(())
+        }
+    }
+}
+
+/// A plain loop around the system's sleep, without runtime, host or scene: what `bench` compares with.
+/// Runs for `span` at `period` and hands every tick's lateness to `each`; returns how many were skipped.
+pub fn bare_loop(period: SimTime, span: SimTime, mut each: impl FnMut(SimTime)) -> u64 {
+    let clock = Clock::start();
+    let mut schedule = Schedule::new(period, period, 0);
+    let mut missed = 0;
+    loop {
+        let due = schedule.next_due();
+        if due > span {
+            return missed;
+        }
+        let now = clock.now();
+        if now < due {
+            std::thread::sleep(Duration::from_nanos(due.since(now).0));
+        }
+        let now = clock.now();
+        if let Some(tick) = schedule.take(now) {
+            missed += tick.missed;
+            each(now.since(tick.at));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: SimTime = SimTime::from_millis(1);
+
+    #[test]
+    fn ticks_are_due_at_whole_multiples_of_the_period() {
+        let period = SimTime(333_333);
+        let mut schedule = Schedule::new(SimTime(1_000), period, 0);
+        for k in 0..1_000_000 {
+            let due = schedule.next_due();
+            assert_eq!(due.0, 1_000 + k * 333_333);
+            assert_eq!(schedule.take(due), Some(Due { number: k, at: due, missed: 0 }));
+        }
+    }
+
+    #[test]
+    fn nothing_runs_early() {
+        let mut schedule = Schedule::new(SimTime(500), MS, 0);
+        assert_eq!(schedule.take(SimTime(499)), None);
+        assert!(schedule.take(SimTime(500)).is_some());
+    }
+
+    #[test]
+    fn missed_ticks_are_skipped_and_counted_never_burst() {
+        let mut schedule = Schedule::new(SimTime::ZERO, MS, 0);
+        assert_eq!(schedule.take(SimTime(0)).map(|d| d.number), Some(0));
+        // A step of 5.4 periods: ticks 1 to 4 are gone, 5 runs late, 6 is on time again.
+        let late = schedule.take(SimTime(5_400_000)).expect("a tick");
+        assert_eq!((late.number, late.missed, late.at), (5, 4, SimTime(5_000_000)));
+        assert_eq!(schedule.take(SimTime(5_400_001)), None);
+        assert_eq!(schedule.take(SimTime(6_000_000)).map(|d| (d.number, d.missed)), Some((6, 0)));
+    }
+
+    #[test]
+    fn a_new_life_goes_on_where_the_old_one_stood_and_counts_the_gap() {
+        let mut schedule = Schedule::new(SimTime::ZERO, MS, 100);
+        let first = schedule.take(SimTime(130_200_000)).expect("a tick");
+        assert_eq!((first.number, first.missed), (130, 30));
+    }
+
+    #[test]
+    fn the_ticker_wakes_at_its_ticks_and_not_before() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let clock = Clock::start();
+        runtime.block_on(async {
+            for spins in [true, false] {
+                let next = clock.now().0 / MS.0 + 1;
+                let mut ticker = Ticker::new(Schedule::new(SimTime::ZERO, MS, next), clock).expect("a timer");
+                ticker.set_spinning(spins);
+                let (mut ran, mut missed) = (0, 0);
+                while ran + missed < 50 {
+                    let due = ticker.next().await.expect("a tick");
+                    assert!(clock.now() >= due.at);
+                    ran += 1;
+                    missed += due.missed;
+                }
+                // A generous limit: on a loaded machine some are skipped, but not most.
+                assert!(ran >= 10, "only {ran} of 50 ran");
+            }
+        });
+    }
+
+    #[test]
+    fn waiting_costs_no_cpu() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let clock = Clock::start();
+        let tid = super::super::sched::current_tid();
+        let before = super::super::sched::thread_cpu(tid);
+        runtime.block_on(async {
+            let schedule = Schedule::new(clock.now(), SimTime::from_millis(20), 1);
+            let mut ticker = Ticker::new(schedule, clock).expect("a timer");
+            for _ in 0..10 {
+                ticker.next().await.expect("a tick");
+            }
+        });
+        if let (Some(before), Some(after)) = (before, super::super::sched::thread_cpu(tid)) {
+            assert!(after.since(before) < SimTime::from_millis(40), "{} of 200 ms", after.since(before));
+        }
+    }
+}
