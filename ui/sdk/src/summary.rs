@@ -1,0 +1,411 @@
+//! What `run --json` and `bench --json` print: the machine-readable contract, with its JSON schema.
+//!
+//! Every field is always present; what is not known is null. Times in seconds, latencies in microseconds.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Version of the objects in this file; it rises when a field changes its meaning or goes away.
+pub const SCHEMA: u32 = 1;
+
+/// How a process of this program ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+#[repr(u8)]
+pub enum Exit {
+    /// All is well.
+    Ok = 0,
+    /// An expectation failed, or the exercise was not completed (and `--seconds` did not cut it off).
+    Failed = 1,
+    /// The command line makes no sense.
+    Usage = 2,
+    /// A device that was asked for is not there.
+    DeviceMissing = 3,
+    /// A scenario or another file cannot be used.
+    Invalid = 4,
+    /// The program itself failed.
+    Internal = 70,
+}
+
+impl Exit {
+    /// The number that the shell sees.
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+}
+
+/// How a run went through time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// Every controller on a thread of its own, in real time.
+    #[default]
+    Live,
+    /// One thread, virtual time, the same bits every time.
+    Lockstep,
+    /// From a recording.
+    Replay,
+}
+
+/// One run of a scenario.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RunSummary {
+    /// Version of this object: 1.
+    pub schema: u32,
+    /// Version of the program.
+    pub version: String,
+    /// How time passed.
+    pub mode: Mode,
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Simulated time \[s\].
+    pub sim_secs: f64,
+    /// Time on the wall \[s\].
+    pub wall_secs: f64,
+    /// Chain over all commits, every component in canonical order, hexadecimal; null when nothing ran.
+    pub state_hash: Option<String>,
+    /// How the exercise went.
+    pub task: TaskSummary,
+    /// Everyone who acted on the scene, in the order of the scenario.
+    pub controllers: Vec<ControllerSummary>,
+    /// What became of each injected fault.
+    pub faults: Vec<FaultSummary>,
+    /// Largest force at any driver, after its clamp \[N\].
+    pub force_newtons_max: f64,
+    /// Deepest penetration of two bodies \[m\].
+    pub penetration_max: f64,
+    /// File of the recording.
+    pub recording: Option<String>,
+    /// Whether the recording holds every commit; false without a recording.
+    pub recording_complete: bool,
+    /// File of the report.
+    pub report: Option<String>,
+    /// What went wrong, in words.
+    pub error: Option<String>,
+}
+
+impl RunSummary {
+    /// A summary of a run of `scenario` in which nothing has happened yet.
+    pub fn new(scenario: impl Into<String>, mode: Mode, seed: u64) -> Self {
+        Self {
+            schema: SCHEMA,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            mode,
+            scenario: scenario.into(),
+            seed,
+            sim_secs: 0.0,
+            wall_secs: 0.0,
+            state_hash: None,
+            task: TaskSummary::default(),
+            controllers: Vec::new(),
+            faults: Vec::new(),
+            force_newtons_max: 0.0,
+            penetration_max: 0.0,
+            recording: None,
+            recording_complete: false,
+            report: None,
+            error: None,
+        }
+    }
+
+    /// How the process should end when `expectations_failed` says whether a fault plan's `[expect]` was
+    /// missed; an `error` of the program itself is for the caller to judge.
+    pub fn exit(&self, expectations_failed: bool) -> Exit {
+        let finished = self.task.completed || self.task.cut_off;
+        if finished && !expectations_failed { Exit::Ok } else { Exit::Failed }
+    }
+}
+
+/// How an exercise went. The score is FLS-style; it is not clinically validated.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TaskSummary {
+    /// Whether everything was done.
+    pub completed: bool,
+    /// Whether `--seconds` (or an interrupt) ended the run before the exercise was over. An exercise whose own
+    /// time limit ran out is over: not completed, score 0, not cut off.
+    pub cut_off: bool,
+    /// 0–100; null until the exercise is over.
+    #[schemars(range(min = 0.0, max = 100.0))]
+    pub score: Option<f64>,
+    /// Time on the exercise's own clock \[s\].
+    pub seconds: f64,
+    /// What went wrong, in order.
+    pub errors: Vec<TaskErrorSummary>,
+    /// Motion metrics: hand → name → value.
+    pub metrics: BTreeMap<String, BTreeMap<String, f64>>,
+}
+
+/// One error of the trainee.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TaskErrorSummary {
+    /// Kind, such as `drop_in_view`.
+    pub kind: String,
+    /// When \[s\].
+    pub at_secs: f64,
+}
+
+/// How one controller kept its rate.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ControllerSummary {
+    /// Name of the writer, such as `haptics.left`.
+    pub name: String,
+    /// Ticks per second that it should make.
+    pub target_hz: f64,
+    /// Ticks per second that it made.
+    pub achieved_hz: f64,
+    /// Ticks that were due.
+    pub scheduled: u64,
+    /// Share of the scheduled ticks that started less than 1 ms late, 0 to 1.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub on_time: f64,
+    /// How late ticks started.
+    pub lateness_us: Quantiles,
+    /// How long steps took.
+    pub step_us: Quantiles,
+    /// Ticks that never ran.
+    pub missed: u64,
+    /// Batches refused at its handle.
+    pub dropped: u64,
+    /// Batches refused by the Model.
+    pub rejected: u64,
+    /// Batches whose precondition no longer held.
+    pub conflicts: u64,
+    /// How often it was started again.
+    pub restarts: u64,
+}
+
+/// Quantiles of a latency \[µs\].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Quantiles {
+    /// Median.
+    pub p50: f64,
+    /// 99 % lie below.
+    pub p99: f64,
+    /// 99.9 % lie below.
+    pub p999: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+/// What became of one fault. Times in seconds of the session; null for what did not happen.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FaultSummary {
+    /// Its id in the plan.
+    pub id: String,
+    /// Whom it struck.
+    pub target: String,
+    /// What it did, such as `kill`.
+    pub kind: String,
+    /// When it struck \[s\].
+    pub injected_secs: Option<f64>,
+    /// When somebody noticed \[s\].
+    pub detected_secs: Option<f64>,
+    /// When the replacement was built \[s\].
+    pub restarted_secs: Option<f64>,
+    /// When the target did good work again \[s\].
+    pub resumed_secs: Option<f64>,
+}
+
+/// Measured figures beside their floors and bars.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BenchSummary {
+    /// Version of this object: 1.
+    pub schema: u32,
+    /// Where it was measured.
+    pub machine: Machine,
+    /// One row for every figure.
+    pub results: Vec<BenchResult>,
+    /// What went wrong, in words.
+    pub error: Option<String>,
+}
+
+impl BenchSummary {
+    /// A summary without results.
+    pub fn new(machine: Machine) -> Self {
+        Self { schema: SCHEMA, machine, results: Vec::new(), error: None }
+    }
+    /// Names of the figures whose bar does not hold.
+    pub fn missed(&self) -> impl Iterator<Item = &str> {
+        self.results.iter().filter(|row| !row.holds).map(|row| row.name.as_str())
+    }
+}
+
+/// The machine on which something was measured.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Machine {
+    /// Model of the processor.
+    pub cpu: String,
+    /// Processors that this process may use.
+    pub cores: u32,
+    /// Frequency governor; null when the system does not tell.
+    pub governor: Option<String>,
+    /// Whether threads got real-time (FIFO) scheduling.
+    pub fifo: bool,
+}
+
+/// Whether small or large values are good.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Better {
+    /// The smaller, the better.
+    Lower,
+    /// The larger, the better.
+    Higher,
+}
+
+/// One measured figure.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BenchResult {
+    /// What was measured.
+    pub name: String,
+    /// Median over the blocks, in `unit`.
+    pub value: f64,
+    /// Unit of `value`, `floor` and `spread`.
+    pub unit: String,
+    /// What a bare loop of the same kind reached in blocks between ours.
+    pub floor: Option<f64>,
+    /// `value / floor`.
+    pub ratio: Option<f64>,
+    /// What the ratio (or, without a floor, the value) is held against; null for figures that are only told.
+    pub bar: Option<f64>,
+    /// Which side of the bar is good.
+    pub better: Better,
+    /// Whether the bar holds; true without a bar.
+    pub holds: bool,
+    /// Half the range between the quartiles of the blocks, in `unit`.
+    pub spread: f64,
+}
+
+impl BenchResult {
+    /// A figure that is held against a bar on the value itself.
+    pub fn on_value(
+        name: impl Into<String>,
+        unit: impl Into<String>,
+        (value, spread): (f64, f64),
+        bar: Option<f64>,
+        better: Better,
+    ) -> Self {
+        let holds = bar.is_none_or(|bar| better.holds(value, bar));
+        let (name, unit) = (name.into(), unit.into());
+        Self { name, value, unit, floor: None, ratio: None, bar, better, holds, spread }
+    }
+
+    /// A figure that is held against a bar on its ratio to a floor that was measured beside it.
+    pub fn on_ratio(
+        name: impl Into<String>,
+        unit: impl Into<String>,
+        (value, spread): (f64, f64),
+        floor: f64,
+        bar: Option<f64>,
+        better: Better,
+    ) -> Self {
+        let ratio = if floor != 0.0 { value / floor } else { f64::INFINITY };
+        let holds = bar.is_none_or(|bar| better.holds(ratio, bar));
+        let (name, unit) = (name.into(), unit.into());
+        // JSON has no infinity: a ratio to a floor of nothing is not known.
+        let ratio = Some(ratio).filter(|ratio| ratio.is_finite());
+        Self { name, value, unit, floor: Some(floor), ratio, bar, better, holds, spread }
+    }
+}
+
+impl Better {
+    /// Whether `value` is on the good side of `bar`; NaN never is.
+    pub fn holds(self, value: f64, bar: f64) -> bool {
+        match self {
+            Self::Lower => value <= bar,
+            Self::Higher => value >= bar,
+        }
+    }
+}
+
+/// JSON schema of [`RunSummary`].
+pub fn run_schema() -> serde_json::Value {
+    strict(schemars::schema_for!(RunSummary).to_value())
+}
+
+/// JSON schema of [`BenchSummary`].
+pub fn bench_schema() -> serde_json::Value {
+    strict(schemars::schema_for!(BenchSummary).to_value())
+}
+
+/// Marks every property of every object as required: fields are null when unknown, never absent.
+fn strict(mut schema: serde_json::Value) -> serde_json::Value {
+    fn visit(node: &mut serde_json::Value) {
+        if let Some(object) = node.as_object_mut() {
+            let names = object
+                .get("properties")
+                .and_then(|properties| properties.as_object())
+                .map(|properties| properties.keys().cloned().collect::<Vec<_>>());
+            if let Some(names) = names {
+                object.insert("required".to_owned(), names.into());
+            }
+            object.values_mut().for_each(visit);
+        }
+        if let Some(list) = node.as_array_mut() {
+            list.iter_mut().for_each(visit);
+        }
+    }
+    visit(&mut schema);
+    schema
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_that_was_cut_off_or_completed_is_no_failure() {
+        let mut summary = RunSummary::new("peg-transfer", Mode::Live, 1);
+        assert_eq!(summary.exit(false), Exit::Failed);
+        summary.task.cut_off = true;
+        assert_eq!(summary.exit(false), Exit::Ok);
+        summary.task = TaskSummary { completed: true, ..TaskSummary::default() };
+        assert_eq!(summary.exit(false), Exit::Ok);
+        assert_eq!(summary.exit(true), Exit::Failed);
+        assert_eq!(summary.exit(true).code(), 1);
+    }
+
+    #[test]
+    fn a_bar_holds_on_its_good_side_only() {
+        let row = |value, better| BenchResult::on_value("x", "ns", (value, 0.0), Some(60.0), better).holds;
+        assert!(row(60.0, Better::Lower) && row(60.0, Better::Higher));
+        assert!(row(12.0, Better::Lower) && !row(12.0, Better::Higher));
+        assert!(!row(f64::NAN, Better::Lower) && !row(f64::NAN, Better::Higher));
+    }
+
+    #[test]
+    fn a_ratio_is_held_against_the_bar_and_a_floor_of_nothing_gives_none() {
+        let row = BenchResult::on_ratio("x", "us", (30.0, 1.0), 25.0, Some(1.0), Better::Lower);
+        assert_eq!(row.ratio, Some(1.2));
+        assert!(!row.holds);
+        let row = BenchResult::on_ratio("x", "us", (30.0, 1.0), 0.0, Some(1.5), Better::Lower);
+        assert_eq!((row.ratio, row.holds), (None, false));
+    }
+
+    #[test]
+    fn the_schemas_require_every_field_that_is_printed() {
+        let summary = serde_json::to_value(RunSummary::new("x", Mode::Lockstep, 0)).unwrap();
+        let schema = run_schema();
+        let required: Vec<_> =
+            schema["required"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
+        let mut printed: Vec<_> = summary.as_object().unwrap().keys().map(String::as_str).collect();
+        printed.sort_unstable();
+        let mut sorted = required.clone();
+        sorted.sort_unstable();
+        assert_eq!(printed, sorted);
+        assert_eq!(summary["mode"], "lockstep");
+    }
+}

@@ -1,0 +1,276 @@
+//! What a run looked like, in bounded memory however long it was: for the report.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use trocar_scene::{
+    Component, DeviceForce, DeviceState, Entity, Grasp, Hand, HapticStatus, JawState, Snapshot, TaskState,
+};
+
+use crate::decimate::{Series, Track};
+
+/// Buckets of a number over time.
+const SERIES_BUCKETS: usize = 1024;
+/// Buckets of a path.
+const TRACK_BUCKETS: usize = 4096;
+/// Width of the first buckets \[s\].
+const INTERVAL_SECS: f64 = 0.005;
+/// Most phases, marks and events that are kept; more are counted.
+pub const MARKS_MAX: usize = 4096;
+
+/// How one hand moved and what it felt.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HandTrace {
+    /// Path of the instrument's tip in world \[m\].
+    pub tip_in_world: Track,
+    /// Magnitude of the force that the driver rendered, after its limits \[N\].
+    pub applied_force: Series,
+    /// Magnitude of the force that haptics asked for \[N\].
+    pub asked_force: Series,
+    /// Energy observed at the device's port \[J\].
+    pub energy: Series,
+    /// Full opening of the jaws \[rad\].
+    pub jaw_angle: Series,
+    /// When the instrument held something: from, to \[s\].
+    pub held: Vec<(f64, f64)>,
+}
+
+impl Default for HandTrace {
+    fn default() -> Self {
+        let series = || Series::new(INTERVAL_SECS, SERIES_BUCKETS);
+        Self {
+            tip_in_world: Track::new(INTERVAL_SECS, TRACK_BUCKETS),
+            applied_force: series(),
+            asked_force: series(),
+            energy: series(),
+            jaw_angle: series(),
+            held: Vec::new(),
+        }
+    }
+}
+
+/// Something that happened at an instant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Mark {
+    /// When \[s\].
+    pub secs: f64,
+    /// What: an error's kind, a phase, or the name of an event.
+    pub what: String,
+    /// To what it happened.
+    pub subject: Option<String>,
+    /// Where that was in world \[m\].
+    pub position_in_world: Option<[f64; 3]>,
+}
+
+/// A run as time series, sampled from snapshots.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct RunTrace {
+    /// Hands by side.
+    pub hands: BTreeMap<String, HandTrace>,
+    /// Phases of the exercise: when each began.
+    pub phases: Vec<Mark>,
+    /// Steps done over time.
+    pub done: Vec<(f64, u32)>,
+    /// Errors of the trainee.
+    pub errors: Vec<Mark>,
+    /// Events of the scene.
+    pub events: Vec<Mark>,
+    /// Events that nobody saw, or that were one too many to keep.
+    pub events_lost: u64,
+    /// Time of the last sample \[s\].
+    pub secs: f64,
+    cursor: u64,
+    errors_seen: usize,
+}
+
+impl RunTrace {
+    /// An empty one.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes in the scene as it is now. Meant to be called about a hundred times per second; a snapshot
+    /// that is older than the last one is ignored.
+    pub fn sample(&mut self, scene: &Snapshot) {
+        let secs = scene.time().as_secs_f64();
+        if secs < self.secs {
+            return;
+        }
+        self.secs = secs;
+        for (entity, hand) in scene.iter::<Hand>() {
+            let trace = self.hands.entry(hand.side.as_str().to_owned()).or_default();
+            trace.sample(secs, scene, entity, hand.instrument);
+        }
+        if let Some((_, task)) = scene.iter::<TaskState>().next() {
+            self.sample_task(secs, scene, task);
+        }
+        self.sample_events(scene);
+    }
+
+    fn sample_task(&mut self, secs: f64, scene: &Snapshot, task: &TaskState) {
+        let same_phase = self.phases.last().is_some_and(|mark| mark.what == task.phase);
+        if !same_phase && !task.phase.is_empty() && self.phases.len() < MARKS_MAX {
+            let mark = Mark { secs, what: task.phase.clone(), subject: None, position_in_world: None };
+            self.phases.push(mark);
+        }
+        if self.done.last().is_none_or(|(_, done)| *done != task.done) && self.done.len() < MARKS_MAX {
+            self.done.push((secs, task.done));
+        }
+        for error in task.errors.iter().skip(self.errors_seen) {
+            if self.errors.len() < MARKS_MAX {
+                // The error's own time may lie on the exercise's clock: this is the session's.
+                self.errors.push(mark(secs, &error.kind, error.entity, scene));
+            }
+        }
+        self.errors_seen = self.errors_seen.max(task.errors.len());
+    }
+
+    fn sample_events(&mut self, scene: &Snapshot) {
+        let log = scene.events();
+        self.events_lost += log.first().saturating_sub(self.cursor);
+        for (_, event) in log.since(self.cursor) {
+            if self.events.len() < MARKS_MAX {
+                self.events.push(mark(event.at.as_secs_f64(), &event.name, Some(event.subject), scene));
+            } else {
+                self.events_lost += 1;
+            }
+        }
+        self.cursor = log.next();
+    }
+}
+
+fn mark(secs: f64, what: &str, subject: Option<Entity>, scene: &Snapshot) -> Mark {
+    Mark {
+        secs,
+        what: what.to_owned(),
+        subject: subject.map(|entity| scene.name(entity)),
+        position_in_world: subject
+            .filter(|entity| scene.contains(*entity))
+            .map(|entity| scene.world_pose(entity).translation.vector.into()),
+    }
+}
+
+impl HandTrace {
+    fn sample(&mut self, secs: f64, scene: &Snapshot, hand: Entity, instrument: Entity) {
+        if scene.contains(instrument) {
+            let tip_in_world = scene.world_pose(instrument).translation.vector;
+            self.tip_in_world.push(secs, tip_in_world.into());
+        }
+        // A device's components stand on the hand; a scenario may as well put them on the instrument.
+        if let Some(state) = either::<DeviceState>(scene, hand, instrument) {
+            self.applied_force.push(secs, state.applied_force.norm().into());
+        }
+        if let Some(asked) = either::<DeviceForce>(scene, hand, instrument) {
+            self.asked_force.push(secs, asked.force.norm().into());
+        }
+        if let Some(status) = either::<HapticStatus>(scene, hand, instrument) {
+            self.energy.push(secs, status.energy.into());
+        }
+        if let Some(jaws) = either::<JawState>(scene, instrument, hand) {
+            self.jaw_angle.push(secs, jaws.angle.into());
+        }
+        if let Some(grasp) = either::<Grasp>(scene, instrument, hand) {
+            let since = grasp.since.as_secs_f64();
+            let room = self.held.len() < MARKS_MAX;
+            match self.held.last_mut() {
+                Some((_, to)) if since <= *to => *to = secs,
+                _ if room => self.held.push((since.min(secs), secs)),
+                _ => {}
+            }
+        }
+    }
+}
+
+fn either<T: Component>(scene: &Snapshot, first: Entity, second: Entity) -> Option<&T> {
+    scene.get::<T>(first).or_else(|| scene.get::<T>(second))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trocar_scene::{
+        Commands, EntityAllocator, Instrument, Name, Pose, Registry, Side, SimTime, Store, TaskError,
+    };
+
+    fn scene() -> (Store, Commands, Entity, Entity) {
+        let registry = Registry::of_the_field();
+        let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, 0));
+        let (hand, grasper) = (commands.spawn(), commands.spawn());
+        commands.put(
+            hand,
+            Hand { side: Side::Left, instrument: grasper, world_from_device: Pose::default(), scale: 1.0 },
+        );
+        commands.put(grasper, Instrument::default());
+        commands.put(grasper, Name("grasper.left".to_owned()));
+        (Store::new(registry), commands, hand, grasper)
+    }
+
+    fn commit(store: &mut Store, commands: &mut Commands, millis: u64) -> Snapshot {
+        commands.seal();
+        store.apply(commands, SimTime::from_millis(millis));
+        commands.clear();
+        store.snapshot()
+    }
+
+    #[test]
+    fn a_hand_leaves_its_path_its_force_and_what_it_held() {
+        let (mut store, mut commands, hand, grasper) = scene();
+        let mut trace = RunTrace::new();
+        for i in 0..50u64 {
+            let z = i as f64 * 0.001;
+            commands.put(grasper, Pose::at(0.01, 0.02, z));
+            let state =
+                DeviceState { applied_force: nalgebra::Vector3::new(0.0, 3.0, 4.0), ..Default::default() };
+            commands.put(hand, state);
+            if i == 10 || i == 30 {
+                let grasp = Grasp {
+                    held: hand,
+                    anchor: Pose::default(),
+                    since: SimTime::from_millis(i * 10),
+                    assisted: false,
+                };
+                commands.put(grasper, grasp);
+            } else if i == 20 || i == 40 {
+                commands.remove::<Grasp>(grasper);
+            }
+            trace.sample(&commit(&mut store, &mut commands, i * 10));
+        }
+        let left = &trace.hands["left"];
+        assert_eq!(left.tip_in_world.iter().last().unwrap().1, [0.01, 0.02, 0.049]);
+        assert_eq!(left.applied_force.range(), Some((5.0, 5.0)));
+        let millis = |secs: f64| (secs * 1e3).round() as u32;
+        let held: Vec<_> = left.held.iter().map(|(from, to)| (millis(*from), millis(*to))).collect();
+        assert_eq!(held, [(100, 190), (300, 390)]);
+        assert!(left.energy.is_empty(), "nobody wrote a haptic status");
+        assert_eq!(trace.secs, 0.49);
+    }
+
+    #[test]
+    fn phases_errors_and_events_are_taken_once_and_an_old_snapshot_not_at_all() {
+        let (mut store, mut commands, hand, grasper) = scene();
+        let mut trace = RunTrace::new();
+        commands.put(grasper, Pose::at(0.0, 0.0, 0.05));
+        let mut task = TaskState { phase: "lift".to_owned(), steps: 12, ..TaskState::default() };
+        commands.put(hand, task.clone());
+        commands.event("lifted", grasper, None, 1.0);
+        let first = commit(&mut store, &mut commands, 10);
+        trace.sample(&first);
+        trace.sample(&first);
+        task.phase = "place".to_owned();
+        task.done = 1;
+        let error = TaskError { kind: "drop_in_view".to_owned(), at_secs: 0.0, entity: Some(grasper) };
+        task.errors.push(error);
+        commands.put(hand, task);
+        commands.event("placed", grasper, None, 1.0);
+        trace.sample(&commit(&mut store, &mut commands, 20));
+        trace.sample(&first);
+        let names = |marks: &[Mark]| marks.iter().map(|mark| mark.what.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&trace.phases), ["lift", "place"]);
+        assert_eq!(names(&trace.events), ["lifted", "placed"]);
+        assert_eq!(trace.done, [(0.01, 0), (0.02, 1)]);
+        assert_eq!(trace.errors.len(), 1);
+        assert_eq!(trace.errors[0].subject.as_deref(), Some("grasper.left"));
+        assert_eq!(trace.errors[0].position_in_world, Some([0.0, 0.0, 0.05]));
+        assert_eq!((trace.events_lost, trace.secs), (0, 0.02));
+    }
+}
