@@ -165,6 +165,10 @@ pub struct HapticStatus {
     pub dissipated: f64,
     /// Damping that the passivity controller injects now \[N·s/m\].
     pub injected_damping: f64,
+    /// Power that it takes out now \[W\]: what passivity costs.
+    pub damping_power: f64,
+    /// Stiffness that the hand feels \[N/m\]; 0 out of contact and while it hardly moves in one.
+    pub felt_stiffness: f64,
     /// Largest force asked for so far \[N\].
     pub force_max: f64,
     /// Ticks without a fresh device sample.

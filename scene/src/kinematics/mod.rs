@@ -3,5 +3,6 @@
 
 pub mod coupling;
 pub mod fulcrum;
+pub mod hand_rig;
 pub mod registration;
 pub mod spatial;

@@ -1,0 +1,96 @@
+//! The stiffness that a hand feels, estimated while it is being felt.
+//!
+//! Recursive least squares with exponential forgetting of `F = F₀ − K x` along the direction of the force:
+//! the slope is minus the covariance of force and position over the variance of the position.
+
+use nalgebra::Vector3;
+
+/// Force below which there is nothing to feel \[N\].
+const FORCE_MIN: f64 = 0.1;
+/// Standard deviation of the position below which the slope says nothing \[m\].
+const SPREAD_MIN: f64 = 2e-5;
+
+/// Estimates −dF/dx at the hand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeltStiffness {
+    window: f64,
+    normal: Vector3<f64>,
+    weight: f64,
+    mean_position: f64,
+    mean_force: f64,
+    variance: f64,
+    covariance: f64,
+}
+
+impl FeltStiffness {
+    /// Forgets with the time constant `window` \[s\].
+    pub fn new(window: f64) -> Self {
+        Self {
+            window: window.max(1e-3),
+            normal: Vector3::zeros(),
+            weight: 0.0,
+            mean_position: 0.0,
+            mean_force: 0.0,
+            variance: 0.0,
+            covariance: 0.0,
+        }
+    }
+
+    /// Takes the handle's position \[m\] and the force on the hand \[N\] of a tick of `dt` \[s\]; both in
+    /// the device's frame. Starts anew when contact is made or the force turns by more than about 25°.
+    pub fn update(&mut self, position: &Vector3<f64>, force: &Vector3<f64>, dt: f64) {
+        let size = force.norm();
+        if size < FORCE_MIN {
+            *self = Self::new(self.window);
+            return;
+        }
+        if self.weight == 0.0 || force.dot(&self.normal) < 0.9 * size {
+            *self = Self { normal: force / size, ..Self::new(self.window) };
+        }
+        let keep = (1.0 - dt / self.window).max(0.0);
+        self.weight = self.weight * keep + 1.0;
+        let gain = 1.0 / self.weight;
+        let position = position.dot(&self.normal) - self.mean_position;
+        let force = force.dot(&self.normal) - self.mean_force;
+        self.mean_position += gain * position;
+        self.mean_force += gain * force;
+        self.variance = (1.0 - gain) * (self.variance + gain * position * position);
+        self.covariance = (1.0 - gain) * (self.covariance + gain * position * force);
+    }
+
+    /// Stiffness \[N/m\], or `None` out of contact and while the hand has hardly moved in it.
+    pub fn value(&self) -> Option<f64> {
+        (self.variance > SPREAD_MIN * SPREAD_MIN).then(|| -self.covariance / self.variance)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_spring_is_measured_and_forgotten_on_release() {
+        let mut felt = FeltStiffness::new(0.2);
+        let normal = Vector3::new(0.0, 0.6, 0.8);
+        for tick in 0..500 {
+            let depth = 0.002 + 0.0005 * (f64::from(tick) * 0.05).sin();
+            felt.update(&(normal * -depth), &(normal * depth * 800.0), 1e-3);
+        }
+        assert!((felt.value().unwrap() - 800.0).abs() < 1e-6);
+        felt.update(&Vector3::zeros(), &Vector3::zeros(), 1e-3);
+        assert_eq!(felt.value(), None);
+    }
+
+    #[test]
+    fn a_constant_push_has_no_stiffness() {
+        let mut felt = FeltStiffness::new(0.2);
+        for tick in 0..500 {
+            let x = 0.001 * (f64::from(tick) * 0.05).sin();
+            felt.update(&Vector3::new(x, 0.0, 0.0), &Vector3::new(1.0, 0.0, 0.0), 1e-3);
+        }
+        assert!(felt.value().unwrap().abs() < 1e-9);
+        let mut still = FeltStiffness::new(0.2);
+        still.update(&Vector3::zeros(), &Vector3::x(), 1e-3);
+        assert_eq!(still.value(), None);
+    }
+}

@@ -1,0 +1,49 @@
+//! The simulation's force, held between its steps: the extended-MVC paper's own way.
+//!
+//! A zero-order hold delays the wall by half a period of the *physics*, so its stiffness is bounded by
+//! `K ≲ 2b/T` (Colgate & Schenkel 1997): 50 ms of hold leave about 21 N/m. Honest at the hand's own rate.
+
+use super::{ForceRenderer, RenderInput, freshness};
+use crate::spatial::Wrench;
+
+/// Age after which a held force fades \[s\].
+const FADE_SECS: f64 = 0.25;
+
+/// Renders [`InstrumentForce`](trocar_scene::InstrumentForce) as it stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Held;
+
+impl ForceRenderer for Held {
+    fn render(&mut self, input: &RenderInput<'_>) -> Wrench {
+        let Some(held) = input.instrument_force else { return Wrench::ZERO };
+        let fresh = freshness(input.now.since(held.at).as_secs_f64(), FADE_SECS);
+        Wrench::new(held.force, held.torque) * fresh
+    }
+    fn reset(&mut self) {}
+    fn name(&self) -> &'static str {
+        "held"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::input_at;
+    use super::*;
+    use nalgebra::Vector3;
+    use trocar_scene::{InstrumentForce, SimTime};
+
+    #[test]
+    fn the_force_is_held_and_fades_when_nobody_renews_it() {
+        let force = InstrumentForce { force: Vector3::z(), ..InstrumentForce::default() };
+        let at = |millis| {
+            let mut input = input_at(Vector3::zeros());
+            input.now = SimTime::from_millis(millis);
+            input.instrument_force = Some(&force);
+            Held.render(&input).force.z
+        };
+        assert_eq!((at(0), at(250)), (1.0, 1.0));
+        assert!((at(375) - 0.5).abs() < 1e-12);
+        assert_eq!(at(500), 0.0);
+        assert_eq!(Held.render(&input_at(Vector3::zeros())), Wrench::ZERO);
+    }
+}

@@ -1,0 +1,138 @@
+//! Force renderers: what the hand feels of a simulation that is slower than the hand.
+//!
+//! All of them answer the same question, once per haptic tick: given where the device wants the tip to be,
+//! which wrench acts on the hand *at the tip*? They differ in what they take from the simulation:
+//!
+//! | renderer | takes | fit for |
+//! |---|---|---|
+//! | [`Held`] | the last force | physics at the hand's own rate |
+//! | [`VirtualCoupling`] | the instrument's pose | physics from about 500 Hz |
+//! | [`Proxy`] | planes with compliance, evaluated at the device's present pose | any rate |
+
+mod held;
+mod proxy;
+mod virtual_coupling;
+
+pub use held::Held;
+pub use proxy::{Proxy, ProxyConfig};
+pub use virtual_coupling::{VirtualCoupling, VirtualCouplingConfig};
+
+use nalgebra::Isometry3;
+use serde::{Deserialize, Serialize};
+use trocar_scene::{InstrumentForce, LocalContactModel, SimTime};
+
+use crate::spatial::{Twist, Wrench};
+
+/// What a renderer sees in a tick. Poses and velocities in world, at the tip.
+#[derive(Clone, Copy, Debug)]
+pub struct RenderInput<'a> {
+    /// Time of the tick.
+    pub now: SimTime,
+    /// Time between ticks \[s\].
+    pub dt: f64,
+    /// Where the device has the tip: `world_from_tip`.
+    pub tip_in_world: Isometry3<f64>,
+    /// Its velocity.
+    pub tip_twist: Twist,
+    /// Stiffness at the tip that the device bears through the present lever \[N/m\].
+    pub stiffness_max: f64,
+    /// Damping at the tip that the device bears through the present lever \[N·s/m\].
+    pub damping_max: f64,
+    /// Where the simulation has the instrument.
+    pub instrument: Option<SimulatedInstrument>,
+    /// The force that the simulation computed.
+    pub instrument_force: Option<&'a InstrumentForce>,
+    /// The local model that the simulation published.
+    pub contact_model: Option<&'a LocalContactModel>,
+}
+
+/// The simulation's own instrument.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimulatedInstrument {
+    /// `world_from_tip` at `at`.
+    pub tip_in_world: Isometry3<f64>,
+    /// Its velocity, in world.
+    pub twist: Twist,
+    /// When it was there.
+    pub at: SimTime,
+}
+
+/// Turns the simulation's state into a wrench on the hand, at the tip, in world.
+pub trait ForceRenderer: Send {
+    /// One haptic tick. Allocates nothing; a finite input gives a finite answer.
+    fn render(&mut self, input: &RenderInput<'_>) -> Wrench;
+    /// Forgets contacts and blends; the next tick starts afresh.
+    fn reset(&mut self);
+    /// The name under which a scenario selects it.
+    fn name(&self) -> &'static str;
+}
+
+/// Which renderer a hand uses, with its parameters.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum RendererConfig {
+    /// The simulation's last force, held (the paper's way).
+    Held,
+    /// A spring and damper to the simulated instrument.
+    VirtualCoupling(VirtualCouplingConfig),
+    /// A constraint proxy on the simulation's local contact model.
+    Proxy(ProxyConfig),
+}
+
+impl Default for RendererConfig {
+    fn default() -> Self {
+        Self::Proxy(ProxyConfig::default())
+    }
+}
+
+impl RendererConfig {
+    /// Makes the renderer.
+    pub fn build(&self) -> Box<dyn ForceRenderer> {
+        match self {
+            Self::Held => Box::new(Held),
+            Self::VirtualCoupling(config) => Box::new(VirtualCoupling::new(*config)),
+            Self::Proxy(config) => Box::new(Proxy::new(*config)),
+        }
+    }
+}
+
+/// How much of a simulation's statement of age `age_secs` still counts: all of it for `fade_secs`, then less
+/// and less until nothing is left after twice that time. A simulation that died must not press on a hand
+/// for ever.
+fn freshness(age_secs: f64, fade_secs: f64) -> f64 {
+    (2.0 - age_secs / fade_secs).clamp(0.0, 1.0)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    /// A resting tip at `tip` at time zero, 1 kHz, nothing published.
+    pub(crate) fn input_at(tip: Vector3<f64>) -> RenderInput<'static> {
+        RenderInput {
+            now: SimTime::ZERO,
+            dt: 1e-3,
+            tip_in_world: Isometry3::from_parts(tip.into(), nalgebra::UnitQuaternion::identity()),
+            tip_twist: Twist::ZERO,
+            stiffness_max: 2000.0,
+            damping_max: 10.0,
+            instrument: None,
+            instrument_force: None,
+            contact_model: None,
+        }
+    }
+
+    #[test]
+    fn every_renderer_is_selected_by_its_name() {
+        for (text, name) in [
+            (r#"{"kind":"held"}"#, "held"),
+            (r#"{"kind":"virtual_coupling","stiffness":500.0}"#, "virtual_coupling"),
+            (r#"{"kind":"proxy","damping":1.0}"#, "proxy"),
+        ] {
+            let config: RendererConfig = serde_json::from_str(text).unwrap();
+            assert_eq!(config.build().name(), name);
+        }
+        assert!(serde_json::from_str::<RendererConfig>(r#"{"kind":"magic"}"#).is_err());
+    }
+}

@@ -1,0 +1,359 @@
+//! Constraint proxy on a local contact model.
+//!
+//! Zilles & Salisbury 1995, "A constraint-based god-object method for haptic display"; Ruspini, Kolarov &
+//! Khatib 1997, "The haptic display of complex graphical environments". The simulation publishes up to four
+//! planes; the proxy is the point nearest to the device on their allowed side, and a spring pulls the hand
+//! to it. Since the planes are evaluated at the *present* device position, the delay of the wall is one
+//! haptic tick, however slow the physics is.
+//!
+//! Each plane may yield. With coupling stiffness `K`, plane stiffness `k_i`, normals `n_i` and depths `δ_i`
+//! of the device, the normal forces `λ_i` solve
+//!
+//! `0 ≤ λ_i  ⊥  Σ_j (n_i·n_j/K) λ_j + c_i λ_i − δ_i ≥ 0`,  `c_i = max(0, 1/k_i − 1/K)`:
+//!
+//! a rigid plane feels like `K`, a softer one like itself, and two detectors that report one plane twice do
+//! not double it. Friction holds the proxy back within Coulomb's cone.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use trocar_scene::{ContactPlane, LocalContactModel};
+
+use super::{ForceRenderer, RenderInput, freshness};
+use crate::spatial::Wrench;
+
+/// Sweeps of the projected Gauss-Seidel iteration.
+const SWEEPS: usize = 32;
+/// Age of a model after which it fades \[s\]; physics at 10 Hz renews it every 0.1 s.
+const FADE_SECS: f64 = 0.5;
+/// A depth over which contact damping sets in \[m\]: a damper that acts at once at the surface chatters.
+const DAMPING_DEPTH: f64 = 1e-4;
+
+/// Parameters of the proxy.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ProxyConfig {
+    /// Stiffness between device and proxy \[N/m\]: what a rigid wall feels like; bounded by what the device
+    /// bears.
+    pub stiffness: f64,
+    /// Damping along the normal while in contact \[N·s/m\], in addition to each plane's own.
+    pub damping: f64,
+    /// Shortest and longest time constant with which a change of the model is blended in \[s\]; in between
+    /// it is half of the time between two models.
+    pub blend_secs: [f64; 2],
+}
+
+impl Default for ProxyConfig {
+    fn default() -> Self {
+        Self { stiffness: 1000.0, damping: 2.0, blend_secs: [0.002, 0.02] }
+    }
+}
+
+/// The proxy and the blend between models.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Proxy {
+    config: ProxyConfig,
+    /// Where friction holds the proxy, while in contact.
+    anchor: Option<Vector3<f64>>,
+    /// The model of the tick before.
+    model: Option<LocalContactModel>,
+    /// What the previous models would add still.
+    remainder: Vector3<f64>,
+    blend_secs: f64,
+}
+
+impl Proxy {
+    /// Out of contact.
+    pub fn new(config: ProxyConfig) -> Self {
+        Self {
+            config,
+            anchor: None,
+            model: None,
+            remainder: Vector3::zeros(),
+            blend_secs: config.blend_secs[0],
+        }
+    }
+
+    /// What a model says at the device's present position \[N\], and where friction then holds the proxy.
+    fn force_of(
+        &self,
+        model: &LocalContactModel,
+        input: &RenderInput<'_>,
+    ) -> (Vector3<f64>, Option<Vector3<f64>>) {
+        let fresh = freshness(input.now.since(model.at).as_secs_f64(), FADE_SECS);
+        let (contact, anchor) = self.contact_force(model, input);
+        ((contact + model.base_force) * fresh, anchor)
+    }
+
+    fn contact_force(
+        &self,
+        model: &LocalContactModel,
+        input: &RenderInput<'_>,
+    ) -> (Vector3<f64>, Option<Vector3<f64>>) {
+        let tip = input.tip_in_world.translation.vector;
+        let velocity = input.tip_twist.linear;
+        let stiffness = self.config.stiffness.min(input.stiffness_max).max(1e-6);
+        let contacts = Contacts::near(&model.planes, &tip, stiffness);
+        let lambda = contacts.solve(stiffness);
+
+        let mut normal_force = Vector3::zeros();
+        let mut friction = 0.0f64;
+        for (contact, lambda) in contacts.iter().zip(lambda) {
+            if lambda <= 0.0 {
+                continue;
+            }
+            let onset = (contact.depth / DAMPING_DEPTH).clamp(0.0, 1.0);
+            let damping = (contact.damping + self.config.damping).min(input.damping_max) * onset;
+            let closing = -contact.normal.dot(&velocity);
+            // Never below zero: a contact that pulls would be felt as glue.
+            normal_force += contact.normal * (lambda + damping * closing).max(0.0);
+            friction = friction.max(contact.friction);
+        }
+        let size = normal_force.norm();
+        if size <= 0.0 {
+            return (Vector3::zeros(), None);
+        }
+        let normal = normal_force / size;
+        let anchor = self.anchor.unwrap_or(tip);
+        let slide = anchor - tip;
+        let tangential = (slide - normal * normal.dot(&slide)) * stiffness;
+        let limit = friction * size;
+        let tangential = if tangential.norm() > limit {
+            if limit > 0.0 { tangential.normalize() * limit } else { Vector3::zeros() }
+        } else {
+            tangential
+        };
+        (normal_force + tangential, Some(tip + tangential / stiffness))
+    }
+}
+
+impl ForceRenderer for Proxy {
+    fn render(&mut self, input: &RenderInput<'_>) -> Wrench {
+        let Some(model) = input.contact_model else {
+            self.reset();
+            return Wrench::ZERO;
+        };
+        let (force, anchor) = self.force_of(model, input);
+        if self.model.as_ref().map(|before| before.at) != Some(model.at) {
+            // Old and new are compared at the same, present pose: comparing with the force of the tick
+            // before would blend the hand's own motion too, which delays the wall. Before the first model
+            // there is nothing, so a hand that comes back inside of a wall is led out gently.
+            let before = self.model.map_or(Vector3::zeros(), |before| {
+                let [shortest, longest] = self.config.blend_secs;
+                let renewal = model.at.since(before.at).as_secs_f64();
+                self.blend_secs = (0.5 * renewal).min(longest).max(shortest);
+                self.force_of(&before, input).0
+            });
+            self.remainder += before - force;
+            self.model = Some(*model);
+        }
+        self.anchor = anchor;
+        self.remainder *= (-input.dt / self.blend_secs.max(1e-6)).exp();
+        Wrench::new(force + self.remainder, Vector3::zeros())
+    }
+    fn reset(&mut self) {
+        *self = Self::new(self.config);
+    }
+    fn name(&self) -> &'static str {
+        "proxy"
+    }
+}
+
+/// One plane that the device is behind.
+#[derive(Clone, Copy)]
+struct Contact {
+    normal: Vector3<f64>,
+    depth: f64,
+    compliance: f64,
+    damping: f64,
+    friction: f64,
+}
+
+/// The planes that the device is behind, at most as many as a model holds.
+struct Contacts {
+    list: [Option<Contact>; 4],
+}
+
+impl Contacts {
+    fn near(planes: &[Option<ContactPlane>; 4], tip: &Vector3<f64>, stiffness: f64) -> Self {
+        let mut list = [None; 4];
+        for (slot, plane) in list.iter_mut().zip(planes.iter().flatten()) {
+            let size = plane.normal_in_world.norm();
+            if !(size > 0.5 && plane.stiffness > 0.0) {
+                continue;
+            }
+            let normal = plane.normal_in_world / size;
+            let depth = normal.dot(&(plane.point_in_world.coords - tip));
+            // Planes that the device has not reached stay in: pressed out of one, it may meet another.
+            *slot = Some(Contact {
+                normal,
+                depth,
+                compliance: (1.0 / plane.stiffness - 1.0 / stiffness).max(0.0),
+                damping: plane.damping.max(0.0),
+                friction: plane.friction.max(0.0),
+            });
+        }
+        Self { list }
+    }
+
+    fn iter(&self) -> impl Iterator<Item = &Contact> {
+        self.list.iter().flatten()
+    }
+
+    /// Normal forces \[N\], in the order of [`Contacts::iter`].
+    fn solve(&self, stiffness: f64) -> [f64; 4] {
+        let mut lambda = [0.0f64; 4];
+        if self.iter().all(|contact| contact.depth <= 0.0) {
+            return lambda;
+        }
+        for _ in 0..SWEEPS {
+            let mut change = 0.0f64;
+            for (i, contact) in self.iter().enumerate() {
+                let pressed: f64 =
+                    self.iter().zip(lambda).map(|(other, force)| contact.normal.dot(&other.normal) * force).sum();
+                let gap = pressed / stiffness + contact.compliance * lambda[i] - contact.depth;
+                let updated = (lambda[i] - gap / (1.0 / stiffness + contact.compliance)).max(0.0);
+                change = change.max((updated - lambda[i]).abs());
+                lambda[i] = updated;
+            }
+            if change < 1e-9 {
+                break;
+            }
+        }
+        lambda
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::input_at;
+    use super::*;
+    use nalgebra::Point3;
+    use trocar_scene::SimTime;
+
+    fn plane(point: Vector3<f64>, normal: Vector3<f64>, stiffness: f64, friction: f64) -> ContactPlane {
+        ContactPlane {
+            point_in_world: Point3::from(point),
+            normal_in_world: normal.normalize(),
+            stiffness,
+            damping: 0.0,
+            friction,
+        }
+    }
+    fn model(planes: &[ContactPlane]) -> LocalContactModel {
+        let mut model = LocalContactModel::default();
+        for (slot, plane) in model.planes.iter_mut().zip(planes) {
+            *slot = Some(*plane);
+        }
+        model
+    }
+    /// The settled force at a position.
+    fn force(proxy: &mut Proxy, model: &LocalContactModel, tip: Vector3<f64>) -> Vector3<f64> {
+        let mut input = input_at(tip);
+        input.contact_model = Some(model);
+        (0..200).map(|_| proxy.render(&input).force).last().unwrap()
+    }
+    fn fresh() -> Proxy {
+        Proxy::new(ProxyConfig { stiffness: 1000.0, ..ProxyConfig::default() })
+    }
+
+    #[test]
+    fn a_rigid_plane_feels_like_the_coupling_and_a_soft_one_like_itself() {
+        let up = Vector3::z();
+        for (stiffness, felt) in [(1e9, 1000.0), (1000.0, 1000.0), (300.0, 300.0)] {
+            let model = model(&[plane(Vector3::zeros(), up, stiffness, 0.0)]);
+            let pushed = force(&mut fresh(), &model, Vector3::new(0.0, 0.0, -0.002));
+            assert!((pushed - up * 0.002 * felt).norm() < 1e-6, "{stiffness}: {pushed:?}");
+        }
+        let model = model(&[plane(Vector3::zeros(), up, 1e9, 0.0)]);
+        assert_eq!(force(&mut fresh(), &model, Vector3::new(0.0, 0.0, 0.001)), Vector3::zeros());
+    }
+
+    #[test]
+    fn a_plane_reported_twice_is_one_plane() {
+        let twice = plane(Vector3::zeros(), Vector3::z(), 1e6, 0.0);
+        let pushed = force(&mut fresh(), &model(&[twice, twice, twice, twice]), Vector3::new(0.0, 0.0, -0.001));
+        assert!((pushed.z - 1.0).abs() < 2e-3, "{pushed:?}");
+    }
+
+    #[test]
+    fn an_obtuse_corner_holds_the_proxy_on_both_planes() {
+        let (a, b) = (Vector3::new(0.6, 0.0, 0.8), Vector3::new(-0.6, 0.0, 0.8));
+        let corner = model(&[plane(Vector3::zeros(), a, 1e9, 0.0), plane(Vector3::zeros(), b, 1e9, 0.0)]);
+        let tip = Vector3::new(0.0002, 0.0, -0.002);
+        // The nearest allowed point is the corner itself.
+        assert!((force(&mut fresh(), &corner, tip) + tip * 1000.0).norm() < 1e-5);
+        // Outside of plane b's reach only plane a pushes: the proxy is its foot point.
+        let tip = Vector3::new(-0.01, 0.0, 0.0);
+        let foot = a * (-tip.dot(&a)) * 1000.0;
+        assert!((force(&mut fresh(), &corner, tip) - foot).norm() < 1e-5);
+    }
+
+    #[test]
+    fn friction_sticks_within_the_cone_and_slides_beyond() {
+        let rough = model(&[plane(Vector3::zeros(), Vector3::z(), 1e9, 0.5)]);
+        let mut proxy = fresh();
+        force(&mut proxy, &rough, Vector3::new(0.0, 0.0, -0.002));
+        let stuck = force(&mut proxy, &rough, Vector3::new(0.0005, 0.0, -0.002));
+        assert!((stuck - Vector3::new(-0.5, 0.0, 2.0)).norm() < 1e-6, "{stuck:?}");
+        let sliding = force(&mut proxy, &rough, Vector3::new(0.01, 0.0, -0.002));
+        assert!((sliding - Vector3::new(-1.0, 0.0, 2.0)).norm() < 1e-6, "{sliding:?}");
+        // The anchor was dragged along: going back a little is free of the old stretch.
+        let back = force(&mut proxy, &rough, Vector3::new(0.009, 0.0, -0.002));
+        assert!(back.x.abs() < 1e-6, "{back:?}");
+    }
+
+    #[test]
+    fn a_change_of_model_is_blended() {
+        let mut low = model(&[plane(Vector3::zeros(), Vector3::z(), 1e9, 0.0)]);
+        low.base_force = Vector3::new(0.0, 0.0, -0.05);
+        let mut proxy = fresh();
+        let before = force(&mut proxy, &low, Vector3::new(0.0, 0.0, -0.001));
+        assert!((before.z - 0.95).abs() < 1e-9);
+        let mut high = model(&[plane(Vector3::new(0.0, 0.0, 0.002), Vector3::z(), 1e9, 0.0)]);
+        high.at = SimTime::from_millis(100);
+        let mut input = input_at(Vector3::new(0.0, 0.0, -0.001));
+        input.now = high.at;
+        input.contact_model = Some(&high);
+        let mut last = before.z;
+        for tick in 0..100 {
+            let now = proxy.render(&input).force.z;
+            // 2.05 N in 20 ms, exponentially: at most 0.1 N in a tick.
+            assert!(now >= last && now - last < 0.11, "tick {tick}: {last} then {now}");
+            last = now;
+        }
+        assert!((last - 3.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn contact_damping_opposes_entry_and_never_pulls() {
+        let wall = model(&[plane(Vector3::zeros(), Vector3::z(), 1e9, 0.0)]);
+        let mut input = input_at(Vector3::new(0.0, 0.0, -0.001));
+        input.contact_model = Some(&wall);
+        let settled = force(&mut fresh(), &wall, Vector3::new(0.0, 0.0, -0.001));
+        let mut moving = |speed: f64| {
+            let mut proxy = fresh();
+            force(&mut proxy, &wall, Vector3::new(0.0, 0.0, -0.001));
+            input.tip_twist.linear.z = speed;
+            proxy.render(&input).force.z
+        };
+        assert!((moving(-0.1) - settled.z - 0.2).abs() < 1e-6);
+        assert!(moving(10.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_dead_simulation_lets_go() {
+        let wall = model(&[plane(Vector3::zeros(), Vector3::z(), 1e9, 0.0)]);
+        let mut proxy = fresh();
+        let mut input = input_at(Vector3::new(0.0, 0.0, -0.001));
+        input.contact_model = Some(&wall);
+        input.now = SimTime::from_millis(2000);
+        assert!((0..200).map(|_| proxy.render(&input).force.z).last().unwrap().abs() < 1e-9);
+    }
+
+    #[test]
+    fn senseless_planes_are_ignored() {
+        let null = ContactPlane { normal_in_world: Vector3::zeros(), ..plane(Vector3::zeros(), Vector3::z(), 1.0, 0.0) };
+        let soft = plane(Vector3::zeros(), Vector3::z(), -5.0, 0.0);
+        assert_eq!(force(&mut fresh(), &model(&[null, soft]), Vector3::new(0.0, 0.0, -1.0)), Vector3::zeros());
+    }
+}
