@@ -6,7 +6,11 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{BuildContext, Controller, ControllerError, Registry, SimTime, Snapshot, Store};
 
-use crate::supervision::{ChildSpec, GroupSpec, RuntimeClass};
+use crate::chain::StateHash;
+use crate::commit::CommitBuffer;
+use crate::faults::{FaultPlan, FaultRow};
+use crate::runtime::{ControllerReport, Permission};
+use crate::supervision::{ChildSpec, GroupSpec, Incident, RuntimeClass};
 
 /// Builds a controller from the scene as it is now; called again for every restart.
 pub type Factory = Arc<dyn Fn(&BuildContext) -> Result<Box<dyn Controller>, ControllerError> + Send + Sync>;
@@ -88,6 +92,11 @@ pub trait Peer: Send {
 pub trait FaultSink: Send + Sync {
     /// A fault begins or ends.
     fn fault(&self, order: &FaultOrder);
+    /// Whether the target works as it should right now, as far as it knows: when that turns false a fault is
+    /// detected, when it turns true again the target has resumed. `None`: it cannot tell.
+    fn is_sound(&self) -> Option<bool> {
+        None
+    }
 }
 
 /// Tells when a session has reached its goal.
@@ -101,6 +110,19 @@ pub struct StopWhen {
 
 /// Called before anything else when a session ends, however it ends: sets a device's force to zero.
 pub type ZeroForces = Arc<dyn Fn() + Send + Sync>;
+
+/// Takes what the Model commits: a recorder.
+///
+/// Called on the Model's thread right after each publication: it must not wait and leaves what is slow to a
+/// thread of its own. What it cannot take it counts and declares as a gap.
+pub trait CommitSink: Send {
+    /// Takes the commits up to `snapshot` and gives an emptied buffer back for the next ones.
+    fn committed(&mut self, snapshot: &Arc<Snapshot>, commits: CommitBuffer) -> CommitBuffer;
+    /// Writes out what is left and closes, within a second; `true` when nothing is missing in the recording.
+    fn close(&mut self) -> bool;
+    /// A disk fault begins or ends.
+    fn fault(&mut self, _order: &FaultOrder) {}
+}
 
 /// A session: the scene at the start and everyone who acts on it.
 pub struct SessionSpec {
@@ -120,6 +142,10 @@ pub struct SessionSpec {
     pub peers: Vec<Box<dyn Peer>>,
     /// Fault targets beside the controllers and the Model.
     pub fault_sinks: Vec<(String, Arc<dyn FaultSink>)>,
+    /// What shall go wrong.
+    pub faults: FaultPlan,
+    /// Takes the commits.
+    pub recorder: Option<Box<dyn CommitSink>>,
     /// Supervisor tree; [`GroupSpec::default_tree`] of the children when absent.
     pub tree: Option<GroupSpec>,
     /// Most abandoned threads before the session gives up.
@@ -130,6 +156,85 @@ pub struct SessionSpec {
     pub until: Option<SimTime>,
     /// Ends the session when the goal is reached.
     pub stop_when: Option<StopWhen>,
+}
+
+impl SessionSpec {
+    /// A session of these controllers on this scene, without devices, faults, recorder or end.
+    pub fn new(
+        scenario: impl Into<String>,
+        seed: u64,
+        scene: Store,
+        controllers: Vec<ControllerSpec>,
+    ) -> Self {
+        Self {
+            scenario: scenario.into(),
+            station: 0,
+            seed,
+            registry: scene.view().registry().clone(),
+            scene,
+            controllers,
+            peers: Vec::new(),
+            fault_sinks: Vec::new(),
+            faults: FaultPlan::new(seed),
+            recorder: None,
+            tree: None,
+            zombies_max: 4,
+            zero_forces: Vec::new(),
+            until: None,
+            stop_when: None,
+        }
+    }
+
+    /// The children of the supervisor tree: the Model first, then the controllers.
+    pub fn children(&self) -> Vec<ChildSpec> {
+        let model = ChildSpec::new(MODEL, RuntimeClass::Model, 0.0);
+        std::iter::once(model).chain(self.controllers.iter().map(|spec| spec.child.clone())).collect()
+    }
+}
+
+/// How a session was run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// In real time, one thread per controller.
+    Live,
+    /// In virtual time, on one thread, the same bits every time.
+    Lockstep,
+    /// From a recording.
+    Replay,
+}
+
+/// What is left of a session when it has ended.
+#[derive(Clone)]
+pub struct SessionOutcome {
+    /// How it was run.
+    pub mode: Mode,
+    /// 0, or 70 when the supervisor gave up.
+    pub code: i32,
+    /// Why it gave up, if it did.
+    pub reason: Option<String>,
+    /// Time of the session.
+    pub sim: SimTime,
+    /// Time on the clock.
+    pub wall: SimTime,
+    /// Chain over all commits.
+    pub hash: StateHash,
+    /// The scene at the end.
+    pub snapshot: Arc<Snapshot>,
+    /// One row per controller, in the order of the session.
+    pub controllers: Vec<ControllerReport>,
+    /// The Model's own row; its `scheduled` ticks are batches.
+    pub model: ControllerReport,
+    /// One row per fault of the plan.
+    pub faults: Vec<FaultRow>,
+    /// What failed, in order.
+    pub incidents: Vec<Incident>,
+    /// Threads that had to be abandoned and never ended.
+    pub zombies: u32,
+    /// Whether the recording has everything; `None` without a recorder.
+    pub recording_complete: Option<bool>,
+    /// What the operating system refused.
+    pub permission: Permission,
 }
 
 /// Name under which the Model stands in the supervisor tree and in fault files.

@@ -89,6 +89,20 @@ pub fn thread_cpu(tid: u32) -> Option<SimTime> {
     imp::thread_cpu(tid)
 }
 
+/// Lets the calling thread's runtime wait for `fd` to become readable.
+///
+/// # Errors
+/// When the runtime cannot watch it.
+#[cfg(target_os = "linux")]
+pub(crate) fn watch_readable(
+    fd: std::os::fd::OwnedFd,
+) -> io::Result<tokio::io::unix::AsyncFd<std::os::fd::OwnedFd>> {
+    // SAFETY: `OwnedFd` always answers with the one descriptor that it owns and that stays open as long as
+    // it lives, and the `AsyncFd` owns it until it has deregistered it.
+    unsafe { tokio::io::unix::AsyncFd::register_with_interest(fd, tokio::io::Interest::READABLE) }
+        .map_err(Into::into)
+}
+
 /// Whether the system grants real-time priority, asked on a thread of its own.
 pub fn probe() -> Permission {
     std::thread::scope(|scope| {

@@ -158,7 +158,7 @@ mod imp {
         pub(super) fn new() -> io::Result<Self> {
             let fd =
                 timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::NONBLOCK | TimerfdFlags::CLOEXEC)?;
-            Ok(Self { fd: AsyncFd::register_with_interest(fd, tokio::io::Interest::READABLE)? })
+            Ok(Self { fd: crate::runtime::sched::watch_readable(fd)? })
         }
 
         pub(super) async fn sleep(&mut self, now: SimTime, until: SimTime) -> io::Result<()> {

@@ -44,6 +44,8 @@ pub(super) struct Child {
     /// Children that (re)start together, in order, share a number.
     cohort: u32,
     pub(super) incarnation: u32,
+    /// The lowest epoch that is still heard.
+    epoch: u32,
     /// The next life needs a thread of its own.
     fresh: bool,
     pub(super) late: bool,
@@ -93,6 +95,7 @@ impl Supervisor {
                 phase: Phase::Waiting(SimTime::ZERO),
                 cohort: 0,
                 incarnation: 0,
+                epoch: 0,
                 fresh: true,
                 late: false,
                 held: false,
@@ -207,10 +210,9 @@ impl Supervisor {
 
     /// The thread does not answer: fence it, leave it behind, go on without it.
     fn abandon(&mut self, i: usize, cause: Cause, now: SimTime, out: &mut Vec<Action>) {
+        self.fence(i, out);
         let child = &mut self.children[i];
-        let id = ChildId(i as u16);
-        out.push(Action::Fence { child: id, epoch: child.incarnation + 1 });
-        out.push(Action::Abandon { child: id, incarnation: child.incarnation });
+        out.push(Action::Abandon { child: ChildId(i as u16), incarnation: child.incarnation });
         child.fresh = true;
         child.stalled = true;
         self.zombies += 1;
@@ -232,12 +234,9 @@ impl Supervisor {
 
     /// Child `i` ended without having been asked to.
     fn failed(&mut self, i: usize, cause: Cause, now: SimTime, out: &mut Vec<Action>) {
-        let id = ChildId(i as u16);
         let was_starting = matches!(self.children[i].phase, Phase::Starting(_));
         let abnormal = cause.is_abnormal();
-        if cause != Cause::Stall && cause != Cause::StartTimeout {
-            out.push(Action::Fence { child: id, epoch: self.children[i].incarnation + 1 });
-        }
+        self.fence(i, out);
         let text = match &cause {
             Cause::Panic(text) => format!("panicked: {text}"),
             Cause::Error(text) => text.clone(),
@@ -269,6 +268,15 @@ impl Supervisor {
             let cohort = was_starting.then_some(child.cohort);
             let reason = format!("{} {text}", child.spec.id);
             self.restart_member(i, cohort, &reason, now, out);
+        }
+    }
+
+    /// Nothing that the present life still says shall be heard.
+    fn fence(&mut self, i: usize, out: &mut Vec<Action>) {
+        let child = &mut self.children[i];
+        if child.epoch <= child.incarnation {
+            child.epoch = child.incarnation + 1;
+            out.push(Action::Fence { child: ChildId(i as u16), epoch: child.epoch });
         }
     }
 
@@ -387,6 +395,11 @@ impl Supervisor {
                 Phase::Waiting(at) => {
                     if now >= at && !blocked.contains(&child.cohort) {
                         child.incarnation += 1;
+                        // Who was stopped in good order has not been fenced yet.
+                        if child.incarnation > 1 && child.epoch < child.incarnation {
+                            child.epoch = child.incarnation;
+                            out.push(Action::Fence { child: ChildId(i as u16), epoch: child.epoch });
+                        }
                         child.phase = Phase::Starting(now + child.spec.start_limit);
                         out.push(Action::Start {
                             child: ChildId(i as u16),
