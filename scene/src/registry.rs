@@ -3,6 +3,7 @@
 use std::any::TypeId;
 use std::collections::{BTreeMap, HashMap};
 use std::hash::{BuildHasherDefault, Hasher};
+use std::ops::Range;
 use std::sync::Arc;
 
 use thiserror::Error;
@@ -15,6 +16,10 @@ use crate::entity::Entity;
 /// Index of a component in its registry; ordered by NAME, so never by order of registration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ComponentId(pub u16);
+
+/// Decodes a value of a TOML document; an error keeps its place.
+type PutDocument =
+    fn(&mut Commands, Entity, toml::de::ValueDeserializer<'_>) -> Result<(), (Option<Range<usize>>, ComponentError)>;
 
 /// What the registry knows of one component.
 pub struct ComponentEntry {
@@ -31,6 +36,7 @@ pub struct ComponentEntry {
     pub(crate) new_column: fn() -> Arc<dyn ErasedColumn>,
     pub(crate) new_puts: fn() -> Box<dyn ErasedPuts>,
     put_toml: fn(&mut Commands, Entity, toml::Value) -> Result<(), ComponentError>,
+    put_document: PutDocument,
     put_json: fn(&mut Commands, Entity, serde_json::Value) -> Result<(), ComponentError>,
     put_postcard: for<'a> fn(&mut Commands, Entity, &'a [u8]) -> Result<&'a [u8], ComponentError>,
 }
@@ -148,6 +154,12 @@ impl RegistryBuilder {
                     commands.put(entity, value);
                     Ok(())
                 },
+                put_document: |commands, entity, value| {
+                    let value = T::deserialize(value).map_err(|error| (error.span(), malformed(error.message())))?;
+                    value.check().map_err(|error| (None, error))?;
+                    commands.put(entity, value);
+                    Ok(())
+                },
                 put_json: |commands, entity, value| {
                     let value: T =
                         serde_json::from_value(value).map_err(|error| malformed(&error.to_string()))?;
@@ -251,6 +263,20 @@ impl Registry {
         value: toml::Value,
     ) -> Result<(), ComponentError> {
         (self.entry(id).put_toml)(commands, entity, value)
+    }
+    /// Decodes a value of a TOML document as the named component and puts it.
+    ///
+    /// # Errors
+    /// When the value is malformed (with its place in the document, as a range of bytes) or refused by the
+    /// component's check (without).
+    pub fn put_document(
+        &self,
+        id: ComponentId,
+        commands: &mut Commands,
+        entity: Entity,
+        value: toml::de::ValueDeserializer<'_>,
+    ) -> Result<(), (Option<Range<usize>>, ComponentError)> {
+        (self.entry(id).put_document)(commands, entity, value)
     }
     /// Decodes a JSON value as the named component and puts it.
     ///

@@ -1,0 +1,252 @@
+//! A TOML document with the place of everything in it: typed access that knows where it is.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use serde::de::DeserializeOwned;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue, ValueDeserializer};
+
+use super::error::ScenarioError;
+use crate::entity::{Entity, with_entity_names};
+
+/// The text of a scenario and where it came from.
+#[derive(Debug)]
+pub(super) struct Source {
+    pub file: PathBuf,
+    pub text: String,
+}
+
+impl Source {
+    pub fn error(&self, span: Range<usize>, key: impl Into<String>, reason: impl Into<String>) -> ScenarioError {
+        let (line, column) = self.line_and_column(span.start);
+        ScenarioError::Invalid { file: self.file.clone(), line, column, key: key.into(), reason: reason.into() }
+    }
+
+    pub fn line_and_column(&self, offset: usize) -> (usize, usize) {
+        let mut offset = offset.min(self.text.len());
+        while !self.text.is_char_boundary(offset) {
+            offset -= 1;
+        }
+        let before = &self.text[..offset];
+        let line_start = before.rfind('\n').map_or(0, |at| at + 1);
+        (1 + before.matches('\n').count(), 1 + before[line_start..].chars().count())
+    }
+
+    pub fn parse(&self) -> Result<Spanned<DeTable<'_>>, ScenarioError> {
+        DeTable::parse(&self.text)
+            .map_err(|error| self.error(error.span().unwrap_or(0..0), "", error.message().trim()))
+    }
+}
+
+/// A table of the document.
+#[derive(Clone, Copy)]
+pub(super) struct Table<'a> {
+    pub source: &'a Source,
+    /// How the table is called in messages.
+    pub key: &'a str,
+    pub span: (usize, usize),
+    pub table: &'a DeTable<'a>,
+}
+
+impl<'a> Table<'a> {
+    pub fn new(source: &'a Source, key: &'a str, span: Range<usize>, table: &'a DeTable<'a>) -> Self {
+        Self { source, key, span: (span.start, span.end), table }
+    }
+
+    pub fn span(&self) -> Range<usize> {
+        self.span.0..self.span.1
+    }
+
+    pub fn error(&self, span: Range<usize>, key: &str, reason: impl Into<String>) -> ScenarioError {
+        self.source.error(span, join(self.key, key), reason)
+    }
+
+    /// Refuses keys that are not in `known`, naming those.
+    pub fn only(&self, known: &[&str]) -> Result<(), ScenarioError> {
+        let Some(unknown) = self.table.keys().find(|key| !known.contains(&key.get_ref().as_ref())) else {
+            return Ok(());
+        };
+        let reason = format!("unknown key '{}'; there are: {}", shown(unknown.get_ref()), known.join(", "));
+        Err(self.error(unknown.span(), "", reason))
+    }
+
+    pub fn get(&self, key: &str) -> Option<&'a Spanned<DeValue<'a>>> {
+        self.table.get(key)
+    }
+
+    pub fn require(&self, key: &str) -> Result<&'a Spanned<DeValue<'a>>, ScenarioError> {
+        self.get(key).ok_or_else(|| self.error(self.span(), "", format!("the key '{key}' is missing")))
+    }
+
+    pub fn string(&self, key: &str) -> Result<Option<(&'a str, Range<usize>)>, ScenarioError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        match value.get_ref().as_str() {
+            Some(text) => Ok(Some((text, value.span()))),
+            None => Err(self.wrong_type(key, value, "a string")),
+        }
+    }
+
+    pub fn wrong_type(&self, key: &str, value: &Spanned<DeValue>, expected: &str) -> ScenarioError {
+        let found = value.get_ref().type_str();
+        self.error(value.span(), key, format!("{expected} is expected, found {found}"))
+    }
+
+    /// The value of a key as any type that can be deserialised; `None` when the key is absent.
+    pub fn value<T: DeserializeOwned>(&self, key: &str) -> Result<Option<T>, ScenarioError> {
+        let Some(value) = self.get(key) else { return Ok(None) };
+        T::deserialize(ValueDeserializer::from(value.clone()))
+            .map(Some)
+            .map_err(|error| self.error(error.span().unwrap_or(value.span()), key, error.message().trim()))
+    }
+
+    /// A number in a range, whose text goes into the message.
+    pub fn number(
+        &self,
+        key: &str,
+        range: std::ops::RangeInclusive<f64>,
+        valid: &str,
+    ) -> Result<Option<f64>, ScenarioError> {
+        let Some(value) = self.value::<f64>(key)? else { return Ok(None) };
+        if range.contains(&value) {
+            return Ok(Some(value));
+        }
+        let span = self.get(key).map_or(self.span(), Spanned::span);
+        Err(self.error(span, key, format!("{value} is out of range ({valid})")))
+    }
+
+    /// The tables of an array of tables; a single table is a list of one.
+    pub fn tables(&self, key: &str) -> Result<Vec<(Range<usize>, &'a DeTable<'a>)>, ScenarioError> {
+        let Some(value) = self.get(key) else { return Ok(Vec::new()) };
+        let items = value
+            .get_ref()
+            .as_array()
+            .ok_or_else(|| self.wrong_type(key, value, &format!("an array of tables ([[{key}]])")))?;
+        items
+            .iter()
+            .map(|item| match item.get_ref().as_table() {
+                Some(table) => Ok((item.span(), table)),
+                None => Err(self.wrong_type(key, item, "a table")),
+            })
+            .collect()
+    }
+}
+
+/// `outer, inner`, or whichever is not empty.
+pub(super) fn join(outer: &str, inner: &str) -> String {
+    match (outer, inner) {
+        (outer, "") => outer.to_owned(),
+        ("", inner) => inner.to_owned(),
+        (outer, inner) => format!("{outer}, {inner}"),
+    }
+}
+
+/// Text from the file as it may stand in a message: short, and nothing that a terminal would act on.
+pub(super) fn shown(text: &str) -> String {
+    let dots = if text.chars().count() > 60 { "…" } else { "" };
+    text.chars().take(60).flat_map(char::escape_default).chain(dots.chars()).collect()
+}
+
+/// A table of free parameters for someone else to interpret, which still knows its place in the file.
+#[derive(Clone, Debug)]
+pub struct Params {
+    source: Option<Arc<Source>>,
+    /// From the root: array and index, or key.
+    path: Vec<Step>,
+    owner: String,
+    names: Arc<BTreeMap<String, Entity>>,
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum Step {
+    Key(String),
+    Index(usize),
+}
+
+impl Params {
+    pub(super) fn new(
+        source: &Arc<Source>,
+        path: Vec<Step>,
+        owner: String,
+        names: &Arc<BTreeMap<String, Entity>>,
+    ) -> Self {
+        Self { source: Some(source.clone()), path, owner, names: names.clone() }
+    }
+
+    /// No parameters, for something that no file describes.
+    pub fn none(owner: impl Into<String>) -> Self {
+        Self { source: None, path: Vec::new(), owner: owner.into(), names: Arc::default() }
+    }
+
+    /// Whose parameters they are, as in messages.
+    pub fn owner(&self) -> &str {
+        &self.owner
+    }
+
+    /// Interprets the parameters as `T`; entities may be written by name. Without any parameters an empty table
+    /// is interpreted, so that defaults apply.
+    ///
+    /// # Errors
+    /// Names the place and the key of what does not fit.
+    pub fn parse<T: DeserializeOwned>(&self) -> Result<T, ScenarioError> {
+        let Some(source) = &self.source else { return Self::parse_empty(&self.owner) };
+        let document = source.parse()?;
+        let mut value = Spanned::new(document.span(), DeValue::Table(document.into_inner()));
+        for step in &self.path {
+            let next = match step {
+                Step::Key(key) => value.get_ref().get(key.as_str()).cloned(),
+                Step::Index(index) => value.get_ref().get(*index).cloned(),
+            };
+            match next {
+                Some(next) => value = next,
+                None => return Self::parse_empty(&self.owner),
+            }
+        }
+        let span = value.span();
+        with_entity_names(self.names.as_ref().clone(), || T::deserialize(ValueDeserializer::from(value)))
+            .map_err(|error| source.error(error.span().unwrap_or(span), self.owner.clone(), error.message().trim()))
+    }
+
+    fn parse_empty<T: DeserializeOwned>(owner: &str) -> Result<T, ScenarioError> {
+        T::deserialize(toml::Table::new()).map_err(|error| ScenarioError::Invalid {
+            file: PathBuf::new(),
+            line: 0,
+            column: 0,
+            key: owner.to_owned(),
+            reason: error.message().trim().to_owned(),
+        })
+    }
+
+    /// An error about these parameters that [`Params::parse`] cannot know of, such as a range.
+    pub fn error(&self, reason: impl Into<String>) -> ScenarioError {
+        match &self.source {
+            Some(source) => source.error(self.span(), self.owner.clone(), reason),
+            None => ScenarioError::Invalid {
+                file: PathBuf::new(),
+                line: 0,
+                column: 0,
+                key: self.owner.clone(),
+                reason: reason.into(),
+            },
+        }
+    }
+
+    fn span(&self) -> Range<usize> {
+        let Some(document) = self.source.as_ref().and_then(|source| source.parse().ok()) else { return 0..0 };
+        let mut value = Spanned::new(document.span(), DeValue::Table(document.into_inner()));
+        for step in &self.path {
+            let next = match step {
+                Step::Key(key) => value.get_ref().get(key.as_str()).cloned(),
+                Step::Index(index) => value.get_ref().get(*index).cloned(),
+            };
+            match next {
+                Some(next) => value = next,
+                // Nothing is written there: the owner's place will do.
+                None => break,
+            }
+        }
+        value.span()
+    }
+}

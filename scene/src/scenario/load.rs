@@ -1,0 +1,382 @@
+//! From the text of a scenario to plain structures and commands.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::Path;
+use std::sync::Arc;
+
+use nalgebra::Vector3;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue, ValueDeserializer};
+
+use super::document::{Params, Source, Step, Table, join, shown};
+use super::error::ScenarioError;
+use super::mesh_source::{self, LoadedMesh};
+use super::{
+    CONTROLLERS_MAX, ControllerEntry, ENTITIES_MAX, FILE_BYTES_MAX, HANDS_MAX, HandEntry, RATE_HZ, SCHEMA_VERSION,
+    Scenario,
+};
+use crate::commands::Commands;
+use crate::component::Component;
+use crate::components::{Hand, Name, Parent};
+use crate::confined_path;
+use crate::entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
+use crate::registry::Registry;
+
+/// Keys of the document.
+pub(super) const ROOT_KEYS: [&str; 9] =
+    ["schema", "name", "title", "description", "gravity", "entity", "controller", "hand", "task"];
+/// Keys of a controller.
+pub(super) const CONTROLLER_KEYS: [&str; 4] = ["name", "kind", "rate_hz", "params"];
+/// Keys of a hand.
+pub(super) const HAND_KEYS: [&str; 5] = ["name", "entity", "device", "params", "renderer"];
+
+type Names = Arc<BTreeMap<String, Entity>>;
+
+pub(super) fn load(file: &Path, registry: &Arc<Registry>) -> Result<Scenario, ScenarioError> {
+    let io = |source| ScenarioError::Io { file: file.into(), source };
+    let invalid = |reason: String| io(std::io::Error::new(std::io::ErrorKind::InvalidData, reason));
+    let handle = std::fs::File::open(file).map_err(io)?;
+    let metadata = handle.metadata().map_err(io)?;
+    if !metadata.is_file() {
+        return Err(invalid("not a regular file".into()));
+    }
+    let mut text = String::new();
+    handle.take(FILE_BYTES_MAX + 1).read_to_string(&mut text).map_err(io)?;
+    if text.len() as u64 > FILE_BYTES_MAX {
+        return Err(invalid(format!("larger than {FILE_BYTES_MAX} bytes")));
+    }
+    parse(file, text, registry)
+}
+
+pub(super) fn parse(file: &Path, text: String, registry: &Arc<Registry>) -> Result<Scenario, ScenarioError> {
+    let source = Arc::new(Source { file: file.into(), text });
+    let document = source.parse()?;
+    let root = Table::new(&source, "", document.span(), document.get_ref());
+    schema_version(&root)?;
+    root.only(&ROOT_KEYS)?;
+    let (name, span) = {
+        root.require("name")?;
+        root.string("name")?.unwrap_or(("", 0..0))
+    };
+    check_name(&root, "name", name, span)?;
+    let folder = file.parent().unwrap_or(Path::new(""));
+    check_files(&source, folder, "", document.get_ref())?;
+
+    let names = entity_names(&root)?;
+    check_parents(&root)?;
+    let meshes = load_meshes(&root, folder, &names)?;
+    commands(&source, &document, registry, &names, &meshes)?;
+    Ok(Scenario {
+        file: file.into(),
+        name: name.to_owned(),
+        title: root.string("title")?.map_or(name, |(text, _)| text).to_owned(),
+        description: root.string("description")?.map_or("", |(text, _)| text).to_owned(),
+        gravity_in_world: gravity(&root)?,
+        controllers: controllers(&root, &source, &names)?,
+        hands: hands(&root, &source, &names)?,
+        task: task(&root, &source, &names)?,
+        names,
+        meshes,
+        source: source.clone(),
+    })
+}
+
+/// First, so that a file of another version is not judged by the keys of this one.
+fn schema_version(root: &Table) -> Result<(), ScenarioError> {
+    let value = root.require("schema")?;
+    match root.value::<i64>("schema")? {
+        Some(SCHEMA_VERSION) => Ok(()),
+        other => {
+            let found = other.unwrap_or_default();
+            let reason = format!("version {found} of the format is not known; this program reads {SCHEMA_VERSION}");
+            Err(root.error(value.span(), "schema", reason))
+        }
+    }
+}
+
+/// Names are used in files, command lines and thread names.
+fn check_name(table: &Table, key: &str, name: &str, span: std::ops::Range<usize>) -> Result<(), ScenarioError> {
+    let valid = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_');
+    if (1..=64).contains(&name.len()) && name.chars().all(valid) && !name.starts_with(['.', '-']) {
+        return Ok(());
+    }
+    let reason = format!(
+        "'{}' is no name: 1 to 64 letters, digits, '.', '-' and '_', beginning with a letter, a digit or '_'",
+        shown(name)
+    );
+    Err(table.error(span, key, reason))
+}
+
+fn gravity(root: &Table) -> Result<Vector3<f64>, ScenarioError> {
+    let gravity = root.value::<[f64; 3]>("gravity")?.unwrap_or([0.0, 0.0, -9.81]);
+    // Written so that a NaN fails.
+    if gravity.iter().all(|g| g.abs() <= 100.0) {
+        return Ok(gravity.into());
+    }
+    let span = root.get("gravity").map_or(root.span(), Spanned::span);
+    Err(root.error(span, "gravity", format!("{gravity:?} is out of range (-100 to 100 m/s² on each axis)")))
+}
+
+/// Strings under a key `file`, wherever they stand, are paths below the folder of the scenario.
+fn check_files(source: &Source, folder: &Path, key: &str, table: &DeTable) -> Result<(), ScenarioError> {
+    for (name, value) in table {
+        let here = join(key, name.get_ref());
+        check_files_in(source, folder, &here, name.get_ref() == "file", value)?;
+    }
+    Ok(())
+}
+
+fn check_files_in(
+    source: &Source,
+    folder: &Path,
+    key: &str,
+    is_file: bool,
+    value: &Spanned<DeValue>,
+) -> Result<(), ScenarioError> {
+    match value.get_ref() {
+        DeValue::String(path) if is_file => {
+            confined_path::below(folder, path).map(|_| ()).map_err(|why| source.error(value.span(), key, why))
+        }
+        DeValue::Table(table) => check_files(source, folder, key, table),
+        DeValue::Array(items) => {
+            items.iter().try_for_each(|item| check_files_in(source, folder, key, is_file, item))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Numbers the entities in the order of the file, so that tables can refer forwards.
+fn entity_names(root: &Table) -> Result<Names, ScenarioError> {
+    let allocator = EntityAllocator::new(0, SCENARIO_SPAWNER);
+    let tables = root.tables("entity")?;
+    if tables.len() > ENTITIES_MAX {
+        let reason = format!("{} entities are more than the limit of {ENTITIES_MAX}", tables.len());
+        return Err(root.error(root.span(), "entity", reason));
+    }
+    let mut names = BTreeMap::new();
+    for (span, table) in tables {
+        let table = Table::new(root.source, "entity", span, table);
+        table.require("name")?;
+        let (name, span) = table.string("name")?.unwrap_or(("", table.span()));
+        check_name(&table, "name", name, span.clone())?;
+        let entity = allocator.allocate().ok_or_else(|| table.error(span.clone(), "name", "too many entities"))?;
+        if names.insert(name.to_owned(), entity).is_some() {
+            return Err(table.error(span, "name", format!("two entities are named '{name}'")));
+        }
+    }
+    Ok(Arc::new(names))
+}
+
+/// A chain of parents must end.
+fn check_parents(root: &Table) -> Result<(), ScenarioError> {
+    let mut parents = BTreeMap::new();
+    for (_, table) in root.tables("entity")? {
+        let name = table.get("name").and_then(|value| value.get_ref().as_str());
+        let parent = table.get(Parent::NAME);
+        if let (Some(name), Some(parent)) = (name, parent)
+            && let Some(of) = parent.get_ref().as_str()
+        {
+            parents.insert(name, (of, parent.span()));
+        }
+    }
+    for (name, (parent, span)) in &parents {
+        let mut current = *parent;
+        for _ in 0..parents.len() {
+            if current == *name {
+                let key = format!("entity '{name}', parent");
+                return Err(root.source.error(span.clone(), key, "its parents form a cycle"));
+            }
+            match parents.get(current) {
+                Some((next, _)) => current = next,
+                None => break,
+            }
+        }
+    }
+    Ok(())
+}
+
+fn load_meshes(root: &Table, folder: &Path, names: &Names) -> Result<BTreeMap<Entity, LoadedMesh>, ScenarioError> {
+    let mut meshes = BTreeMap::new();
+    for (span, table) in root.tables("entity")? {
+        let name = table.get("name").and_then(|value| value.get_ref().as_str()).unwrap_or_default();
+        let key = format!("entity '{name}'");
+        let entity_table = Table::new(root.source, &key, span, table);
+        let Some(value) = entity_table.get("mesh") else { continue };
+        if let Some((_, beside)) = mesh_source::PROVIDED.iter().find_map(|p| table.get_key_value(*p)) {
+            let reason = format!("a mesh file provides {} already", mesh_source::PROVIDED.join(", "));
+            return Err(entity_table.error(beside.span(), "mesh", reason));
+        }
+        let inner = match value.get_ref().as_table() {
+            Some(inner) => inner,
+            None => return Err(entity_table.wrong_type("mesh", value, "a table with a file")),
+        };
+        let mesh_key = join(&key, "mesh");
+        let mesh_table = Table::new(root.source, &mesh_key, value.span(), inner);
+        let mesh = mesh_source::load(folder, &mesh_table, value)?;
+        meshes.insert(names.get(name).copied().unwrap_or_else(|| Entity::of_writer(0, SCENARIO_SPAWNER)), mesh);
+    }
+    Ok(meshes)
+}
+
+pub(super) fn commands(
+    source: &Source,
+    document: &Spanned<DeTable<'_>>,
+    registry: &Arc<Registry>,
+    names: &Names,
+    meshes: &BTreeMap<Entity, LoadedMesh>,
+) -> Result<Commands, ScenarioError> {
+    let root = Table::new(source, "", document.span(), document.get_ref());
+    let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, SCENARIO_SPAWNER));
+    with_entity_names(names.as_ref().clone(), || {
+        for (span, table) in root.tables("entity")? {
+            let entity = commands.spawn();
+            put_entity(&Table::new(source, "entity", span, table), entity, registry, meshes, &mut commands)?;
+        }
+        Ok(())
+    })?;
+    match commands.error() {
+        None => Ok(commands),
+        Some(error) => Err(source.error(document.span(), "entity", error.to_string())),
+    }
+}
+
+fn put_entity(
+    table: &Table,
+    entity: Entity,
+    registry: &Registry,
+    meshes: &BTreeMap<Entity, LoadedMesh>,
+    commands: &mut Commands,
+) -> Result<(), ScenarioError> {
+    let name = table.string(Name::NAME)?.map_or("", |(text, _)| text);
+    let key = format!("entity '{name}'");
+    let table = Table { key: &key, ..*table };
+    for (component, value) in table.table {
+        let component_name = component.get_ref().as_ref();
+        if component_name == "mesh" {
+            continue;
+        }
+        let id = registry.by_name(component_name).map_err(|_| {
+            let known: Vec<&str> = registry.iter().filter(|(_, e)| (e.schema)().is_some()).map(|(_, e)| e.name).collect();
+            let reason = format!(
+                "unknown component '{}'; there are: mesh, {}",
+                shown(component_name),
+                known.join(", ")
+            );
+            table.error(component.span(), "", reason)
+        })?;
+        registry
+            .put_document(id, commands, entity, ValueDeserializer::from(value.clone()))
+            .map_err(|(span, error)| table.error(span.unwrap_or(value.span()), component_name, super::reason(&error)))?;
+    }
+    if let Some(mesh) = meshes.get(&entity) {
+        mesh.put(commands, entity);
+    }
+    Ok(())
+}
+
+fn controllers(root: &Table, source: &Arc<Source>, names: &Names) -> Result<Vec<ControllerEntry>, ScenarioError> {
+    let mut controllers: Vec<ControllerEntry> = Vec::new();
+    for (index, (span, table)) in root.tables("controller")?.into_iter().enumerate() {
+        let table = Table::new(root.source, "controller", span, table);
+        if index >= CONTROLLERS_MAX {
+            return Err(table.error(table.span(), "", format!("more than {CONTROLLERS_MAX} controllers")));
+        }
+        let name = unique_name(&table, controllers.iter().map(|other| other.name.as_str()))?;
+        let key = format!("controller '{name}'");
+        let table = Table { key: &key, ..table };
+        table.only(&CONTROLLER_KEYS)?;
+        table.require("kind")?;
+        let (kind, kind_span) = table.string("kind")?.unwrap_or(("", table.span()));
+        check_name(&table, "kind", kind, kind_span)?;
+        table.require("rate_hz")?;
+        let rate_hz = table.number("rate_hz", RATE_HZ, "1 to 10000 Hz")?.unwrap_or(1.0);
+        let params = params(&table, source, names, &["controller"], index, "params")?;
+        controllers.push(ControllerEntry { name: name.to_owned(), kind: kind.to_owned(), rate_hz, params });
+    }
+    Ok(controllers)
+}
+
+fn hands(root: &Table, source: &Arc<Source>, names: &Names) -> Result<Vec<HandEntry>, ScenarioError> {
+    let mut hands: Vec<HandEntry> = Vec::new();
+    for (index, (span, table)) in root.tables("hand")?.into_iter().enumerate() {
+        let table = Table::new(root.source, "hand", span, table);
+        if index >= HANDS_MAX {
+            return Err(table.error(table.span(), "", format!("more than {HANDS_MAX} hands")));
+        }
+        let name = unique_name(&table, hands.iter().map(|other| other.name.as_str()))?;
+        let key = format!("hand '{name}'");
+        let table = Table { key: &key, ..table };
+        table.only(&HAND_KEYS)?;
+        let (entity_name, entity_span) =
+            table.string("entity")?.map_or((format!("hand.{name}"), table.span()), |(text, span)| (text.to_owned(), span));
+        let entity = hand_entity(root, names, &entity_name).map_err(|why| table.error(entity_span, "entity", why))?;
+        if hands.iter().any(|other| other.entity == entity) {
+            let reason = format!("two hands refer to entity '{}'", shown(&entity_name));
+            return Err(table.error(table.span(), "entity", reason));
+        }
+        let device = table.string("device")?.map_or("virtual", |(text, _)| text);
+        if device.is_empty() || device.len() > 1024 {
+            return Err(table.error(table.span(), "device", "a device is named, such as \"virtual\""));
+        }
+        hands.push(HandEntry {
+            name: name.to_owned(),
+            entity,
+            device: device.to_owned(),
+            params: params(&table, source, names, &["hand"], index, "params")?,
+            renderer: params(&table, source, names, &["hand"], index, "renderer")?,
+        });
+    }
+    Ok(hands)
+}
+
+/// The entity of a hand, which must have a `hand` component.
+fn hand_entity(root: &Table, names: &Names, name: &str) -> Result<Entity, String> {
+    let tables = root.tables("entity").unwrap_or_default();
+    let with_hand: Vec<&str> = tables
+        .iter()
+        .filter(|(_, table)| table.get(Hand::NAME).is_some())
+        .filter_map(|(_, table)| table.get("name")?.get_ref().as_str())
+        .collect();
+    match names.get(name) {
+        Some(entity) if with_hand.contains(&name) => Ok(*entity),
+        _ => Err(format!(
+            "'{}' is no entity with a {} component; there are: {}",
+            shown(name),
+            Hand::NAME,
+            with_hand.join(", ")
+        )),
+    }
+}
+
+fn unique_name<'a>(table: &Table<'a>, mut taken: impl Iterator<Item = &'a str>) -> Result<&'a str, ScenarioError> {
+    table.require("name")?;
+    let (name, span) = table.string("name")?.unwrap_or(("", table.span()));
+    check_name(table, "name", name, span.clone())?;
+    if taken.any(|other| other == name) {
+        return Err(table.error(span, "name", format!("the name '{name}' is taken already")));
+    }
+    Ok(name)
+}
+
+fn params(
+    table: &Table,
+    source: &Arc<Source>,
+    names: &Names,
+    array: &[&str; 1],
+    index: usize,
+    key: &str,
+) -> Result<Params, ScenarioError> {
+    if let Some(value) = table.get(key).filter(|value| !value.get_ref().is_table()) {
+        return Err(table.wrong_type(key, value, "a table"));
+    }
+    let path = vec![Step::Key(array[0].to_owned()), Step::Index(index), Step::Key(key.to_owned())];
+    Ok(Params::new(source, path, join(table.key, key), names))
+}
+
+fn task(root: &Table, source: &Arc<Source>, names: &Names) -> Result<Params, ScenarioError> {
+    if let Some(value) = root.get("task").filter(|value| !value.get_ref().is_table()) {
+        return Err(root.wrong_type("task", value, "a table"));
+    }
+    Ok(Params::new(source, vec![Step::Key("task".to_owned())], "task".to_owned(), names))
+}

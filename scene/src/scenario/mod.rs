@@ -1,0 +1,180 @@
+//! Scenario files: a scene, the controllers that act on it, the hands, and the exercise, in one TOML document.
+//!
+//! ```toml
+//! schema = 1
+//! name = "wall"
+//! title = "A wall to push against"
+//!
+//! [[entity]]
+//! name = "wall"
+//! pose = { translation = [0.0, 0.0, -0.01] }       # any registered component, by its name
+//! shape = { box = { half_extents = [0.1, 0.1, 0.01] } }
+//!
+//! [[controller]]
+//! name = "engine"
+//! kind = "rapier"
+//! rate_hz = 500
+//!
+//! [[hand]]
+//! name = "right"
+//! device = "virtual"
+//! ```
+//!
+//! Unknown keys are refused everywhere, so that a slip of the pen is an error rather than a default. Whatever a
+//! table called `params` (and the table `task`) means is known to the code it is for: [`Params::parse`]
+//! interprets it there, and its errors still name the line. Strings under a key `file` are paths; they must stay
+//! below the folder of the scenario.
+
+mod document;
+mod error;
+mod load;
+mod mesh_source;
+mod schema;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use nalgebra::Vector3;
+
+pub use document::Params;
+pub use error::ScenarioError;
+pub use schema::json_schema;
+
+use crate::commands::Commands;
+use crate::component::ComponentError;
+use crate::entity::Entity;
+use crate::registry::Registry;
+use crate::store::Store;
+use crate::time::SimTime;
+use mesh_source::LoadedMesh;
+
+/// Version of the format that this code reads.
+pub const SCHEMA_VERSION: i64 = 1;
+/// Largest scenario file [bytes].
+pub const FILE_BYTES_MAX: u64 = 16 << 20;
+/// Largest number of entities.
+pub const ENTITIES_MAX: usize = 100_000;
+/// Largest number of controllers.
+pub const CONTROLLERS_MAX: usize = 256;
+/// Largest number of hands.
+pub const HANDS_MAX: usize = 16;
+/// Slowest and fastest controller [Hz].
+pub const RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;
+
+/// A scenario that has been read and checked.
+#[derive(Clone, Debug)]
+pub struct Scenario {
+    /// The file it came from, for messages.
+    pub file: PathBuf,
+    /// Short name.
+    pub name: String,
+    /// One line for people.
+    pub title: String,
+    /// What it is about.
+    pub description: String,
+    /// Acceleration of gravity in world [m/s²].
+    pub gravity_in_world: Vector3<f64>,
+    /// The controllers, in the order of the file.
+    pub controllers: Vec<ControllerEntry>,
+    /// The hands, in the order of the file.
+    pub hands: Vec<HandEntry>,
+    /// The exercise's parameters.
+    pub task: Params,
+    source: Arc<document::Source>,
+    names: Arc<BTreeMap<String, Entity>>,
+    meshes: BTreeMap<Entity, LoadedMesh>,
+}
+
+/// A controller that a scenario asks for.
+#[derive(Clone, Debug)]
+pub struct ControllerEntry {
+    /// Name of the writer, such as `haptics.left`.
+    pub name: String,
+    /// What it is: a name that the program's table of kinds knows.
+    pub kind: String,
+    /// Ticks per second [Hz].
+    pub rate_hz: f64,
+    /// Its parameters.
+    pub params: Params,
+}
+
+/// A hand that a scenario asks for.
+#[derive(Clone, Debug)]
+pub struct HandEntry {
+    /// Name, such as `left`: what `--hand NAME=SPEC` refers to.
+    pub name: String,
+    /// The entity with the `hand` component.
+    pub entity: Entity,
+    /// Which device, such as `virtual`; may be overridden on the command line.
+    pub device: String,
+    /// The device's parameters.
+    pub params: Params,
+    /// The force renderer: a table with its `kind` and parameters; empty for the default.
+    pub renderer: Params,
+}
+
+impl Scenario {
+    /// Reads and checks a scenario file, and the meshes that it refers to.
+    ///
+    /// # Errors
+    /// Names file, line, column, key and valid choices.
+    pub fn load(file: &Path, registry: &Arc<Registry>) -> Result<Self, ScenarioError> {
+        load::load(file, registry)
+    }
+
+    /// Reads and checks a scenario that is in memory already; `file` says where it would lie.
+    ///
+    /// # Errors
+    /// Names file, line, column, key and valid choices.
+    pub fn parse(file: &Path, text: &str, registry: &Arc<Registry>) -> Result<Self, ScenarioError> {
+        load::parse(file, text.to_owned(), registry)
+    }
+
+    /// The entities' names. Entities are numbered in the order of the file.
+    pub fn entities(&self) -> &BTreeMap<String, Entity> {
+        &self.names
+    }
+
+    /// The entity of that name.
+    pub fn entity(&self, name: &str) -> Option<Entity> {
+        self.names.get(name).copied()
+    }
+
+    /// The commands that create the scenario's entities, for a registry with at least the components that the
+    /// file was checked against.
+    ///
+    /// # Errors
+    /// When the registry is another one and refuses something.
+    pub fn commands(&self, registry: &Arc<Registry>) -> Result<Commands, ScenarioError> {
+        let document = self.source.parse()?;
+        load::commands(&self.source, &document, registry, &self.names, &self.meshes)
+    }
+
+    /// A scene with the scenario's entities, at time zero and revision 1.
+    ///
+    /// # Errors
+    /// When the registry is another one and refuses something.
+    pub fn spawn(&self, registry: &Arc<Registry>) -> Result<Store, ScenarioError> {
+        let mut store = Store::new(registry.clone());
+        let mut commands = self.commands(registry)?;
+        commands.seal();
+        store.apply(&mut commands, SimTime::ZERO);
+        Ok(store)
+    }
+
+    /// An error about something in this file that only a later stage can know, such as an unknown kind of
+    /// controller. `key` is a table's name, `index` its number in the array.
+    pub fn error_at(&self, key: &str, index: usize, reason: impl Into<String>) -> ScenarioError {
+        let span = self.source.parse().ok().and_then(|document| {
+            let item = document.get_ref().get(key)?.get_ref().get(index)?;
+            Some(item.span())
+        });
+        self.source.error(span.unwrap_or(0..0), key, reason)
+    }
+}
+
+/// A component's error without its kind, for messages.
+fn reason(error: &ComponentError) -> String {
+    error.to_string()
+}

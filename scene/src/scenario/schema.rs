@@ -1,0 +1,164 @@
+//! The JSON schema (draft 2020-12) of scenario files, for editors and for `trocar schema`.
+
+use serde_json::{Map, Value, json};
+
+use super::{CONTROLLERS_MAX, ENTITIES_MAX, HANDS_MAX, SCHEMA_VERSION, mesh_source};
+use crate::registry::Registry;
+
+/// The schema of scenario files with the components of this registry.
+pub fn json_schema(registry: &Registry) -> Value {
+    let mut definitions = Map::new();
+    let mut components = Map::new();
+    for (_, entry) in registry.iter() {
+        let Some(schema) = (entry.schema)() else { continue };
+        hoist(entry.name, schema, &mut definitions);
+        components.insert(entry.name.to_owned(), json!({ "$ref": format!("#/$defs/{}", entry.name) }));
+    }
+    components.insert("mesh".into(), json!({ "$ref": "#/$defs/mesh_file" }));
+    definitions.insert("mesh_file".into(), mesh_file());
+    definitions.insert("identifier".into(), identifier());
+    json!({
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Trocar scenario",
+        "description": "A scene, the controllers that act on it, the hands, and the exercise. SI units.",
+        "type": "object",
+        "additionalProperties": false,
+        "required": ["schema", "name"],
+        "properties": {
+            "schema": { "description": "Version of the format.", "const": SCHEMA_VERSION },
+            "name": { "description": "Short name of the scenario.", "$ref": "#/$defs/identifier" },
+            "title": { "description": "One line for people; the name by default.", "type": "string" },
+            "description": { "description": "What the scenario is about.", "type": "string", "default": "" },
+            "gravity": {
+                "description": "Acceleration of gravity in world [m/s²].",
+                "type": "array", "minItems": 3, "maxItems": 3,
+                "items": { "type": "number", "minimum": -100, "maximum": 100 },
+                "default": [0.0, 0.0, -9.81],
+            },
+            "entity": {
+                "description": "What exists. Entities are numbered in the order of the file.",
+                "type": "array", "maxItems": ENTITIES_MAX,
+                "items": {
+                    "description": "An entity: a name, and components by their names.",
+                    "type": "object", "required": ["name"], "additionalProperties": false,
+                    "properties": components,
+                },
+            },
+            "controller": {
+                "description": "Who acts, each at a rate of its own.",
+                "type": "array", "maxItems": CONTROLLERS_MAX, "items": controller(),
+            },
+            "hand": {
+                "description": "Which devices the hands hold.",
+                "type": "array", "maxItems": HANDS_MAX, "items": hand(),
+            },
+            "task": { "description": "Parameters of the exercise.", "type": "object" },
+        },
+        "$defs": definitions,
+    })
+}
+
+fn controller() -> Value {
+    json!({
+        "type": "object", "required": ["name", "kind", "rate_hz"], "additionalProperties": false,
+        "properties": {
+            "name": { "description": "Name of the writer, such as haptics.left.", "$ref": "#/$defs/identifier" },
+            "kind": { "description": "Which controller it is.", "$ref": "#/$defs/identifier" },
+            "rate_hz": {
+                "description": "Ticks per second [Hz].", "type": "number", "minimum": 1, "maximum": 10000,
+            },
+            "params": { "description": "Parameters of that kind of controller.", "type": "object" },
+        },
+    })
+}
+
+fn hand() -> Value {
+    json!({
+        "type": "object", "required": ["name"], "additionalProperties": false,
+        "properties": {
+            "name": {
+                "description": "Name of the hand, as in --hand NAME=SPEC.", "$ref": "#/$defs/identifier",
+            },
+            "entity": {
+                "description": "Name of the entity with the hand component; hand.NAME by default.",
+                "$ref": "#/$defs/identifier",
+            },
+            "device": {
+                "description": "Which device.", "type": "string", "minLength": 1, "maxLength": 1024,
+                "default": "virtual",
+            },
+            "params": { "description": "Parameters of the device.", "type": "object" },
+            "renderer": {
+                "description": "Force renderer: its kind and parameters.", "type": "object",
+            },
+        },
+    })
+}
+
+fn mesh_file() -> Value {
+    json!({
+        "description": "A mesh file that becomes vertex_positions, surface_mesh and, for volumes, tet_mesh.",
+        "type": "object", "required": ["file"], "additionalProperties": false,
+        "properties": {
+            "file": {
+                "description": "Path below the folder of the scenario: obj, stl, gltf, glb, msh or vtk.",
+                "type": "string",
+            },
+            "scale": {
+                "description": "Metres per unit of the file.", "type": "number",
+                "minimum": 1e-9, "maximum": 1e9, "default": 1.0,
+            },
+            "flip_inverted": {
+                "description": "Turn tetrahedra of negative volume round.", "type": "boolean", "default": false,
+            },
+            "require": {
+                "description": "solid: closed, manifold, oriented, nothing degenerate or inverted; manifold: may be \
+                                open (surfaces) or inverted (volumes); any: no requirement.",
+                "enum": mesh_source::REQUIREMENTS, "default": mesh_source::REQUIREMENTS[0],
+            },
+        },
+    })
+}
+
+fn identifier() -> Value {
+    json!({ "type": "string", "pattern": "^[A-Za-z0-9_][A-Za-z0-9._-]{0,63}$" })
+}
+
+/// Puts a component's schema, and the definitions that it brings along, at the top level.
+fn hoist(component: &str, mut schema: Value, definitions: &mut Map<String, Value>) {
+    rewrite(component, &mut schema);
+    if let Value::Object(object) = &mut schema {
+        object.remove("$schema");
+        if let Some(Value::Object(inner)) = object.remove("$defs") {
+            for (name, definition) in inner {
+                definitions.insert(format!("{component}.{name}"), definition);
+            }
+        }
+    }
+    definitions.insert(component.to_owned(), schema);
+}
+
+/// References to own definitions get the component's prefix; escapes of the documentation are undone.
+fn rewrite(component: &str, value: &mut Value) {
+    match value {
+        Value::Object(object) => {
+            for (key, item) in object.iter_mut() {
+                match (key.as_str(), item) {
+                    ("$ref", Value::String(target)) => {
+                        if let Some(name) = target.strip_prefix("#/$defs/") {
+                            *target = format!("#/$defs/{component}.{name}");
+                        } else if target == "#" {
+                            *target = format!("#/$defs/{component}");
+                        }
+                    }
+                    ("description", Value::String(text)) => {
+                        *text = text.replace("\\[", "[").replace("\\]", "]");
+                    }
+                    (_, item) => rewrite(component, item),
+                }
+            }
+        }
+        Value::Array(items) => items.iter_mut().for_each(|item| rewrite(component, item)),
+        _ => {}
+    }
+}
