@@ -1,1 +1,54 @@
 //! What people hold: haptic and input drivers, virtual and replayed ones.
+//!
+//! This crate knows neither scene nor physics nor kernel. It offers
+//!
+//! - [`HapticDevice`], the contract of a device driver (with an annotated template for a new one);
+//! - [`DriverCore`], the safety that lies below every actor: clamp, slew limit, damping, watchdog, epoch
+//!   fence, ramp-in, unplugging; a sans-IO state machine that is stepped with nanoseconds;
+//! - [`DriverThread`], which steps a core live on an OS thread of its own;
+//! - the link between a driver and its controller: [`DeviceSlot`], [`DeviceLink`], [`Fence`],
+//!   [`DeviceMonitor`], [`DeviceFaults`];
+//! - [`VirtualHand`] and [`ReplayHand`], devices without hardware, and the readers of recorded hands;
+//! - [`DeviceSpec`], the text by which a command line or a scenario names a device.
+//!
+//! Conventions: SI units; time in nanoseconds since the start of the session (`*_ns: u64`), given by the
+//! caller; forces in newtons along the axes of the device's frame, acting on the hand at the handle's origin.
+//! Only [`DriverThread`] reads a clock, and only `sched` holds unsafe code.
+
+mod device;
+mod driver_core;
+mod driver_thread;
+mod faults;
+mod force_guard;
+mod gripper;
+mod hand_config;
+mod hand_csv;
+mod jigsaws;
+mod link;
+mod oscillator;
+mod reader;
+mod replay_hand;
+mod sched;
+mod spec;
+mod trajectory;
+mod virtual_hand;
+
+pub use device::{Capabilities, DeviceError, DeviceState, Dofs, HandIntent, HapticDevice, Workspace, Wrench};
+pub use driver_core::{DriverConfig, DriverCore};
+pub use driver_thread::{DriverThread, DriverThreadConfig, DriverThreadError, Scheduling};
+pub use faults::DeviceFaults;
+pub use force_guard::{DECAY_END_NS, DECAY_START_NS, ForceGuard, GuardConfig};
+pub use gripper::FingerFollower;
+pub use hand_config::{ArmImpedance, HandConfigError, VirtualHandConfig};
+pub use hand_csv::{read_hand_csv, read_hand_csv_from};
+pub use jigsaws::{JigsawsSelection, JigsawsSide, JigsawsSource, read_jigsaws, read_jigsaws_from};
+pub use link::{
+    DeviceCommand, DeviceLink, DeviceMonitor, DeviceSample, DeviceSlot, DriverEnd, DriverStatistics, Fence,
+    LANES, LinkError, link, pair,
+};
+pub use oscillator::Oscillator;
+pub use reader::{MAX_FILE_BYTES, MAX_ROWS, ReadError, RowProblem, StartTime};
+pub use replay_hand::ReplayHand;
+pub use spec::{BuildError, DeviceSpec, SpecError};
+pub use trajectory::{Registration, Trajectory, TrajectoryError, TrajectoryPoint};
+pub use virtual_hand::VirtualHand;

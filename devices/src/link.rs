@@ -1,0 +1,473 @@
+//! What joins a driver to the controllers that use it, generation after generation.
+//!
+//! A controller that stalled cannot be killed: it is abandoned, and may wake up years later still holding its
+//! end of the link. So there is not one link but a bounded set of [`LANES`] lanes, each a pair of triple
+//! buffers (wait-free in both directions). A [`DeviceSlot`] hands the link end of a free lane to each new
+//! generation; the driver publishes samples to all lanes, and obeys the lane of the newest generation only.
+//! What arrives in any other lane is counted and refused, and so is every epoch below the [`Fence`]. A lane
+//! comes back when its link is dropped; if zombies hold them all, taking a link fails and the caller escalates.
+
+use std::fmt;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+use triple_buffer::{Input, Output, triple_buffer};
+
+use crate::device::{DeviceState, HandIntent, Wrench};
+
+/// How many generations of controllers can hold a link to one device at the same time.
+pub const LANES: usize = 8;
+
+/// What a controller asks of a device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DeviceCommand {
+    /// Generation of the controller.
+    pub epoch: u32,
+    /// When the command was computed (session time, ns). It must increase from command to command.
+    pub time_ns: u64,
+    /// Wrench to render, in the device's frame.
+    pub wrench: Wrench,
+    /// Where the human wants the handle to be, if the controller knows; for virtual hands.
+    pub intent: Option<HandIntent>,
+}
+
+/// What a driver counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct DriverStatistics {
+    /// Steps of the driver.
+    pub steps: u64,
+    /// Commands that were accepted.
+    pub accepted: u64,
+    /// Commands refused because their epoch is fenced or superseded (the force of a zombie).
+    pub refused_epoch: u64,
+    /// Commands refused because of a NaN, an infinity or an unnormalised rotation.
+    pub refused_invalid: u64,
+    /// Commands refused because they are no newer than the last, older than 20 ms, or of the future.
+    pub refused_stale: u64,
+    /// Readings refused because of a NaN, an infinity or an unnormalised rotation.
+    pub readings_refused: u64,
+    /// Errors of the device other than being unplugged.
+    pub device_errors: u64,
+    /// How often the device was lost.
+    pub unplugs: u64,
+    /// How often the device was opened again.
+    pub reopens: u64,
+    /// Steps in which the wanted wrench was above the device's limits.
+    pub clamped: u64,
+    /// Steps in which the slew limit held the wrench back.
+    pub slew_limited: u64,
+    /// How often force was ramped in.
+    pub ramps: u64,
+    /// Greatest force that was rendered, after the clamp [N].
+    pub force_newtons_max: f64,
+    /// Greatest torque that was rendered, after the clamp [N·m].
+    pub torque_max: f64,
+    /// Time since the last accepted command was computed [ns]; `u64::MAX` before the first.
+    pub since_command_ns: u64,
+    /// Ticks of a live driver that never ran.
+    pub missed: u64,
+    /// Greatest lateness of a live driver's tick [ns].
+    pub lateness_max_ns: u64,
+}
+
+/// What a driver publishes in each step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DeviceSample {
+    /// What the device measured.
+    pub state: DeviceState,
+    /// Wrench that is rendered, after every limit.
+    pub applied: Wrench,
+    /// When `state` was measured (session time, ns); older than `published_at_ns` when readings fail.
+    pub sampled_at_ns: u64,
+    /// When the sample was published (session time, ns).
+    pub published_at_ns: u64,
+    /// Generation of the controller that the driver obeys; 0 before the first.
+    pub epoch: u32,
+    /// Counts since the driver was made.
+    pub statistics: DriverStatistics,
+}
+
+impl DeviceSample {
+    /// What is known before the driver's first step.
+    pub fn unknown() -> Self {
+        Self {
+            state: DeviceState::unknown(),
+            applied: Wrench::ZERO,
+            sampled_at_ns: 0,
+            published_at_ns: 0,
+            epoch: 0,
+            statistics: DriverStatistics { since_command_ns: u64::MAX, ..DriverStatistics::default() },
+        }
+    }
+}
+
+/// Lowest epoch that a driver obeys. It only rises; anybody may raise it, at any time, without waiting.
+#[derive(Clone, Debug, Default)]
+pub struct Fence {
+    lowest: Arc<AtomicU32>,
+}
+
+impl Fence {
+    /// Refuses every command of an epoch below `epoch`, from the driver's next step on. The force of a fenced
+    /// controller fades to zero within 15 ms.
+    pub fn raise(&self, epoch: u32) {
+        self.lowest.fetch_max(epoch, Ordering::AcqRel);
+    }
+
+    /// Emergency: no force at the driver's next step, and never again.
+    pub fn zero_all_forces(&self) {
+        self.raise(u32::MAX);
+    }
+
+    /// The lowest epoch that is obeyed; `u32::MAX` means that none is.
+    pub fn lowest(&self) -> u32 {
+        self.lowest.load(Ordering::Acquire)
+    }
+
+    /// Whether commands of this epoch are obeyed as far as the fence goes.
+    pub fn admits(&self, epoch: u32) -> bool {
+        let lowest = self.lowest();
+        epoch >= lowest && lowest != u32::MAX
+    }
+}
+
+/// Why no link could be taken from a slot.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+pub enum LinkError {
+    /// The epoch is below the fence.
+    #[error("epoch {epoch} is fenced: the device obeys epochs from {lowest} on")]
+    Fenced {
+        /// Epoch that asked.
+        epoch: u32,
+        /// Lowest epoch that is obeyed.
+        lowest: u32,
+    },
+    /// A later generation has taken a link already.
+    #[error("epoch {epoch} is superseded: epoch {newest} has taken the link already")]
+    Superseded {
+        /// Epoch that asked.
+        epoch: u32,
+        /// Epoch of the newest link.
+        newest: u32,
+    },
+    /// Abandoned controllers hold every lane.
+    #[error("all {LANES} lanes of the link are held by controllers that were abandoned")]
+    LanesExhausted,
+}
+
+/// Which lane the driver obeys: `(epoch << 32) | (lane + 1)`, 0 before the first.
+#[derive(Debug, Default)]
+struct ActiveLane(AtomicU64);
+
+impl ActiveLane {
+    fn set(&self, epoch: u32, lane: usize) {
+        self.0.store((u64::from(epoch) << 32) | (lane as u64 + 1), Ordering::Release);
+    }
+    fn get(&self) -> Option<(u32, usize)> {
+        let packed = self.0.load(Ordering::Acquire);
+        let lane = (packed & u64::from(u32::MAX)).checked_sub(1)?;
+        Some(((packed >> 32) as u32, lane as usize))
+    }
+}
+
+struct ControllerLane {
+    index: usize,
+    commands: Input<Option<DeviceCommand>>,
+    samples: Output<DeviceSample>,
+}
+
+struct DriverLane {
+    commands: Output<Option<DeviceCommand>>,
+    samples: Input<DeviceSample>,
+}
+
+struct SlotShared {
+    // Taken when a link is made or dropped, never in a tick and never by the driver.
+    free: Mutex<Vec<ControllerLane>>,
+    active: Arc<ActiveLane>,
+    fence: Fence,
+}
+
+/// Where each new generation of a controller takes its link; clones are the same slot.
+#[derive(Clone)]
+pub struct DeviceSlot {
+    shared: Arc<SlotShared>,
+}
+
+impl fmt::Debug for DeviceSlot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DeviceSlot")
+            .field("active", &self.shared.active.get())
+            .field("free_lanes", &unpoisoned(&self.shared.free).len())
+            .finish_non_exhaustive()
+    }
+}
+
+impl DeviceSlot {
+    /// A link of its own for the controller of generation `epoch`; the driver obeys it, and no earlier one,
+    /// from its next step on. Not for real-time paths: takes a lock for a moment.
+    ///
+    /// # Errors
+    /// [`LinkError`] when the generation is fenced or superseded (a zombie that wakes up while it is being
+    /// built), or when zombies hold every lane.
+    pub fn take(&self, epoch: u32) -> Result<DeviceLink, LinkError> {
+        // The lock is held throughout, so that of two generations the later one wins.
+        let mut free = unpoisoned(&self.shared.free);
+        if !self.shared.fence.admits(epoch) {
+            return Err(LinkError::Fenced { epoch, lowest: self.shared.fence.lowest() });
+        }
+        if let Some((newest, _)) = self.shared.active.get()
+            && epoch < newest
+        {
+            return Err(LinkError::Superseded { epoch, newest });
+        }
+        let lane = free.pop().ok_or(LinkError::LanesExhausted)?;
+        self.shared.active.set(epoch, lane.index);
+        Ok(DeviceLink { epoch, lane: Some(lane), slot: self.clone() })
+    }
+
+    /// How many more links can be taken before one is dropped.
+    pub fn free_lanes(&self) -> usize {
+        unpoisoned(&self.shared.free).len()
+    }
+
+    /// The fence of this device.
+    pub fn fence(&self) -> &Fence {
+        &self.shared.fence
+    }
+}
+
+/// A controller's end of the link to a driver. Neither method allocates, locks or waits.
+pub struct DeviceLink {
+    epoch: u32,
+    lane: Option<ControllerLane>,
+    slot: DeviceSlot,
+}
+
+impl fmt::Debug for DeviceLink {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DeviceLink").field("epoch", &self.epoch).finish_non_exhaustive()
+    }
+}
+
+impl DeviceLink {
+    /// Generation for which the link was taken.
+    pub fn epoch(&self) -> u32 {
+        self.epoch
+    }
+
+    /// The newest sample of the driver. Its `published_at_ns` tells whether the driver is alive.
+    pub fn sample(&mut self) -> &DeviceSample {
+        // The lane is only taken out in `drop`.
+        self.lane.as_mut().map(|lane| lane.samples.read()).expect("a link has a lane until it is dropped")
+    }
+
+    /// Sends a command; the driver takes the newest at its next step. It is obeyed only if this link is of
+    /// the newest generation and its epoch is not fenced.
+    pub fn command(&mut self, command: DeviceCommand) {
+        if let Some(lane) = &mut self.lane {
+            lane.commands.write(Some(command));
+        }
+    }
+}
+
+impl Drop for DeviceLink {
+    fn drop(&mut self) {
+        if let Some(lane) = self.lane.take() {
+            unpoisoned(&self.slot.shared.free).push(lane);
+        }
+    }
+}
+
+/// A driver's end of the link; consumed by [`crate::DriverCore`].
+pub struct DriverEnd {
+    lanes: Vec<DriverLane>,
+    active: Arc<ActiveLane>,
+    monitor: Input<DeviceSample>,
+    fence: Fence,
+}
+
+impl fmt::Debug for DriverEnd {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DriverEnd").field("lanes", &self.lanes.len()).finish_non_exhaustive()
+    }
+}
+
+impl DriverEnd {
+    /// The fence of this device.
+    pub fn fence(&self) -> &Fence {
+        &self.fence
+    }
+
+    /// Takes what arrived: the newest command of the newest generation, and how many others sent something.
+    pub(crate) fn intake(&mut self) -> (Option<DeviceCommand>, u64) {
+        let active = self.active.get();
+        let mut newest = None;
+        let mut superseded = 0;
+        for (index, lane) in self.lanes.iter_mut().enumerate() {
+            if !lane.commands.update() {
+                continue;
+            }
+            let command = *lane.commands.output_buffer();
+            match active {
+                // A lane is reused: what its last holder left behind is of an older epoch than the taker's.
+                Some((epoch, lane)) if lane == index && command.is_some_and(|c| c.epoch >= epoch) => {
+                    newest = command;
+                }
+                _ => superseded += u64::from(command.is_some()),
+            }
+        }
+        (newest, superseded)
+    }
+
+    pub(crate) fn publish(&mut self, sample: &DeviceSample) {
+        // To all lanes, so that a link that is taken later finds a fresh sample, not one of its lane's last
+        // holder.
+        for lane in &mut self.lanes {
+            lane.samples.write(*sample);
+        }
+        self.monitor.write(*sample);
+    }
+}
+
+/// For everybody else who wants to know: reports, consoles, recorders. Clones share one view.
+#[derive(Clone)]
+pub struct DeviceMonitor {
+    // Shared among readers only; the driver writes through the triple buffer and never waits for them.
+    output: Arc<Mutex<Output<DeviceSample>>>,
+}
+
+impl fmt::Debug for DeviceMonitor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("DeviceMonitor").finish_non_exhaustive()
+    }
+}
+
+impl DeviceMonitor {
+    /// The newest sample. Takes a lock that only other readers hold.
+    pub fn sample(&self) -> DeviceSample {
+        *unpoisoned(&self.output).read()
+    }
+}
+
+/// Makes the link of one device: the driver's end, the slot from which controllers take theirs, and a view
+/// for others.
+pub fn link() -> (DriverEnd, DeviceSlot, DeviceMonitor) {
+    let fence = Fence::default();
+    let active = Arc::new(ActiveLane::default());
+    let mut driver_lanes = Vec::with_capacity(LANES);
+    let mut controller_lanes = Vec::with_capacity(LANES);
+    for index in 0..LANES {
+        let (command_input, command_output) = triple_buffer(&None);
+        let (sample_input, sample_output) = triple_buffer(&DeviceSample::unknown());
+        driver_lanes.push(DriverLane { commands: command_output, samples: sample_input });
+        controller_lanes.push(ControllerLane { index, commands: command_input, samples: sample_output });
+    }
+    let (monitor_input, monitor_output) = triple_buffer(&DeviceSample::unknown());
+    let driver = DriverEnd {
+        lanes: driver_lanes,
+        active: Arc::clone(&active),
+        monitor: monitor_input,
+        fence: fence.clone(),
+    };
+    let slot =
+        DeviceSlot { shared: Arc::new(SlotShared { free: Mutex::new(controller_lanes), active, fence }) };
+    (driver, slot, DeviceMonitor { output: Arc::new(Mutex::new(monitor_output)) })
+}
+
+/// A driver's end and the link of one controller of generation 0 that is never restarted: for tools and tests.
+pub fn pair() -> (DriverEnd, DeviceLink) {
+    let (driver, slot, _) = link();
+    let link = slot.take(0).expect("a fresh slot has free lanes and no fence");
+    (driver, link)
+}
+
+/// The data under these locks is never left half changed, so a panic elsewhere does not make it unusable.
+fn unpoisoned<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    fn command(epoch: u32, newtons: f64) -> DeviceCommand {
+        DeviceCommand {
+            epoch,
+            time_ns: 1,
+            wrench: Wrench::from_force(Vector3::new(newtons, 0.0, 0.0)),
+            intent: None,
+        }
+    }
+
+    #[test]
+    fn only_the_lane_of_the_newest_generation_is_obeyed() {
+        let (mut driver, slot, _) = link();
+        let mut zombie = slot.take(1).unwrap();
+        zombie.command(command(1, 1.0));
+        assert_eq!(driver.intake().0, Some(command(1, 1.0)));
+
+        let mut successor = slot.take(2).unwrap();
+        zombie.command(command(1, 100.0));
+        assert_eq!(driver.intake(), (None, 1));
+        // Not even with a forged epoch.
+        zombie.command(command(9, 100.0));
+        successor.command(command(2, 0.5));
+        assert_eq!(driver.intake(), (Some(command(2, 0.5)), 1));
+        assert_eq!(driver.intake(), (None, 0));
+    }
+
+    #[test]
+    fn a_generation_that_comes_late_cannot_take_the_link_back() {
+        let (_driver, slot, _) = link();
+        let _successor = slot.take(5).unwrap();
+        assert_eq!(slot.take(4).unwrap_err(), LinkError::Superseded { epoch: 4, newest: 5 });
+        slot.fence().raise(7);
+        assert_eq!(slot.take(6).unwrap_err(), LinkError::Fenced { epoch: 6, lowest: 7 });
+        assert!(slot.take(7).is_ok());
+        slot.fence().zero_all_forces();
+        assert!(matches!(slot.take(u32::MAX), Err(LinkError::Fenced { .. })));
+    }
+
+    #[test]
+    fn lanes_are_bounded_and_come_back_when_a_link_is_dropped() {
+        let (mut driver, slot, _) = link();
+        let mut zombies: Vec<_> = (0..LANES as u32).map(|epoch| slot.take(epoch).unwrap()).collect();
+        assert_eq!(slot.take(100).unwrap_err(), LinkError::LanesExhausted);
+        let mut last_words = zombies.remove(3);
+        last_words.command(command(3, 100.0));
+        drop(last_words);
+        let mut reused = slot.take(100).unwrap();
+        // What the last holder of the lane left there is not obeyed.
+        assert_eq!(driver.intake(), (None, 1));
+        reused.command(command(100, 2.0));
+        assert_eq!(driver.intake().0, Some(command(100, 2.0)));
+    }
+
+    #[test]
+    fn a_link_that_is_taken_later_finds_the_newest_sample() {
+        let (mut driver, slot, monitor) = link();
+        let mut first = slot.take(1).unwrap();
+        assert!(!first.sample().state.connected);
+        let sample = DeviceSample { published_at_ns: 42, ..DeviceSample::unknown() };
+        driver.publish(&sample);
+        assert_eq!(first.sample().published_at_ns, 42);
+        assert_eq!(slot.take(2).unwrap().sample().published_at_ns, 42);
+        assert_eq!(monitor.clone().sample().published_at_ns, 42);
+    }
+
+    #[test]
+    fn the_fence_only_rises() {
+        let fence = Fence::default();
+        assert!(fence.admits(0));
+        fence.raise(3);
+        fence.clone().raise(2);
+        assert_eq!(fence.lowest(), 3);
+        assert!(!fence.admits(2) && fence.admits(3) && fence.admits(u32::MAX));
+        fence.zero_all_forces();
+        assert!(!fence.admits(u32::MAX));
+    }
+}
