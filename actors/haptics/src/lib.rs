@@ -1,8 +1,25 @@
 //! Force rendering, and the controller that serves a haptic device.
+//!
+//! The algorithms are plain types, each in a file of its own:
+//!
+//! - [`renderer`]: what the hand feels of a simulation that is slower than the hand ([`renderer::Held`],
+//!   [`renderer::VirtualCoupling`], [`renderer::Proxy`]);
+//! - [`energy`]: energy observer and time-domain passivity controller;
+//! - [`felt_stiffness`]: the stiffness that the hand feels, estimated while it is felt;
+//! - the kinematics (registration, fulcrum, wrenches) live in [`trocar_scene::kinematics`], so that virtual
+//!   trainees share them.
+//!
+//! [`HapticsController`] schedules them at 1–10 kHz for one hand. A tick allocates nothing.
+//!
+//! What is absent here: threads, clocks, device protocols, physics.
+#![forbid(unsafe_code)]
 
+pub mod config;
+pub mod controller;
 pub mod energy;
 pub mod felt_stiffness;
 pub mod renderer;
 
-// The kinematics live in the scene (scene/src/kinematics/), so that virtual trainees share them.
-pub use trocar_scene::kinematics::{coupling, fulcrum, registration, spatial};
+pub use config::{HapticsConfig, HapticsError};
+pub use controller::HapticsController;
+pub use trocar_scene::kinematics::{coupling, fulcrum, hand_rig, registration, spatial};

@@ -1,0 +1,363 @@
+//! The controller that serves one hand: device link → registration → port → renderer → passivity → device.
+//!
+//! A thin schedule of the algorithms beside it. It holds nothing that the scene does not hold as well, apart
+//! from transients of a few milliseconds (blends, the sample before): a rebuilt one continues with the
+//! energy, the buttons and the shaft direction of its predecessor, and the driver ramps its force in.
+
+use nalgebra::{Isometry3, Vector3};
+use trocar_devices::{Capabilities, DeviceCommand, DeviceLink, DeviceSample, Dofs, HandIntent};
+use trocar_scene::kinematics::coupling::{InstrumentCoupling, Transmission};
+use trocar_scene::kinematics::hand_rig::HandRig;
+use trocar_scene::kinematics::spatial::{Twist, Wrench};
+use trocar_scene::{
+    Access, BuildContext, Commands, Controller, ControllerError, DeviceForce, DeviceState, Entity, EntitySet,
+    Hand, HandTarget, HapticStatus, Instrument, InstrumentForce, InstrumentTarget, LocalContactModel, Port,
+    Pose, Revision, SimTime, Snapshot, Tick, Velocity,
+};
+
+use crate::config::{HapticsConfig, HapticsError};
+use crate::energy::{Passivated, PassivityConfig, PassivityController};
+use crate::felt_stiffness::FeltStiffness;
+use crate::renderer::{ForceRenderer, RenderInput, SimulatedInstrument};
+
+/// A pose of the instrument that nobody stamped is taken to be as old as its last change.
+#[derive(Clone, Copy, Debug, Default)]
+struct SeenPose {
+    revision: Option<Revision>,
+    at: SimTime,
+}
+
+/// Haptics of one hand.
+pub struct HapticsController {
+    hand: Entity,
+    rig: HandRig,
+    rig_read_at: Revision,
+    link: DeviceLink,
+    capabilities: Capabilities,
+    renderer: Box<dyn ForceRenderer>,
+    passivity: PassivityController,
+    felt: FeltStiffness,
+    status_period: SimTime,
+
+    shaft_axis: Vector3<f64>,
+    buttons: u32,
+    before: Option<DeviceSample>,
+    target: Option<InstrumentTarget>,
+    seen: SeenPose,
+    status: HapticStatus,
+    status_due: SimTime,
+}
+
+impl HapticsController {
+    /// Haptics for the entity `hand` of the scene, over `link` to a device that can do what `capabilities`
+    /// say. Continues where the scene says that an earlier one stood.
+    ///
+    /// # Errors
+    /// [`HapticsError`] when the scene does not describe the hand or a parameter is out of range.
+    pub fn new(
+        context: &BuildContext<'_>,
+        hand: Entity,
+        link: DeviceLink,
+        capabilities: Capabilities,
+        config: HapticsConfig,
+    ) -> Result<Self, HapticsError> {
+        config.check()?;
+        let scene = context.scene;
+        let rig = HandRig::read(scene, hand)?;
+        let status = scene.get::<HapticStatus>(hand).copied().unwrap_or_default();
+        let target = scene.get::<InstrumentTarget>(rig.instrument).copied();
+        let tip = target
+            .map_or_else(|| scene.world_pose(rig.instrument).rotation, |target| target.tip_in_world.rotation);
+        let passivity_config = PassivityConfig {
+            enabled: config.passivity,
+            apparent_mass: capabilities.apparent_mass.max(1e-3),
+            ..PassivityConfig::default()
+        };
+        let passivity = PassivityController::resumed(
+            passivity_config,
+            status.energy,
+            status.energy_min,
+            status.dissipated,
+        );
+        Ok(Self {
+            hand,
+            rig,
+            rig_read_at: scene.revision(),
+            link,
+            capabilities,
+            renderer: config.renderer.build(),
+            passivity,
+            felt: FeltStiffness::new(config.felt_window_secs),
+            status_period: SimTime::from_secs_f64(config.status_period_secs),
+            shaft_axis: tip * Vector3::z(),
+            buttons: scene.get::<DeviceState>(hand).map_or(0, |state| state.buttons),
+            before: None,
+            target,
+            seen: SeenPose::default(),
+            status,
+            status_due: context.time,
+        })
+    }
+
+    /// The name of the renderer in use.
+    pub fn renderer_name(&self) -> &'static str {
+        self.renderer.name()
+    }
+
+    /// Follows changes of the hand's own components, so that they can be edited live. One that does not fit
+    /// is refused with an event, and the rig stays as it was.
+    fn refresh_rig(&mut self, scene: &Snapshot, out: &mut Commands) {
+        let newer = |revision: Option<Revision>| revision.is_some_and(|revision| revision > self.rig_read_at);
+        let changed = newer(scene.changed::<Hand>(self.hand))
+            || newer(scene.changed::<Instrument>(self.rig.instrument))
+            || self.rig.port.is_some_and(|port| newer(scene.changed::<Port>(port)));
+        if changed {
+            match HandRig::read(scene, self.hand) {
+                Ok(rig) => self.rig = rig,
+                Err(_) => out.event("hand_rig_refused", self.hand, None, 0.0),
+            }
+            self.rig_read_at = scene.revision();
+        } else if let (InstrumentCoupling::Fulcrum(fulcrum), Some(port)) = (&mut self.rig.coupling, self.rig.port)
+        {
+            // The port may move with the wall that it sits in.
+            *fulcrum = fulcrum.with_port_at(scene.world_pose(port).translation.vector);
+        }
+    }
+
+    /// Books the energy of the interval between two samples: the driver held one wrench over it.
+    fn observe_energy(&mut self, sample: &DeviceSample) {
+        if let Some(before) = self.before.filter(|before| before.state.connected && sample.state.connected) {
+            let (from, to) = (&before.state.pose_in_device, &sample.state.pose_in_device);
+            let turned = match self.capabilities.output_dofs {
+                Dofs::Six => (to.rotation * from.rotation.inverse()).scaled_axis(),
+                Dofs::Zero | Dofs::Three => Vector3::zeros(),
+            };
+            let displacement = Twist::new(to.translation.vector - from.translation.vector, turned);
+            let applied = Wrench::new(before.applied.force, before.applied.torque);
+            self.passivity.observe(&applied, &displacement);
+        }
+    }
+
+    fn press_buttons(&mut self, buttons: u32, out: &mut Commands) {
+        let mut changed = buttons ^ self.buttons;
+        while changed != 0 {
+            let button = changed.trailing_zeros();
+            let name = if buttons & (1 << button) == 0 { "button_released" } else { "button_pressed" };
+            out.event(name, self.hand, None, f64::from(button));
+            changed &= changed - 1;
+        }
+        self.buttons = buttons;
+    }
+
+    fn simulated_instrument(&mut self, scene: &Snapshot, now: SimTime) -> Option<SimulatedInstrument> {
+        let instrument = self.rig.instrument;
+        if let Some(model) = scene.get::<LocalContactModel>(instrument) {
+            return Some(SimulatedInstrument {
+                tip_in_world: model.proxy_in_world.isometry(),
+                twist: Twist::new(model.proxy_velocity.linear, model.proxy_velocity.angular),
+                at: model.at,
+            });
+        }
+        let revision = scene.changed::<Pose>(instrument)?;
+        if self.seen.revision != Some(revision) {
+            self.seen = SeenPose { revision: Some(revision), at: now };
+        }
+        let velocity = scene.get::<Velocity>(instrument).copied().unwrap_or_default();
+        Some(SimulatedInstrument {
+            tip_in_world: scene.world_pose(instrument),
+            twist: Twist::new(velocity.linear, velocity.angular),
+            at: self.seen.at,
+        })
+    }
+
+    /// Wrench on the hand in the device's frame, before passivity.
+    fn render(
+        &mut self,
+        tick: &Tick<'_>,
+        scene: &Snapshot,
+        transmission: &Transmission,
+        handle_twist: &Twist,
+    ) -> Wrench {
+        let dt = tick.period.as_secs_f64().max(1e-6);
+        // A spring at the tip is felt at the handle through the square of the lever and of the scale.
+        let lever = match transmission {
+            Transmission::Fulcrum(passage) => passage.lever().abs().max(1.0),
+            Transmission::Free { .. } => 1.0,
+        };
+        let gain = (lever * self.rig.registration.scale()).powi(2);
+        // Damping above a quarter of m/ΔT at the device oscillates with the loop's delay of 1.5 ticks.
+        let damping_max = 0.25 * self.capabilities.apparent_mass / dt;
+        let input = RenderInput {
+            now: tick.time,
+            dt,
+            tip_in_world: *transmission.tip_in_world(),
+            tip_twist: transmission.tip_twist(handle_twist),
+            stiffness_max: self.capabilities.max_stiffness / gain,
+            damping_max: damping_max / gain,
+            instrument: self.simulated_instrument(scene, tick.time),
+            instrument_force: scene.get::<InstrumentForce>(self.rig.instrument),
+            contact_model: scene.get::<LocalContactModel>(self.rig.instrument),
+        };
+        let at_tip = self.renderer.render(&input);
+        let at_handle = transmission.handle_wrench(&at_tip)
+            + self.rig.coupling.passive_wrench(transmission, handle_twist);
+        let mut wrench = self.rig.registration.wrench_to_device(&at_handle);
+        if self.capabilities.output_dofs != Dofs::Six {
+            wrench.torque = Vector3::zeros();
+        }
+        if !wrench.is_finite() {
+            return Wrench::ZERO;
+        }
+        let size = wrench.force.norm();
+        if size > self.capabilities.max_force_newtons {
+            // The driver clamps as well; here it keeps observer and passivity honest about what is felt.
+            wrench.force *= self.capabilities.max_force_newtons / size;
+        }
+        wrench
+    }
+
+    /// The hand is there: moves the instrument and returns what to render.
+    fn serve(
+        &mut self,
+        tick: &Tick<'_>,
+        scene: &Snapshot,
+        sample: &DeviceSample,
+        out: &mut Commands,
+    ) -> Wrench {
+        let state = &sample.state;
+        let registration = &self.rig.registration;
+        let handle_in_world = registration.pose_to_world(&state.pose_in_device);
+        let handle_twist =
+            registration.twist_to_world(&Twist::new(state.linear_velocity, state.angular_velocity));
+        let transmission = self.rig.coupling.transmit(&handle_in_world, &self.shaft_axis);
+        self.shaft_axis = transmission.axis_in_world();
+        let tip_twist = transmission.tip_twist(&handle_twist);
+
+        let target = InstrumentTarget {
+            tip_in_world: renormalised(transmission.tip_in_world()),
+            velocity_in_world: Velocity { linear: tip_twist.linear, angular: tip_twist.angular },
+            jaw_angle: state.gripper.clamp(0.0, self.rig.jaw_angle_max),
+            sampled_at: SimTime(sample.sampled_at_ns),
+        };
+        self.target = Some(target);
+        out.put(self.rig.instrument, target);
+
+        let mut wrench = self.render(tick, scene, &transmission, &handle_twist);
+        let dt = tick.period.as_secs_f64();
+        let Passivated { force, damping, power } =
+            self.passivity.passivate(&wrench.force, &state.linear_velocity, dt);
+        wrench.force = force;
+        self.felt.update(&state.pose_in_device.translation.vector, &force, dt);
+        self.status.injected_damping = damping;
+        self.status.damping_power = power;
+        wrench
+    }
+
+    /// The hand is gone: the instrument stays where it is.
+    fn freeze(&mut self, out: &mut Commands) {
+        self.renderer.reset();
+        self.felt.update(&Vector3::zeros(), &Vector3::zeros(), 1e-3);
+        self.status.injected_damping = 0.0;
+        self.status.damping_power = 0.0;
+        if let Some(target) = &mut self.target
+            && target.velocity_in_world != Velocity::default()
+        {
+            target.velocity_in_world = Velocity::default();
+            out.put(self.rig.instrument, *target);
+        }
+    }
+
+    /// Where the trainee wants the hand to be, if it says so and it is a pose.
+    fn intent(&self, scene: &Snapshot) -> Option<HandIntent> {
+        let target = scene.get::<HandTarget>(self.hand)?;
+        let intent = HandIntent {
+            pose_in_device: target.handle_in_device.isometry(),
+            gripper: target.gripper,
+        };
+        intent.is_valid().then_some(intent)
+    }
+}
+
+impl Controller for HapticsController {
+    fn access(&self) -> Access {
+        let hand = || EntitySet::Of(vec![self.hand]);
+        Access::new()
+            .reads::<Hand>()
+            .reads::<HandTarget>()
+            .reads::<Instrument>()
+            .reads::<Port>()
+            .reads::<Pose>()
+            .reads::<Velocity>()
+            .reads::<InstrumentForce>()
+            .reads::<LocalContactModel>()
+            .writes::<DeviceState>(hand())
+            .writes::<DeviceForce>(hand())
+            .writes::<HapticStatus>(hand())
+            .writes::<InstrumentTarget>(EntitySet::Of(vec![self.rig.instrument]))
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        self.refresh_rig(scene, out);
+        let sample = *self.link.sample();
+        let fresh = self.before.is_none_or(|before| before.published_at_ns != sample.published_at_ns);
+        if fresh {
+            self.observe_energy(&sample);
+        } else {
+            self.status.stale_samples += 1;
+        }
+        let connected = sample.state.connected;
+        self.press_buttons(if connected { sample.state.buttons } else { 0 }, out);
+
+        let wrench = if connected {
+            self.serve(tick, scene, &sample, out)
+        } else {
+            self.freeze(out);
+            Wrench::ZERO
+        };
+        let intent = self.intent(scene);
+        self.link.command(DeviceCommand {
+            epoch: self.link.epoch(),
+            time_ns: tick.time.as_nanos(),
+            wrench: trocar_devices::Wrench { force: wrench.force, torque: wrench.torque },
+            intent,
+        });
+
+        if fresh {
+            out.put(self.hand, device_state(&sample));
+        }
+        out.put(self.hand, DeviceForce { force: wrench.force, torque: wrench.torque, at: tick.time });
+        self.status.force_max = self.status.force_max.max(wrench.force.norm());
+        if tick.time >= self.status_due {
+            let observer = self.passivity.observer();
+            self.status.energy = observer.energy;
+            self.status.energy_min = observer.energy_min;
+            self.status.dissipated = self.passivity.dissipated();
+            self.status.felt_stiffness = self.felt.value().unwrap_or(0.0);
+            out.put(self.hand, self.status);
+            self.status_due = tick.time + self.status_period;
+        }
+        self.before = Some(sample);
+        Ok(())
+    }
+}
+
+/// What the driver measured, as the scene's component.
+fn device_state(sample: &DeviceSample) -> DeviceState {
+    let state = &sample.state;
+    DeviceState {
+        handle_in_device: renormalised(&state.pose_in_device),
+        velocity_in_device: Velocity { linear: state.linear_velocity, angular: state.angular_velocity },
+        gripper: state.gripper,
+        buttons: state.buttons,
+        connected: state.connected,
+        applied_force: sample.applied.force,
+        sampled_at: SimTime(sample.sampled_at_ns),
+    }
+}
+
+/// A device may be off unit length by 1e-6, and products of rotations drift: the scene gets clean ones.
+fn renormalised(pose: &Isometry3<f64>) -> Pose {
+    let mut rotation = pose.rotation;
+    rotation.renormalize();
+    Pose::new(pose.translation.vector, rotation)
+}
