@@ -4,6 +4,7 @@ pub mod chain;
 pub mod commit;
 pub mod faults;
 pub mod handle;
+pub mod lockstep;
 pub mod model_core;
 #[cfg(test)]
 mod model_core_tests;
@@ -17,5 +18,6 @@ mod testing;
 
 pub use chain::{CommitKind, StateHash};
 pub use commit::{Commit, CommitBuffer};
+pub use lockstep::{LockstepSession, SessionError};
 pub use handle::{Doorbell, Intake, Lanes, LaneStatus, Submitted, WriterHandle};
 pub use model_core::{DeclareError, ModelCore, Outcome, Rejection, WriterCounts};

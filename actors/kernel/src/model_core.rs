@@ -137,6 +137,8 @@ pub struct ModelCore {
     keep_commits: bool,
     scratch: Vec<u8>,
     committed: Committed,
+    /// Whether a batch is being moved into the scene; still set after a panic in the middle of it.
+    half_applied: bool,
 }
 
 impl ModelCore {
@@ -164,6 +166,7 @@ impl ModelCore {
             keep_commits: false,
             scratch: Vec::new(),
             committed,
+            half_applied: false,
         })
     }
 
@@ -265,8 +268,10 @@ impl ModelCore {
                 }
             };
         }
+        self.half_applied = true;
         self.move_ownership(at, batch);
         let revision = self.store.apply(&mut batch.commands, time);
+        self.half_applied = false;
         let writer = &mut self.writers[at];
         writer.counts.applied += 1;
         self.chain.append(CommitKind::Batch, &writer.name, tick, time, &self.scratch);
@@ -320,21 +325,16 @@ impl ModelCore {
         }
     }
 
-    /// Ends a life of a writer: batches of its epoch are refused from now on and its contributions leave
-    /// the scene. Returns the epoch of its next life, or `None` for an unknown writer.
-    pub fn fence(&mut self, id: WriterId, now: SimTime) -> Option<u32> {
-        let at = self.position(id)?;
+    /// Ends the lives of a writer before `epoch`: their batches are refused from now on and its contributions
+    /// leave the scene. Does nothing and says `false` when the writer is unknown or in that epoch already.
+    pub fn fence(&mut self, id: WriterId, epoch: u32, now: SimTime) -> bool {
+        let Some(at) = self.position(id).filter(|at| self.writers[*at].epoch < epoch) else { return false };
         let writer = &mut self.writers[at];
-        writer.epoch += 1;
+        writer.epoch = epoch;
         let revision = self.store.remove_contributions(&writer.rules);
-        // The number of fences stands where a batch has its tick.
-        let provenance = Provenance {
-            writer: id,
-            epoch: writer.epoch,
-            tick: u64::from(writer.epoch),
-            time: now,
-            based_on: revision,
-        };
+        // The epoch stands where a batch has its tick.
+        let provenance =
+            Provenance { writer: id, epoch, tick: u64::from(epoch), time: now, based_on: revision };
         self.scratch.clear();
         encode_fence(self.store.view().registry(), &writer.rules, &mut self.scratch);
         self.chain.append(CommitKind::Fence, &writer.name, provenance.tick, now, &self.scratch);
@@ -343,7 +343,7 @@ impl ModelCore {
             self.commits.push(CommitKind::Fence, revision, &writer.name, provenance, head, &self.scratch);
         }
         self.clock.applied(now);
-        Some(self.writers[at].epoch)
+        true
     }
 
     /// Applies a recorded commit again, without asking what its writer may do: that was decided when it was
@@ -385,9 +385,21 @@ impl ModelCore {
         snapshot
     }
 
-    /// After a panic in [`Self::apply`]: falls back to what was last published, blames `culprit` and
-    /// forgets what was applied since, which nobody has seen.
-    pub fn recover(&mut self, culprit: Option<WriterId>) -> Arc<Snapshot> {
+    /// After a panic in [`Self::apply`]: blames `culprit`, and if its batch was already being moved into the
+    /// scene, falls back to what was last published. What was applied since, and nobody has seen, is gone;
+    /// returns whether that was so.
+    pub fn recover(&mut self, culprit: Option<WriterId>) -> bool {
+        if let Some(at) = culprit.and_then(|id| self.position(id)) {
+            self.writers[at].counts.quarantined += 1;
+        }
+        if self.half_applied {
+            self.fall_back();
+        }
+        std::mem::take(&mut self.half_applied)
+    }
+
+    /// Forgets everything since the last publication.
+    fn fall_back(&mut self) {
         let committed = self.committed.clone();
         self.store = Store::from_snapshot(&committed.snapshot);
         self.chain = committed.chain;
@@ -404,10 +416,6 @@ impl ModelCore {
                 self.writers[at].rules = rules;
             }
         }
-        if let Some(at) = culprit.and_then(|id| self.position(id)) {
-            self.writers[at].counts.quarantined += 1;
-        }
-        committed.snapshot
     }
 
     /// Takes the commits since the last call, published or not, and leaves `empty` for the next ones.

@@ -1,7 +1,6 @@
 //! What the Model promises, one test per promise, and a property test against a naive model.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use proptest::prelude::*;
 use trocar_scene::{
@@ -12,6 +11,7 @@ use trocar_scene::{
 use crate::chain::CommitKind;
 use crate::commit::CommitBuffer;
 use crate::model_core::{DeclareError, ModelCore, Outcome, Rejection};
+use crate::runtime::panics::guarded;
 use crate::testing::{Bomb, Count, Level, Pairs, Shadow, registry};
 
 const RING: Entity = Entity::new(0, 0, 1);
@@ -149,7 +149,8 @@ fn a_fence_removes_contributions_and_refuses_the_old_life() {
         out.contribute(Shadow(1.0));
     });
     submit(&mut core, PILOT, 1, |out| out.contribute(Pairs(vec![3])));
-    assert_eq!(core.fence(ENGINE, SimTime::from_millis(2)), Some(2));
+    assert!(core.fence(ENGINE, 2, SimTime::from_millis(2)));
+    assert!(!core.fence(ENGINE, 2, SimTime::from_millis(2)), "once is enough");
     assert_eq!(core.view().get::<Pairs>(me), None);
     assert_eq!(core.view().get::<Shadow>(me), None);
     assert_eq!(core.view().iter::<Pairs>().count(), 1, "the other's contribution stays");
@@ -159,7 +160,7 @@ fn a_fence_removes_contributions_and_refuses_the_old_life() {
         submit(&mut core, ENGINE, 2, |out| out.contribute(Pairs(vec![4]))),
         Outcome::Applied { .. }
     ));
-    assert_eq!(core.fence(WriterId(9), SimTime::ZERO), None);
+    assert!(!core.fence(WriterId(9), 2, SimTime::ZERO));
 }
 
 #[test]
@@ -180,26 +181,40 @@ fn ownership_moves_explicitly_and_survives_a_restart_of_either_side() {
     assert_eq!(heir, Rejection::UnknownHeir(9));
 }
 
+/// Applies a batch that panics and lets the core recover.
+fn blow_up(core: &mut ModelCore, bomb: Bomb) -> bool {
+    let mut bad = batch(core, ENGINE, 1, |out| out.put(RING, bomb));
+    assert!(guarded(|| core.apply(&mut bad, SimTime::ZERO)).is_err());
+    core.recover(Some(ENGINE))
+}
+
 #[test]
-fn a_batch_that_panics_is_quarantined_and_the_model_continues_from_what_was_published() {
+fn a_batch_that_panics_before_it_touches_the_scene_costs_nothing_else() {
+    let mut core = core();
+    submit(&mut core, ENGINE, 1, |out| out.put(RING, Count(2)));
+    let before = (core.hash(), core.view().revision());
+    assert!(!blow_up(&mut core, Bomb::new(13)));
+    assert_eq!((core.hash(), core.view().revision()), before);
+    assert_eq!(core.counts(ENGINE).expect("declared").quarantined, 1);
+    assert!(matches!(submit(&mut core, ENGINE, 1, |out| out.put(RING, Count(3))), Outcome::Applied { .. }));
+}
+
+#[test]
+fn a_batch_that_panics_half_applied_takes_the_model_back_to_what_was_published() {
     let mut core = core();
     core.keep_commits(true);
-    submit(&mut core, ENGINE, 1, |out| out.put(RING, Count(1)));
+    submit(&mut core, ENGINE, 1, |out| {
+        out.put(RING, Count(1));
+        out.put(RING, Bomb::new(14));
+    });
     let published = core.publish();
     let hash = core.hash();
     submit(&mut core, ENGINE, 1, |out| out.put(RING, Count(2)));
     submit(&mut core, ENGINE, 1, |out| out.transfer::<Count>(RING, PILOT));
-    let mut bad = batch(&core, ENGINE, 1, |out| out.put(RING, Bomb(13)));
-    let hook = std::panic::take_hook();
-    std::panic::set_hook(Box::new(|_| {}));
-    let died = catch_unwind(AssertUnwindSafe(|| core.apply(&mut bad, SimTime::ZERO)));
-    std::panic::set_hook(hook);
-    assert!(died.is_err());
-    core.recover(Some(ENGINE));
+    assert!(blow_up(&mut core, Bomb::new(0)), "replacing the armed bomb panics");
     assert_eq!(core.view().revision(), published.revision());
     assert_eq!(core.view().get::<Count>(RING), Some(&Count(1)));
     assert_eq!(core.hash(), hash);
-    assert_eq!(core.counts(ENGINE).expect("declared").quarantined, 1);
     assert_eq!(core.swap_commits(CommitBuffer::new()).len(), 1, "what nobody saw is not recorded");
     let again = submit(&mut core, ENGINE, 1, |out| out.put(RING, Count(3)));
     assert!(matches!(again, Outcome::Applied { .. }), "the unseen transfer is undone: {again:?}");
@@ -249,7 +264,8 @@ fn commits_replayed_into_a_fresh_core_give_the_same_scene_and_hash() {
         batch.commands.seal();
         assert!(matches!(core.apply(&mut batch, SimTime::ZERO), Outcome::Applied { .. }));
         if tick % 7 == 3 {
-            core.fence(ENGINE, SimTime::from_millis(u64::from(tick)));
+            let epoch = core.epoch(ENGINE).expect("declared") + 1;
+            assert!(core.fence(ENGINE, epoch, SimTime::from_millis(u64::from(tick))));
         }
     }
     let commits = core.swap_commits(CommitBuffer::new());
@@ -459,7 +475,6 @@ proptest! {
             counts: BTreeMap::from([(RING, (0, 1))]),
             pairs: BTreeMap::new(),
         };
-        let mut published = naive.clone();
         for step in &steps {
             match step {
                 Step::Batch { writer, stale, writes } => {
@@ -469,18 +484,17 @@ proptest! {
                     prop_assert_eq!(applied, !stale && naive.batch(*writer, writes), "{:?}", step);
                 }
                 Step::Fence { writer } => {
-                    if core.fence(WriterId(*writer), SimTime::ZERO).is_some() {
+                    let epoch = core.epoch(WriterId(*writer)).unwrap_or(1) + 1;
+                    if core.fence(WriterId(*writer), epoch, SimTime::ZERO) {
                         naive.revision += 1;
                         naive.pairs.remove(&Entity::new(0, *writer, 0));
                     }
                 }
                 Step::Publish => {
                     core.publish();
-                    published = naive.clone();
                 }
                 Step::Recover => {
-                    core.recover(None);
-                    naive = published.clone();
+                    prop_assert!(!core.recover(None), "nothing was half applied");
                 }
             }
             compare(&core, &naive)?;

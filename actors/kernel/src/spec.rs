@@ -240,6 +240,9 @@ pub struct SessionOutcome {
 /// Name under which the Model stands in the supervisor tree and in fault files.
 pub const MODEL: &str = "model";
 
+/// Name under which the recorder stands in fault files.
+pub const RECORDER: &str = "recorder";
+
 /// The kinds of fault that a fault file may hold (design §5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -37,17 +37,43 @@ impl Component for Shadow {
     const RECORD: RecordPolicy = RecordPolicy::Derived;
 }
 
-/// A component whose own code panics on one value, the second time that it is looked at: past the sender,
-/// in the Model.
+/// A component whose own code panics in the Model: 13 when it is looked at for the second time (past the
+/// sender), 14 when it is replaced.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Bomb(pub u32);
+pub struct Fuse(pub u32);
+
+/// See [`Fuse`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Bomb(pub Fuse, #[serde(skip)] pub Trap);
+
+impl Bomb {
+    /// Goes off at 13 or 14.
+    pub fn new(kind: u32) -> Self {
+        Self(Fuse(kind), Trap(kind == 14))
+    }
+}
+
+/// Panics when dropped while it is set, once per thread.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Trap(bool);
+
+impl Drop for Trap {
+    fn drop(&mut self) {
+        thread_local!(static SPRUNG: std::cell::Cell<bool> = const { std::cell::Cell::new(false) });
+        if self.0 && !std::thread::panicking() && !SPRUNG.replace(true) {
+            panic!("the trap is sprung");
+        }
+    }
+}
+
 impl Component for Bomb {
     const NAME: &'static str = "test_bomb";
     fn check(&self) -> Result<(), ComponentError> {
         thread_local!(static LOOKS: std::cell::Cell<u32> = const { std::cell::Cell::new(0) });
-        let looks = LOOKS.get() + 1;
-        LOOKS.set(looks);
-        assert!(self.0 != 13 || looks % 2 == 1, "the bomb goes off");
+        if self.0.0 == 13 {
+            LOOKS.set(LOOKS.get() + 1);
+            assert!(LOOKS.get() % 2 == 1, "the bomb goes off");
+        }
         Ok(())
     }
 }

@@ -114,6 +114,15 @@ impl FaultLog {
         }
     }
 
+    /// A stall of the target ended by itself, before anybody replaced it.
+    pub fn stall_ended(&mut self, target: &str, now: SimTime) {
+        if self.open > 0 {
+            for row in self.begun(target).filter(|row| row.kind == FaultKind::Stall) {
+                row.healed.get_or_insert(now);
+            }
+        }
+    }
+
     /// Something is seen to be wrong with the target.
     pub fn detected(&mut self, target: &str, now: SimTime) {
         for row in self.begun(target).filter(|row| row.detected.is_none()) {

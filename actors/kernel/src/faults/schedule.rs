@@ -34,6 +34,15 @@ impl TargetClass {
         }
     }
 
+    /// What a target that is no controller is, by its name: `recorder`, `network.…`, or else a device.
+    pub fn of_sink(name: &str) -> Self {
+        match name {
+            "recorder" => Self::Recorder,
+            name if name.starts_with("network.") => Self::Link,
+            _ => Self::Device,
+        }
+    }
+
     /// The faults that can befall it.
     pub const fn kinds(self) -> &'static [FaultKind] {
         use FaultKind as K;

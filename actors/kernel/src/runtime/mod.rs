@@ -2,12 +2,16 @@
 
 pub mod budget;
 pub mod histogram;
+pub mod jobs;
+pub mod panics;
 pub mod sched;
 pub mod stats;
 pub mod ticker;
 
 pub use budget::{Budget, Verdict};
 pub use histogram::{AtomicHistogram, Bars, Quantiles};
+pub use jobs::JobRunner;
+pub use panics::guarded;
 pub use sched::Permission;
 pub use stats::{ControllerReport, TickStats};
 pub use ticker::{Clock, Due, Schedule, Ticker};

@@ -89,6 +89,16 @@ pub fn thread_cpu(tid: u32) -> Option<SimTime> {
     imp::thread_cpu(tid)
 }
 
+/// Whether a thread of this process runs or waits for a processor, rather than for anything else.
+pub fn is_runnable(tid: u32) -> bool {
+    imp::is_runnable(tid)
+}
+
+/// Names the calling thread for people who look at the process from outside; at most 15 bytes are kept.
+pub fn name_current(name: &str) {
+    imp::name_current(name);
+}
+
 /// Lets the calling thread's runtime wait for `fd` to become readable.
 ///
 /// # Errors
@@ -121,6 +131,21 @@ mod imp {
 
     pub(super) fn current_tid() -> u32 {
         rustix::thread::gettid().as_raw_nonzero().get() as u32
+    }
+
+    pub(super) fn is_runnable(tid: u32) -> bool {
+        std::fs::read_to_string(format!("/proc/self/task/{tid}/stat"))
+            .ok()
+            .and_then(|stat| stat.rsplit(')').next().map(|rest| rest.trim_start().starts_with('R')))
+            .unwrap_or(false)
+    }
+
+    pub(super) fn name_current(name: &str) {
+        let end = (0..=name.len().min(15)).rev().find(|end| name.is_char_boundary(*end)).unwrap_or(0);
+        if let Ok(name) = std::ffi::CString::new(&name[..end]) {
+            // A name is a comfort: without it the thread works as well.
+            let _ = rustix::thread::set_name(&name);
+        }
     }
 
     fn set(tid: u32, policy: libc::c_int, priority: libc::c_int) -> io::Result<()> {
@@ -172,6 +197,10 @@ mod imp {
         thread_local!(static TID: u32 = NEXT.fetch_add(1, Ordering::Relaxed));
         TID.with(|tid| *tid)
     }
+    pub(super) fn is_runnable(_: u32) -> bool {
+        false
+    }
+    pub(super) fn name_current(_: &str) {}
     pub(super) fn set_fifo(_: u32, _: i32) -> io::Result<()> {
         Err(unsupported())
     }

@@ -8,6 +8,8 @@ use trocar_scene::SimTime;
 
 /// How early the timer is armed: the rest is spent spinning.
 pub const LEAD: SimTime = SimTime::from_micros(30);
+/// Longest wait at a stretch, so that a slow controller still hears an order to stop.
+pub const WAIT_MAX: SimTime = SimTime::from_millis(50);
 /// After so many ticks without a wait the runtime gets its turn.
 const YIELD_EVERY: u32 = 16;
 
@@ -104,11 +106,11 @@ impl Ticker {
         &self.schedule
     }
 
-    /// Waits for the next tick.
+    /// Waits for the next tick; `None` after [`WAIT_MAX`], when it is not due yet.
     ///
     /// # Errors
     /// When the system's timer fails.
-    pub async fn next(&mut self) -> io::Result<Due> {
+    pub async fn next(&mut self) -> io::Result<Option<Due>> {
         let due = self.schedule.next_due();
         let wake = if self.spins { SimTime(due.0.saturating_sub(LEAD.0)) } else { due };
         let mut waited = false;
@@ -116,6 +118,10 @@ impl Ticker {
             let now = self.clock.now();
             if now >= wake {
                 break;
+            }
+            if wake.since(now) > WAIT_MAX {
+                self.timer.sleep(now, now + WAIT_MAX).await?;
+                return Ok(None);
             }
             self.timer.sleep(now, wake).await?;
             waited = true;
@@ -131,7 +137,7 @@ impl Ticker {
         }
         loop {
             if let Some(due) = self.schedule.take(self.clock.now()) {
-                return Ok(due);
+                return Ok(Some(due));
             }
             std::hint::spin_loop();
         }
@@ -292,7 +298,7 @@ mod tests {
                 ticker.set_spinning(spins);
                 let (mut ran, mut missed) = (0, 0);
                 while ran + missed < 50 {
-                    let due = ticker.next().await.expect("a tick");
+                    let due = ticker.next().await.expect("a timer").expect("a tick");
                     assert!(clock.now() >= due.at);
                     ran += 1;
                     missed += due.missed;
@@ -301,6 +307,22 @@ mod tests {
                 assert!(ran >= 10, "only {ran} of 50 ran");
             }
         });
+    }
+
+    #[test]
+    fn a_slow_controller_looks_around_between_its_ticks() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let clock = Clock::start();
+        let looks = runtime.block_on(async {
+            let schedule = Schedule::new(clock.now(), SimTime::from_millis(180), 1);
+            let mut ticker = Ticker::new(schedule, clock).expect("a timer");
+            let mut looks = 0;
+            while ticker.next().await.expect("a timer").is_none() {
+                looks += 1;
+            }
+            looks
+        });
+        assert!((1..=3).contains(&looks), "{looks}");
     }
 
     #[test]
@@ -313,7 +335,7 @@ mod tests {
             let schedule = Schedule::new(clock.now(), SimTime::from_millis(20), 1);
             let mut ticker = Ticker::new(schedule, clock).expect("a timer");
             for _ in 0..10 {
-                ticker.next().await.expect("a tick");
+                ticker.next().await.expect("a timer").expect("a tick");
             }
         });
         if let (Some(before), Some(after)) = (before, super::super::sched::thread_cpu(tid)) {

@@ -1,0 +1,455 @@
+//! The session: its parts, its clock, its order.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use thiserror::Error;
+use trocar_scene::{Batch, ComponentError, Controller, Registry, SimTime, Snapshot};
+
+use super::slot::{NEVER, Pending, Slot, Ticked};
+use crate::chain::StateHash;
+use crate::commit::CommitBuffer;
+use crate::faults::{FaultLog, FaultPlanError, FaultSchedule};
+use crate::model_core::{ModelCore, Outcome};
+use crate::runtime::panics::guarded;
+use crate::runtime::{ControllerReport, Permission, TickStats};
+use crate::spec::{
+    CommitSink, FaultKind, FaultSink, MODEL, Mode, Peer, SessionOutcome, SessionSpec, StopWhen, ZeroForces,
+};
+use crate::supervision::{Action, ChildId, Event, GroupSpec, Supervisor, TreeError};
+
+/// How often the Model publishes when nobody asks: what a fall-back after a panic can cost at most.
+const PUBLISH_EVERY: SimTime = SimTime::from_millis(10);
+
+/// Why a session cannot begin.
+#[derive(Debug, Error)]
+pub enum SessionError {
+    /// The scene cannot be encoded.
+    #[error("the scene at the start: {0}")]
+    Scene(#[from] ComponentError),
+    /// The supervisor tree is wrong.
+    #[error("{0}")]
+    Tree(#[from] TreeError),
+    /// A rate that cannot be scheduled.
+    #[error("controller '{name}': rate {rate_hz} Hz; valid: above 0, up to 1e6")]
+    Rate {
+        /// The controller.
+        name: String,
+        /// Its rate.
+        rate_hz: f64,
+    },
+    /// A peer whose steps take no time.
+    #[error("device '{0}': its period is 0 ns; valid: above 0")]
+    Period(String),
+    /// A controller that the tree does not hold.
+    #[error("controller '{0}' does not stand in the supervisor tree")]
+    NotSupervised(String),
+    /// A fault that fits nothing in the session.
+    #[error(transparent)]
+    Fault(#[from] FaultPlanError),
+    /// A first start failed.
+    #[error("{0}")]
+    Start(String),
+}
+
+pub(super) struct PeerSlot {
+    peer: Box<dyn Peer>,
+    next: SimTime,
+}
+
+/// A life that was abandoned in the middle of a step.
+pub(super) struct Zombie {
+    pub(super) slot: usize,
+    pub(super) pending: Pending,
+    pub(super) controller: Box<dyn Controller>,
+}
+
+/// A session on one thread in virtual time.
+pub struct LockstepSession {
+    pub(super) now: SimTime,
+    pub(super) registry: Arc<Registry>,
+    pub(super) seed: u64,
+    pub(super) core: ModelCore,
+    pub(super) slots: Vec<Slot>,
+    peers: Vec<PeerSlot>,
+    pub(super) supervisor: Supervisor,
+    pub(super) model: ChildId,
+    pub(super) model_up: bool,
+    pub(super) model_resumed: bool,
+    /// Whether a batch may be waiting for the Model.
+    pub(super) queued: bool,
+    pub(super) zombies: Vec<Zombie>,
+    deadline: SimTime,
+    next_publish: SimTime,
+    pub(super) fault_sinks: Vec<(String, Arc<dyn FaultSink>)>,
+    pub(super) faults: FaultSchedule,
+    pub(super) fault_log: FaultLog,
+    pub(super) zero_forces: Vec<ZeroForces>,
+    stop_when: Option<StopWhen>,
+    next_stop_check: SimTime,
+    until: SimTime,
+    pub(super) exit: Option<i32>,
+    actions: Vec<Action>,
+    pub(super) recorder: Option<Box<dyn CommitSink>>,
+    recording_complete: Option<bool>,
+    spare_commits: CommitBuffer,
+    pub(super) model_stats: TickStats,
+    begun: Instant,
+}
+
+impl LockstepSession {
+    /// Takes a session at time zero and starts everybody in it.
+    ///
+    /// # Errors
+    /// [`SessionError`]; a controller whose first construction fails ends the session as it would live.
+    pub fn new(mut spec: SessionSpec) -> Result<Self, SessionError> {
+        let children = spec.children();
+        let mut core = ModelCore::new(spec.scene, spec.station)?;
+        core.keep_commits(spec.recorder.is_some());
+        for controller in &spec.controllers {
+            if !(controller.rate_hz > 0.0 && controller.rate_hz <= 1e6) {
+                let (name, rate_hz) = (controller.name.clone(), controller.rate_hz);
+                return Err(SessionError::Rate { name, rate_hz });
+            }
+        }
+        let tree = spec.tree.take().unwrap_or_else(|| GroupSpec::default_tree(children));
+        let supervisor = Supervisor::new(tree, spec.seed, spec.zombies_max)?;
+        let supervised =
+            |name: &str| supervisor.find(name).ok_or_else(|| SessionError::NotSupervised(name.to_owned()));
+        let model = supervised(MODEL)?;
+        let mut slots = Vec::with_capacity(spec.controllers.len());
+        for controller in spec.controllers {
+            let child = supervised(&controller.name)?;
+            slots.push(Slot::new(controller, child, spec.station));
+        }
+        let mut peers = Vec::with_capacity(spec.peers.len());
+        for peer in spec.peers {
+            if peer.period_ns() == 0 {
+                return Err(SessionError::Period(peer.name().to_owned()));
+            }
+            peers.push(PeerSlot { peer, next: SimTime::ZERO });
+        }
+        let mut session = Self {
+            now: SimTime::ZERO,
+            registry: core.view().registry().clone(),
+            seed: spec.seed,
+            core,
+            slots,
+            peers,
+            supervisor,
+            model,
+            model_up: false,
+            model_resumed: true,
+            queued: false,
+            zombies: Vec::new(),
+            deadline: SimTime::ZERO,
+            next_publish: PUBLISH_EVERY,
+            fault_sinks: spec.fault_sinks,
+            faults: FaultSchedule::default(),
+            fault_log: FaultLog::new(&spec.faults),
+            zero_forces: spec.zero_forces,
+            stop_when: spec.stop_when,
+            next_stop_check: SimTime::ZERO,
+            until: spec.until.unwrap_or(NEVER),
+            exit: None,
+            actions: Vec::new(),
+            recorder: spec.recorder,
+            recording_complete: None,
+            spare_commits: CommitBuffer::new(),
+            model_stats: TickStats::new(MODEL, 0.0),
+            begun: Instant::now(),
+        };
+        session.faults = FaultSchedule::new(&spec.faults, &session.fault_targets())?;
+        session.tell(Event::Tick);
+        match session.exit {
+            Some(_) => {
+                let reason = session.supervisor.reason().unwrap_or("the session did not start");
+                Err(SessionError::Start(reason.to_owned()))
+            }
+            None => Ok(session),
+        }
+    }
+
+    /// Simulates everything that is due before `until` and says whether the session goes on: `false` once
+    /// its goal is reached, its time is up, or the supervisor gave up.
+    pub fn step_until(&mut self, until: SimTime) -> bool {
+        while self.exit.is_none() {
+            let until = until.min(self.until);
+            let at = self.next_instant();
+            if at >= until {
+                self.now = self.now.max(until);
+                self.publish();
+                break;
+            }
+            self.instant(at);
+        }
+        self.is_running()
+    }
+
+    /// Whether anything is still to come.
+    pub fn is_running(&self) -> bool {
+        self.exit.is_none() && self.now < self.until
+    }
+
+    /// How far the session has come.
+    pub fn now(&self) -> SimTime {
+        self.now
+    }
+
+    /// The scene as it is now, without sharing it.
+    pub fn view(&self) -> &Snapshot {
+        self.core.view()
+    }
+
+    /// The scene as it is now, to keep.
+    pub fn snapshot(&mut self) -> Arc<Snapshot> {
+        self.publish();
+        self.core.published().clone()
+    }
+
+    /// The state hash so far.
+    pub fn hash(&self) -> StateHash {
+        self.core.hash()
+    }
+
+    /// The Model.
+    pub fn model(&self) -> &ModelCore {
+        &self.core
+    }
+
+    /// The supervisor.
+    pub fn supervisor(&self) -> &Supervisor {
+        &self.supervisor
+    }
+
+    /// Ends the session: forces to zero, controllers down, recording closed.
+    pub fn finish(mut self) -> SessionOutcome {
+        if self.exit.is_none() {
+            self.tell(Event::ShutdownRequested { code: 0 });
+        }
+        // Whoever is stuck in a step is left behind when its limit is over.
+        while self.exit.is_none() {
+            let Some(at) = self.supervisor.next_deadline(self.now) else { break };
+            self.now = at;
+            self.tell(Event::Tick);
+        }
+        self.close();
+        self.forget_zombies();
+        let snapshot = self.core.published().clone();
+        SessionOutcome {
+            mode: Mode::Lockstep,
+            code: self.exit.unwrap_or(0),
+            reason: self.supervisor.reason().map(str::to_owned),
+            sim: self.now,
+            wall: SimTime::from(self.begun.elapsed()),
+            hash: self.core.hash(),
+            snapshot,
+            controllers: self.slots.iter().map(|slot| self.row(&slot.stats)).collect(),
+            model: self.row(&self.model_stats),
+            faults: self.fault_log.rows().to_vec(),
+            incidents: self.supervisor.incidents().to_vec(),
+            zombies: self.supervisor.zombies(),
+            recording_complete: self.recording_complete,
+            // Nothing here needs a priority.
+            permission: Permission { fifo: false, refused: String::new() },
+        }
+    }
+
+    /// A row of the report. Lateness is zero by construction; step times are of the machine.
+    fn row(&self, stats: &TickStats) -> ControllerReport {
+        stats.report(self.now)
+    }
+
+    /// What every controller has counted so far, in the order of the session.
+    pub fn statistics(&self) -> impl Iterator<Item = &TickStats> {
+        self.slots.iter().map(|slot| &slot.stats)
+    }
+
+    /// When anything is due next.
+    fn next_instant(&self) -> SimTime {
+        let mut at = self.deadline;
+        for slot in &self.slots {
+            at = at.min(slot.wakes_at());
+        }
+        for peer in &self.peers {
+            at = at.min(peer.next);
+        }
+        for zombie in &self.zombies {
+            at = at.min(zombie.pending.at);
+        }
+        if let Some(fault) = self.faults.next_at() {
+            at = at.min(fault);
+        }
+        at.max(self.now)
+    }
+
+    /// Everything that is due at `at`, in order.
+    fn instant(&mut self, at: SimTime) {
+        self.now = at;
+        self.inject_due_faults();
+        if self.deadline <= at {
+            self.tell(Event::Tick);
+        }
+        if self.queued && self.model_up {
+            self.drain_queues();
+        }
+        self.zombies_finish();
+        for index in 0..self.slots.len() {
+            self.finish_slow_step(index);
+        }
+        for slot in &mut self.peers {
+            if slot.next <= at {
+                slot.peer.step(at);
+                slot.next = slot.next + SimTime(slot.peer.period_ns());
+            }
+        }
+        for index in 0..self.slots.len() {
+            if self.slots[index].next <= at {
+                self.run_tick(index);
+            }
+        }
+        if self.fault_log.is_open() {
+            self.look_at_sinks();
+        }
+        if at >= self.next_publish {
+            self.publish();
+        }
+        if let Some(stop) = &self.stop_when
+            && at >= self.next_stop_check
+        {
+            self.next_stop_check = at + stop.every;
+            if (stop.check)(self.core.view()) {
+                // Everything of this instant is done; the next one is beyond the end.
+                self.until = at;
+            }
+        }
+    }
+
+    fn run_tick(&mut self, index: usize) {
+        let slot = &mut self.slots[index];
+        let number = slot.advance();
+        if !slot.is_alive() || slot.pending.is_some() || slot.stopping {
+            self.missed_tick(index);
+            return;
+        }
+        let begun = Instant::now();
+        let ticked = slot.tick(number, self.now, self.core.view(), &self.registry);
+        if !matches!(ticked, Ticked::Died(_)) {
+            slot.stats.ran(self.now, SimTime::ZERO, SimTime::from(begun.elapsed()));
+        } else {
+            slot.stats.missed(1);
+        }
+        if slot.late && !matches!(ticked, Ticked::Busy) {
+            slot.late = false;
+            let child = slot.child;
+            self.tell(Event::Late { child, late: false });
+        }
+        self.finish_tick(index, ticked);
+    }
+
+    fn missed_tick(&mut self, index: usize) {
+        let slot = &mut self.slots[index];
+        slot.stats.missed(1);
+        if slot.is_alive() && !slot.late {
+            slot.late = true;
+            let child = slot.child;
+            self.tell(Event::Late { child, late: true });
+            self.notice(index, FaultKind::Slow);
+        }
+    }
+
+    pub(super) fn finish_tick(&mut self, index: usize, ticked: Ticked) {
+        match ticked {
+            Ticked::Busy => {}
+            Ticked::Died(cause) => self.died(index, cause),
+            Ticked::Idle => {
+                if self.slots[index].ailments.queue_full {
+                    self.notice(index, FaultKind::QueueFull);
+                } else {
+                    self.did_good_work(index);
+                }
+            }
+            Ticked::Ready(batch) => {
+                if self.model_up {
+                    self.apply(index, batch);
+                } else {
+                    self.queued = true;
+                    self.slots[index].enqueue(batch);
+                }
+            }
+        }
+    }
+
+    /// Lets the Model decide about a batch of slot `index`.
+    pub(super) fn apply(&mut self, index: usize, mut batch: Box<Batch>) {
+        let outcome = self.decide(&mut batch);
+        let slot = &mut self.slots[index];
+        match outcome {
+            Ok(Outcome::Applied { .. }) => {
+                slot.give_back(batch);
+                self.did_good_work(index);
+            }
+            Ok(Outcome::Conflict(_)) => {
+                slot.stats.conflict();
+                slot.give_back(batch);
+                self.did_good_work(index);
+            }
+            Ok(Outcome::Rejected(_)) => {
+                slot.stats.rejected();
+                slot.give_back(batch);
+                self.notice(index, FaultKind::Nan);
+                self.step_is_over(index);
+            }
+            // The batch and whatever is in it goes no further.
+            Err(text) => self.model_died(Some(index), text),
+        }
+    }
+
+    fn decide(&mut self, batch: &mut Batch) -> Result<Outcome, String> {
+        let (core, now) = (&mut self.core, self.now);
+        guarded(|| core.apply(batch, now))
+    }
+
+    /// A batch of a life that is over: the Model refuses it by its epoch.
+    pub(super) fn apply_stale(&mut self, index: usize, mut batch: Box<Batch>) {
+        batch.commands.seal();
+        if let Ok(Outcome::Rejected(_)) = self.decide(&mut batch) {
+            self.slots[index].stats.rejected();
+        }
+    }
+
+    /// Tells the supervisor, and does what it orders until it orders nothing more.
+    pub(super) fn tell(&mut self, event: Event) {
+        let mut actions = std::mem::take(&mut self.actions);
+        self.supervisor.apply(event, self.now, &mut actions);
+        let mut done = 0;
+        while done < actions.len() {
+            let action = actions[done].clone();
+            done += 1;
+            if let Some(answer) = self.act(action) {
+                self.supervisor.apply(answer, self.now, &mut actions);
+            }
+        }
+        actions.clear();
+        self.actions = actions;
+        self.deadline = self.supervisor.next_deadline(self.now).unwrap_or(NEVER);
+    }
+
+    fn publish(&mut self) {
+        self.next_publish = self.now + PUBLISH_EVERY;
+        self.core.publish();
+        if let Some(recorder) = &mut self.recorder {
+            let commits = self.core.swap_commits(std::mem::take(&mut self.spare_commits));
+            self.spare_commits = recorder.committed(self.core.published(), commits);
+            self.spare_commits.clear();
+        }
+    }
+
+    pub(super) fn close(&mut self) {
+        self.publish();
+        if let Some(mut recorder) = self.recorder.take() {
+            self.recording_complete = Some(recorder.close());
+        }
+        self.core.keep_commits(false);
+    }
+}

@@ -1,0 +1,283 @@
+//! One controller of a lock-step session: its life, the batch it is working on, its jobs.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use trocar_scene::{
+    Batch, Commands, Controller, ControllerError, Entity, EntityAllocator, Events, JobOutput, Jobs,
+    Provenance, Registry, Revision, SimTime, Snapshot, Tick, WriterId,
+};
+
+use crate::runtime::TickStats;
+use crate::runtime::panics::guarded;
+use crate::spec::ControllerSpec;
+use crate::supervision::{Cause, ChildId};
+
+/// When something is due that never will be.
+pub(super) const NEVER: SimTime = SimTime(u64::MAX);
+
+/// A batch with the moment at which its tick ends.
+pub(super) struct Pending {
+    pub(super) at: SimTime,
+    pub(super) batch: Box<Batch>,
+    /// The tick failed; what it commanded is discarded.
+    pub(super) failed: Option<Cause>,
+}
+
+/// A finished job on its way back.
+struct Delivery {
+    at: SimTime,
+    key: u64,
+    output: JobOutput,
+}
+
+/// The faults that act on a controller at present.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Ailments {
+    pub(super) kill: bool,
+    /// The next step takes this long; zero: no stall.
+    pub(super) stall: SimTime,
+    /// Each step takes this much longer.
+    pub(super) slow: SimTime,
+    pub(super) queue_full: bool,
+    pub(super) nan: bool,
+}
+
+pub(super) struct Slot {
+    pub(super) spec: ControllerSpec,
+    pub(super) child: ChildId,
+    pub(super) writer: WriterId,
+    pub(super) me: Entity,
+    pub(super) stats: TickStats,
+    /// Number and time of the next tick that is due.
+    number: u64,
+    pub(super) next: SimTime,
+    pub(super) allocator: EntityAllocator,
+    /// Alive between [`Slot::start`] and the end of this life.
+    controller: Option<Box<dyn Controller>>,
+    pub(super) epoch: u32,
+    jobs: Jobs,
+    deliveries: Vec<Delivery>,
+    cursor: u64,
+    spare: Option<Box<Batch>>,
+    /// The step that is not over yet.
+    pub(super) pending: Option<Pending>,
+    /// When the watchdog gives up on it.
+    pub(super) stalls_at: SimTime,
+    /// Batches that wait while the Model is down.
+    pub(super) queue: VecDeque<Box<Batch>>,
+    /// It was asked to end, and will when its step is over.
+    pub(super) stopping: bool,
+    pub(super) resumed: bool,
+    pub(super) ailments: Ailments,
+    pub(super) late: bool,
+}
+
+/// What a tick came to.
+pub(super) enum Ticked {
+    /// Nothing to apply.
+    Idle,
+    /// To be applied now.
+    Ready(Box<Batch>),
+    /// Not over before [`Slot::pending`] says so.
+    Busy,
+    /// It ended this life.
+    Died(Cause),
+}
+
+impl Slot {
+    pub(super) fn new(spec: ControllerSpec, child: ChildId, station: u16) -> Self {
+        Self {
+            writer: WriterId(spec.writer),
+            me: Entity::of_writer(station, spec.writer),
+            stats: TickStats::new(spec.name.clone(), spec.rate_hz),
+            number: 0,
+            next: spec.phase,
+            allocator: EntityAllocator::new(station, spec.writer),
+            controller: None,
+            epoch: 0,
+            jobs: Jobs::default(),
+            deliveries: Vec::new(),
+            cursor: 0,
+            spare: None,
+            pending: None,
+            stalls_at: NEVER,
+            queue: VecDeque::new(),
+            stopping: false,
+            resumed: false,
+            ailments: Ailments::default(),
+            late: false,
+            child,
+            spec,
+        }
+    }
+
+    /// When something is to be done about this slot.
+    pub(super) fn wakes_at(&self) -> SimTime {
+        let pending = self.pending.as_ref().map_or(NEVER, |pending| pending.at);
+        self.next.min(pending).min(self.stalls_at)
+    }
+
+    /// A new life begins with this controller.
+    pub(super) fn start(&mut self, controller: Box<dyn Controller>, epoch: u32) {
+        self.controller = Some(controller);
+        self.epoch = epoch;
+        self.jobs = Jobs::default();
+        self.deliveries.clear();
+        self.resumed = false;
+        self.stopping = false;
+    }
+
+    pub(super) fn is_alive(&self) -> bool {
+        self.controller.is_some()
+    }
+
+    /// Ends this life. A controller whose own destructor panics harms nobody.
+    pub(super) fn end(&mut self) {
+        let controller = self.controller.take();
+        let _ = guarded(move || drop(controller));
+        self.pending = None;
+        self.stalls_at = NEVER;
+        self.stopping = false;
+        self.late = false;
+    }
+
+    /// Leaves the stuck controller behind with the step it is stuck in.
+    pub(super) fn abandon(&mut self) -> Option<(Box<dyn Controller>, Pending)> {
+        let left = self.controller.take().zip(self.pending.take());
+        self.end();
+        left
+    }
+
+    /// Moves on to the next due time and gives the number of the tick that is due now.
+    pub(super) fn advance(&mut self) -> u64 {
+        let number = self.number;
+        self.number += 1;
+        // From the number, not by adding up: no drift however odd the rate.
+        let offset = (self.number as f64 * 1e9 / self.spec.rate_hz).round();
+        self.next = self.spec.phase + SimTime(offset as u64);
+        number
+    }
+
+    /// Runs the tick that is due at `now`.
+    pub(super) fn tick(
+        &mut self,
+        number: u64,
+        now: SimTime,
+        scene: &Snapshot,
+        registry: &Arc<Registry>,
+    ) -> Ticked {
+        let Some(controller) = self.controller.as_mut() else { return Ticked::Idle };
+        if std::mem::take(&mut self.ailments.kill) {
+            return Ticked::Died(Cause::Panic("killed by a fault".into()));
+        }
+        if !self.deliveries.is_empty() {
+            for due in self.deliveries.extract_if(.., |delivery| delivery.at <= now) {
+                self.jobs.deliver(due.key, due.output);
+            }
+        }
+        let mut batch = match self.spare.take() {
+            Some(batch) => batch,
+            None => blank(registry, &self.allocator, self.writer),
+        };
+        batch.commands.clear();
+        batch.commands.begin(now);
+        let tick = Tick {
+            time: now,
+            period: self.spec.period(),
+            number,
+            me: self.me,
+            epoch: self.epoch,
+            events: Events::new(scene.events(), self.cursor),
+            jobs: &self.jobs,
+        };
+        let commands = &mut batch.commands;
+        let result = guarded(|| controller.tick(&tick, scene, commands));
+        self.cursor = scene.events().next();
+        batch.provenance = Provenance {
+            writer: self.writer,
+            epoch: self.epoch,
+            tick: number,
+            time: now,
+            based_on: scene.revision(),
+        };
+        let failed = failure(result);
+        self.take_jobs(now);
+        let stall = std::mem::take(&mut self.ailments.stall);
+        let extra = self.ailments.slow + stall;
+        if extra > SimTime::ZERO {
+            self.pending = Some(Pending { at: now + extra, batch, failed });
+            self.stalls_at = if extra > self.spec.child.heartbeat_limit {
+                now + self.spec.child.heartbeat_limit
+            } else {
+                NEVER
+            };
+            return Ticked::Busy;
+        }
+        match failed {
+            Some(cause) => {
+                self.give_back(batch);
+                Ticked::Died(cause)
+            }
+            None => self.hand_over(batch),
+        }
+    }
+
+    /// What leaves the controller's handle after a step.
+    pub(super) fn hand_over(&mut self, mut batch: Box<Batch>) -> Ticked {
+        if self.ailments.nan {
+            batch.commands.event("fault.nan", self.me, None, f64::NAN);
+        }
+        if batch.commands.is_empty() {
+            self.give_back(batch);
+            return Ticked::Idle;
+        }
+        if self.ailments.queue_full {
+            self.stats.dropped();
+            self.give_back(batch);
+            return Ticked::Idle;
+        }
+        batch.commands.seal();
+        Ticked::Ready(batch)
+    }
+
+    /// Puts a batch in line while the Model is down; full is full.
+    pub(super) fn enqueue(&mut self, batch: Box<Batch>) {
+        if self.queue.len() < self.spec.ring_capacity {
+            self.queue.push_back(batch);
+        } else {
+            self.stats.dropped();
+        }
+    }
+
+    /// Keeps an emptied batch for the next tick.
+    pub(super) fn give_back(&mut self, batch: Box<Batch>) {
+        self.spare = Some(batch);
+    }
+
+    /// Jobs run here and now, however long they are, and are delivered when they said they would be.
+    fn take_jobs(&mut self, now: SimTime) {
+        while let Some(job) = self.jobs.next_submitted() {
+            // A job that panics delivers nothing, as one that never ends.
+            if let Ok(output) = guarded(job.work) {
+                self.deliveries.push(Delivery { at: now + job.takes, key: job.key, output });
+            }
+        }
+    }
+}
+
+fn blank(registry: &Arc<Registry>, allocator: &EntityAllocator, writer: WriterId) -> Box<Batch> {
+    Box::new(Batch {
+        provenance: Provenance { writer, epoch: 0, tick: 0, time: SimTime::ZERO, based_on: Revision::ZERO },
+        commands: Commands::new(registry.clone(), allocator.clone()),
+    })
+}
+
+/// Why a step failed, if it did.
+fn failure(result: Result<Result<(), ControllerError>, String>) -> Option<Cause> {
+    match result {
+        Ok(Ok(())) => None,
+        Ok(Err(error)) => Some(Cause::Error(error.to_string())),
+        Err(text) => Some(Cause::Panic(text)),
+    }
+}

@@ -1,0 +1,93 @@
+//! What a panic said, caught where it can be told instead of printed where it happens: printing a
+//! backtrace takes tens of milliseconds on a thread that has one.
+
+use std::any::Any;
+use std::cell::{Cell, RefCell};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Once;
+
+thread_local! {
+    static QUIET: Cell<u32> = const { Cell::new(0) };
+    static SLOT: RefCell<Option<String>> = const { RefCell::new(None) };
+}
+
+fn install() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        let before = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |info| {
+            if QUIET.get() == 0 {
+                return before(info);
+            }
+            let text = info.payload_as_str().unwrap_or("panicked with a value that is no text");
+            let text = match info.location() {
+                Some(place) => format!("{text} ({}:{})", place.file(), place.line()),
+                None => text.to_owned(),
+            };
+            SLOT.with(|slot| {
+                if let Ok(mut slot) = slot.try_borrow_mut() {
+                    *slot = Some(text);
+                }
+            });
+        }));
+    });
+}
+
+/// Runs `work`; a panic in it becomes its text and place.
+///
+/// # Errors
+/// What the panic said.
+pub fn guarded<R>(work: impl FnOnce() -> R) -> Result<R, String> {
+    /// Counts itself in, so that nested uses keep quiet as well, and out again whatever happens.
+    struct Quiet;
+    impl Drop for Quiet {
+        fn drop(&mut self) {
+            QUIET.set(QUIET.get() - 1);
+        }
+    }
+    install();
+    QUIET.set(QUIET.get() + 1);
+    let quiet = Quiet;
+    let result = catch_unwind(AssertUnwindSafe(work));
+    drop(quiet);
+    result.map_err(|payload| {
+        let text = SLOT.with(|slot| slot.try_borrow_mut().ok().and_then(|mut slot| slot.take()));
+        forget_payload(payload);
+        text.unwrap_or_else(|| "panicked".to_owned())
+    })
+}
+
+/// A payload of an unknown type may panic when dropped: texts are freed, the rest is left.
+fn forget_payload(payload: Box<dyn Any + Send>) {
+    if !(payload.is::<&'static str>() || payload.is::<String>()) {
+        std::mem::forget(payload);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_panic_becomes_its_text_and_place() {
+        let text = guarded(|| panic!("ring {}", 7)).map(|_: ()| ()).expect_err("panics");
+        assert!(text.starts_with("ring 7") && text.contains("panics.rs:"), "{text}");
+    }
+
+    #[test]
+    fn work_that_does_not_panic_returns() {
+        assert_eq!(guarded(|| 3), Ok(3));
+    }
+
+    #[test]
+    fn a_payload_that_panics_when_dropped_does_no_harm() {
+        struct Bomb;
+        impl Drop for Bomb {
+            fn drop(&mut self) {
+                panic!("in drop");
+            }
+        }
+        let outcome = guarded(|| std::panic::panic_any(Bomb)).map(|()| ());
+        assert!(outcome.is_err());
+    }
+}
