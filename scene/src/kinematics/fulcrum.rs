@@ -52,8 +52,8 @@ pub enum FulcrumError {
 
 /// Friction of the seal in the port.
 ///
-/// Coulomb friction is smoothed: it reaches 76 % at `stick_speed`, since a sampled force that switches sign
-/// with the velocity chatters.
+/// Coulomb friction is smoothed as `s/√(1 + s²)`, `s = v/stick_speed`: it reaches 71 % at `stick_speed`, since
+/// a sampled force that switches sign with the velocity chatters. (`tanh` is not the same on every machine.)
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PortFriction {
     /// Viscous, along the shaft \[N·s/m\].
@@ -208,8 +208,9 @@ impl Fulcrum {
         let friction = &self.friction;
         let axis = &passage.axis_in_world;
         let sliding = passage.gain * axis.dot(&handle_twist.linear);
+        let relative = sliding / friction.stick_speed;
         let axial = friction.axial_damping * sliding
-            + friction.axial_coulomb * (sliding / friction.stick_speed).tanh();
+            + friction.axial_coulomb * relative / (1.0 + relative * relative).sqrt();
         let turning = passage.tip_twist(handle_twist).angular;
         Wrench::new(axis * -axial, turning * -friction.angular_damping)
     }

@@ -111,6 +111,13 @@ pub fn valid_pose(pose: &Isometry3<f64>) -> bool {
         && (pose.rotation.coords.norm_squared() - 1.0).abs() < 1e-6
 }
 
+/// Twice the vector part of a rotation's quaternion: its rotation vector \[rad\] for small angles, bounded by 2
+/// for large ones. Unlike the exact one it takes no arc tangent, so it is the same on every machine.
+pub fn small_rotation_vector(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
+    let coords = rotation.coords;
+    Vector3::new(coords.x, coords.y, coords.z) * if coords.w < 0.0 { -2.0 } else { 2.0 }
+}
+
 /// The rotation of least angle that takes the unit vector `from` to the unit vector `to`.
 ///
 /// Opposite vectors have no such rotation; within 1e-12 of that a half turn about an axis that depends on
@@ -119,8 +126,8 @@ pub fn minimal_rotation(from: &Vector3<f64>, to: &Vector3<f64>) -> UnitQuaternio
     let cosine = from.dot(to);
     if 1.0 + cosine < 1e-12 {
         let helper = if from.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
-        let axis = nalgebra::Unit::new_normalize(from.cross(&helper));
-        return UnitQuaternion::from_axis_angle(&axis, std::f64::consts::PI);
+        let axis = from.cross(&helper).normalize();
+        return UnitQuaternion::new_unchecked(nalgebra::Quaternion::new(0.0, axis.x, axis.y, axis.z));
     }
     let sine = from.cross(to);
     UnitQuaternion::new_normalize(nalgebra::Quaternion::new(1.0 + cosine, sine.x, sine.y, sine.z))
@@ -137,6 +144,17 @@ mod tests {
         let offset = Vector3::new(0.05, 0.2, -0.1);
         let there = wrench.at_offset(&offset).power(&twist.at_offset(&offset));
         assert!((wrench.power(&twist) - there).abs() < 1e-14);
+    }
+
+    #[test]
+    fn small_rotations_are_vectors_and_large_ones_stay_bounded() {
+        let vector = Vector3::new(0.01, -0.02, 0.005);
+        let rotation = UnitQuaternion::from_scaled_axis(vector);
+        assert!((small_rotation_vector(&rotation) - vector).norm() < 1e-5);
+        let negative = UnitQuaternion::new_unchecked(-rotation.into_inner());
+        assert!((small_rotation_vector(&negative) - vector).norm() < 1e-5);
+        let large = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 3.1, 0.0));
+        assert!(small_rotation_vector(&large).norm() <= 2.0);
     }
 
     #[test]
