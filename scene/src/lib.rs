@@ -22,6 +22,7 @@ pub mod kinematics;
 pub mod mesh;
 pub mod registry;
 pub mod scenario;
+pub mod shapes;
 pub mod snapshot;
 pub mod store;
 pub mod time;

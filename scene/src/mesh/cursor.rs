@@ -57,9 +57,9 @@ impl<'a> Cursor<'a> {
     fn place(&self, at: Where) -> Place {
         match at {
             Where::Place(place) => place,
-            Where::LineOfByte(at) => {
-                Place::Line(1 + self.bytes[..at.min(self.bytes.len())].iter().filter(|&&b| b == b'\n').count())
-            }
+            Where::LineOfByte(at) => Place::Line(
+                1 + self.bytes[..at.min(self.bytes.len())].iter().filter(|&&b| b == b'\n').count(),
+            ),
         }
     }
 

@@ -43,7 +43,11 @@ pub fn read_gltf(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDa
     }
     if let Some(extension) = root.extensions_required.first() {
         let what = format!("required extension '{}'", extension.escape_default());
-        return Err(cursor.unsupported(Where::Place(Place::Whole), what, "documents without required extensions"));
+        return Err(cursor.unsupported(
+            Where::Place(Place::Whole),
+            what,
+            "documents without required extensions",
+        ));
     }
     let mut walk = Walk {
         root: &root,
@@ -119,12 +123,18 @@ impl Walk<'_> {
         self.cursor.malformed(Where::Place(Place::Whole), reason)
     }
 
-    fn node(&mut self, index: usize, world_from_parent: &Matrix4<f64>, depth: usize) -> Result<(), MeshError> {
+    fn node(
+        &mut self,
+        index: usize,
+        world_from_parent: &Matrix4<f64>,
+        depth: usize,
+    ) -> Result<(), MeshError> {
         let root = self.root;
         let node = root.nodes.get(index).ok_or_else(|| self.fail(format!("there is no node {index}")))?;
         self.visits += 1;
         if depth > DEPTH_MAX || self.visits > NODES_MAX {
-            let reason = format!("the nodes form a cycle, are deeper than {DEPTH_MAX} or more than {NODES_MAX}");
+            let reason =
+                format!("the nodes form a cycle, are deeper than {DEPTH_MAX} or more than {NODES_MAX}");
             return Err(self.fail(reason));
         }
         let world_from_node = world_from_parent * local_transform(node);
@@ -134,7 +144,10 @@ impl Walk<'_> {
         if let Some(mesh) = node.mesh {
             self.mesh(mesh.value(), &world_from_node)?;
         }
-        node.children.iter().flatten().try_for_each(|child| self.node(child.value(), &world_from_node, depth + 1))
+        node.children
+            .iter()
+            .flatten()
+            .try_for_each(|child| self.node(child.value(), &world_from_node, depth + 1))
     }
 
     fn mesh(&mut self, index: usize, transform: &Matrix4<f64>) -> Result<(), MeshError> {
@@ -181,13 +194,20 @@ impl Walk<'_> {
         };
         if let Some(k) = indices.iter().position(|&v| v as usize >= positions.len()) {
             let (vertex, count) = (i64::from(indices[k]), positions.len());
-            return Err(self.cursor.out_of_range(Where::Place(Place::Whole), "triangle", k / 3, vertex, count));
+            return Err(self.cursor.out_of_range(
+                Where::Place(Place::Whole),
+                "triangle",
+                k / 3,
+                vertex,
+                count,
+            ));
         }
         let mirrored = transform.fixed_view::<3, 3>(0, 0).determinant() < 0.0;
         let triangles = triangles(mode, &indices, mirrored);
         let normals = match attribute(Semantic::Normals) {
             Some(accessor) => {
-                let normals: Vec<[f64; 3]> = self.buffers.vectors(self.cursor, self.root, accessor, "normal")?;
+                let normals: Vec<[f64; 3]> =
+                    self.buffers.vectors(self.cursor, self.root, accessor, "normal")?;
                 corner_normals(&triangles, &normals, positions.len(), transform)
             }
             None => None,
@@ -219,7 +239,9 @@ fn local_transform(node: &json::Node) -> Matrix4<f64> {
     let scale = Vector3::from(node.scale.unwrap_or([1.0; 3]).map(f64::from));
     let [x, y, z, w] = node.rotation.unwrap_or_default().0.map(f64::from);
     let rotation = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 0.0).unwrap_or_default();
-    Matrix4::new_translation(&translation) * rotation.to_homogeneous() * Matrix4::new_nonuniform_scaling(&scale)
+    Matrix4::new_translation(&translation)
+        * rotation.to_homogeneous()
+        * Matrix4::new_nonuniform_scaling(&scale)
 }
 
 /// Triangles of a list, a strip or a fan; turned round when the transform mirrors.

@@ -29,9 +29,9 @@ impl<'a> Buffers<'a> {
                     Some(blob) if k == 0 => Cow::Borrowed(blob),
                     _ => return Err(cursor.malformed(WHOLE, format!("buffer {k} has no uri"))),
                 },
-                Some(uri) if uri.starts_with("data:") => {
-                    Cow::Owned(data_uri(uri).map_err(|why| cursor.malformed(WHOLE, format!("buffer {k}: {why}")))?)
-                }
+                Some(uri) if uri.starts_with("data:") => Cow::Owned(
+                    data_uri(uri).map_err(|why| cursor.malformed(WHOLE, format!("buffer {k}: {why}")))?,
+                ),
                 Some(uri) => {
                     let refuse = |why: &str| {
                         let shown: String = uri.chars().take(80).flat_map(char::escape_default).collect();
@@ -48,8 +48,15 @@ impl<'a> Buffers<'a> {
             };
             left = left.saturating_sub(bytes.len() as u64);
             if (bytes.len() as u64) < buffer.byte_length.0 {
-                let (file, declared, possible) = (cursor.file.into(), buffer.byte_length.0, bytes.len() as u64);
-                return Err(MeshError::Truncated { file, place: Place::Whole, what: "bytes of a buffer", declared, possible });
+                let (file, declared, possible) =
+                    (cursor.file.into(), buffer.byte_length.0, bytes.len() as u64);
+                return Err(MeshError::Truncated {
+                    file,
+                    place: Place::Whole,
+                    what: "bytes of a buffer",
+                    declared,
+                    possible,
+                });
             }
             buffers.push(bytes);
         }
@@ -79,10 +86,17 @@ impl<'a> Buffers<'a> {
     }
 
     /// An accessor of indices.
-    pub fn indices(&self, cursor: &Cursor, root: &json::Root, accessor: usize) -> Result<Vec<u32>, MeshError> {
+    pub fn indices(
+        &self,
+        cursor: &Cursor,
+        root: &json::Root,
+        accessor: usize,
+    ) -> Result<Vec<u32>, MeshError> {
         let view = self.accessor(cursor, root, accessor, Type::Scalar)?;
         if !matches!(view.kind, ComponentType::U8 | ComponentType::U16 | ComponentType::U32) {
-            return Err(cursor.malformed(WHOLE, format!("accessor {accessor} holds indices that are not unsigned")));
+            return Err(
+                cursor.malformed(WHOLE, format!("accessor {accessor} holds indices that are not unsigned"))
+            );
         }
         Ok((0..view.count).map(|k| view.number(k, 0) as u32).collect())
     }

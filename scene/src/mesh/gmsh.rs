@@ -54,14 +54,17 @@ pub fn read_gmsh(file: &Path, bytes: &[u8], limits: &Limits) -> Result<TetData, 
         let start = cursor.clone();
         let Some(line) = cursor.next_line() else { break };
         let Some(section) = line.strip_prefix(b"$") else {
-            return Err(cursor.malformed(place, format!("a section ($Name) is expected, found {}", quoted(line))));
+            return Err(
+                cursor.malformed(place, format!("a section ($Name) is expected, found {}", quoted(line)))
+            );
         };
         let section = section.trim_ascii();
         match (section, format) {
             (b"MeshFormat", None) => format = Some(mesh_format(&mut cursor)?),
             (b"MeshFormat", Some(_)) => return Err(cursor.malformed(place, "a second $MeshFormat")),
             (_, None) => {
-                let reason = format!("$MeshFormat is expected first, found ${}", String::from_utf8_lossy(section));
+                let reason =
+                    format!("$MeshFormat is expected first, found ${}", String::from_utf8_lossy(section));
                 return Err(cursor.malformed(place, reason));
             }
             (b"Entities", Some((4, encoding))) => physical = gmsh_v4::entities(&mut cursor, encoding)?,
@@ -172,7 +175,13 @@ impl Volume {
         self.index_of.reserve(count);
     }
 
-    pub fn add_node(&mut self, cursor: &Cursor, place: Where, tag: u64, point: [f64; 3]) -> Result<(), MeshError> {
+    pub fn add_node(
+        &mut self,
+        cursor: &Cursor,
+        place: Where,
+        tag: u64,
+        point: [f64; 3],
+    ) -> Result<(), MeshError> {
         let index = self.positions.len() as u32;
         if self.index_of.insert(tag, index).is_some() {
             return Err(cursor.malformed(place, format!("node number {tag} appears twice")));
@@ -181,7 +190,13 @@ impl Volume {
         Ok(())
     }
 
-    pub fn add_tet(&mut self, cursor: &Cursor, place: Where, nodes: [u64; 4], tag: i32) -> Result<(), MeshError> {
+    pub fn add_tet(
+        &mut self,
+        cursor: &Cursor,
+        place: Where,
+        nodes: [u64; 4],
+        tag: i32,
+    ) -> Result<(), MeshError> {
         let mut tet = [0; 4];
         for (vertex, node) in tet.iter_mut().zip(nodes) {
             *vertex = *self.index_of.get(&node).ok_or_else(|| {

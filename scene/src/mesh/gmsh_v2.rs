@@ -34,7 +34,11 @@ pub(super) fn nodes(cursor: &mut Cursor, encoding: Encoding, volume: &mut Volume
     Ok(())
 }
 
-pub(super) fn elements(cursor: &mut Cursor, encoding: Encoding, volume: &mut Volume) -> Result<(), MeshError> {
+pub(super) fn elements(
+    cursor: &mut Cursor,
+    encoding: Encoding,
+    volume: &mut Volume,
+) -> Result<(), MeshError> {
     let place = cursor.line();
     let declared: u64 = cursor.parse("the number of elements")?;
     // The shortest element is a point: "1 15 0 1\n"; in binary its number and its node.
@@ -132,5 +136,6 @@ fn tag_count(cursor: &Cursor, count: i64) -> Result<usize, MeshError> {
     if (0..=TAGS_MAX).contains(&count) {
         return Ok(count as usize);
     }
-    Err(cursor.malformed(cursor.line(), format!("an element with {count} tags (0 to {TAGS_MAX} are possible)")))
+    Err(cursor
+        .malformed(cursor.line(), format!("an element with {count} tags (0 to {TAGS_MAX} are possible)")))
 }

@@ -88,10 +88,12 @@ pub fn read_obj(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDat
                 parsed.triangles.extend(fan);
             }
             Some(
-                b"p" | b"l" | b"g" | b"o" | b"s" | b"mtllib" | b"usemtl" | b"usemap" | b"maplib" | b"mg" | b"lod"
-                | b"bevel" | b"c_interp" | b"d_interp" | b"shadow_obj" | b"trace_obj",
+                b"p" | b"l" | b"g" | b"o" | b"s" | b"mtllib" | b"usemtl" | b"usemap" | b"maplib" | b"mg"
+                | b"lod" | b"bevel" | b"c_interp" | b"d_interp" | b"shadow_obj" | b"trace_obj",
             ) => {}
-            Some(other) => return Err(cursor.unsupported(place, format!("element {}", quoted(other)), SUPPORTED)),
+            Some(other) => {
+                return Err(cursor.unsupported(place, format!("element {}", quoted(other)), SUPPORTED));
+            }
         }
     }
     if parsed.triangles.is_empty() {
@@ -100,7 +102,13 @@ pub fn read_obj(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDat
     Ok(parsed.into_surface())
 }
 
-fn limit(cursor: &Cursor, place: Where, what: &'static str, count: usize, limit: u64) -> Result<(), MeshError> {
+fn limit(
+    cursor: &Cursor,
+    place: Where,
+    what: &'static str,
+    count: usize,
+    limit: u64,
+) -> Result<(), MeshError> {
     if (count as u64) < limit {
         return Ok(());
     }

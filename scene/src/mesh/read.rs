@@ -60,8 +60,11 @@ fn extension(file: &Path) -> String {
 }
 
 fn unknown_extension(file: &Path, extension: &str, supported: &'static str) -> MeshError {
-    let what =
-        if extension.is_empty() { "a file without extension".into() } else { format!("extension '{extension}'") };
+    let what = if extension.is_empty() {
+        "a file without extension".into()
+    } else {
+        format!("extension '{extension}'")
+    };
     MeshError::Unsupported { file: file.into(), place: Place::Whole, what, supported }
 }
 

@@ -132,10 +132,14 @@ impl SurfacePolicy {
         let findings = [
             report.degenerate.refuse(self.no_degenerate, "degenerate triangle(s)"),
             report.duplicates.refuse(self.manifold, "duplicate triangle(s)"),
-            report.non_manifold_edges.refuse(self.manifold || self.closed, "edge(s) with more than two triangles"),
+            report
+                .non_manifold_edges
+                .refuse(self.manifold || self.closed, "edge(s) with more than two triangles"),
             report.non_manifold_vertices.refuse(self.manifold, "vertex(es) where separate fans touch"),
             report.boundary_edges.refuse(self.closed, "open edge(s)"),
-            report.misoriented_edges.refuse(self.oriented, "edge(s) between triangles of opposite orientation"),
+            report
+                .misoriented_edges
+                .refuse(self.oriented, "edge(s) between triangles of opposite orientation"),
         ];
         match findings.into_iter().flatten().next() {
             None => Ok(()),

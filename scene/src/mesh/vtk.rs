@@ -134,7 +134,8 @@ fn header(cursor: &mut Cursor) -> Result<bool, MeshError> {
             return Err(cursor.unsupported(place, quoted(first.as_bytes()), "legacy versions 1 to 5"));
         }
         None => {
-            let reason = format!("'# vtk DataFile Version x.y' is expected, found {}", quoted(first.as_bytes()));
+            let reason =
+                format!("'# vtk DataFile Version x.y' is expected, found {}", quoted(first.as_bytes()));
             return Err(cursor.malformed(place, reason));
         }
     }
@@ -157,9 +158,12 @@ fn header(cursor: &mut Cursor) -> Result<bool, MeshError> {
     let words: Vec<String> = dataset.split_whitespace().map(str::to_ascii_uppercase).collect();
     match words.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
         ["DATASET", "UNSTRUCTURED_GRID"] => Ok(binary),
-        ["DATASET", _] => Err(cursor.unsupported(place, quoted(dataset.as_bytes()), "DATASET UNSTRUCTURED_GRID")),
+        ["DATASET", _] => {
+            Err(cursor.unsupported(place, quoted(dataset.as_bytes()), "DATASET UNSTRUCTURED_GRID"))
+        }
         _ => {
-            let reason = format!("DATASET UNSTRUCTURED_GRID is expected, found {}", quoted(dataset.as_bytes()));
+            let reason =
+                format!("DATASET UNSTRUCTURED_GRID is expected, found {}", quoted(dataset.as_bytes()));
             Err(cursor.malformed(place, reason))
         }
     }
@@ -207,7 +211,11 @@ impl Reader<'_> {
                 let number = cursor.u64(order, what)?;
                 i64::try_from(number).map_err(|_| cursor.malformed(place, format!("{what} is {number}")))
             }
-            _ => Err(cursor.unsupported(cursor.byte(), format!("{what} of type {kind:?}"), "int, vtktypeint64")),
+            _ => Err(cursor.unsupported(
+                cursor.byte(),
+                format!("{what} of type {kind:?}"),
+                "int, vtktypeint64",
+            )),
         }
     }
 
@@ -234,7 +242,11 @@ impl Reader<'_> {
                     point
                 }
                 (true, kind) => {
-                    return Err(self.cursor.unsupported(place, format!("points of type {kind:?}"), "float, double"));
+                    return Err(self.cursor.unsupported(
+                        place,
+                        format!("points of type {kind:?}"),
+                        "float, double",
+                    ));
                 }
             };
             points.push(Point3::from(point));
@@ -261,7 +273,8 @@ impl Reader<'_> {
             let corners = self.integer(Kind::I32, "the number of corners of a cell")?;
             let fits = usize::try_from(corners).ok().filter(|&n| n < left);
             let Some(corners) = fits else {
-                let reason = format!("a cell of {corners} corners does not fit into the declared {size} numbers");
+                let reason =
+                    format!("a cell of {corners} corners does not fit into the declared {size} numbers");
                 return Err(self.cursor.malformed(place, reason));
             };
             left -= corners + 1;
@@ -281,11 +294,12 @@ impl Reader<'_> {
         let mut previous = 0;
         let mut checked = Vec::with_capacity(begins.len());
         for (k, &begin) in begins.iter().enumerate() {
-            let valid = usize::try_from(begin).ok().filter(|&b| {
-                b >= previous && b <= vertices.len() && (k > 0 || b == 0)
-            });
+            let valid = usize::try_from(begin)
+                .ok()
+                .filter(|&b| b >= previous && b <= vertices.len() && (k > 0 || b == 0));
             let Some(valid) = valid else {
-                let reason = format!("offset {k} is {begin}: offsets begin at 0, grow, and end within CONNECTIVITY");
+                let reason =
+                    format!("offset {k} is {begin}: offsets begin at 0, grow, and end within CONNECTIVITY");
                 return Err(self.cursor.malformed(place, reason));
             };
             previous = valid;
@@ -322,7 +336,10 @@ impl Reader<'_> {
             let line = self.cursor.next_text_line("an array of a field")?;
             let words: Vec<&str> = line.split_whitespace().collect();
             let [_, components, tuples, kind] = words.as_slice() else {
-                let reason = format!("name, components, tuples and type are expected, found {}", quoted(line.as_bytes()));
+                let reason = format!(
+                    "name, components, tuples and type are expected, found {}",
+                    quoted(line.as_bytes())
+                );
                 return Err(self.cursor.malformed(place, reason));
             };
             if kind.eq_ignore_ascii_case("string") {

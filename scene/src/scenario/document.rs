@@ -20,9 +20,20 @@ pub(super) struct Source {
 }
 
 impl Source {
-    pub fn error(&self, span: Range<usize>, key: impl Into<String>, reason: impl Into<String>) -> ScenarioError {
+    pub fn error(
+        &self,
+        span: Range<usize>,
+        key: impl Into<String>,
+        reason: impl Into<String>,
+    ) -> ScenarioError {
         let (line, column) = self.line_and_column(span.start);
-        ScenarioError::Invalid { file: self.file.clone(), line, column, key: key.into(), reason: reason.into() }
+        ScenarioError::Invalid {
+            file: self.file.clone(),
+            line,
+            column,
+            key: key.into(),
+            reason: reason.into(),
+        }
     }
 
     pub fn line_and_column(&self, offset: usize) -> (usize, usize) {
@@ -206,7 +217,9 @@ impl Params {
         }
         let span = value.span();
         with_entity_names(self.names.as_ref().clone(), || T::deserialize(ValueDeserializer::from(value)))
-            .map_err(|error| source.error(error.span().unwrap_or(span), self.owner.clone(), error.message().trim()))
+            .map_err(|error| {
+                source.error(error.span().unwrap_or(span), self.owner.clone(), error.message().trim())
+            })
     }
 
     fn parse_empty<T: DeserializeOwned>(owner: &str) -> Result<T, ScenarioError> {

@@ -13,8 +13,8 @@ use super::document::{Params, Source, Step, Table, join, shown};
 use super::error::ScenarioError;
 use super::mesh_source::{self, LoadedMesh};
 use super::{
-    CONTROLLERS_MAX, ControllerEntry, ENTITIES_MAX, FILE_BYTES_MAX, HANDS_MAX, HandEntry, RATE_HZ, SCHEMA_VERSION,
-    Scenario,
+    CONTROLLERS_MAX, ControllerEntry, ENTITIES_MAX, FILE_BYTES_MAX, HANDS_MAX, HandEntry, RATE_HZ,
+    SCHEMA_VERSION, Scenario,
 };
 use crate::commands::Commands;
 use crate::component::Component;
@@ -89,14 +89,20 @@ fn schema_version(root: &Table) -> Result<(), ScenarioError> {
         Some(SCHEMA_VERSION) => Ok(()),
         other => {
             let found = other.unwrap_or_default();
-            let reason = format!("version {found} of the format is not known; this program reads {SCHEMA_VERSION}");
+            let reason =
+                format!("version {found} of the format is not known; this program reads {SCHEMA_VERSION}");
             Err(root.error(value.span(), "schema", reason))
         }
     }
 }
 
 /// Names are used in files, command lines and thread names.
-fn check_name(table: &Table, key: &str, name: &str, span: std::ops::Range<usize>) -> Result<(), ScenarioError> {
+fn check_name(
+    table: &Table,
+    key: &str,
+    name: &str,
+    span: std::ops::Range<usize>,
+) -> Result<(), ScenarioError> {
     let valid = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '-' | '_');
     if (1..=64).contains(&name.len()) && name.chars().all(valid) && !name.starts_with(['.', '-']) {
         return Ok(());
@@ -160,7 +166,8 @@ fn entity_names(root: &Table) -> Result<Names, ScenarioError> {
         table.require("name")?;
         let (name, span) = table.string("name")?.unwrap_or(("", table.span()));
         check_name(&table, "name", name, span.clone())?;
-        let entity = allocator.allocate().ok_or_else(|| table.error(span.clone(), "name", "too many entities"))?;
+        let entity =
+            allocator.allocate().ok_or_else(|| table.error(span.clone(), "name", "too many entities"))?;
         if names.insert(name.to_owned(), entity).is_some() {
             return Err(table.error(span, "name", format!("two entities are named '{name}'")));
         }
@@ -196,7 +203,11 @@ fn check_parents(root: &Table) -> Result<(), ScenarioError> {
     Ok(())
 }
 
-fn load_meshes(root: &Table, folder: &Path, names: &Names) -> Result<BTreeMap<Entity, LoadedMesh>, ScenarioError> {
+fn load_meshes(
+    root: &Table,
+    folder: &Path,
+    names: &Names,
+) -> Result<BTreeMap<Entity, LoadedMesh>, ScenarioError> {
     let mut meshes = BTreeMap::new();
     for (span, table) in root.tables("entity")? {
         let name = table.get("name").and_then(|value| value.get_ref().as_str()).unwrap_or_default();
@@ -214,7 +225,8 @@ fn load_meshes(root: &Table, folder: &Path, names: &Names) -> Result<BTreeMap<En
         let mesh_key = join(&key, "mesh");
         let mesh_table = Table::new(root.source, &mesh_key, value.span(), inner);
         let mesh = mesh_source::load(folder, &mesh_table, value)?;
-        meshes.insert(names.get(name).copied().unwrap_or_else(|| Entity::of_writer(0, SCENARIO_SPAWNER)), mesh);
+        meshes
+            .insert(names.get(name).copied().unwrap_or_else(|| Entity::of_writer(0, SCENARIO_SPAWNER)), mesh);
     }
     Ok(meshes)
 }
@@ -257,7 +269,8 @@ fn put_entity(
             continue;
         }
         let id = registry.by_name(component_name).map_err(|_| {
-            let known: Vec<&str> = registry.iter().filter(|(_, e)| (e.schema)().is_some()).map(|(_, e)| e.name).collect();
+            let known: Vec<&str> =
+                registry.iter().filter(|(_, e)| (e.schema)().is_some()).map(|(_, e)| e.name).collect();
             let reason = format!(
                 "unknown component '{}'; there are: mesh, {}",
                 shown(component_name),
@@ -265,9 +278,9 @@ fn put_entity(
             );
             table.error(component.span(), "", reason)
         })?;
-        registry
-            .put_document(id, commands, entity, ValueDeserializer::from(value.clone()))
-            .map_err(|(span, error)| table.error(span.unwrap_or(value.span()), component_name, super::reason(&error)))?;
+        registry.put_document(id, commands, entity, ValueDeserializer::from(value.clone())).map_err(
+            |(span, error)| table.error(span.unwrap_or(value.span()), component_name, super::reason(&error)),
+        )?;
     }
     if let Some(mesh) = meshes.get(&entity) {
         mesh.put(commands, entity);
@@ -275,7 +288,11 @@ fn put_entity(
     Ok(())
 }
 
-fn controllers(root: &Table, source: &Arc<Source>, names: &Names) -> Result<Vec<ControllerEntry>, ScenarioError> {
+fn controllers(
+    root: &Table,
+    source: &Arc<Source>,
+    names: &Names,
+) -> Result<Vec<ControllerEntry>, ScenarioError> {
     let mut controllers: Vec<ControllerEntry> = Vec::new();
     for (index, (span, table)) in root.tables("controller")?.into_iter().enumerate() {
         let table = Table::new(root.source, "controller", span, table);
@@ -308,9 +325,11 @@ fn hands(root: &Table, source: &Arc<Source>, names: &Names) -> Result<Vec<HandEn
         let key = format!("hand '{name}'");
         let table = Table { key: &key, ..table };
         table.only(&HAND_KEYS)?;
-        let (entity_name, entity_span) =
-            table.string("entity")?.map_or((format!("hand.{name}"), table.span()), |(text, span)| (text.to_owned(), span));
-        let entity = hand_entity(root, names, &entity_name).map_err(|why| table.error(entity_span, "entity", why))?;
+        let (entity_name, entity_span) = table
+            .string("entity")?
+            .map_or((format!("hand.{name}"), table.span()), |(text, span)| (text.to_owned(), span));
+        let entity =
+            hand_entity(root, names, &entity_name).map_err(|why| table.error(entity_span, "entity", why))?;
         if hands.iter().any(|other| other.entity == entity) {
             let reason = format!("two hands refer to entity '{}'", shown(&entity_name));
             return Err(table.error(table.span(), "entity", reason));
@@ -349,7 +368,10 @@ fn hand_entity(root: &Table, names: &Names, name: &str) -> Result<Entity, String
     }
 }
 
-fn unique_name<'a>(table: &Table<'a>, mut taken: impl Iterator<Item = &'a str>) -> Result<&'a str, ScenarioError> {
+fn unique_name<'a>(
+    table: &Table<'a>,
+    mut taken: impl Iterator<Item = &'a str>,
+) -> Result<&'a str, ScenarioError> {
     table.require("name")?;
     let (name, span) = table.string("name")?.unwrap_or(("", table.span()));
     check_name(table, "name", name, span.clone())?;

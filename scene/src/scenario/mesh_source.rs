@@ -14,8 +14,8 @@ use crate::components::{SurfaceMesh, TetMesh, TextureCoordinates, VertexPosition
 use crate::confined_path;
 use crate::entity::Entity;
 use crate::mesh::{
-    Limits, MeshError, SURFACE_EXTENSIONS, SurfaceData, SurfacePolicy, TET_EXTENSIONS, TetData, TetPolicy, read_surface,
-    read_tets, validate_surface, validate_tets,
+    Limits, MeshError, SURFACE_EXTENSIONS, SurfaceData, SurfacePolicy, TET_EXTENSIONS, TetData, TetPolicy,
+    read_surface, read_tets, validate_surface, validate_tets,
 };
 
 /// Keys of the table.
@@ -23,7 +23,8 @@ pub(super) const KEYS: [&str; 4] = ["file", "scale", "flip_inverted", "require"]
 /// Values of `require`.
 pub(super) const REQUIREMENTS: [&str; 3] = ["solid", "manifold", "any"];
 /// Components that a mesh file provides, and that may therefore not stand beside it.
-pub(super) const PROVIDED: [&str; 4] = ["surface_mesh", "tet_mesh", "vertex_positions", "texture_coordinates"];
+pub(super) const PROVIDED: [&str; 4] =
+    ["surface_mesh", "tet_mesh", "vertex_positions", "texture_coordinates"];
 
 /// The components that a mesh file became. Payloads are shared.
 #[derive(Clone, Debug)]
@@ -48,11 +49,16 @@ impl LoadedMesh {
 }
 
 /// Reads the file that an entity's `mesh` table names. `table` is that table, `value` where it stands.
-pub(super) fn load(folder: &Path, table: &Table, value: &Spanned<DeValue>) -> Result<LoadedMesh, ScenarioError> {
+pub(super) fn load(
+    folder: &Path,
+    table: &Table,
+    value: &Spanned<DeValue>,
+) -> Result<LoadedMesh, ScenarioError> {
     table.only(&KEYS)?;
     table.require("file")?;
     let (relative, span) = table.string("file")?.unwrap_or(("", value.span()));
-    let file = confined_path::below(folder, relative).map_err(|why| table.error(span.clone(), "file", why))?;
+    let file =
+        confined_path::below(folder, relative).map_err(|why| table.error(span.clone(), "file", why))?;
     let scale = table.number("scale", 1e-9..=1e9, "1e-9 to 1e9 metres per unit of the file")?.unwrap_or(1.0);
     let flip_inverted = table.value::<bool>("flip_inverted")?.unwrap_or(false);
     let require = table.string("require")?.map_or(REQUIREMENTS[0], |(text, _)| text);
@@ -92,7 +98,9 @@ pub(super) fn load(folder: &Path, table: &Table, value: &Spanned<DeValue>) -> Re
         policy.require(&file, &validate_surface(&surface)).map_err(refused)?;
         Ok(from_surface(surface))
     } else {
-        let reason = format!("extension '{extension}' is none of: {SURFACE_EXTENSIONS} (surfaces), {TET_EXTENSIONS} (volumes)");
+        let reason = format!(
+            "extension '{extension}' is none of: {SURFACE_EXTENSIONS} (surfaces), {TET_EXTENSIONS} (volumes)"
+        );
         Err(table.error(span.clone(), "file", reason))
     }
 }
