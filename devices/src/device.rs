@@ -2,8 +2,8 @@
 //!
 //! How to write one (the virtual hand is the shortest complete example):
 //!
-//! 1. Put what the maker promises into [`Capabilities`]: the driver core clamps to these figures, so state the
-//!    *continuous* force that the motors bear, not the peak.
+//! 1. Put what the maker promises into [`Capabilities`]: the driver core clamps to these figures, so state
+//!    forces that the motors bear and a hand does too.
 //! 2. [`HapticDevice::open`] finds and initialises the device. It is called again after the device was
 //!    unplugged, at most every 100 ms, so it must be repeatable and bounded in time.
 //! 3. [`HapticDevice::read`] returns the newest state in SI units and in one frame that never changes. Return
