@@ -1,0 +1,411 @@
+//! The controller that schedules the rigid world: reads bodies, instruments and targets from the scene, steps,
+//! and writes poses, forces, contacts and grasps back.
+//!
+//! Everything that another life of it needs is in the scene: poses and velocities of bodies and tips
+//! ([`Pose`], [`Velocity`]), openings of jaws ([`JawState`]), and what is held, at which anchor ([`Grasp`]).
+
+use std::collections::BTreeMap;
+
+use trocar_scene::access::{Access, EntitySet};
+use trocar_scene::commands::Commands;
+use trocar_scene::components::{
+    Collision, CollisionList, Grasp, Instrument, InstrumentForce, InstrumentTarget, JawState,
+    LocalContactModel, Motion, Parent, Pose, RigidBody, Shape, Velocity,
+};
+use trocar_scene::controller::{BuildContext, Controller, ControllerError, Tick};
+use trocar_scene::entity::Entity;
+use trocar_scene::snapshot::Snapshot;
+use trocar_scene::time::{Revision, SimTime};
+
+use crate::contacts::Contact;
+use crate::error::EngineError;
+use crate::grasp::Hold;
+use crate::grasper::GrasperState;
+use crate::jaws::JawOpening;
+use crate::local_model::local_contact_model;
+use crate::settings::EngineSettings;
+use crate::world::{FLOOR, RigidWorld};
+
+/// Most contacts that the collision list carries; the deepest ones stay.
+pub const COLLISIONS_MAX: usize = 256;
+/// Own writes that may still be on their way to the Model, per body.
+const WRITES_IN_FLIGHT: usize = 8;
+/// Longest time that one tick simulates \[s\]; after a longer pause the rest is skipped.
+const CATCH_UP_SECS_MAX: f64 = 0.2;
+
+/// Rapier as a controller of the scene.
+pub struct EngineController {
+    world: RigidWorld,
+    access: Access,
+    /// Up to which revision the scene has been looked through.
+    seen: Revision,
+    /// What each body was built from, and the poses written for it lately.
+    bodies: BTreeMap<Entity, KnownBody>,
+    instruments: BTreeMap<Entity, KnownInstrument>,
+    collisions_were_empty: bool,
+}
+
+struct KnownBody {
+    body: RigidBody,
+    shape: Shape,
+    written: [Option<Pose>; WRITES_IN_FLIGHT],
+    next_slot: usize,
+    slept: bool,
+}
+
+struct KnownInstrument {
+    instrument: Instrument,
+    target_seen: Option<Revision>,
+    grasp: Option<Grasp>,
+}
+
+impl EngineController {
+    /// Builds the world from the scene.
+    ///
+    /// # Errors
+    /// What the scene or the settings have that cannot be simulated.
+    pub fn new(context: &BuildContext<'_>, settings: EngineSettings) -> Result<Self, EngineError> {
+        let mut this = Self {
+            world: RigidWorld::new(settings, context.time)?,
+            access: Self::declared_access(context.scene),
+            seen: Revision::ZERO,
+            bodies: BTreeMap::new(),
+            instruments: BTreeMap::new(),
+            collisions_were_empty: false,
+        };
+        this.take_in(context.scene)?;
+        Ok(this)
+    }
+
+    /// Rows that the engine writes: dynamic bodies and instruments that the scene has now, by entity, so that
+    /// nobody else's poses are claimed.
+    fn declared_access(scene: &Snapshot) -> Access {
+        let instruments: Vec<Entity> = scene.iter::<Instrument>().map(|(entity, _)| entity).collect();
+        let mut moved: Vec<Entity> = scene
+            .iter::<RigidBody>()
+            .filter(|(_, body)| body.motion == Motion::Dynamic)
+            .map(|(entity, _)| entity)
+            .chain(instruments.iter().copied())
+            .collect();
+        moved.sort_unstable();
+        moved.dedup();
+        Access::new()
+            .reads::<RigidBody>()
+            .reads::<Shape>()
+            .reads::<Parent>()
+            .reads::<Pose>()
+            .reads::<Velocity>()
+            .reads::<Instrument>()
+            .reads::<InstrumentTarget>()
+            .reads::<JawState>()
+            .reads::<Grasp>()
+            .writes::<Pose>(EntitySet::Of(moved.clone()))
+            .writes::<Velocity>(EntitySet::Of(moved))
+            .writes::<JawState>(EntitySet::Of(instruments.clone()))
+            .writes::<InstrumentForce>(EntitySet::Of(instruments.clone()))
+            .writes::<LocalContactModel>(EntitySet::Of(instruments.clone()))
+            .writes::<Grasp>(EntitySet::Of(instruments))
+            .contributes::<CollisionList>()
+    }
+
+    /// The world that it steps.
+    pub fn world(&self) -> &RigidWorld {
+        &self.world
+    }
+
+    /// Takes in what changed in the scene since the last time.
+    fn take_in(&mut self, scene: &Snapshot) -> Result<(), EngineError> {
+        self.drop_vanished(scene);
+        for (entity, body) in scene.iter_changed::<RigidBody>(self.seen) {
+            if let Some(shape) = scene.get::<Shape>(entity) {
+                self.take_body(scene, entity, body, shape)?;
+            }
+        }
+        for (entity, shape) in scene.iter_changed::<Shape>(self.seen) {
+            if let Some(body) = scene.get::<RigidBody>(entity) {
+                self.take_body(scene, entity, body, shape)?;
+            }
+        }
+        for (entity, pose) in scene.iter_changed::<Pose>(self.seen) {
+            self.take_pose(scene, entity, pose)?;
+        }
+        for (entity, instrument) in scene.iter::<Instrument>() {
+            self.take_instrument(scene, entity, instrument)?;
+        }
+        self.seen = scene.revision();
+        Ok(())
+    }
+
+    fn drop_vanished(&mut self, scene: &Snapshot) {
+        let world = &mut self.world;
+        self.bodies.retain(|entity, _| {
+            let stays = scene.get::<RigidBody>(*entity).is_some() && scene.get::<Shape>(*entity).is_some();
+            if !stays {
+                world.remove(*entity);
+            }
+            stays
+        });
+        self.instruments.retain(|entity, _| {
+            let stays = scene.get::<Instrument>(*entity).is_some();
+            if !stays {
+                world.remove(*entity);
+            }
+            stays
+        });
+    }
+
+    fn take_body(
+        &mut self,
+        scene: &Snapshot,
+        entity: Entity,
+        body: &RigidBody,
+        shape: &Shape,
+    ) -> Result<(), EngineError> {
+        if let Some(known) = self.bodies.get_mut(&entity) {
+            if known.body == *body && known.shape == *shape {
+                return Ok(());
+            }
+            let surface_only = known.shape == *shape
+                && RigidBody { friction: body.friction, restitution: body.restitution, ..known.body.clone() }
+                    == *body;
+            known.body = body.clone();
+            known.shape = shape.clone();
+            if surface_only {
+                return self.world.set_surface(entity, body);
+            }
+            // Rebuilt where it is in the world, which may be ahead of the snapshot.
+            let pose = self.world.pose(entity).unwrap_or_else(|| scene.world_pose(entity).into());
+            let velocity = self.world.velocity(entity).unwrap_or_default();
+            return self.world.insert_body(entity, body, shape, &pose, &velocity);
+        }
+        let pose = Pose::from(scene.world_pose(entity));
+        let velocity = scene.get::<Velocity>(entity).copied().unwrap_or_default();
+        self.world.insert_body(entity, body, shape, &pose, &velocity)?;
+        self.bodies.insert(
+            entity,
+            KnownBody {
+                body: body.clone(),
+                shape: shape.clone(),
+                written: first_write(scene.get::<Pose>(entity)),
+                next_slot: 1,
+                slept: false,
+            },
+        );
+        Ok(())
+    }
+
+    /// A pose that is none of the engine's own is a teleport.
+    fn take_pose(&mut self, scene: &Snapshot, entity: Entity, pose: &Pose) -> Result<(), EngineError> {
+        let Some(known) = self.bodies.get_mut(&entity) else { return Ok(()) };
+        if known.written.contains(&Some(*pose)) {
+            return Ok(());
+        }
+        known.written = [None; WRITES_IN_FLIGHT];
+        known.written[0] = Some(*pose);
+        known.next_slot = 1;
+        known.slept = false;
+        let pose = Pose::from(scene.world_pose(entity));
+        let velocity = scene.get::<Velocity>(entity).copied().unwrap_or_default();
+        self.world.move_body(entity, &pose, &velocity)
+    }
+
+    fn take_instrument(
+        &mut self,
+        scene: &Snapshot,
+        entity: Entity,
+        instrument: &Instrument,
+    ) -> Result<(), EngineError> {
+        let target_changed = scene.changed::<InstrumentTarget>(entity);
+        let target = scene.get::<InstrumentTarget>(entity);
+        let known = self.instruments.get(&entity);
+        let rebuild = known.is_none_or(|known| known.instrument != *instrument);
+        if rebuild {
+            let resumed = scene.get::<JawState>(entity);
+            let grasp = scene.get::<Grasp>(entity).copied();
+            let (state, hold) = match (self.world.grasper_state(entity), resumed, target) {
+                (Some(state), _, _) => {
+                    (state, self.world.grasper(entity).and_then(|grasper| grasper.hold().copied()))
+                }
+                (None, Some(jaws), _) => (resumed_state(scene, entity, jaws), grasp.map(hold_of)),
+                // A new instrument starts where its hand is; before there is a hand it is not there.
+                (None, None, Some(target)) => {
+                    let opening = JawOpening { angle: target.jaw_angle, ..JawOpening::default() };
+                    let state = GrasperState {
+                        tip_in_world: target.tip_in_world.isometry(),
+                        velocity: target.velocity_in_world,
+                        opening,
+                    };
+                    (state, None)
+                }
+                (None, None, None) => return Ok(()),
+            };
+            self.world.insert_grasper(entity, instrument, &state, hold)?;
+            let target_seen = known.and_then(|known| known.target_seen);
+            self.instruments
+                .insert(entity, KnownInstrument { instrument: instrument.clone(), target_seen, grasp });
+        }
+        if let (Some(known), Some(target)) = (self.instruments.get_mut(&entity), target)
+            && known.target_seen != target_changed
+        {
+            known.target_seen = target_changed;
+            self.world.set_target(entity, *target)?;
+        }
+        Ok(())
+    }
+
+    fn write_bodies(&mut self, scene: &Snapshot, out: &mut Commands) {
+        for (entity, known) in &mut self.bodies {
+            if known.body.motion != Motion::Dynamic {
+                continue;
+            }
+            // What sleeps does not move: its last pose, with no velocity, is written once.
+            let sleeps = self.world.is_sleeping(*entity);
+            if sleeps && known.slept {
+                continue;
+            }
+            known.slept = sleeps;
+            let (Some(pose), Some(velocity)) = (self.world.pose(*entity), self.world.velocity(*entity))
+            else {
+                continue;
+            };
+            let pose = in_parent(scene, *entity, pose);
+            known.written[known.next_slot] = Some(pose);
+            known.next_slot = (known.next_slot + 1) % WRITES_IN_FLIGHT;
+            out.put(*entity, pose);
+            out.put(*entity, if sleeps { Velocity::default() } else { velocity });
+        }
+    }
+
+    fn write_instruments(&mut self, scene: &Snapshot, now: SimTime, out: &mut Commands) {
+        let entities: Vec<Entity> = self.instruments.keys().copied().collect();
+        // Contacts borrow the world; they are few.
+        let contacts: Vec<Contact> = self.world.contacts().to_vec();
+        for entity in entities {
+            let (Some(state), Some(wrench)) =
+                (self.world.grasper_state(entity), self.world.take_wrench_on_hand(entity))
+            else {
+                continue;
+            };
+            let Some(grasper) = self.world.grasper(entity) else { continue };
+            out.put(entity, in_parent(scene, entity, state.tip_in_world.into()));
+            out.put(entity, state.velocity);
+            out.put(
+                entity,
+                JawState {
+                    angle: state.opening.angle,
+                    rate: state.opening.rate,
+                    pad_force: grasper.pad_force(),
+                },
+            );
+            out.put(entity, InstrumentForce { force: wrench.force, torque: wrench.torque, at: now });
+            out.put(entity, local_contact_model(grasper, &state, &contacts, now));
+            let Some(known) = self.instruments.get_mut(&entity) else { continue };
+            let since =
+                known.grasp.filter(|grasp| grasper.hold().is_some_and(|hold| hold.held == grasp.held));
+            let grasp = grasper.hold().map(|hold| Grasp {
+                held: hold.held,
+                anchor: hold.anchor.into(),
+                since: since.map_or(now, |grasp| grasp.since),
+                assisted: hold.assisted,
+            });
+            if grasp != known.grasp {
+                match grasp {
+                    Some(grasp) => out.put(entity, grasp),
+                    None => out.remove::<Grasp>(entity),
+                }
+                known.grasp = grasp;
+            }
+        }
+        self.write_collisions(&contacts, out);
+    }
+
+    fn write_collisions(&mut self, contacts: &[Contact], out: &mut Commands) {
+        let mut collisions: Vec<Collision> = contacts
+            .iter()
+            .filter(|contact| contact.a.0 != FLOOR && contact.b.0 != FLOOR)
+            .map(collision_of)
+            .collect();
+        if collisions.len() > COLLISIONS_MAX {
+            collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+            collisions.truncate(COLLISIONS_MAX);
+        }
+        // An empty list that follows an empty list says nothing new.
+        if collisions.is_empty() && self.collisions_were_empty {
+            return;
+        }
+        self.collisions_were_empty = collisions.is_empty();
+        let penetration_max = self.world.statistics().penetration_max;
+        out.contribute(CollisionList { collisions, penetration_max });
+    }
+}
+
+impl Controller for EngineController {
+    fn access(&self) -> Access {
+        self.access.clone()
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        self.take_in(scene).map_err(|error| ControllerError::Scene(error.to_string()))?;
+        let step_secs = self.world.settings().substep_secs;
+        // The world is brought up to the time of the tick; how far it is behind says how many steps that takes.
+        let behind = tick.time.since(self.world.now()).as_secs_f64().min(CATCH_UP_SECS_MAX);
+        let steps = (behind / step_secs + 1e-6).floor() as u64;
+        for _ in 0..steps {
+            self.world.step().map_err(|error| ControllerError::Failed(error.to_string()))?;
+        }
+        if behind >= CATCH_UP_SECS_MAX {
+            self.world.skip_to(tick.time);
+        }
+        self.write_bodies(scene, out);
+        self.write_instruments(scene, tick.time, out);
+        Ok(())
+    }
+}
+
+/// The history of a body that has been written by others only.
+fn first_write(pose: Option<&Pose>) -> [Option<Pose>; WRITES_IN_FLIGHT] {
+    let mut written = [None; WRITES_IN_FLIGHT];
+    written[0] = pose.copied();
+    written
+}
+
+/// A pose in world as the entity's row has it: relative to its parent, if it has one.
+fn in_parent(scene: &Snapshot, entity: Entity, world_from_entity: Pose) -> Pose {
+    match scene.get::<Parent>(entity) {
+        Some(parent) => (scene.world_pose(parent.0).inverse() * world_from_entity.isometry()).into(),
+        None => world_from_entity,
+    }
+}
+
+/// The state of an instrument as an earlier life of the engine left it in the scene.
+fn resumed_state(scene: &Snapshot, entity: Entity, jaws: &JawState) -> GrasperState {
+    GrasperState {
+        tip_in_world: scene.world_pose(entity),
+        velocity: scene.get::<Velocity>(entity).copied().unwrap_or_default(),
+        opening: JawOpening { angle: jaws.angle, rate: jaws.rate, ..JawOpening::default() },
+    }
+}
+
+fn hold_of(grasp: Grasp) -> Hold {
+    Hold {
+        held: grasp.held,
+        anchor: grasp.anchor.isometry(),
+        assisted: grasp.assisted,
+        torn: !grasp.assisted,
+        slack_secs: 0.0,
+    }
+}
+
+fn collision_of(contact: &Contact) -> Collision {
+    Collision {
+        a: contact.a.0,
+        primitive_a: contact.a.1,
+        b: contact.b.0,
+        primitive_b: contact.b.1,
+        point_in_world: contact.point_in_world,
+        normal_in_world: contact.normal_in_world,
+        depth: contact.depth,
+        force_in_world: contact.force_on_b_in_world(),
+        velocity_constraint: 0.0,
+    }
+}

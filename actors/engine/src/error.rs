@@ -1,0 +1,59 @@
+//! What the engine refuses.
+
+use thiserror::Error;
+use trocar_scene::{ComponentError, Entity};
+
+/// A body, an instrument or a setting that the engine cannot simulate.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum EngineError {
+    /// A component of an entity is out of range.
+    #[error("{entity}: {component}: {source}")]
+    InvalidComponent {
+        /// The entity.
+        entity: Entity,
+        /// Name of the component.
+        component: &'static str,
+        /// What is wrong with it.
+        source: ComponentError,
+    },
+    /// A setting of the engine is out of range.
+    #[error("engine setting {field} = {value} is out of range ({valid})")]
+    InvalidSetting {
+        /// The setting.
+        field: &'static str,
+        /// Its value.
+        value: f64,
+        /// What would be valid.
+        valid: &'static str,
+    },
+    /// More instruments than there are collision groups.
+    #[error("{entity}: there are already {max} instruments, which is the limit")]
+    TooManyInstruments {
+        /// The instrument that was refused.
+        entity: Entity,
+        /// The limit.
+        max: usize,
+    },
+    /// More bodies than the engine admits.
+    #[error("{entity}: there are already {max} bodies, which is the limit")]
+    TooManyBodies {
+        /// The body that was refused.
+        entity: Entity,
+        /// The limit.
+        max: usize,
+    },
+    /// The entity is not in the simulation.
+    #[error("{entity} is not simulated")]
+    Unknown {
+        /// The entity.
+        entity: Entity,
+    },
+    /// The simulation produced a pose or a velocity that is not a number.
+    #[error("{bodies} bodies reached a state that is not finite in step {step}")]
+    Diverged {
+        /// How many.
+        bodies: usize,
+        /// In which step since the world was built.
+        step: u64,
+    },
+}

@@ -1,0 +1,125 @@
+//! Tuning of the physics engine, and the limits within which it holds.
+
+use nalgebra::Vector3;
+use rapier3d_f64::dynamics::{FrictionModel, IntegrationParameters, SpringCoefficients};
+use serde::{Deserialize, Serialize};
+
+use crate::error::EngineError;
+
+/// How the world is stepped. The defaults are those under which grasping a 5 g ring by friction was measured.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EngineSettings {
+    /// Length of one step of the solver \[s\].
+    pub substep_secs: f64,
+    /// Iterations of the solver per step, for bodies that no instrument touches.
+    pub solver_iterations: usize,
+    /// Iterations in addition for whatever an instrument touches.
+    pub grasp_iterations: usize,
+    /// Sweeps over all constraints in each of those iterations, in addition to one: they settle hinge, drive
+    /// and contact of a jaw against each other (with none a held ring creeps by 0.5 mm/s).
+    pub grasp_sweeps: usize,
+    /// Acceleration of gravity in world \[m/s²\].
+    pub gravity_in_world: Vector3<f64>,
+    /// Height of the floor that catches what falls off the boards \[m\]; none when absent.
+    pub floor_height: Option<f64>,
+    /// Largest force of the coupling between a hand and its instrument \[N\].
+    pub coupling_force_max: f64,
+    /// Largest rate at which the drive of the jaws opens or closes them \[rad/s\].
+    pub jaw_rate_max: f64,
+    /// How far a target is carried on along its velocity when no newer one arrives \[s\].
+    pub extrapolation_secs_max: f64,
+}
+
+impl Default for EngineSettings {
+    fn default() -> Self {
+        Self {
+            substep_secs: 0.001,
+            solver_iterations: 4,
+            grasp_iterations: 4,
+            grasp_sweeps: 1,
+            gravity_in_world: Vector3::new(0.0, 0.0, -9.81),
+            floor_height: Some(-0.05),
+            coupling_force_max: 20.0,
+            jaw_rate_max: 6.0,
+            extrapolation_secs_max: 0.02,
+        }
+    }
+}
+
+impl EngineSettings {
+    /// Refuses what the solver cannot work with.
+    ///
+    /// # Errors
+    /// [`EngineError::InvalidSetting`] names the first setting that is out of range.
+    pub fn check(&self) -> Result<(), EngineError> {
+        let within = |field, value: f64, low: f64, high: f64, valid| {
+            // Written so that a NaN fails.
+            if value >= low && value <= high {
+                Ok(())
+            } else {
+                Err(EngineError::InvalidSetting { field, value, valid })
+            }
+        };
+        within("substep_secs", self.substep_secs, 1e-5, 0.005, "1e-5 to 0.005 s")?;
+        within("solver_iterations", self.solver_iterations as f64, 1.0, 128.0, "1 to 128")?;
+        within("grasp_iterations", self.grasp_iterations as f64, 0.0, 128.0, "0 to 128")?;
+        within("grasp_sweeps", self.grasp_sweeps as f64, 0.0, 32.0, "0 to 32")?;
+        for axis in self.gravity_in_world.iter() {
+            within("gravity_in_world", *axis, -100.0, 100.0, "-100 to 100 m/s²")?;
+        }
+        if let Some(height) = self.floor_height {
+            within("floor_height", height, -100.0, 100.0, "-100 to 100 m")?;
+        }
+        within("coupling_force_max", self.coupling_force_max, 0.1, 200.0, "0.1 to 200 N")?;
+        within("jaw_rate_max", self.jaw_rate_max, 0.01, 100.0, "0.01 to 100 rad/s")?;
+        within("extrapolation_secs_max", self.extrapolation_secs_max, 0.0, 0.1, "0 to 0.1 s")
+    }
+
+    /// Rapier's own parameters.
+    ///
+    /// With its defaults (30 Hz contact softness, metre-sized tolerances) jaws sink millimetres into a ring.
+    pub(crate) fn integration_parameters(&self) -> IntegrationParameters {
+        let stiff = SpringCoefficients { natural_frequency: 1000.0, damping_ratio: 10.0 };
+        IntegrationParameters {
+            dt: self.substep_secs,
+            min_ccd_dt: self.substep_secs / 100.0,
+            contact_softness: stiff,
+            static_contact_softness: stiff,
+            length_unit: 0.01,
+            num_solver_iterations: self.solver_iterations,
+            friction_model: FrictionModel::Coulomb,
+            // 0.5 mm: a ring falls or a jaw closes less than that within a step, so that contacts exist before
+            // there is any penetration.
+            normalized_prediction_distance: 0.05,
+            // 20 µm: reuse a manifold only while the bodies rest on each other; tubes roll on blades.
+            normalized_contact_recycle_distance: 0.002,
+            ..IntegrationParameters::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_valid() {
+        assert_eq!(EngineSettings::default().check(), Ok(()));
+    }
+
+    #[test]
+    fn out_of_range_is_named() {
+        for (settings, field) in [
+            (EngineSettings { substep_secs: f64::NAN, ..Default::default() }, "substep_secs"),
+            (EngineSettings { substep_secs: 0.0, ..Default::default() }, "substep_secs"),
+            (EngineSettings { solver_iterations: 0, ..Default::default() }, "solver_iterations"),
+            (EngineSettings { coupling_force_max: -1.0, ..Default::default() }, "coupling_force_max"),
+            (EngineSettings { floor_height: Some(f64::INFINITY), ..Default::default() }, "floor_height"),
+        ] {
+            let error = settings.check().unwrap_err();
+            assert!(matches!(&error, EngineError::InvalidSetting { field: named, .. } if *named == field));
+            assert!(error.to_string().contains(field));
+        }
+    }
+}

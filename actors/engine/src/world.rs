@@ -1,0 +1,451 @@
+//! Rigid bodies and instruments under gravity, contact and friction: Rapier, tuned for things of millimetres
+//! and grams.
+//!
+//! A plain type: no scene, no actor, no clock. [`RigidWorld::step`] advances by one substep; two worlds that
+//! are given the same calls hold the same bits.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Isometry3;
+use rapier3d_f64::dynamics::{CoefficientCombineRule, RigidBodyBuilder, RigidBodyHandle, RigidBodyType};
+use rapier3d_f64::geometry::{
+    ColliderBuilder, ColliderHandle, Group, InteractionGroups, InteractionTestMode,
+};
+use rapier3d_f64::math::Pose as RapierPose;
+use rapier3d_f64::pipeline::PhysicsWorld;
+use trocar_scene::component::Component;
+use trocar_scene::components::{
+    Instrument, InstrumentTarget, Motion, Pose, Primitive, RigidBody, Shape, Velocity,
+};
+use trocar_scene::entity::Entity;
+use trocar_scene::time::SimTime;
+
+use crate::contacts::{self, Contact};
+use crate::conversion::{pose_from_rapier, pose_to_rapier, vector_from_rapier, vector_to_rapier};
+use crate::coupling::Wrench;
+use crate::error::EngineError;
+use crate::grasp::{self, Hold, PadContact};
+use crate::grasper::{Grasper, GrasperState};
+use crate::settings::EngineSettings;
+use crate::shapes;
+
+/// The world's own floor reports its contacts under this entity.
+pub const FLOOR: Entity = Entity::of_writer(u16::MAX, u16::MAX);
+/// Most bodies besides instruments.
+pub const BODIES_MAX: usize = 4096;
+/// Most instruments: each takes two of Rapier's 32 collision groups.
+pub const INSTRUMENTS_MAX: usize = 15;
+
+const GROUP_FIXED: u32 = 1 << 0;
+const GROUP_MOVING: u32 = 1 << 1;
+/// A body that moves this much slower than 0.5 mm/s for so long goes to sleep \[s\].
+const SLEEP_AFTER_SECS: f64 = 0.3;
+
+/// A body besides instruments.
+#[derive(Clone, Debug)]
+struct Body {
+    handle: RigidBodyHandle,
+    colliders: Vec<ColliderHandle>,
+    motion: Motion,
+}
+
+/// Figures since the world was built.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct WorldStatistics {
+    /// Steps taken.
+    pub steps: u64,
+    /// Deepest penetration of any pair after any step \[m\].
+    pub penetration_max: f64,
+    /// Steps in which some pair was deeper than 0.1 mm.
+    pub steps_over_penetration_limit: u64,
+}
+
+/// Penetration that counts as too deep \[m\].
+pub const PENETRATION_LIMIT: f64 = 1e-4;
+
+/// A world of rigid bodies and instruments.
+pub struct RigidWorld {
+    settings: EngineSettings,
+    physics: PhysicsWorld,
+    bodies: BTreeMap<Entity, Body>,
+    graspers: BTreeMap<Entity, Grasper>,
+    statistics: WorldStatistics,
+    now: SimTime,
+    contacts: Vec<Contact>,
+    pads: Vec<PadContact>,
+}
+
+impl RigidWorld {
+    /// An empty world, apart from its floor, that stands at `now`.
+    ///
+    /// # Errors
+    /// [`EngineError::InvalidSetting`].
+    pub fn new(settings: EngineSettings, now: SimTime) -> Result<Self, EngineError> {
+        settings.check()?;
+        let mut physics = PhysicsWorld {
+            gravity: vector_to_rapier(&settings.gravity_in_world),
+            integration_parameters: settings.integration_parameters(),
+            ..PhysicsWorld::default()
+        };
+        if let Some(height) = settings.floor_height {
+            let half = 0.05;
+            let floor = ColliderBuilder::cuboid(2.0, 2.0, half)
+                .collision_groups(groups(GROUP_FIXED, !GROUP_FIXED))
+                .friction_combine_rule(CoefficientCombineRule::GeometricMean)
+                .user_data(contacts::tag(FLOOR, Primitive::Shape(0)));
+            let place = RapierPose::translation(0.0, 0.0, height - half);
+            physics.insert(RigidBodyBuilder::fixed().pose(place), floor);
+        }
+        Ok(Self {
+            settings,
+            physics,
+            bodies: BTreeMap::new(),
+            graspers: BTreeMap::new(),
+            statistics: WorldStatistics::default(),
+            now,
+            contacts: Vec::new(),
+            pads: Vec::new(),
+        })
+    }
+
+    /// The settings it was made with.
+    pub fn settings(&self) -> &EngineSettings {
+        &self.settings
+    }
+    /// The time at which it stands.
+    pub fn now(&self) -> SimTime {
+        self.now
+    }
+    /// Figures since it was built.
+    pub fn statistics(&self) -> WorldStatistics {
+        self.statistics
+    }
+
+    /// Sets the time without simulating what lies between, after a pause that is too long to catch up with.
+    pub fn skip_to(&mut self, time: SimTime) {
+        self.now = time;
+    }
+
+    /// Adds a body, in place of the one that the entity had.
+    ///
+    /// # Errors
+    /// A component that is out of range, or [`EngineError::TooManyBodies`].
+    pub fn insert_body(
+        &mut self,
+        entity: Entity,
+        body: &RigidBody,
+        shape: &Shape,
+        pose: &Pose,
+        velocity: &Velocity,
+    ) -> Result<(), EngineError> {
+        check(entity, body)?;
+        check(entity, shape)?;
+        check(entity, pose)?;
+        check(entity, velocity)?;
+        self.remove(entity);
+        if self.bodies.len() >= BODIES_MAX {
+            return Err(EngineError::TooManyBodies { entity, max: BODIES_MAX });
+        }
+        let (kind, own_groups) = match body.motion {
+            Motion::Static => (RigidBodyType::Fixed, groups(GROUP_FIXED, !GROUP_FIXED)),
+            Motion::Kinematic => (RigidBodyType::KinematicPositionBased, groups(GROUP_FIXED, !GROUP_FIXED)),
+            Motion::Dynamic => (RigidBodyType::Dynamic, groups(GROUP_MOVING, u32::MAX)),
+        };
+        let mut builder = RigidBodyBuilder::new(kind)
+            .pose(pose_to_rapier(pose))
+            .linear_damping(body.linear_damping)
+            .angular_damping(body.angular_damping);
+        if body.motion == Motion::Dynamic {
+            let properties = shapes::mass_properties(shape, body.mass);
+            let lever = pose.rotation * vector_from_rapier(properties.local_com);
+            builder = builder
+                .linvel(vector_to_rapier(&(velocity.linear + velocity.angular.cross(&lever))))
+                .angvel(vector_to_rapier(&velocity.angular))
+                .ccd_enabled(true)
+                .additional_mass_properties(properties);
+        }
+        let handle = self.physics.insert_body(builder);
+        if let Some(body) = self.physics.bodies.get_mut(handle) {
+            body.activation_mut().time_until_sleep = SLEEP_AFTER_SECS;
+        }
+        let colliders = shapes::parts(shape)
+            .into_iter()
+            .enumerate()
+            .map(|(index, part)| {
+                let collider = ColliderBuilder::new(part.shape)
+                    .position(part.pose)
+                    .density(0.0)
+                    .friction(body.friction)
+                    .friction_combine_rule(CoefficientCombineRule::GeometricMean)
+                    .restitution(body.restitution)
+                    .collision_groups(own_groups)
+                    .user_data(contacts::tag(entity, Primitive::Shape(index as u32)));
+                self.physics.insert_collider(collider, Some(handle))
+            })
+            .collect();
+        self.bodies.insert(entity, Body { handle, colliders, motion: body.motion });
+        Ok(())
+    }
+
+    /// Adds an instrument, in place of the one that the entity had. `hold` is what it holds already.
+    ///
+    /// # Errors
+    /// A component that is out of range, or [`EngineError::TooManyInstruments`].
+    pub fn insert_grasper(
+        &mut self,
+        entity: Entity,
+        instrument: &Instrument,
+        state: &GrasperState,
+        hold: Option<Hold>,
+    ) -> Result<(), EngineError> {
+        check(entity, instrument)?;
+        check(entity, &Pose::from(state.tip_in_world))?;
+        check(entity, &state.velocity)?;
+        let track = self.graspers.get(&entity).map(|old| old.track);
+        self.remove(entity);
+        let slot = (0..INSTRUMENTS_MAX as u32)
+            .find(|slot| self.graspers.values().all(|other| other.slot != *slot))
+            .ok_or(EngineError::TooManyInstruments { entity, max: INSTRUMENTS_MAX })?;
+        let (palm, jaws) = (1 << (2 + 2 * slot), 1 << (3 + 2 * slot));
+        // The drive's limit keeps the jaws apart; palm and jaws share the hinge.
+        let own = palm | jaws;
+        let mut grasper = Grasper::insert(
+            &mut self.physics,
+            &self.settings,
+            entity,
+            instrument,
+            state,
+            slot,
+            [groups(palm, !own), groups(jaws, !own)],
+            |jaw| contacts::tag(entity, jaw.map_or(Primitive::Shaft, |jaw| Primitive::Jaw(jaw as u8))),
+        );
+        grasper.track = track.unwrap_or_default();
+        grasper.hold = hold.filter(|hold| self.bodies.contains_key(&hold.held));
+        self.graspers.insert(entity, grasper);
+        Ok(())
+    }
+
+    /// Takes a body or an instrument away; whether there was one.
+    pub fn remove(&mut self, entity: Entity) -> bool {
+        if let Some(body) = self.bodies.remove(&entity) {
+            let held_by: Vec<Entity> = self
+                .graspers
+                .iter()
+                .filter(|(_, grasper)| grasper.hold.is_some_and(|hold| hold.held == entity))
+                .map(|(entity, _)| *entity)
+                .collect();
+            for holder in held_by {
+                if let Some(grasper) = self.graspers.get_mut(&holder) {
+                    grasper.hold = None;
+                    grasper.update_assist(&mut self.physics, None);
+                }
+            }
+            self.physics.remove_body_with_colliders(body.handle, true);
+            return true;
+        }
+        match self.graspers.remove(&entity) {
+            Some(grasper) => {
+                grasper.remove(&mut self.physics);
+                true
+            }
+            None => false,
+        }
+    }
+
+    /// Puts a body somewhere else, at the given velocity (kinematic bodies travel there in the next step).
+    ///
+    /// # Errors
+    /// A pose or velocity that is out of range, or [`EngineError::Unknown`].
+    pub fn move_body(&mut self, entity: Entity, pose: &Pose, velocity: &Velocity) -> Result<(), EngineError> {
+        check(entity, pose)?;
+        check(entity, velocity)?;
+        let known = self.bodies.get(&entity).ok_or(EngineError::Unknown { entity })?;
+        let body = self.physics.bodies.get_mut(known.handle).ok_or(EngineError::Unknown { entity })?;
+        if known.motion == Motion::Kinematic {
+            body.set_next_kinematic_position(pose_to_rapier(pose));
+            return Ok(());
+        }
+        body.set_position(pose_to_rapier(pose), true);
+        if known.motion == Motion::Dynamic {
+            let lever = pose.rotation * vector_from_rapier(body.local_center_of_mass());
+            body.set_linvel(vector_to_rapier(&(velocity.linear + velocity.angular.cross(&lever))), true);
+            body.set_angvel(vector_to_rapier(&velocity.angular), true);
+        }
+        Ok(())
+    }
+
+    /// Changes a body's friction and restitution in place.
+    ///
+    /// # Errors
+    /// A component that is out of range, or [`EngineError::Unknown`].
+    pub fn set_surface(&mut self, entity: Entity, body: &RigidBody) -> Result<(), EngineError> {
+        check(entity, body)?;
+        let known = self.bodies.get(&entity).ok_or(EngineError::Unknown { entity })?;
+        for handle in &known.colliders {
+            if let Some(collider) = self.physics.colliders.get_mut(*handle) {
+                collider.set_friction(body.friction);
+                collider.set_restitution(body.restitution);
+            }
+        }
+        self.physics.wake_up(known.handle, true);
+        Ok(())
+    }
+
+    /// Tells an instrument where its hand wants it.
+    ///
+    /// # Errors
+    /// A target that is out of range, or [`EngineError::Unknown`].
+    pub fn set_target(&mut self, entity: Entity, target: InstrumentTarget) -> Result<(), EngineError> {
+        check(entity, &target)?;
+        let grasper = self.graspers.get_mut(&entity).ok_or(EngineError::Unknown { entity })?;
+        grasper.track.push(target);
+        Ok(())
+    }
+
+    /// Advances by one substep.
+    ///
+    /// # Errors
+    /// [`EngineError::Diverged`]: the world is of no use any more.
+    pub fn step(&mut self) -> Result<(), EngineError> {
+        let step_secs = self.settings.substep_secs;
+        for grasper in self.graspers.values_mut() {
+            grasper.prepare(&mut self.physics, &self.settings, self.now);
+        }
+        self.physics.step();
+        self.now += SimTime::from_secs_f64(step_secs);
+        self.statistics.steps += 1;
+        let quarantine = self.physics.quarantine();
+        if !quarantine.is_empty() {
+            let bodies = quarantine.bodies().len() + quarantine.colliders().len();
+            return Err(EngineError::Diverged { bodies, step: self.statistics.steps });
+        }
+        self.measure_penetration();
+        self.update_holds();
+        Ok(())
+    }
+
+    fn measure_penetration(&mut self) {
+        let deepest = contacts::awake_pairs(&self.physics)
+            .filter_map(|pair| contacts::depth_now(pair, &self.physics.colliders))
+            .fold(0.0, f64::max);
+        self.statistics.penetration_max = self.statistics.penetration_max.max(deepest);
+        self.statistics.steps_over_penetration_limit += u64::from(deepest > PENETRATION_LIMIT);
+    }
+
+    fn update_holds(&mut self) {
+        let step_secs = self.settings.substep_secs;
+        for grasper in self.graspers.values_mut() {
+            self.pads.clear();
+            let palm = *self.physics.bodies[grasper.palm()].position();
+            let mut pad_force = [0.0; 2];
+            for (jaw, collider) in grasper.colliders() {
+                let Some(jaw) = jaw else { continue };
+                for pair in self.physics.narrow_phase.contact_pairs_with(collider) {
+                    if !pair.has_any_active_contact() {
+                        continue;
+                    }
+                    let jaw_is_first = pair.collider1 == collider;
+                    let other = if jaw_is_first { pair.collider2 } else { pair.collider1 };
+                    let Some(other) = self.physics.colliders.get(other) else { continue };
+                    // The sum over manifolds of impulses on the second collider.
+                    let impulse = vector_from_rapier(pair.total_impulse());
+                    let force = if jaw_is_first { impulse } else { -impulse } / step_secs;
+                    pad_force[jaw] += force.norm();
+                    self.pads.push(PadContact {
+                        jaw,
+                        body: contacts::owner(other).0,
+                        normal_force_in_instrument: vector_from_rapier(
+                            palm.rotation.inverse() * vector_to_rapier(&force),
+                        ),
+                    });
+                }
+            }
+            grasper.pad_force = pad_force;
+            // Only what can be lifted is held; pegs and boards may be squeezed all the same.
+            let liftable = |entity: Entity| {
+                self.bodies.get(&entity).filter(|body| body.motion == Motion::Dynamic).map(|body| body.handle)
+            };
+            self.pads.retain(|pad| liftable(pad.body).is_some());
+            grasper.hold =
+                grasp::carry_on(grasper.hold, grasp::opposed_body(&self.pads), step_secs, |entity| {
+                    let body = self.physics.bodies.get(liftable(entity)?)?;
+                    Some(crate::conversion::isometry_from_rapier(&palm.inv_mul(body.position())))
+                });
+            let held = grasper.hold.and_then(|hold| liftable(hold.held));
+            grasper.update_assist(&mut self.physics, held);
+        }
+    }
+
+    /// `world_from_body` of a body or an instrument.
+    pub fn pose(&self, entity: Entity) -> Option<Pose> {
+        let body = self.physics.bodies.get(self.handle(entity)?)?;
+        Some(pose_from_rapier(body.position()))
+    }
+
+    /// Velocity of the origin of a body or an instrument.
+    pub fn velocity(&self, entity: Entity) -> Option<Velocity> {
+        let body = self.physics.bodies.get(self.handle(entity)?)?;
+        Some(Velocity {
+            linear: vector_from_rapier(body.velocity_at_point(body.position().translation)),
+            angular: vector_from_rapier(body.angvel()),
+        })
+    }
+
+    /// Whether a body rests and costs nothing.
+    pub fn is_sleeping(&self, entity: Entity) -> bool {
+        self.handle(entity)
+            .and_then(|handle| self.physics.bodies.get(handle))
+            .is_some_and(|body| body.is_sleeping())
+    }
+
+    fn handle(&self, entity: Entity) -> Option<RigidBodyHandle> {
+        self.bodies
+            .get(&entity)
+            .map(|body| body.handle)
+            .or_else(|| self.graspers.get(&entity).map(Grasper::palm))
+    }
+
+    /// The bodies besides instruments, in entity order, with how they move.
+    pub fn bodies(&self) -> impl Iterator<Item = (Entity, Motion)> + '_ {
+        self.bodies.iter().map(|(entity, body)| (*entity, body.motion))
+    }
+    /// The instruments, in entity order.
+    pub fn graspers(&self) -> impl Iterator<Item = &Grasper> {
+        self.graspers.values()
+    }
+    /// An instrument.
+    pub fn grasper(&self, entity: Entity) -> Option<&Grasper> {
+        self.graspers.get(&entity)
+    }
+    /// Where an instrument is and how it moves.
+    pub fn grasper_state(&self, entity: Entity) -> Option<GrasperState> {
+        self.graspers.get(&entity).map(|grasper| grasper.state(&self.physics))
+    }
+    /// The wrench that an instrument exerts on its hand, about the tip, in world axes, averaged over the steps
+    /// since this was last asked.
+    pub fn take_wrench_on_hand(&mut self, entity: Entity) -> Option<Wrench> {
+        self.graspers.get_mut(&entity).map(Grasper::take_wrench_on_hand)
+    }
+    /// `instrument_from_body`, if both are simulated.
+    pub fn relative_pose(&self, instrument: Entity, body: Entity) -> Option<Isometry3<f64>> {
+        Some(self.pose(instrument)?.isometry().inverse() * self.pose(body)?.isometry())
+    }
+
+    /// The contacts of the last step between bodies of which at least one is awake, in canonical order.
+    pub fn contacts(&mut self) -> &[Contact] {
+        contacts::collect(&self.physics, self.settings.substep_secs, &mut self.contacts);
+        &self.contacts
+    }
+}
+
+fn groups(member_of: u32, collides_with: u32) -> InteractionGroups {
+    InteractionGroups::new(
+        Group::from_bits_truncate(member_of),
+        Group::from_bits_truncate(collides_with),
+        InteractionTestMode::And,
+    )
+}
+
+fn check<T: Component>(entity: Entity, component: &T) -> Result<(), EngineError> {
+    component.check().map_err(|source| EngineError::InvalidComponent { entity, component: T::NAME, source })
+}
