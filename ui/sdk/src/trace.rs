@@ -8,6 +8,7 @@ use trocar_scene::{
 };
 
 use crate::decimate::{Series, Track};
+use crate::outline::{Outline, outlines};
 
 /// Buckets of a number over time.
 const SERIES_BUCKETS: usize = 1024;
@@ -65,6 +66,8 @@ pub struct Mark {
 /// A run as time series, sampled from snapshots.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunTrace {
+    /// What stood there at the first sample.
+    pub outlines: Vec<Outline>,
     /// Hands by side.
     pub hands: BTreeMap<String, HandTrace>,
     /// Phases of the exercise: when each began.
@@ -79,6 +82,7 @@ pub struct RunTrace {
     pub events_lost: u64,
     /// Time of the last sample \[s\].
     pub secs: f64,
+    begun: bool,
     cursor: u64,
     errors_seen: usize,
 }
@@ -97,6 +101,10 @@ impl RunTrace {
             return;
         }
         self.secs = secs;
+        if !self.begun {
+            self.begun = true;
+            self.outlines = outlines(scene);
+        }
         for (entity, hand) in scene.iter::<Hand>() {
             let trace = self.hands.entry(hand.side.as_str().to_owned()).or_default();
             trace.sample(secs, scene, entity, hand.instrument);
@@ -242,7 +250,7 @@ mod tests {
         let held: Vec<_> = left.held.iter().map(|(from, to)| (millis(*from), millis(*to))).collect();
         assert_eq!(held, [(100, 190), (300, 390)]);
         assert!(left.energy.is_empty(), "nobody wrote a haptic status");
-        assert_eq!(trace.secs, 0.49);
+        assert!((trace.secs - 0.49).abs() < 1e-9);
     }
 
     #[test]

@@ -1,0 +1,80 @@
+//! The report of a run: one HTML file that needs nothing else, in light and dark.
+
+mod histogram;
+mod page;
+mod paths;
+mod scale;
+mod series;
+mod svg;
+mod tables;
+mod timeline;
+
+use std::collections::BTreeMap;
+
+use trocar::summary::RunSummary;
+use trocar::trace::RunTrace;
+
+pub use page::html;
+pub use scale::short;
+
+/// Everything that a report shows.
+pub struct Report<'a> {
+    /// What the scenario is called in words.
+    pub title: &'a str,
+    /// The result.
+    pub summary: &'a RunSummary,
+    /// How it went.
+    pub trace: &'a RunTrace,
+    /// How late each controller's ticks started.
+    pub lateness: &'a [Lateness],
+    /// How everyone who is supervised is.
+    pub health: &'a [Health],
+    /// Failures that the supervisor saw, in order.
+    pub incidents: &'a [Incident],
+    /// Expectations of the fault plan that were missed, one sentence each.
+    pub failures: &'a [String],
+    /// Largest force of each hand's device \[N\].
+    pub force_limits: &'a BTreeMap<String, f64>,
+}
+
+/// Histogram of the lateness of one controller.
+#[derive(Clone, Debug, Default)]
+pub struct Lateness {
+    /// The controller.
+    pub name: String,
+    /// Upper edges of the bars \[µs\].
+    pub upper_us: Vec<f64>,
+    /// Counts; one more than edges, for what lies above the last.
+    pub counts: Vec<u64>,
+}
+
+/// A supervised child.
+#[derive(Clone, Debug, Default)]
+pub struct Health {
+    /// Its name.
+    pub name: String,
+    /// `healthy`, `late`, `restarting`, …
+    pub health: String,
+    /// Lives after the first.
+    pub restarts: u64,
+    /// Limits and policy in words.
+    pub policy: String,
+}
+
+/// A failure that the supervisor saw.
+#[derive(Clone, Debug, Default)]
+pub struct Incident {
+    /// When \[s\].
+    pub secs: f64,
+    /// Who.
+    pub child: String,
+    /// What happened.
+    pub what: String,
+    /// What was done about it.
+    pub outcome: String,
+}
+
+/// Style class of a hand's lines and dots.
+fn hand_class(side: &str) -> &'static str {
+    if side == "left" { "left" } else { "right" }
+}

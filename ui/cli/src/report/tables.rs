@@ -1,0 +1,196 @@
+//! The tables of the report.
+
+use std::collections::BTreeSet;
+use std::fmt::Write as _;
+
+use trocar::summary::{ControllerSummary, FaultSummary};
+
+use super::Report;
+use super::scale::short;
+use crate::escape::escape;
+
+/// Rates, lateness, step times and losses of every controller.
+pub fn controllers(report: &Report) -> String {
+    let head = [
+        "controller",
+        "target [Hz]",
+        "achieved [Hz]",
+        "on time",
+        "late p50",
+        "p99",
+        "p99.9",
+        "max",
+        "step p50",
+        "p99",
+        "max",
+        "missed",
+        "dropped",
+        "rejected",
+        "conflicts",
+        "restarts",
+    ];
+    let rows = report.summary.controllers.iter().map(controller_row);
+    table(&head, rows, "µs where no unit is given; on time: share of ticks that started less than 1 ms late")
+}
+
+fn controller_row(row: &ControllerSummary) -> Vec<Cell> {
+    let mut cells = vec![Cell::text(&row.name), Cell::number(row.target_hz), Cell::number(row.achieved_hz)];
+    let share = Cell::plain(format!("{:.2} %", 100.0 * row.on_time));
+    cells.push(if row.on_time < 0.99 { share.warn() } else { share });
+    let late = &row.lateness_us;
+    cells.extend([late.p50, late.p99, late.p999, late.max].map(Cell::number));
+    cells.extend([row.step_us.p50, row.step_us.p99, row.step_us.max].map(Cell::number));
+    cells.extend([row.missed, row.dropped, row.rejected, row.conflicts, row.restarts].map(Cell::count));
+    cells
+}
+
+/// What became of each fault.
+pub fn faults(report: &Report) -> String {
+    let head =
+        ["fault", "target", "kind", "injected [s]", "detected", "restarted", "resumed", "recovery [ms]"];
+    table(&head, report.summary.faults.iter().map(fault_row), "")
+}
+
+fn fault_row(row: &FaultSummary) -> Vec<Cell> {
+    let secs = |time: Option<f64>| Cell::plain(time.map_or("–".into(), |secs| format!("{secs:.3}")));
+    let recovery = row.injected_secs.zip(row.resumed_secs).map(|(from, to)| (to - from) * 1e3);
+    let last = match recovery {
+        Some(millis) => Cell::plain(format!("{millis:.1}")),
+        None if row.injected_secs.is_some() => Cell::plain("not recovered".into()).warn(),
+        None => Cell::plain("–".into()),
+    };
+    vec![
+        Cell::text(&row.id),
+        Cell::text(&row.target),
+        Cell::text(&row.kind),
+        secs(row.injected_secs),
+        secs(row.detected_secs),
+        secs(row.restarted_secs),
+        secs(row.resumed_secs),
+        last,
+    ]
+}
+
+/// Motion metrics: a row per metric, a column per hand.
+pub fn metrics(report: &Report) -> String {
+    let metrics = &report.summary.task.metrics;
+    let names: BTreeSet<&String> = metrics.values().flat_map(|values| values.keys()).collect();
+    let head: Vec<&str> = ["metric"].into_iter().chain(metrics.keys().map(String::as_str)).collect();
+    let rows = names.into_iter().map(|name| {
+        let values = metrics
+            .values()
+            .map(|values| values.get(name).map_or(Cell::plain("–".into()), |v| Cell::number(*v)));
+        [Cell::text(&metric_label(name))].into_iter().chain(values).collect()
+    });
+    table(&head, rows, "")
+}
+
+/// `path_length_m` → `path length [m]`.
+fn metric_label(name: &str) -> String {
+    const UNITS: [(&str, &str); 6] = [
+        ("_m_per_s", " [m/s]"),
+        ("_secs", " [s]"),
+        ("_rad", " [rad]"),
+        ("_n", " [N]"),
+        ("_j", " [J]"),
+        ("_m", " [m]"),
+    ];
+    let (stem, unit) = UNITS
+        .iter()
+        .find_map(|(suffix, unit)| Some((name.strip_suffix(suffix)?, *unit)))
+        .unwrap_or((name, ""));
+    format!("{}{unit}", stem.replace('_', " "))
+}
+
+/// Errors of the trainee.
+pub fn errors(report: &Report) -> String {
+    let rows = report.summary.task.errors.iter().map(|error| {
+        vec![Cell::text(&error.kind.replace('_', " ")), Cell::plain(format!("{:.2}", error.at_secs))]
+    });
+    table(&["error", "at [s]"], rows, "")
+}
+
+/// Supervised children and the failures that the supervisor saw.
+pub fn health(report: &Report) -> String {
+    let rows = report.health.iter().map(|child| {
+        let health = Cell::text(&child.health);
+        let calm = matches!(child.health.as_str(), "healthy" | "stopped" | "held");
+        vec![
+            Cell::text(&child.name),
+            if calm { health } else { health.warn() },
+            Cell::count(child.restarts),
+            Cell::text(&child.policy),
+        ]
+    });
+    let mut out = table(&["child", "health", "restarts", "policy"], rows, "");
+    if !report.incidents.is_empty() {
+        let rows = report.incidents.iter().map(|incident| {
+            vec![
+                Cell::plain(format!("{:.3}", incident.secs)),
+                Cell::text(&incident.child),
+                Cell::text(&incident.what),
+                Cell::text(&incident.outcome),
+            ]
+        });
+        out.push_str(&table(&["at [s]", "child", "what happened", "what was done"], rows, ""));
+    }
+    out
+}
+
+/// One cell: escaped content and its class.
+struct Cell {
+    html: String,
+    class: &'static str,
+}
+
+impl Cell {
+    fn text(text: &str) -> Self {
+        Self { html: escape(text), class: "" }
+    }
+    fn plain(text: String) -> Self {
+        Self { html: escape(&text), class: "num" }
+    }
+    fn number(value: f64) -> Self {
+        Self::plain(short(value))
+    }
+    fn count(value: u64) -> Self {
+        Self { html: value.to_string(), class: if value == 0 { "num zero" } else { "num" } }
+    }
+    fn warn(mut self) -> Self {
+        self.class = if self.class == "num" { "num warn" } else { "warn" };
+        self
+    }
+}
+
+fn table(head: &[&str], rows: impl Iterator<Item = Vec<Cell>>, caption: &str) -> String {
+    let mut out = String::from("<div class=\"scroll\"><table><thead><tr>");
+    for name in head {
+        let _ = write!(out, "<th>{}</th>", escape(name));
+    }
+    out.push_str("</tr></thead><tbody>");
+    for row in rows {
+        out.push_str("<tr>");
+        for cell in row {
+            let _ = write!(out, "<td class=\"{}\">{}</td>", cell.class, cell.html);
+        }
+        out.push_str("</tr>");
+    }
+    out.push_str("</tbody></table></div>");
+    if !caption.is_empty() {
+        let _ = write!(out, "<p class=\"caption\">{}</p>", escape(caption));
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metric_names_show_their_unit() {
+        assert_eq!(metric_label("path_length_m"), "path length [m]");
+        assert_eq!(metric_label("mean_speed_m_per_s"), "mean speed [m/s]");
+        assert_eq!(metric_label("idle_secs"), "idle [s]");
+        assert_eq!(metric_label("economy"), "economy");
+    }
+}
