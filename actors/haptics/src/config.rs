@@ -60,7 +60,7 @@ impl HapticsConfig {
             }
             RendererConfig::Proxy(proxy) => {
                 range("stiffness", proxy.stiffness, 1.0, 1e5)?;
-                range("damping", proxy.damping, 0.0, 1e3)?;
+                range("damping_ratio", proxy.damping_ratio, 0.0, 5.0)?;
                 range("blend_secs[0]", proxy.blend_secs[0], 1e-4, 1.0)?;
                 range("blend_secs[1]", proxy.blend_secs[1], proxy.blend_secs[0], 1.0)
             }

@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Vector3};
 use trocar_devices::{Capabilities, DeviceCommand, DeviceLink, DeviceSample, Dofs, HandIntent};
 use trocar_scene::kinematics::coupling::{InstrumentCoupling, Transmission};
 use trocar_scene::kinematics::hand_rig::HandRig;
-use trocar_scene::kinematics::spatial::{Twist, Wrench};
+use trocar_scene::kinematics::spatial::{Twist, Wrench, small_rotation_vector};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, DeviceForce, DeviceState, Entity, EntitySet,
     Hand, HandTarget, HapticStatus, Instrument, InstrumentForce, InstrumentTarget, LocalContactModel, Port,
@@ -19,6 +19,11 @@ use crate::config::{HapticsConfig, HapticsError};
 use crate::energy::{Passivated, PassivityConfig, PassivityController};
 use crate::felt_stiffness::FeltStiffness;
 use crate::renderer::{ForceRenderer, RenderInput, SimulatedInstrument};
+
+/// Damping above about this share of m/ΔT at the device oscillates with the loop's delay of 1.5 steps.
+const DAMPING_SHARE: f64 = 0.25;
+/// Period of a driver \[s\]: a faster controller shortens the loop's delay no further.
+const PERIOD_NOMINAL: f64 = 1e-3;
 
 /// A pose of the instrument that nobody stamped is taken to be as old as its last change.
 #[derive(Clone, Copy, Debug, Default)]
@@ -70,6 +75,7 @@ impl HapticsController {
             .map_or_else(|| scene.world_pose(rig.instrument).rotation, |target| target.tip_in_world.rotation);
         let passivity_config = PassivityConfig {
             enabled: config.passivity,
+            damping_max: DAMPING_SHARE * capabilities.apparent_mass / PERIOD_NOMINAL,
             apparent_mass: capabilities.apparent_mass.max(1e-3),
             ..PassivityConfig::default()
         };
@@ -117,7 +123,8 @@ impl HapticsController {
                 Err(_) => out.event("hand_rig_refused", self.hand, None, 0.0),
             }
             self.rig_read_at = scene.revision();
-        } else if let (InstrumentCoupling::Fulcrum(fulcrum), Some(port)) = (&mut self.rig.coupling, self.rig.port)
+        } else if let (InstrumentCoupling::Fulcrum(fulcrum), Some(port)) =
+            (&mut self.rig.coupling, self.rig.port)
         {
             // The port may move with the wall that it sits in.
             *fulcrum = fulcrum.with_port_at(scene.world_pose(port).translation.vector);
@@ -129,7 +136,7 @@ impl HapticsController {
         if let Some(before) = self.before.filter(|before| before.state.connected && sample.state.connected) {
             let (from, to) = (&before.state.pose_in_device, &sample.state.pose_in_device);
             let turned = match self.capabilities.output_dofs {
-                Dofs::Six => (to.rotation * from.rotation.inverse()).scaled_axis(),
+                Dofs::Six => small_rotation_vector(&(to.rotation * from.rotation.inverse())),
                 Dofs::Zero | Dofs::Three => Vector3::zeros(),
             };
             let displacement = Twist::new(to.translation.vector - from.translation.vector, turned);
@@ -185,8 +192,7 @@ impl HapticsController {
             Transmission::Free { .. } => 1.0,
         };
         let gain = (lever * self.rig.registration.scale()).powi(2);
-        // Damping above a quarter of m/ΔT at the device oscillates with the loop's delay of 1.5 ticks.
-        let damping_max = 0.25 * self.capabilities.apparent_mass / dt;
+        let damping_max = DAMPING_SHARE * self.capabilities.apparent_mass / dt.max(PERIOD_NOMINAL);
         let input = RenderInput {
             now: tick.time,
             dt,
@@ -194,6 +200,7 @@ impl HapticsController {
             tip_twist: transmission.tip_twist(handle_twist),
             stiffness_max: self.capabilities.max_stiffness / gain,
             damping_max: damping_max / gain,
+            apparent_mass: self.capabilities.apparent_mass / gain,
             instrument: self.simulated_instrument(scene, tick.time),
             instrument_force: scene.get::<InstrumentForce>(self.rig.instrument),
             contact_model: scene.get::<LocalContactModel>(self.rig.instrument),
@@ -270,10 +277,8 @@ impl HapticsController {
     /// Where the trainee wants the hand to be, if it says so and it is a pose.
     fn intent(&self, scene: &Snapshot) -> Option<HandIntent> {
         let target = scene.get::<HandTarget>(self.hand)?;
-        let intent = HandIntent {
-            pose_in_device: target.handle_in_device.isometry(),
-            gripper: target.gripper,
-        };
+        let intent =
+            HandIntent { pose_in_device: target.handle_in_device.isometry(), gripper: target.gripper };
         intent.is_valid().then_some(intent)
     }
 }

@@ -7,8 +7,9 @@
 //! about to be rendered would let `W` fall below zero, the controller adds the damping
 //! `α = −W/(ΔT v²)` that takes the deficit out again.
 //!
-//! Two limits keep the damper itself from shaking the hand: what only *cancels* a force that would push
-//! along the motion may be as strong as that force; what dissipates beyond it is bounded by `damping_max`.
+//! The loop from sample to force has a delay, and a strong damper behind a delay shakes the hand by itself, so
+//! `α` is bounded. What damping cannot balance any more, the force pays: it fades with the observer's deficit and
+//! is gone at `deficit_max`. Unlike damping that needs no velocity, so it works at rest and at any delay.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -21,9 +22,10 @@ use crate::spatial::{Twist, Wrench};
 pub struct PassivityConfig {
     /// Whether damping is injected; the observer runs either way.
     pub enabled: bool,
-    /// Most damping beyond cancelling the force \[N·s/m\]; below `m/ΔT` of the device, or the damper itself
-    /// oscillates.
+    /// Most damping \[N·s/m\]; well below `m/ΔT` of the device, or the damper itself oscillates.
     pub damping_max: f64,
+    /// Deficit of the observer at which no force is left \[J\].
+    pub deficit_max: f64,
     /// Apparent mass of the device \[kg\]: how fast an unopposed force changes the velocity.
     pub apparent_mass: f64,
     /// Most energy that the observer remembers \[J\]. Energy long lost to friction must not license an
@@ -33,7 +35,7 @@ pub struct PassivityConfig {
 
 impl Default for PassivityConfig {
     fn default() -> Self {
-        Self { enabled: true, damping_max: 15.0, apparent_mass: 0.045, storage_max: 0.02 }
+        Self { enabled: true, damping_max: 11.0, deficit_max: 0.002, apparent_mass: 0.045, storage_max: 0.02 }
     }
 }
 
@@ -89,7 +91,8 @@ impl PassivityController {
     #[must_use]
     pub fn resumed(config: PassivityConfig, energy: f64, energy_min: f64, dissipated: f64) -> Self {
         let sane = |x: f64| if x.is_finite() { x } else { 0.0 };
-        let observer = EnergyObserver { energy: sane(energy), energy_min: sane(energy_min).min(sane(energy)) };
+        let observer =
+            EnergyObserver { energy: sane(energy), energy_min: sane(energy_min).min(sane(energy)) };
         Self { config, observer, dissipated: sane(dissipated), pending: Vector3::zeros() }
     }
     /// The observer.
@@ -117,26 +120,29 @@ impl PassivityController {
     }
 
     fn damp(&self, wanted: &Vector3<f64>, velocity: &Vector3<f64>, dt: f64) -> Passivated {
-        let unchanged = Passivated { force: *wanted, ..Passivated::default() };
+        if !self.config.enabled {
+            return Passivated { force: *wanted, ..Passivated::default() };
+        }
+        let share = (1.0 + self.observer.energy / self.config.deficit_max).clamp(0.0, 1.0);
+        let force = wanted * share;
+        let unchanged = Passivated { force, ..Passivated::default() };
         let speed_squared = velocity.norm_squared();
-        if !self.config.enabled || speed_squared < 1e-12 {
+        if speed_squared < 1e-12 {
             return unchanged;
         }
-        let delivered = wanted.dot(velocity);
+        let delivered = force.dot(velocity);
         // A driver renders this force one step later; until then the one before acts.
         let on_its_way = self.pending.dot(velocity).max(0.0);
         // The velocity changes meanwhile by about f ΔT/m, and with it what a push delivers. A force that
         // opposes the motion needs no such reserve.
         let reserve =
-            if delivered > 0.0 { wanted.norm_squared() * dt * dt / self.config.apparent_mass } else { 0.0 };
+            if delivered > 0.0 { force.norm_squared() * dt * dt / self.config.apparent_mass } else { 0.0 };
         let left = self.observer.energy - (delivered + on_its_way) * dt - reserve;
         if left >= 0.0 {
             return unchanged;
         }
-        let needed = -left / (dt * speed_squared);
-        let cancelling = delivered.max(0.0) / speed_squared;
-        let damping = needed.min(cancelling + self.config.damping_max);
-        Passivated { force: wanted - velocity * damping, damping, power: damping * speed_squared }
+        let damping = (-left / (dt * speed_squared)).min(self.config.damping_max);
+        Passivated { force: force - velocity * damping, damping, power: damping * speed_squared }
     }
 }
 

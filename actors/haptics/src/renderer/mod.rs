@@ -38,6 +38,8 @@ pub struct RenderInput<'a> {
     pub stiffness_max: f64,
     /// Damping at the tip that the device bears through the present lever \[N·s/m\].
     pub damping_max: f64,
+    /// Apparent mass of the device, as it is at the tip through the present lever \[kg\].
+    pub apparent_mass: f64,
     /// Where the simulation has the instrument.
     pub instrument: Option<SimulatedInstrument>,
     /// The force that the simulation computed.
@@ -117,6 +119,7 @@ pub(crate) mod tests {
             tip_twist: Twist::ZERO,
             stiffness_max: 2000.0,
             damping_max: 10.0,
+            apparent_mass: 0.045,
             instrument: None,
             instrument_force: None,
             contact_model: None,
@@ -128,7 +131,7 @@ pub(crate) mod tests {
         for (text, name) in [
             (r#"{"kind":"held"}"#, "held"),
             (r#"{"kind":"virtual_coupling","stiffness":500.0}"#, "virtual_coupling"),
-            (r#"{"kind":"proxy","damping":1.0}"#, "proxy"),
+            (r#"{"kind":"proxy","damping_ratio":1.0}"#, "proxy"),
         ] {
             let config: RendererConfig = serde_json::from_str(text).unwrap();
             assert_eq!(config.build().name(), name);

@@ -35,8 +35,10 @@ pub struct ProxyConfig {
     /// Stiffness between device and proxy \[N/m\]: what a rigid wall feels like; bounded by what the device
     /// bears.
     pub stiffness: f64,
-    /// Damping along the normal while in contact \[N·s/m\], in addition to each plane's own.
-    pub damping: f64,
+    /// Damping ratio of the contact: device mass on the spring of the contact. A sampled and delayed spring
+    /// creates energy, about `K·1.5 ΔT` of negative damping, and this has to outweigh it. Each plane's own
+    /// damping comes on top.
+    pub damping_ratio: f64,
     /// Shortest and longest time constant with which a change of the model is blended in \[s\]; in between
     /// it is half of the time between two models.
     pub blend_secs: [f64; 2],
@@ -44,7 +46,7 @@ pub struct ProxyConfig {
 
 impl Default for ProxyConfig {
     fn default() -> Self {
-        Self { stiffness: 1000.0, damping: 2.0, blend_secs: [0.002, 0.02] }
+        Self { stiffness: 1000.0, damping_ratio: 0.5, blend_secs: [0.002, 0.02] }
     }
 }
 
@@ -102,7 +104,10 @@ impl Proxy {
                 continue;
             }
             let onset = (contact.depth / DAMPING_DEPTH).clamp(0.0, 1.0);
-            let damping = (contact.damping + self.config.damping).min(input.damping_max) * onset;
+            let spring = 1.0 / (contact.compliance + 1.0 / stiffness);
+            let critical = 2.0 * (spring * input.apparent_mass).sqrt();
+            let damping = contact.damping + self.config.damping_ratio * critical;
+            let damping = damping.min(input.damping_max) * onset;
             let closing = -contact.normal.dot(&velocity);
             // Never below zero: a contact that pulls would be felt as glue.
             normal_force += contact.normal * (lambda + damping * closing).max(0.0);
@@ -147,7 +152,8 @@ impl ForceRenderer for Proxy {
             self.model = Some(*model);
         }
         self.anchor = anchor;
-        self.remainder *= (-input.dt / self.blend_secs.max(1e-6)).exp();
+        // The implicit step of an exponential decay: `exp` is not the same on every machine.
+        self.remainder /= 1.0 + input.dt / self.blend_secs.max(1e-6);
         Wrench::new(force + self.remainder, Vector3::zeros())
     }
     fn reset(&mut self) {
@@ -208,8 +214,11 @@ impl Contacts {
         for _ in 0..SWEEPS {
             let mut change = 0.0f64;
             for (i, contact) in self.iter().enumerate() {
-                let pressed: f64 =
-                    self.iter().zip(lambda).map(|(other, force)| contact.normal.dot(&other.normal) * force).sum();
+                let pressed: f64 = self
+                    .iter()
+                    .zip(lambda)
+                    .map(|(other, force)| contact.normal.dot(&other.normal) * force)
+                    .sum();
                 let gap = pressed / stiffness + contact.compliance * lambda[i] - contact.depth;
                 let updated = (lambda[i] - gap / (1.0 / stiffness + contact.compliance)).max(0.0);
                 change = change.max((updated - lambda[i]).abs());
@@ -271,7 +280,8 @@ mod tests {
     #[test]
     fn a_plane_reported_twice_is_one_plane() {
         let twice = plane(Vector3::zeros(), Vector3::z(), 1e6, 0.0);
-        let pushed = force(&mut fresh(), &model(&[twice, twice, twice, twice]), Vector3::new(0.0, 0.0, -0.001));
+        let pushed =
+            force(&mut fresh(), &model(&[twice, twice, twice, twice]), Vector3::new(0.0, 0.0, -0.001));
         assert!((pushed.z - 1.0).abs() < 2e-3, "{pushed:?}");
     }
 
@@ -336,7 +346,9 @@ mod tests {
             input.tip_twist.linear.z = speed;
             proxy.render(&input).force.z
         };
-        assert!((moving(-0.1) - settled.z - 0.2).abs() < 1e-6);
+        // ζ = 0.5 of 45 g on 1,000 N/m.
+        let damping = (0.045f64 * 1000.0).sqrt();
+        assert!((moving(-0.1) - settled.z - 0.1 * damping).abs() < 1e-6);
         assert!(moving(10.0).abs() < 1e-12);
     }
 
@@ -352,8 +364,14 @@ mod tests {
 
     #[test]
     fn senseless_planes_are_ignored() {
-        let null = ContactPlane { normal_in_world: Vector3::zeros(), ..plane(Vector3::zeros(), Vector3::z(), 1.0, 0.0) };
+        let null = ContactPlane {
+            normal_in_world: Vector3::zeros(),
+            ..plane(Vector3::zeros(), Vector3::z(), 1.0, 0.0)
+        };
         let soft = plane(Vector3::zeros(), Vector3::z(), -5.0, 0.0);
-        assert_eq!(force(&mut fresh(), &model(&[null, soft]), Vector3::new(0.0, 0.0, -1.0)), Vector3::zeros());
+        assert_eq!(
+            force(&mut fresh(), &model(&[null, soft]), Vector3::new(0.0, 0.0, -1.0)),
+            Vector3::zeros()
+        );
     }
 }
