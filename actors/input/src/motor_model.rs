@@ -244,6 +244,10 @@ impl HandMotor {
     pub fn arrived(&self) -> bool {
         self.phase == Phase::Arrived
     }
+    /// The opening that the jaws go for \[rad\].
+    pub fn jaw_goal(&self) -> f64 {
+        self.jaw_goal
+    }
     /// Whether the jaws are commanded where they should be.
     pub fn jaw_settled(&self) -> bool {
         self.jaw_angle == self.jaw_goal
@@ -251,10 +255,6 @@ impl HandMotor {
     /// The goal that it goes for.
     pub fn goal(&self) -> &TipGoal {
         &self.goal
-    }
-    /// The noise, for decisions of the owner.
-    pub fn noise(&mut self) -> &mut Noise {
-        &mut self.noise
     }
 
     /// One step of `dt` \[s\] that ends at `now` \[s\]; `seen` is where the tip is seen in world \[m\].
