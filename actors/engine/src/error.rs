@@ -1,7 +1,7 @@
 //! What the engine refuses.
 
 use thiserror::Error;
-use trocar_scene::{ComponentError, Entity};
+use trocar_scene::{ComponentError, ControllerError, Entity};
 
 /// A body, an instrument or a setting that the engine cannot simulate.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -56,4 +56,13 @@ pub enum EngineError {
         /// In which step since the world was built.
         step: u64,
     },
+}
+
+impl From<EngineError> for ControllerError {
+    fn from(error: EngineError) -> Self {
+        match error {
+            EngineError::Diverged { .. } => Self::Failed(error.to_string()),
+            _ => Self::Scene(error.to_string()),
+        }
+    }
 }

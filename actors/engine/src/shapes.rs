@@ -63,7 +63,7 @@ fn ring(ring_radius: f64, tube_radius: f64) -> SharedShape {
     // Vertices lie outside of the circle by as much as the middles of the chords lie inside.
     let vertex_radius = 2.0 * ring_radius / (1.0 + ComplexField::cos(step / 2.0));
     let vertex = |i: usize| {
-        let angle = step * (i % RING_SEGMENTS) as f64;
+        let angle = step * ((i % RING_SEGMENTS) as f64 + 0.5);
         Vector::new(vertex_radius * ComplexField::cos(angle), vertex_radius * ComplexField::sin(angle), 0.0)
     };
     SharedShape::compound(

@@ -27,6 +27,16 @@ impl TargetTrack {
         }
     }
 
+    /// A track of the last two samples.
+    pub fn of(previous: Option<InstrumentTarget>, newest: Option<InstrumentTarget>) -> Self {
+        Self { newest, previous }
+    }
+
+    /// The sample before the newest.
+    pub fn previous(&self) -> Option<&InstrumentTarget> {
+        self.previous.as_ref()
+    }
+
     /// The newest sample.
     pub fn newest(&self) -> Option<&InstrumentTarget> {
         self.newest.as_ref()

@@ -178,6 +178,7 @@ impl RigidWorld {
                     .friction(body.friction)
                     .friction_combine_rule(CoefficientCombineRule::GeometricMean)
                     .restitution(body.restitution)
+                    .restitution_combine_rule(CoefficientCombineRule::GeometricMean)
                     .collision_groups(own_groups)
                     .user_data(contacts::tag(entity, Primitive::Shape(index as u32)));
                 self.physics.insert_collider(collider, Some(handle))

@@ -1,67 +1,213 @@
-//! Grasping by friction: what holds, what slips, what falls.
+//! Grasping by friction: what holds, what slips, what falls, and what two hands feel of one ring.
 
 mod common;
 
 use common::*;
+use nalgebra::Vector3;
+use trocar_engine::RigidWorld;
 use trocar_scene::components::{Instrument, Pose};
+use trocar_scene::entity::Entity;
+
+const WEIGHT: f64 = RING_MASS * 9.81;
 
 fn instrument(force: f64, friction: f64) -> Instrument {
     Instrument { jaw_force_max: force, jaw_friction: friction, ..Instrument::default() }
 }
 
+/// Grasps a ring that lies on the board, lifts it by 30 mm and waits. The world, the ring and the hand.
+fn lifted(instrument: &Instrument, ring_friction: f64) -> (RigidWorld, Entity, TestHand) {
+    let mut world = world();
+    add_boards(&mut world);
+    let ring = add_ring(&mut world, 0, Pose::at(-0.04, 0.0, TUBE_RADIUS), ring_friction);
+    let mut hands = [grasp_ring(&mut world, LEFT, instrument, [-0.04, 0.0], 0.0005)];
+    lift(&mut world, &mut hands);
+    (world, ring, hands[0])
+}
+
+fn lift(world: &mut RigidWorld, hands: &mut [TestHand]) {
+    let start: Vec<_> = hands.iter().map(|hand| hand.tip).collect();
+    let plan = |index: usize, t: f64, hand: &mut TestHand| {
+        hand.tip.translation.vector.z = start[index].translation.vector.z + 0.03 * minimum_jerk(t, 0.5);
+    };
+    run(world, hands, 0.5, plan, no_watch);
+    run(world, hands, 0.2, hold_still, no_watch);
+}
+
+fn height(world: &RigidWorld, ring: Entity) -> f64 {
+    world.pose(ring).unwrap().translation.z
+}
+
 #[test]
 fn friction_alone_lifts_and_holds_a_shaken_ring() {
-    for (force, friction) in [(1.0, 0.3), (1.0, 0.6), (2.0, 0.6), (5.0, 0.5)] {
-        let mut world = world();
-        add_boards(&mut world);
-        let ring = add_ring(&mut world, 0, Pose::at(-0.04, 0.0, TUBE_RADIUS), friction);
-        let hand = grasp_ring(&mut world, LEFT, &instrument(force, friction), [-0.04, 0.0], 0.0005);
-        let mut hands = [hand];
-        let start = hand.tip;
-        println!(
-            "opening {:?} pads {:?}",
-            world.grasper_state(LEFT).unwrap().opening,
-            world.grasper(LEFT).unwrap().pad_force()
-        );
-        run(
-            &mut world,
-            &mut hands,
-            0.5,
-            |_, t, hand| {
-                hand.tip.translation.vector.z = start.translation.vector.z + 0.03 * minimum_jerk(t, 0.5)
-            },
-            no_watch,
-        );
-        run(&mut world, &mut hands, 0.1, hold_still, no_watch);
+    for (force, friction) in [(1.0, 0.3), (1.0, 0.6), (1.5, 0.5), (2.0, 0.5), (5.0, 0.5)] {
+        let (mut world, ring, hand) = lifted(&instrument(force, friction), friction);
         let held = world.relative_pose(LEFT, ring).unwrap();
-        assert_eq!(world.grasper(LEFT).unwrap().hold().map(|hold| hold.held), Some(ring));
-        let lifted = hands[0].tip;
-        let mut slip: f64 = 0.0;
-        let clock = std::time::Instant::now();
-        run(
-            &mut world,
-            &mut hands,
-            2.0,
-            |_, t, hand| {
-                let phase = std::f64::consts::TAU * 5.0 * t;
-                hand.tip.translation.vector = lifted.translation.vector
-                    + nalgebra::Vector3::new(0.005 * phase.sin(), 0.0, 0.005 * (1.0 - phase.cos()))
-            },
-            |world, _| {
-                let now = world.relative_pose(LEFT, ring).unwrap();
-                slip = slip.max((now.translation.vector - held.translation.vector).norm());
-            },
+        assert_eq!(
+            world.grasper(LEFT).unwrap().hold().map(|hold| (hold.held, hold.assisted)),
+            Some((ring, false))
         );
-        let micros = clock.elapsed().as_secs_f64() * 1e6 / 2000.0;
+        let center = hand.tip.translation.vector;
+        let mut slip: f64 = 0.0;
+        // 5 Hz, 5 mm either way and 10 mm upwards: half of gravity in both directions.
+        let plan = |_: usize, t: f64, hand: &mut TestHand| {
+            let (phase, swing) = (std::f64::consts::TAU * 5.0 * t, 0.005 * minimum_jerk(t, 0.4));
+            hand.tip.translation.vector = center + Vector3::new(phase.sin(), 0.0, 1.0 - phase.cos()) * swing;
+        };
+        run(&mut world, &mut [hand], 2.0, plan, |world, _| {
+            let now = world.relative_pose(LEFT, ring).unwrap();
+            slip = slip.max((now.translation.vector - held.translation.vector).norm());
+        });
         let penetration = world.statistics().penetration_max;
         println!(
-            "{force} N, friction {friction}: ring at {:.1} mm, slip {:.3} mm, penetration {:.4} mm, {micros:.0} us/ms",
-            world.pose(ring).unwrap().translation.z * 1e3,
+            "{force} N jaws, friction {friction}: slip {:.3} mm, penetration {:.4} mm",
             slip * 1e3,
             penetration * 1e3
         );
-        assert!(world.pose(ring).unwrap().translation.z > 0.02);
-        assert!(slip < 5e-4, "slipped by {slip} m");
+        assert!(height(&world, ring) > 0.02, "the ring is held");
+        assert!(slip < 5e-4, "slip of {slip} m");
         assert!(penetration < 1e-4, "penetration of {penetration} m");
     }
+}
+
+#[test]
+fn without_friction_the_ring_stays_on_the_board() {
+    let (world, ring, _) = lifted(&instrument(1.5, 0.0), 0.5);
+    println!("ring at {:.2} mm", height(&world, ring) * 1e3);
+    assert!(height(&world, ring) < 0.003);
+    assert_eq!(world.grasper(LEFT).unwrap().hold(), None);
+}
+
+#[test]
+fn with_one_jaw_the_ring_stays_on_the_board() {
+    let (world, ring, _) = lifted(&Instrument { jaws: 1, ..instrument(1.5, 0.6) }, 0.5);
+    println!("ring at {:.2} mm", height(&world, ring) * 1e3);
+    assert!(height(&world, ring) < 0.003);
+    assert_eq!(world.grasper(LEFT).unwrap().hold(), None);
+}
+
+#[test]
+fn opening_the_jaws_drops_the_ring() {
+    let (mut world, ring, hand) = lifted(&instrument(1.5, 0.6), 0.5);
+    run(&mut world, &mut [hand], 1.0, |_, _, hand| hand.jaw_angle = 0.5, no_watch);
+    assert!(height(&world, ring) < 0.003);
+    assert_eq!(world.grasper(LEFT).unwrap().hold(), None);
+}
+
+#[test]
+fn a_hand_feels_the_weight_that_it_lifts() {
+    let (mut world, _, hand) = lifted(&instrument(1.5, 0.6), 0.5);
+    world.take_wrench_on_hand(LEFT);
+    run(&mut world, &mut [hand], 0.5, hold_still, no_watch);
+    let wrench = world.take_wrench_on_hand(LEFT).unwrap();
+    println!("weight {WEIGHT:.5} N, felt {:.5} N, torque {:.2e} N m", -wrench.force.z, wrench.torque.norm());
+    assert!((wrench.force.z + WEIGHT).abs() < 0.02 * WEIGHT);
+    assert!(wrench.force.xy().norm() < 0.05 * WEIGHT);
+    // The ring's centre hangs 8 mm beside the tip.
+    assert!((wrench.torque.norm() - WEIGHT * RING_RADIUS).abs() < 0.15 * WEIGHT * RING_RADIUS);
+}
+
+/// One ring in both hands, each at its own side, 30 mm up.
+fn ring_in_two_hands(instrument: &Instrument) -> (RigidWorld, Entity, [TestHand; 2]) {
+    let mut world = world();
+    add_boards(&mut world);
+    let ring = add_ring(&mut world, 0, Pose::at(-0.04, 0.0, TUBE_RADIUS), 0.5);
+    let mut hands = [(LEFT, -RING_RADIUS), (RIGHT, RING_RADIUS)].map(|(entity, x)| {
+        TestHand::new(&mut world, entity, instrument, pointing_down(-0.04 + x, 0.0, 0.0005), 0.5)
+    });
+    run(&mut world, &mut hands, 0.1, hold_still, no_watch);
+    run(&mut world, &mut hands, 0.4, |_, _, hand| hand.jaw_angle = 0.0, no_watch);
+    lift(&mut world, &mut hands);
+    (world, ring, hands)
+}
+
+fn mean_forces(world: &mut RigidWorld, hands: &mut [TestHand], secs: f64) -> [Vector3<f64>; 2] {
+    for hand in hands.iter() {
+        world.take_wrench_on_hand(hand.entity);
+    }
+    run(world, hands, secs, hold_still, no_watch);
+    [LEFT, RIGHT].map(|entity| world.take_wrench_on_hand(entity).unwrap().force)
+}
+
+#[test]
+fn two_hands_share_the_weight_of_one_ring() {
+    let (mut world, ring, mut hands) = ring_in_two_hands(&instrument(1.5, 0.6));
+    for entity in [LEFT, RIGHT] {
+        assert_eq!(world.grasper(entity).unwrap().hold().map(|hold| hold.held), Some(ring));
+    }
+    let [left, right] = mean_forces(&mut world, &mut hands, 0.5);
+    let sum = left + right;
+    println!(
+        "left {left:.4?}, right {right:.4?}, sum of vertical forces {:.3} of the weight",
+        -sum.z / WEIGHT
+    );
+    assert!((sum.z + WEIGHT).abs() < 0.05 * WEIGHT);
+}
+
+#[test]
+fn pulling_apart_is_felt_alike_by_both_hands() {
+    for assist in [false, true] {
+        let build = Instrument { grasp_assist: assist, ..instrument(1.5, 0.6) };
+        let (mut world, ring, mut hands) = ring_in_two_hands(&build);
+        let start = hands.map(|hand| hand.tip.translation.vector.x);
+        let pull = |index: usize, t: f64, hand: &mut TestHand| {
+            let outwards = if index == 0 { -0.001 } else { 0.001 };
+            hand.tip.translation.vector.x = start[index] + outwards * minimum_jerk(t, 0.3);
+        };
+        run(&mut world, &mut hands, 0.4, pull, no_watch);
+        let [left, right] = mean_forces(&mut world, &mut hands, 0.2);
+        println!("assist {assist}: left {:.4} N, right {:.4} N", left.x, right.x);
+        assert!(left.x > 0.4 && right.x < -0.4, "both are pulled inwards");
+        assert!((left.x + right.x).abs() < 0.02 * left.x.abs());
+        assert!(height(&world, ring) > 0.02);
+    }
+}
+
+#[test]
+fn the_grasp_constraint_forms_by_opposing_contacts_and_breaks_above_its_force() {
+    let build = Instrument { grasp_assist: true, grasp_break_force: 2.0, ..instrument(0.5, 0.2) };
+    let (mut world, ring, mut hands) = ring_in_two_hands(&build);
+    for entity in [LEFT, RIGHT] {
+        assert!(world.grasper(entity).unwrap().hold().unwrap().assisted, "formed");
+    }
+    // Friction alone carries 0.2 N per hand; 1 mm pulls with 1 N.
+    let start = hands.map(|hand| hand.tip.translation.vector.y);
+    let pull = |reach: f64| {
+        move |index: usize, t: f64, hand: &mut TestHand| {
+            let outwards = if index == 0 { -reach } else { reach };
+            hand.tip.translation.vector.y = start[index] + outwards * minimum_jerk(t, 0.3);
+        }
+    };
+    run(&mut world, &mut hands, 0.4, pull(0.0005), no_watch);
+    assert!([LEFT, RIGHT].iter().all(|hand| world.grasper(*hand).unwrap().hold().unwrap().assisted), "holds");
+    let mut force_max: f64 = 0.0;
+    let mut torn_at = None;
+    run(&mut world, &mut hands, 1.0, pull(0.012), |world, t| {
+        let assisted = [LEFT, RIGHT]
+            .iter()
+            .all(|hand| world.grasper(*hand).unwrap().hold().is_some_and(|hold| hold.assisted));
+        if !assisted && torn_at.is_none() {
+            torn_at = Some(t);
+        }
+        force_max = force_max.max(world.take_wrench_on_hand(LEFT).unwrap().force.norm());
+    });
+    println!("torn after {torn_at:?} s at up to {force_max:.2} N");
+    assert!(torn_at.is_some());
+    assert!(force_max > 1.5 && force_max < 5.0);
+    assert!(world.pose(ring).unwrap().translation.norm() < 0.2, "nothing was flung away");
+}
+
+#[test]
+fn the_grasp_constraint_lets_go_when_the_jaws_open() {
+    let build = Instrument { grasp_assist: true, ..instrument(1.5, 0.6) };
+    let (mut world, ring, hand) = lifted(&build, 0.5);
+    assert!(world.grasper(LEFT).unwrap().hold().unwrap().assisted);
+    run(&mut world, &mut [hand], 1.0, |_, _, hand| hand.jaw_angle = 0.5, no_watch);
+    assert!(height(&world, ring) < 0.003);
+}
+
+#[test]
+fn the_grasp_constraint_needs_two_jaws() {
+    let build = Instrument { grasp_assist: true, jaws: 1, ..instrument(1.5, 0.6) };
+    let (world, ring, _) = lifted(&build, 0.5);
+    assert!(height(&world, ring) < 0.003);
 }
