@@ -4,6 +4,7 @@ pub mod chain;
 pub mod commit;
 pub mod faults;
 pub mod handle;
+pub mod live;
 pub mod lockstep;
 pub mod model_core;
 #[cfg(test)]

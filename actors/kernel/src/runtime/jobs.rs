@@ -113,8 +113,11 @@ mod tests {
         let (jobs, mut runner) = (Jobs::default(), JobRunner::new("toy"));
         let mut next = 0_u64;
         for wave in 0..4_u64 {
-            while jobs.submit(Job { key: next, takes: SimTime::ZERO, work: Box::new(move || Box::new(next * 2)) })
-            {
+            while jobs.submit(Job {
+                key: next,
+                takes: SimTime::ZERO,
+                work: Box::new(move || Box::new(next * 2)),
+            }) {
                 next += 1;
             }
             runner.collect(&jobs).expect("a thread");
@@ -128,7 +131,11 @@ mod tests {
     #[test]
     fn a_job_that_panics_is_told() {
         let (jobs, mut runner) = (Jobs::default(), JobRunner::new("toy"));
-        assert!(jobs.submit(Job { key: 5, takes: SimTime::ZERO, work: Box::new(|| panic!("singular matrix")) }));
+        assert!(jobs.submit(Job {
+            key: 5,
+            takes: SimTime::ZERO,
+            work: Box::new(|| panic!("singular matrix"))
+        }));
         let error = wait_for(&mut runner, &jobs, 5).err().expect("the panic");
         assert!(error.contains("job 5") && error.contains("singular matrix"), "{error}");
     }

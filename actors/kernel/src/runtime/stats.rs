@@ -114,6 +114,14 @@ impl TickStats {
     pub fn ticks_missed(&self) -> u64 {
         self.missed.load(Ordering::Relaxed)
     }
+    /// How many ticks ran a millisecond late or later.
+    pub fn ticks_late(&self) -> u64 {
+        self.late.load(Ordering::Relaxed)
+    }
+    /// How many batches the Model refused.
+    pub fn rejections(&self) -> u64 {
+        self.rejected.load(Ordering::Relaxed)
+    }
     /// CPU time of the controller's threads so far.
     pub fn cpu(&self) -> SimTime {
         if let Some(cpu) =

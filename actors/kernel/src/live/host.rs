@@ -1,0 +1,283 @@
+//! The host of a controller: an actix actor with an arbiter of its own. Lives through its controller's
+//! panics, errors and restarts; only a stall takes its thread with it.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use actix::prelude::*;
+use trocar_scene::{
+    BuildContext, Commands, Controller, ControllerError, Events, Jobs, SimTime, Snapshot, Tick,
+};
+
+use super::shared::{Life, Shared, Writer};
+use crate::handle::{Submitted, WriterHandle};
+use crate::runtime::{Budget, Due, JobRunner, Schedule, Ticker, Verdict, guarded, sched, ticker};
+use crate::supervision::{Cause, Event};
+
+/// Ticks over which lateness is judged.
+const LATE_WINDOW: u32 = 128;
+/// Late or missed ticks within the window that make a controller late.
+const LATE_MAX: u64 = 8;
+
+/// Begin a life.
+#[derive(Message)]
+#[rtype(result = "()")]
+pub(super) struct Live(pub(super) Arc<Life>);
+
+/// The actor.
+pub(super) struct HostActor {
+    shared: Arc<Shared>,
+    writer: Arc<Writer>,
+}
+
+impl HostActor {
+    pub(super) fn new(shared: Arc<Shared>, writer: Arc<Writer>) -> Self {
+        Self { shared, writer }
+    }
+}
+
+impl Actor for HostActor {
+    type Context = Context<Self>;
+}
+
+impl Handler<Live> for HostActor {
+    type Result = ();
+    fn handle(&mut self, Live(life): Live, _: &mut Self::Context) {
+        let (shared, writer) = (self.shared.clone(), self.writer.clone());
+        actix_rt::spawn(async move {
+            let cause = live(&shared, &writer, &life).await;
+            life.running.store(false, Ordering::Relaxed);
+            if life.is_abandoned() {
+                writer.seat.stats.leave_thread(sched::current_tid());
+                shared.report(Event::ZombieEnded);
+                Arbiter::current().stop();
+            } else {
+                shared.died(&writer.seat, &life, cause);
+            }
+        });
+    }
+}
+
+/// One life, from construction to the drop of the controller; returns why it ended.
+async fn live(shared: &Shared, writer: &Writer, life: &Life) -> Cause {
+    let tid = sched::current_tid();
+    life.tid.store(tid, Ordering::Relaxed);
+    writer.seat.stats.enter_thread(tid);
+    let controller = match build(shared, writer, life) {
+        Ok(controller) => controller,
+        Err(cause) => return cause,
+    };
+    let access = match guarded(|| controller.access()) {
+        Ok(access) => access,
+        Err(panic) => return drop_after(controller, Cause::Panic(panic)),
+    };
+    if let Err(error) = shared.declare(writer, &access).await {
+        return drop_after(controller, Cause::Error(error));
+    }
+    let schedule = schedule(shared, writer, life);
+    let ticker = match Ticker::new(schedule, shared.clock) {
+        Ok(ticker) => ticker,
+        Err(error) => return drop_after(controller, Cause::Error(format!("timer: {error}"))),
+    };
+    let mut body = Body {
+        handle: shared.open(writer, life),
+        generation: shared.generation.load(Ordering::Acquire),
+        shared,
+        writer,
+        life,
+        controller,
+        jobs: Jobs::default(),
+        runner: JobRunner::new(&writer.seat.name),
+        resumed: false,
+        late_ticks: 0,
+        window: 0,
+    };
+    life.running.store(true, Ordering::Release);
+    shared.report(Event::Started { child: writer.seat.child, incarnation: life.incarnation });
+    let cause = body.run(ticker).await;
+    drop_after(body.controller, cause)
+}
+
+/// The first tick of a session is the next one of the schedule; a later life goes on where the last stood.
+fn schedule(shared: &Shared, writer: &Writer, life: &Life) -> Schedule {
+    let (phase, period) = (writer.spec.phase, writer.spec.period());
+    let now = shared.clock.now();
+    let next = if life.incarnation > 1 && writer.seat.stats.ticks() > 0 {
+        writer.next_tick.load(Ordering::Relaxed)
+    } else if now <= phase {
+        0
+    } else {
+        now.since(phase).0.div_ceil(period.0)
+    };
+    Schedule::new(phase, period, next)
+}
+
+fn build(shared: &Shared, writer: &Writer, life: &Life) -> Result<Box<dyn Controller>, Cause> {
+    let scene = shared.published.load_full();
+    if life.incarnation == 1 {
+        writer.events_seen.store(scene.events().next(), Ordering::Relaxed);
+    }
+    let context = BuildContext {
+        scene: &scene,
+        time: shared.clock.now(),
+        name: &writer.seat.name,
+        me: writer.allocator.me(),
+        epoch: life.incarnation,
+        seed: shared.seed,
+    };
+    match guarded(|| (writer.spec.factory)(&context)) {
+        Ok(Ok(controller)) => Ok(controller),
+        Ok(Err(error)) => Err(Cause::Error(error.to_string())),
+        Err(panic) => Err(Cause::Panic(panic)),
+    }
+}
+
+/// Drops a controller, which may panic as well; the first thing that went wrong is the cause.
+fn drop_after(controller: Box<dyn Controller>, cause: Cause) -> Cause {
+    match guarded(|| drop(controller)) {
+        Err(panic) if cause == Cause::Stop => Cause::Panic(format!("while it was dropped: {panic}")),
+        _ => cause,
+    }
+}
+
+/// An injected stall: a step that does not end, until its time is up or nobody is left to care.
+pub(super) fn stall(shared: &Shared, life: &Life, span: SimTime) {
+    let begun = shared.clock.now();
+    while shared.clock.now().since(begun) < span && !shared.over.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let _ = life;
+}
+
+struct Body<'a> {
+    shared: &'a Shared,
+    writer: &'a Writer,
+    life: &'a Life,
+    controller: Box<dyn Controller>,
+    handle: WriterHandle,
+    generation: u32,
+    jobs: Jobs,
+    runner: JobRunner,
+    resumed: bool,
+    late_ticks: u64,
+    window: u32,
+}
+
+impl Body<'_> {
+    async fn run(&mut self, mut ticker: Ticker) -> Cause {
+        let mut budget = Budget::new(self.writer.spec.period(), ticker::LEAD);
+        ticker.set_spinning(budget.may_spin());
+        loop {
+            let due = ticker.next().await;
+            if self.life.should_end() {
+                return Cause::Stop;
+            }
+            let due = match due {
+                Ok(Some(due)) => due,
+                Ok(None) => {
+                    // Slow, not stalled.
+                    self.life.bump();
+                    self.life.bump();
+                    continue;
+                }
+                Err(error) => return Cause::Error(format!("timer: {error}")),
+            };
+            let stats = &self.writer.seat.stats;
+            if due.missed > 0 {
+                stats.missed(due.missed);
+            }
+            let begun = self.shared.clock.now();
+            self.life.bump();
+            let outcome = if self.writer.seat.seam.is_held() {
+                Ok(())
+            } else {
+                guarded(|| self.step(due)).unwrap_or_else(|panic| Err(Cause::Panic(panic)))
+            };
+            self.life.bump();
+            if self.life.is_abandoned() {
+                return Cause::Stop;
+            }
+            let step = self.shared.clock.now().since(begun);
+            let lateness = begun.since(due.at);
+            self.writer.next_tick.store(due.number + 1, Ordering::Relaxed);
+            stats.ran(due.at, lateness, step);
+            self.judge_lateness(due.missed + u64::from(lateness.0 >= self.writer.spec.period().0));
+            if let Err(cause) = outcome {
+                return cause;
+            }
+            if !self.resumed {
+                self.resumed = true;
+                let (child, incarnation) = (self.writer.seat.child, self.life.incarnation);
+                self.shared.report(Event::Resumed { child, incarnation });
+            }
+            match budget.observe(step) {
+                Verdict::Keep => {}
+                Verdict::StopSpinning => ticker.set_spinning(false),
+                Verdict::Spin => ticker.set_spinning(true),
+                // It goes on without; the lateness in the report tells.
+                Verdict::Demote => drop(sched::normal_current()),
+            }
+        }
+    }
+
+    /// One step, from the snapshot to the ring. Once warmed it allocates nothing of its own.
+    fn step(&mut self, due: Due) -> Result<(), Cause> {
+        let seam = &self.writer.seat.seam;
+        if seam.take_kill() {
+            panic!("fault injected: kill");
+        }
+        if let Some(span) = seam.take_stall() {
+            stall(self.shared, self.life, span);
+            seam.end_stall();
+        }
+        if let Some(span) = seam.slow() {
+            std::thread::sleep(span.to_duration());
+        }
+        if self.generation != self.shared.generation.load(Ordering::Relaxed) {
+            self.generation = self.shared.generation.load(Ordering::Acquire);
+            self.handle = self.shared.open(self.writer, self.life);
+        }
+        self.runner.deliver(&self.jobs).map_err(Cause::Panic)?;
+        let scene = self.shared.published.load();
+        let me = self.writer.allocator.me();
+        let tick = Tick {
+            time: due.at,
+            period: self.writer.spec.period(),
+            number: due.number,
+            me,
+            epoch: self.life.incarnation,
+            events: Events::new(scene.events(), self.writer.events_seen.load(Ordering::Relaxed)),
+            jobs: &self.jobs,
+        };
+        let out = self.handle.begin(due.at);
+        tick_controller(&mut *self.controller, &tick, &scene, out)?;
+        if seam.nan() {
+            out.event("fault_nan", me, None, f64::NAN);
+        }
+        self.writer.events_seen.store(scene.events().next(), Ordering::Relaxed);
+        if self.handle.submit(due.number, due.at, scene.revision()) == Submitted::Dropped {
+            self.writer.seat.stats.dropped();
+        }
+        self.runner.collect(&self.jobs).map_err(|error| Cause::Error(format!("jobs: {error}")))
+    }
+
+    fn judge_lateness(&mut self, late: u64) {
+        self.late_ticks += late;
+        self.window += 1;
+        if self.late_ticks > LATE_MAX || self.window >= LATE_WINDOW {
+            self.life.late.store(self.late_ticks > LATE_MAX, Ordering::Relaxed);
+            self.late_ticks = 0;
+            self.window = 0;
+        }
+    }
+}
+
+fn tick_controller(
+    controller: &mut dyn Controller,
+    tick: &Tick<'_>,
+    scene: &Snapshot,
+    out: &mut Commands,
+) -> Result<(), Cause> {
+    controller.tick(tick, scene, out).map_err(|error: ControllerError| Cause::Error(error.to_string()))
+}

@@ -1,0 +1,441 @@
+//! The live driver: real time, one thread per controller, actix underneath.
+//!
+//! [`LiveSession::start`] takes the same [`SessionSpec`] as lock-step. Nobody in here waits for anybody: a
+//! controller reads the latest snapshot, pushes its batch into its ring and goes on; the Model drains the
+//! rings and publishes; a watchdog sees who hangs; the supervisor replaces who fails.
+
+mod host;
+mod model;
+mod shared;
+mod supervise;
+mod watchdog;
+
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use actix::prelude::System;
+use arc_swap::ArcSwap;
+use thiserror::Error;
+use tokio::sync::Notify;
+use trocar_scene::{ComponentError, Entity, EntityAllocator, SimTime, Snapshot, Store, WriterId};
+
+use crate::chain::StateHash;
+use crate::faults::{FaultLog, FaultPlanError, FaultRow, FaultSchedule, TargetClass, Targets};
+use crate::handle::{Intake, LaneStatus};
+use crate::model_core::ModelCore;
+use crate::runtime::{Clock, ControllerReport, Permission, TickStats};
+use crate::spec::{ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, SessionSpec};
+use crate::supervision::{
+    ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Incident, Supervisor, TreeError,
+};
+use shared::{Life, Report, Seam, Seat, Shared, Writer, lock};
+use supervise::{Board, Crew};
+
+/// Longest wait for a session to end; beyond it the forces are set to zero from here and it is left behind.
+pub const STOP_MAX: Duration = Duration::from_millis(1_900);
+/// Reports that wait for the supervisor.
+const REPORTS_MAX: usize = 4_096;
+/// Messages that wait to be printed.
+const MESSAGES_MAX: usize = 256;
+
+/// Why a session did not start.
+#[derive(Debug, Error)]
+pub enum LiveError {
+    /// Two controllers of one name or number, or a rate that is none.
+    #[error("controller '{name}': {reason}")]
+    Controller {
+        /// Which one.
+        name: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A tree that makes no sense, or whose children are not those of the session.
+    #[error(transparent)]
+    Tree(#[from] TreeError),
+    /// A fault plan that does not fit the session.
+    #[error(transparent)]
+    Faults(#[from] FaultPlanError),
+    /// A scene that cannot be encoded.
+    #[error("the scene at the start: {0}")]
+    Scene(#[from] ComponentError),
+    /// The operating system gave no thread.
+    #[error("no thread for the session: {0}")]
+    Thread(#[from] std::io::Error),
+    /// A child could not be built.
+    #[error("{0}")]
+    Start(String),
+}
+
+/// A running session. Dropping it stops it.
+pub struct LiveSession {
+    shared: Arc<Shared>,
+    board: Arc<Board>,
+    zero_forces: Vec<crate::spec::ZeroForces>,
+    /// In the order of the session, which is not that of the ids.
+    order: Vec<usize>,
+    begun: Instant,
+    stopped: bool,
+}
+
+impl LiveSession {
+    /// Starts everything and returns when every child runs.
+    ///
+    /// # Errors
+    /// [`LiveError`]; nothing is left running then.
+    pub fn start(spec: SessionSpec) -> Result<Self, LiveError> {
+        let mut session = Self::launch(spec)?;
+        let limit = Instant::now() + Duration::from_secs(30);
+        loop {
+            let status = lock(&session.board.status);
+            if status.up {
+                break;
+            }
+            if let Some(ended) = &status.ended {
+                let reason = ended.reason.clone().unwrap_or_else(|| "it ended at once".to_owned());
+                return Err(LiveError::Start(reason));
+            }
+            if Instant::now() > limit {
+                drop(status);
+                session.end(EXIT_GAVE_UP);
+                return Err(LiveError::Start("not every child was up within 30 s".to_owned()));
+            }
+            drop(
+                session
+                    .board
+                    .changed
+                    .wait_timeout(status, Duration::from_millis(20))
+                    .unwrap_or_else(std::sync::PoisonError::into_inner),
+            );
+        }
+        session.begun = Instant::now();
+        Ok(session)
+    }
+
+    fn launch(spec: SessionSpec) -> Result<Self, LiveError> {
+        check_controllers(&spec.controllers)?;
+        let children = spec.children();
+        let root = spec.tree.clone().unwrap_or_else(|| GroupSpec::default_tree(children.clone()));
+        let tree = Supervisor::new(root, spec.seed, spec.zombies_max)?;
+        let mut targets = Targets::new();
+        for controller in &spec.controllers {
+            targets = targets.with(&controller.name, TargetClass::Controller);
+        }
+        for (name, _) in &spec.fault_sinks {
+            targets = targets.with(name, TargetClass::of_sink(name));
+        }
+        if spec.recorder.is_some() {
+            targets = targets.with("recorder", TargetClass::Recorder);
+        }
+        let schedule = FaultSchedule::new(&spec.faults, &targets)?;
+        let faults = FaultLog::new(&spec.faults);
+        let core = ModelCore::new(Store::from_snapshot(spec.scene.view()), spec.station)?;
+        let (reports, inbox) = sync_channel(REPORTS_MAX);
+        let order: Vec<String> = spec.controllers.iter().map(|controller| controller.name.clone()).collect();
+        let shared =
+            share(&spec.scene, spec.station, spec.seed, spec.controllers, spec.recorder, &tree, reports)?;
+        let order = order
+            .iter()
+            .filter_map(|name| shared.writers.iter().position(|writer| writer.seat.name == *name))
+            .collect();
+        let system = start_system()?;
+        let log = start_log()?;
+        let board = Arc::new(Board::default());
+        let crew = Crew {
+            shared: shared.clone(),
+            board: board.clone(),
+            tree,
+            inbox,
+            log,
+            zero_forces: spec.zero_forces.clone(),
+            sinks: spec.fault_sinks,
+            schedule,
+            faults,
+            until: spec.until,
+            stop_when: spec.stop_when,
+            core: Some(core),
+            system,
+        };
+        watchdog::start(shared.clone())?;
+        std::thread::Builder::new().name("trocar-superv".into()).spawn(move || crew.run())?;
+        Ok(Self {
+            shared,
+            board,
+            zero_forces: spec.zero_forces,
+            order,
+            begun: Instant::now(),
+            stopped: false,
+        })
+    }
+
+    /// The latest snapshot.
+    pub fn snapshot(&self) -> Arc<Snapshot> {
+        self.shared.published.load_full()
+    }
+    /// Where the latest snapshot always is: for viewers and other readers on threads of their own.
+    pub fn snapshots(&self) -> Arc<ArcSwap<Snapshot>> {
+        self.shared.published.clone()
+    }
+    /// Time of the session.
+    pub fn elapsed(&self) -> SimTime {
+        match &lock(&self.board.status).ended {
+            Some(ended) => ended.at,
+            None => self.shared.clock.now(),
+        }
+    }
+    /// One row per controller, in the order of the session, as it is now.
+    pub fn stats(&self) -> Vec<ControllerReport> {
+        let elapsed = self.elapsed();
+        self.order.iter().map(|index| self.shared.writers[*index].seat.stats.report(elapsed)).collect()
+    }
+    /// The Model's row: it has no rate; its ticks are the passes that it was woken for.
+    pub fn model_stats(&self) -> ControllerReport {
+        self.shared.model.stats.report(self.elapsed())
+    }
+    /// How many batches the Model has taken.
+    pub fn batches(&self) -> u64 {
+        self.shared.batches.load(Ordering::Relaxed)
+    }
+    /// CPU time of the Model's thread.
+    pub fn model_cpu(&self) -> SimTime {
+        self.shared.model.stats.cpu()
+    }
+    /// How every child is, by name.
+    pub fn health(&self) -> Vec<(String, Health)> {
+        lock(&self.board.status).health.iter().map(|(name, health)| (name.clone(), *health)).collect()
+    }
+    /// How one child is.
+    pub fn health_of(&self, name: &str) -> Option<Health> {
+        lock(&self.board.status).health.get(name).copied()
+    }
+    /// The failures so far.
+    pub fn incidents(&self) -> Vec<Incident> {
+        lock(&self.board.status).incidents.clone()
+    }
+    /// Threads that were abandoned and have not ended.
+    pub fn zombies(&self) -> u32 {
+        lock(&self.board.status).zombies
+    }
+    /// What the operating system refused.
+    pub fn permission(&self) -> Permission {
+        let known = lock(&self.board.status).permission.clone();
+        known.unwrap_or(Permission { fifo: false, refused: "not known yet".to_owned() })
+    }
+    /// Injects a fault now; its plan's report does not count it.
+    pub fn inject(&self, order: FaultOrder) {
+        let _ = self.shared.reports.try_send(Report::Inject(order));
+    }
+    /// Pauses a controller or lets it go on; `false` when there is none of that name.
+    pub fn hold(&self, name: &str, held: bool) -> bool {
+        let seat = self.shared.writers.iter().map(|writer| &writer.seat).find(|seat| seat.name == name);
+        seat.is_some_and(|seat| self.shared.reports.try_send(Report::Hold(seat.child, held)).is_ok())
+    }
+    /// Whether it has ended, by itself or otherwise.
+    pub fn has_ended(&self) -> bool {
+        lock(&self.board.status).ended.is_some()
+    }
+    /// Waits until it has ended, at most `limit`; tells whether it has.
+    pub fn wait(&self, limit: Duration) -> bool {
+        let until = Instant::now() + limit;
+        let mut status = lock(&self.board.status);
+        while status.ended.is_none() {
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return false;
+            }
+            status = match self.board.changed.wait_timeout(status, left) {
+                Ok((status, _)) => status,
+                Err(poisoned) => poisoned.into_inner().0,
+            };
+        }
+        true
+    }
+
+    /// Ends the session within two seconds, whatever hangs: forces to zero first, controllers, Model,
+    /// recording. `code` is the exit code unless the supervisor has given up before.
+    pub fn stop(mut self, code: i32) -> SessionOutcome {
+        self.end(code);
+        let status = lock(&self.board.status);
+        let ended = status.ended.clone();
+        let sim = ended.as_ref().map_or_else(|| self.shared.clock.now(), |ended| ended.at);
+        let snapshot = self.snapshot();
+        let hash = *lock(&self.shared.final_hash);
+        SessionOutcome {
+            mode: Mode::Live,
+            code: ended.as_ref().map_or(EXIT_GAVE_UP, |ended| ended.code),
+            reason: match &ended {
+                Some(ended) => ended.reason.clone(),
+                None => Some("the supervisor did not end within its limit".to_owned()),
+            },
+            sim,
+            wall: SimTime::from(self.begun.elapsed()),
+            hash: hash.unwrap_or(StateHash([0; 32])),
+            snapshot,
+            controllers: self
+                .order
+                .iter()
+                .map(|index| self.shared.writers[*index].seat.stats.report(sim))
+                .collect(),
+            model: self.shared.model.stats.report(sim),
+            faults: status.faults.clone(),
+            incidents: status.incidents.clone(),
+            zombies: status.zombies,
+            recording_complete: ended.as_ref().and_then(|ended| ended.recording_complete),
+            permission: status
+                .permission
+                .clone()
+                .unwrap_or(Permission { fifo: false, refused: "never asked".to_owned() }),
+        }
+    }
+
+    /// The faults of the plan as they stand; complete after the end.
+    pub fn faults(&self) -> Vec<FaultRow> {
+        lock(&self.board.status).faults.clone()
+    }
+
+    fn end(&mut self, code: i32) {
+        if self.stopped {
+            return;
+        }
+        self.stopped = true;
+        let asked = self.shared.reports.try_send(Report::Event(Event::ShutdownRequested { code })).is_ok();
+        if !(asked && self.wait(STOP_MAX)) && !self.has_ended() {
+            for zero in &self.zero_forces {
+                let _ = crate::runtime::guarded(|| zero());
+            }
+            self.shared.over.store(true, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Drop for LiveSession {
+    fn drop(&mut self) {
+        self.end(0);
+    }
+}
+
+fn check_controllers(controllers: &[ControllerSpec]) -> Result<(), LiveError> {
+    let wrong = |name: &str, reason: String| LiveError::Controller { name: name.to_owned(), reason };
+    for (i, controller) in controllers.iter().enumerate() {
+        let name = &controller.name;
+        if !(controller.rate_hz.is_finite() && controller.rate_hz > 0.0) {
+            return Err(wrong(name, format!("rate is {} Hz; valid: more than 0", controller.rate_hz)));
+        }
+        if controller.writer == trocar_scene::SCENARIO_SPAWNER {
+            return Err(wrong(name, "writer 0 belongs to the scenario; valid: 1 to 65535".to_owned()));
+        }
+        if controller.child.id != *name {
+            return Err(wrong(name, format!("is supervised under another name, '{}'", controller.child.id)));
+        }
+        for other in &controllers[..i] {
+            if other.name == *name {
+                return Err(wrong(name, "there are two of this name".to_owned()));
+            }
+            if other.writer == controller.writer {
+                return Err(wrong(name, format!("is writer {} like '{}'", other.writer, other.name)));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn share(
+    scene: &Store,
+    station: u16,
+    seed: u64,
+    controllers: Vec<ControllerSpec>,
+    recorder: Option<Box<dyn crate::spec::CommitSink>>,
+    tree: &Supervisor,
+    reports: SyncSender<Report>,
+) -> Result<Arc<Shared>, LiveError> {
+    let seat = |name: &str, child: &ChildSpec| -> Result<Seat, LiveError> {
+        let id: ChildId = tree.find(name).ok_or_else(|| LiveError::Controller {
+            name: name.to_owned(),
+            reason: "does not stand in the supervisor tree".to_owned(),
+        })?;
+        let spec = tree.spec(id).unwrap_or(child);
+        Ok(Seat {
+            child: id,
+            name: name.to_owned(),
+            class: spec.class,
+            heartbeat_limit: spec.heartbeat_limit,
+            ticks: spec.rate_hz > 0.0,
+            life: ArcSwap::from(Life::new(0)),
+            stats: TickStats::new(name, spec.rate_hz),
+            seam: Seam::default(),
+        })
+    };
+    let model = ChildSpec::new(MODEL, crate::supervision::RuntimeClass::Model, 0.0);
+    let model = seat(MODEL, &model)?;
+    let mut writers = Vec::with_capacity(controllers.len());
+    for spec in controllers {
+        let allocator = EntityAllocator::new(station, spec.writer);
+        let me = Entity::of_writer(station, spec.writer);
+        // A session that goes on from a snapshot must not give a name out twice.
+        let used = scene
+            .view()
+            .entities()
+            .filter(|entity| entity.station() == me.station() && entity.spawner() == me.spawner());
+        allocator.skip_to(used.map(|entity| entity.counter().saturating_add(1)).max().unwrap_or(1));
+        writers.push(Arc::new(Writer {
+            seat: seat(&spec.name, &spec.child)?,
+            id: WriterId(spec.writer),
+            allocator,
+            lane: Arc::<LaneStatus>::default(),
+            epoch: AtomicU32::new(1),
+            applied: AtomicU64::new(0),
+            next_tick: AtomicU64::new(0),
+            events_seen: AtomicU64::new(0),
+            declared: Mutex::new(None),
+            spec,
+        }));
+    }
+    writers.sort_by_key(|writer| writer.id);
+    let bell = Arc::new(Notify::new());
+    let ring = bell.clone();
+    Ok(Arc::new(Shared {
+        clock: Clock::start(),
+        seed,
+        station,
+        published: Arc::new(ArcSwap::from_pointee(scene.snapshot())),
+        intake: Intake::new(scene.view().registry().clone(), Arc::new(move || ring.notify_one())),
+        bell,
+        generation: AtomicU32::new(0),
+        model,
+        writers,
+        reports,
+        declares: Mutex::new(Vec::new()),
+        declares_waiting: AtomicBool::new(false),
+        fences_waiting: AtomicBool::new(false),
+        has_sink: recorder.is_some(),
+        sink: Mutex::new(recorder),
+        final_hash: Mutex::new(None),
+        batches: AtomicU64::new(0),
+        over: AtomicBool::new(false),
+    }))
+}
+
+/// The actix system on a thread of its own: the main thread belongs to whoever has a window.
+fn start_system() -> Result<System, LiveError> {
+    let (send, receive) = sync_channel(1);
+    std::thread::Builder::new().name("trocar-system".into()).spawn(move || {
+        let runner = System::new();
+        let _ = send.send(System::current());
+        if let Err(error) = runner.run() {
+            tracing::error!("the actor system ended badly: {error}");
+        }
+    })?;
+    receive.recv().map_err(|_| LiveError::Start("the actor system did not start".to_owned()))
+}
+
+/// A thread that prints: nobody else in the session does.
+fn start_log() -> Result<SyncSender<String>, LiveError> {
+    let (send, receive) = sync_channel::<String>(MESSAGES_MAX);
+    std::thread::Builder::new().name("trocar-log".into()).spawn(move || {
+        for line in receive {
+            tracing::error!("{line}");
+        }
+    })?;
+    Ok(send)
+}

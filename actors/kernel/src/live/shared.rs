@@ -1,0 +1,255 @@
+//! What the threads of a live session share. Everything that a tick touches is an atomic or an `ArcSwap`;
+//! the locks here belong to starting and ending.
+
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use std::sync::mpsc::SyncSender;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use arc_swap::ArcSwap;
+use tokio::sync::oneshot;
+use trocar_scene::{Access, EntityAllocator, SimTime, Snapshot, WriterId};
+
+use crate::chain::StateHash;
+use crate::handle::{Intake, LaneStatus, WriterHandle};
+use crate::runtime::{Clock, Permission, TickStats, guarded};
+use crate::spec::{CommitSink, ControllerSpec, FaultKind, FaultOrder};
+use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
+
+/// One life of a child, from its construction to its end; an abandoned thread keeps its own.
+#[derive(Default)]
+pub(crate) struct Life {
+    pub(crate) incarnation: u32,
+    /// Odd while a step is running.
+    pub(crate) beat: AtomicU64,
+    /// Thread number; 0 before it runs.
+    pub(crate) tid: AtomicU32,
+    /// Constructed: the watchdog may look.
+    pub(crate) running: AtomicBool,
+    /// It shall end in good order.
+    pub(crate) stop: AtomicBool,
+    /// Nobody waits for it any more.
+    pub(crate) abandoned: AtomicBool,
+    /// It misses ticks.
+    pub(crate) late: AtomicBool,
+}
+
+impl Life {
+    pub(crate) fn new(incarnation: u32) -> Arc<Self> {
+        Arc::new(Self { incarnation, ..Self::default() })
+    }
+    pub(crate) fn should_end(&self) -> bool {
+        self.stop.load(Ordering::Relaxed) || self.abandoned.load(Ordering::Relaxed)
+    }
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.abandoned.load(Ordering::Acquire)
+    }
+    /// A step begins or ends.
+    pub(crate) fn bump(&self) {
+        self.beat.fetch_add(1, Ordering::Release);
+    }
+}
+
+/// A child's place: what stays while its lives change.
+pub(crate) struct Seat {
+    pub(crate) child: ChildId,
+    pub(crate) name: String,
+    pub(crate) class: RuntimeClass,
+    pub(crate) heartbeat_limit: SimTime,
+    /// Whether its heart beats without anybody asking.
+    pub(crate) ticks: bool,
+    pub(crate) life: ArcSwap<Life>,
+    pub(crate) stats: TickStats,
+    pub(crate) seam: Seam,
+}
+
+/// Where faults are injected: flags that the host looks at, so that controllers need no annotations.
+#[derive(Default)]
+pub(crate) struct Seam {
+    kill: AtomicBool,
+    stall: AtomicU64,
+    slow: AtomicU64,
+    nan: AtomicBool,
+    held: AtomicBool,
+    stall_ended: AtomicBool,
+}
+
+impl Seam {
+    pub(crate) fn apply(&self, order: &FaultOrder) {
+        match order.kind {
+            FaultKind::Kill => self.kill.store(order.begins, Ordering::Relaxed),
+            FaultKind::Stall => {
+                self.stall.store(if order.begins { order.span.0 } else { 0 }, Ordering::Relaxed);
+            }
+            FaultKind::Slow => {
+                self.slow.store(if order.begins { order.span.0 } else { 0 }, Ordering::Relaxed);
+            }
+            FaultKind::Nan => self.nan.store(order.begins, Ordering::Relaxed),
+            _ => {}
+        }
+    }
+    pub(crate) fn take_kill(&self) -> bool {
+        self.kill.load(Ordering::Relaxed) && self.kill.swap(false, Ordering::Relaxed)
+    }
+    pub(crate) fn take_stall(&self) -> Option<SimTime> {
+        if self.stall.load(Ordering::Relaxed) == 0 {
+            return None;
+        }
+        Some(SimTime(self.stall.swap(0, Ordering::Relaxed)))
+    }
+    pub(crate) fn slow(&self) -> Option<SimTime> {
+        Some(self.slow.load(Ordering::Relaxed)).filter(|span| *span > 0).map(SimTime)
+    }
+    pub(crate) fn nan(&self) -> bool {
+        self.nan.load(Ordering::Relaxed)
+    }
+    pub(crate) fn set_held(&self, held: bool) {
+        self.held.store(held, Ordering::Relaxed);
+    }
+    pub(crate) fn is_held(&self) -> bool {
+        self.held.load(Ordering::Relaxed)
+    }
+    pub(crate) fn end_stall(&self) {
+        self.stall_ended.store(true, Ordering::Relaxed);
+    }
+    pub(crate) fn take_stall_ended(&self) -> bool {
+        self.stall_ended.swap(false, Ordering::Relaxed)
+    }
+}
+
+/// A controller's side of the Model.
+pub(crate) struct Writer {
+    pub(crate) seat: Seat,
+    pub(crate) spec: ControllerSpec,
+    pub(crate) id: WriterId,
+    pub(crate) allocator: EntityAllocator,
+    pub(crate) lane: Arc<LaneStatus>,
+    /// The lowest epoch that the Model hears.
+    pub(crate) epoch: AtomicU32,
+    /// Batches applied, for telling that a fault is over.
+    pub(crate) applied: AtomicU64,
+    /// Where the next life goes on.
+    pub(crate) next_tick: AtomicU64,
+    pub(crate) events_seen: AtomicU64,
+    /// What the Model has been told that it writes.
+    pub(crate) declared: Mutex<Option<Access>>,
+}
+
+/// A writer that introduces itself to the Model.
+pub(crate) struct Declare {
+    pub(crate) writer: usize,
+    pub(crate) access: Access,
+    pub(crate) reply: oneshot::Sender<Result<(), String>>,
+}
+
+/// What the supervisor's thread hears.
+pub(crate) enum Report {
+    /// Something happened to a child.
+    Event(Event),
+    /// A fault from outside of the plan.
+    Inject(FaultOrder),
+    /// Pause a child, or let it go on.
+    Hold(ChildId, bool),
+    /// What the operating system said to a thread's wish.
+    Permission(Permission),
+}
+
+pub(crate) struct Shared {
+    pub(crate) clock: Clock,
+    pub(crate) seed: u64,
+    pub(crate) station: u16,
+    pub(crate) published: Arc<ArcSwap<Snapshot>>,
+    pub(crate) intake: Arc<Intake>,
+    pub(crate) bell: Arc<tokio::sync::Notify>,
+    /// Raised when a Model could not be saved and its rings went with it: writers open new ones.
+    pub(crate) generation: AtomicU32,
+    pub(crate) model: Seat,
+    /// Ordered by writer id.
+    pub(crate) writers: Vec<Arc<Writer>>,
+    pub(crate) reports: SyncSender<Report>,
+    pub(crate) declares: Mutex<Vec<Declare>>,
+    pub(crate) declares_waiting: AtomicBool,
+    /// A fence was raised that the Model has not looked at.
+    pub(crate) fences_waiting: AtomicBool,
+    pub(crate) sink: Mutex<Option<Box<dyn CommitSink>>>,
+    pub(crate) has_sink: bool,
+    /// Left behind by the Model when it ends.
+    pub(crate) final_hash: Mutex<Option<StateHash>>,
+    pub(crate) batches: AtomicU64,
+    /// The session has ended: injected stalls let go.
+    pub(crate) over: AtomicBool,
+}
+
+/// Nothing is left half changed under these locks by a panic: they guard single values.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    pub(crate) fn seat(&self, child: ChildId) -> Option<&Seat> {
+        if child == self.model.child {
+            return Some(&self.model);
+        }
+        self.writers.iter().map(|writer| &writer.seat).find(|seat| seat.child == child)
+    }
+    pub(crate) fn writer_of(&self, child: ChildId) -> Option<&Arc<Writer>> {
+        self.writers.iter().find(|writer| writer.seat.child == child)
+    }
+    pub(crate) fn writer_index(&self, id: WriterId) -> Option<usize> {
+        self.writers.binary_search_by_key(&id, |writer| writer.id).ok()
+    }
+    /// Every child's seat: the Model's, then the writers'.
+    pub(crate) fn seats(&self) -> impl Iterator<Item = &Seat> {
+        std::iter::once(&self.model).chain(self.writers.iter().map(|writer| &writer.seat))
+    }
+
+    /// From now on the devices and the Model refuse what `child` says in an epoch below `epoch`.
+    /// Devices first: they have hands in them. Neither waits nor allocates.
+    pub(crate) fn fence(&self, child: ChildId, epoch: u32) {
+        let Some(writer) = self.writer_of(child) else { return };
+        for fence in &writer.spec.fences {
+            // A fence that panics must not keep the others from being raised.
+            let _ = guarded(|| fence.raise(epoch));
+        }
+        writer.epoch.fetch_max(epoch, Ordering::AcqRel);
+        self.fences_waiting.store(true, Ordering::Release);
+        self.bell.notify_one();
+    }
+
+    /// Tells the supervisor. The queue is long, and its thread always reads it.
+    pub(crate) fn report(&self, event: Event) {
+        let _ = self.reports.send(Report::Event(event));
+    }
+    pub(crate) fn died(&self, seat: &Seat, life: &Life, cause: Cause) {
+        self.report(Event::Died { child: seat.child, incarnation: life.incarnation, cause });
+    }
+
+    /// A new ring for this life of the writer.
+    pub(crate) fn open(&self, writer: &Writer, life: &Life) -> WriterHandle {
+        self.intake.open(
+            writer.id,
+            life.incarnation,
+            writer.spec.ring_capacity,
+            writer.allocator.clone(),
+            writer.lane.clone(),
+        )
+    }
+
+    /// Introduces a writer to the Model and waits for its answer, without waiting when nothing changed.
+    pub(crate) async fn declare(&self, writer: &Writer, access: &Access) -> Result<(), String> {
+        if lock(&writer.declared).as_ref() == Some(access) {
+            return Ok(());
+        }
+        let Some(index) = self.writer_index(writer.id) else {
+            return Err(format!("writer {} is not part of the session", writer.id.0));
+        };
+        let (reply, answer) = oneshot::channel();
+        lock(&self.declares).push(Declare { writer: index, access: access.clone(), reply });
+        self.declares_waiting.store(true, Ordering::Release);
+        self.bell.notify_one();
+        let limit = writer.spec.child.start_limit.to_duration();
+        match tokio::time::timeout(limit, answer).await {
+            Ok(Ok(answer)) => answer,
+            Ok(Err(_)) | Err(_) => Err("the Model did not answer".to_owned()),
+        }
+    }
+}

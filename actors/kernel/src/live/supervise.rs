@@ -1,0 +1,451 @@
+//! The thread that carries out what the supervisor core orders: it starts and abandons arbiters, raises
+//! fences, injects the plan's faults and ends the session.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::Duration;
+
+use actix::prelude::*;
+use trocar_scene::SimTime;
+
+use super::host::{self, HostActor};
+use super::model::{self, ModelActor};
+use super::shared::{Life, Report, Shared, Writer, lock};
+use crate::faults::{FaultLog, FaultRow, FaultSchedule};
+use crate::model_core::ModelCore;
+use crate::runtime::{Permission, guarded, sched};
+use crate::spec::{FaultKind, FaultOrder, FaultSink, MODEL, StopWhen, ZeroForces};
+use crate::supervision::{Action, Cause, ChildId, Event, Health, Incident, RuntimeClass, Supervisor as Tree};
+
+/// Longest pause between two looks at anything.
+const PAUSE_MAX: SimTime = SimTime::from_millis(500);
+/// Between two looks at a fault that has begun and is not over.
+const FAULT_PAUSE: SimTime = SimTime::from_millis(2);
+/// Ticks at which a session's last words are waited for.
+const SINK_TRIES: u32 = 60;
+
+/// What the outside may see of the session at any time.
+#[derive(Default)]
+pub(super) struct Status {
+    pub(super) health: BTreeMap<String, Health>,
+    pub(super) incidents: Vec<Incident>,
+    pub(super) faults: Vec<FaultRow>,
+    pub(super) zombies: u32,
+    pub(super) up: bool,
+    pub(super) permission: Option<Permission>,
+    pub(super) ended: Option<Ended>,
+}
+
+/// How it ended.
+#[derive(Clone)]
+pub(super) struct Ended {
+    pub(super) code: i32,
+    pub(super) reason: Option<String>,
+    pub(super) at: SimTime,
+    pub(super) recording_complete: Option<bool>,
+}
+
+/// The status, and a bell for its end.
+#[derive(Default)]
+pub(super) struct Board {
+    pub(super) status: Mutex<Status>,
+    pub(super) changed: Condvar,
+}
+
+/// The plan's counters of one target when its fault began.
+#[derive(Clone, Copy, Default)]
+struct Counters {
+    applied: u64,
+    dropped: u64,
+    rejected: u64,
+    slow: u64,
+}
+
+pub(super) struct Crew {
+    pub(super) shared: Arc<Shared>,
+    pub(super) board: Arc<Board>,
+    pub(super) tree: Tree,
+    pub(super) inbox: Receiver<Report>,
+    pub(super) log: SyncSender<String>,
+    pub(super) zero_forces: Vec<ZeroForces>,
+    pub(super) sinks: Vec<(String, Arc<dyn FaultSink>)>,
+    pub(super) schedule: FaultSchedule,
+    pub(super) faults: FaultLog,
+    pub(super) until: Option<SimTime>,
+    pub(super) stop_when: Option<StopWhen>,
+    pub(super) core: Option<ModelCore>,
+    pub(super) system: System,
+}
+
+enum Addressee {
+    Model(Addr<ModelActor>),
+    Host(Addr<HostActor>),
+}
+
+/// State that the thread keeps beside its crew.
+struct Run {
+    addresses: BTreeMap<ChildId, Addressee>,
+    next_check: SimTime,
+    begun: BTreeMap<String, Counters>,
+    incidents_told: usize,
+    recording_complete: Option<bool>,
+}
+
+impl Crew {
+    /// The thread's main function; returns when the session has ended.
+    pub(super) fn run(mut self) {
+        System::set_current(self.system.clone());
+        let permission = sched::promote_current(RuntimeClass::Watchdog);
+        let mut run = Run {
+            addresses: BTreeMap::new(),
+            next_check: SimTime::ZERO,
+            begun: BTreeMap::new(),
+            incidents_told: 0,
+            recording_complete: None,
+        };
+        self.note_permission(permission);
+        self.tell(Event::Tick, &mut run);
+        while self.tree.exit_code().is_none() {
+            let now = self.shared.clock.now();
+            let pause = self.next_look(now, &run).since(now).max(SimTime::from_micros(50));
+            match self.inbox.recv_timeout(Duration::from_nanos(pause.0)) {
+                Ok(report) => self.hear(report, &mut run),
+                Err(RecvTimeoutError::Timeout) => self.tell(Event::Tick, &mut run),
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            self.look_around(&mut run);
+        }
+        self.end(&run);
+    }
+
+    fn next_look(&self, now: SimTime, run: &Run) -> SimTime {
+        let mut at = now + PAUSE_MAX;
+        let checks = self.stop_when.as_ref().map(|_| run.next_check);
+        let faults = self.faults.is_open().then(|| now + FAULT_PAUSE);
+        for next in [self.tree.next_deadline(now), self.schedule.next_at(), self.until, checks, faults] {
+            at = at.min(next.unwrap_or(at));
+        }
+        at
+    }
+
+    fn hear(&mut self, report: Report, run: &mut Run) {
+        match report {
+            Report::Event(event) => self.tell(event, run),
+            Report::Inject(order) => self.inject(&order),
+            Report::Hold(child, held) => {
+                if let Some(seat) = self.shared.seat(child) {
+                    seat.seam.set_held(held);
+                }
+                self.tell(Event::Held { child, held }, run);
+            }
+            Report::Permission(permission) => self.note_permission(permission),
+        }
+    }
+
+    fn note_permission(&self, permission: Permission) {
+        let mut status = lock(&self.board.status);
+        if status.permission.as_ref().is_none_or(|known| known.fifo) {
+            status.permission = Some(permission);
+        }
+    }
+
+    /// Feeds the tree and does what it orders.
+    fn tell(&mut self, event: Event, run: &mut Run) {
+        let now = self.shared.clock.now();
+        self.note_for_faults(&event, now);
+        let mut actions = Vec::new();
+        self.tree.apply(event, now, &mut actions);
+        for action in actions {
+            self.act(action, run);
+        }
+        self.show(run);
+    }
+
+    fn note_for_faults(&mut self, event: &Event, now: SimTime) {
+        if !self.faults.is_open() {
+            return;
+        }
+        let name = |child: &ChildId| self.shared.seat(*child).map(|seat| seat.name.clone());
+        match event {
+            Event::Died { child, cause, .. } if cause.is_abnormal() => {
+                if let Some(name) = name(child) {
+                    self.faults.detected(&name, now);
+                }
+            }
+            Event::Stalled { child, .. } => {
+                if let Some(name) = name(child) {
+                    self.faults.detected(&name, now);
+                }
+            }
+            Event::Started { child, .. } => {
+                if let Some(name) = name(child) {
+                    self.faults.restarted(&name, now);
+                }
+            }
+            Event::Resumed { child, .. } => {
+                if let Some(name) = name(child) {
+                    self.faults.resumed(&name, now);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn act(&mut self, action: Action, run: &mut Run) {
+        match action {
+            Action::Fence { child, epoch } => self.shared.fence(child, epoch),
+            Action::Start { child, incarnation, fresh } => self.start(child, incarnation, fresh, run),
+            Action::Stop { child } => {
+                if let Some(seat) = self.shared.seat(child) {
+                    seat.life.load().stop.store(true, Ordering::Relaxed);
+                    if child == self.shared.model.child {
+                        self.shared.bell.notify_one();
+                    }
+                }
+            }
+            Action::Abandon { child, incarnation } => {
+                run.addresses.remove(&child);
+                if let Some(seat) = self.shared.seat(child) {
+                    let life = seat.life.load();
+                    if life.incarnation == incarnation {
+                        life.abandoned.store(true, Ordering::Release);
+                        let tid = life.tid.load(Ordering::Relaxed);
+                        if tid != 0
+                            && let Err(error) = sched::demote(tid)
+                        {
+                            self.print(format!("{}: its thread could not be demoted: {error}", seat.name));
+                        }
+                    }
+                }
+            }
+            Action::ZeroForces => {
+                for zero in &self.zero_forces {
+                    if let Err(panic) = guarded(|| zero()) {
+                        self.print(format!("a device's force could not be set to zero: {panic}"));
+                    }
+                }
+            }
+            Action::CloseRecording => run.recording_complete = self.close_recording(),
+            Action::Exit(_) => {}
+        }
+    }
+
+    fn start(&mut self, child: ChildId, incarnation: u32, fresh: bool, run: &mut Run) {
+        let shared = self.shared.clone();
+        let Some(seat) = shared.seat(child) else { return };
+        let life = Life::new(incarnation);
+        seat.life.store(life.clone());
+        if incarnation > 1 {
+            seat.stats.restarted();
+        }
+        let fresh = fresh || !run.addresses.contains_key(&child);
+        let failed = if fresh { self.arbiter(child, run).err() } else { None };
+        let failed = failed.or_else(|| {
+            let sent = match run.addresses.get(&child) {
+                Some(Addressee::Model(to)) => to.try_send(model::Live(life.clone())).is_ok(),
+                Some(Addressee::Host(to)) => to.try_send(host::Live(life.clone())).is_ok(),
+                None => false,
+            };
+            (!sent).then(|| "its actor does not take the order to start".to_owned())
+        });
+        if let Some(error) = failed {
+            run.addresses.remove(&child);
+            self.shared.died(seat, &life, Cause::Error(error));
+        }
+    }
+
+    /// A thread, a runtime and an actor for `child`.
+    fn arbiter(&mut self, child: ChildId, run: &mut Run) -> Result<(), String> {
+        let shared = self.shared.clone();
+        let Some(seat) = shared.seat(child) else { return Ok(()) };
+        let (name, class, reports) = (seat.name.clone(), seat.class, shared.reports.clone());
+        let arbiter = Arbiter::try_with_tokio_rt(move || {
+            sched::name_current(&name);
+            let _ = reports.try_send(Report::Permission(sched::promote_current(class)));
+            tokio::runtime::Builder::new_current_thread().enable_io().enable_time().build()
+        })
+        .map_err(|error| format!("no thread for it: {error}"))?;
+        let address = if child == shared.model.child {
+            let (shared, core) = (shared.clone(), self.core.take());
+            let make = move |_: &mut Context<ModelActor>| ModelActor::new(shared, core);
+            Addressee::Model(ModelActor::start_in_arbiter(&arbiter.handle(), make))
+        } else {
+            let Some(writer) = shared.writer_of(child).cloned() else { return Ok(()) };
+            let shared = shared.clone();
+            let make = move |_: &mut Context<HostActor>| HostActor::new(shared, writer);
+            Addressee::Host(HostActor::start_in_arbiter(&arbiter.handle(), make))
+        };
+        // Dropping the arbiter detaches its thread: a thread that hangs must never be waited for.
+        run.addresses.insert(child, address);
+        Ok(())
+    }
+
+    /// What is due by time rather than by report.
+    fn look_around(&mut self, run: &mut Run) {
+        let now = self.shared.clock.now();
+        while let Some(order) = self.schedule.due(now).cloned() {
+            if order.begins {
+                self.faults.injected(order.index as usize, now);
+                run.begun.insert(order.target.clone(), self.counters(&order.target));
+            } else {
+                self.faults.healed(order.index as usize, now);
+                run.begun.insert(order.target.clone(), self.counters(&order.target));
+            }
+            self.inject(&order);
+        }
+        if self.faults.is_open() {
+            self.look_at_faults(run, now);
+        }
+        let mut shut = self.until.is_some_and(|until| now >= until);
+        if let Some(stop) = &self.stop_when
+            && now >= run.next_check
+        {
+            run.next_check = now + stop.every;
+            let snapshot = self.shared.published.load_full();
+            shut |= guarded(|| (stop.check)(&snapshot)).unwrap_or(false);
+        }
+        if shut {
+            self.until = None;
+            self.stop_when = None;
+            self.tell(Event::ShutdownRequested { code: 0 }, run);
+        }
+    }
+
+    fn inject(&self, order: &FaultOrder) {
+        if order.target == MODEL {
+            self.shared.model.seam.apply(order);
+            // A Model at rest would not look at it.
+            self.shared.bell.notify_one();
+        } else if let Some(writer) = self.shared.writers.iter().find(|w| w.seat.name == order.target) {
+            writer.seat.seam.apply(order);
+            if order.kind == FaultKind::QueueFull {
+                writer.lane.set_queue_full(order.begins);
+            }
+        } else if let Some((_, sink)) = self.sinks.iter().find(|(name, _)| *name == order.target) {
+            sink.fault(order);
+        } else if order.kind == FaultKind::DiskFull
+            && let Some(sink) = lock(&self.shared.sink).as_mut()
+        {
+            sink.fault(order);
+        }
+    }
+
+    fn counters(&self, target: &str) -> Counters {
+        let Some(writer) = self.shared.writers.iter().find(|w| w.seat.name == target) else {
+            return Counters::default();
+        };
+        count(writer)
+    }
+
+    /// Faults that nobody dies of: noticed by what they cost, over when batches are applied again.
+    fn look_at_faults(&mut self, run: &mut Run, now: SimTime) {
+        let open: Vec<(String, bool)> = self
+            .faults
+            .rows()
+            .iter()
+            .filter(|row| row.injected.is_some() && row.resumed.is_none())
+            .map(|row| (row.target.clone(), row.healed.is_some()))
+            .collect();
+        for (target, healed) in open {
+            let Some(writer) = self.shared.writers.iter().find(|w| w.seat.name == target).cloned() else {
+                continue;
+            };
+            let (then, is) = (run.begun.get(&target).copied().unwrap_or_default(), count(&writer));
+            if is.dropped > then.dropped || is.rejected > then.rejected || is.slow > then.slow {
+                self.faults.detected(&target, now);
+            }
+            if writer.seat.seam.take_stall_ended() {
+                self.faults.stall_ended(&target, now);
+            }
+            if healed && is.applied > then.applied {
+                self.faults.resumed(&target, now);
+            }
+        }
+    }
+
+    fn close_recording(&self) -> Option<bool> {
+        if !self.shared.has_sink {
+            return None;
+        }
+        // The Model has ended or was given up; if it hangs in the recorder, the recording stays open.
+        for _ in 0..SINK_TRIES {
+            if let Ok(mut sink) = self.shared.sink.try_lock() {
+                return Some(match sink.as_mut() {
+                    Some(sink) => guarded(|| sink.close()).unwrap_or(false),
+                    None => false,
+                });
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        Some(false)
+    }
+
+    /// Puts the tree's state where everybody can see it.
+    fn show(&mut self, run: &mut Run) {
+        let incidents = self.tree.incidents();
+        for incident in &incidents[run.incidents_told.min(incidents.len())..] {
+            self.print(format!("{}: {}", incident.child, describe(&incident.cause)));
+        }
+        run.incidents_told = incidents.len();
+        let mut status = lock(&self.board.status);
+        for seat in self.shared.seats() {
+            if let Some(health) = self.tree.health(seat.child)
+                && status.health.get(&seat.name) != Some(&health)
+            {
+                status.health.insert(seat.name.clone(), health);
+            }
+        }
+        status.zombies = self.tree.zombies();
+        status.incidents.clear();
+        status.incidents.extend_from_slice(self.tree.incidents());
+        let up = self.tree.is_up();
+        if up != status.up {
+            status.up = up;
+            drop(status);
+            self.board.changed.notify_all();
+        }
+    }
+
+    fn print(&self, line: String) {
+        // A full queue of messages loses one; that is better than waiting here.
+        let _ = self.log.try_send(line);
+    }
+
+    fn end(self, run: &Run) {
+        self.shared.over.store(true, Ordering::Relaxed);
+        // Whoever still listens stops; whoever hangs is left behind.
+        self.system.stop();
+        let mut status = lock(&self.board.status);
+        status.faults = self.faults.rows().to_vec();
+        status.ended = Some(Ended {
+            code: self.tree.exit_code().unwrap_or(crate::supervision::EXIT_GAVE_UP),
+            reason: self.tree.reason().map(str::to_owned),
+            at: self.shared.clock.now(),
+            recording_complete: run.recording_complete,
+        });
+        drop(status);
+        self.board.changed.notify_all();
+    }
+}
+
+fn count(writer: &Writer) -> Counters {
+    let row = &writer.seat.stats;
+    Counters {
+        applied: writer.applied.load(Ordering::Relaxed),
+        dropped: writer.lane.dropped(),
+        rejected: row.rejections(),
+        slow: row.ticks_missed() + row.ticks_late(),
+    }
+}
+
+fn describe(cause: &Cause) -> String {
+    match cause {
+        Cause::Panic(text) => format!("panicked: {text}"),
+        Cause::Error(text) => format!("failed: {text}"),
+        Cause::Stop => "ended".to_owned(),
+        Cause::Stall => "stalled; its thread was fenced and left behind".to_owned(),
+        Cause::StartTimeout => "was not built in time; its thread was fenced and left behind".to_owned(),
+    }
+}

@@ -1,0 +1,102 @@
+//! The watchdog: an operating-system thread at high priority that reads heartbeats and never awaits
+//! anything, so that it sees a thread that hangs in the middle of a step.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use trocar_scene::SimTime;
+
+use super::shared::{Life, Report, Seat, Shared};
+use crate::runtime::sched;
+use crate::supervision::{Event, RuntimeClass};
+
+/// Bounds of the pause between two looks.
+const PAUSE_MIN: SimTime = SimTime::from_millis(1);
+const PAUSE_MAX: SimTime = SimTime::from_millis(10);
+
+/// What was seen of one child last time.
+#[derive(Clone)]
+struct Watch {
+    life: Arc<Life>,
+    beat: u64,
+    since: SimTime,
+    cpu: SimTime,
+    late: bool,
+    told: bool,
+}
+
+impl Watch {
+    fn new(life: Arc<Life>, now: SimTime) -> Self {
+        Self { life, beat: 0, since: now, cpu: SimTime::ZERO, late: false, told: false }
+    }
+}
+
+/// Starts the thread; it ends with the session.
+pub(super) fn start(shared: Arc<Shared>) -> std::io::Result<()> {
+    std::thread::Builder::new().name("trocar-watchdog".into()).spawn(move || watch(&shared)).map(drop)
+}
+
+fn watch(shared: &Shared) {
+    let _ = shared.reports.try_send(Report::Permission(sched::promote_current(RuntimeClass::Watchdog)));
+    let shortest = shared.seats().map(|seat| seat.heartbeat_limit).min().unwrap_or(PAUSE_MAX);
+    let pause = SimTime(shortest.0 / 8).clamp(PAUSE_MIN, PAUSE_MAX);
+    let now = shared.clock.now();
+    let mut watches: Vec<Watch> = shared.seats().map(|seat| Watch::new(seat.life.load_full(), now)).collect();
+    let mut last = now;
+    while !shared.over.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_nanos(pause.0));
+        let now = shared.clock.now();
+        // When this thread itself was kept waiting, the others may have been as well: count anew.
+        let blind = now.since(last).0 > 4 * pause.0;
+        last = now;
+        for (seat, watch) in shared.seats().zip(&mut watches) {
+            if !Arc::ptr_eq(&watch.life, &seat.life.load()) {
+                *watch = Watch::new(seat.life.load_full(), now);
+            }
+            look(shared, seat, watch, now, blind);
+        }
+    }
+}
+
+fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bool) {
+    if !watch.life.running.load(Ordering::Acquire) || seat.seam.is_held() {
+        watch.since = now;
+        return;
+    }
+    let beat = watch.life.beat.load(Ordering::Acquire);
+    let late = watch.life.late.load(Ordering::Relaxed);
+    if late != watch.late {
+        watch.late = late;
+        let _ = shared.reports.try_send(Report::Event(Event::Late { child: seat.child, late }));
+    }
+    // Who is woken by messages may rest as long as it likes.
+    let resting = !seat.ticks && beat % 2 == 0;
+    if beat != watch.beat || resting || blind {
+        watch.beat = beat;
+        watch.since = now;
+        watch.cpu = cpu_of(&watch.life);
+        return;
+    }
+    if watch.told || now.since(watch.since) < seat.heartbeat_limit {
+        return;
+    }
+    if is_starved(watch, seat.heartbeat_limit) {
+        watch.since = now;
+        watch.cpu = cpu_of(&watch.life);
+        return;
+    }
+    watch.told = true;
+    shared.fence(seat.child, watch.life.incarnation + 1);
+    shared.report(Event::Stalled { child: seat.child, incarnation: watch.life.incarnation });
+}
+
+fn cpu_of(life: &Life) -> SimTime {
+    sched::thread_cpu(life.tid.load(Ordering::Relaxed)).unwrap_or_default()
+}
+
+/// Wants to run and was not let: the machine is busy, the thread does not hang.
+fn is_starved(watch: &Watch, limit: SimTime) -> bool {
+    let used = cpu_of(&watch.life).since(watch.cpu);
+    used.0 < limit.0 / 10 && sched::is_runnable(watch.life.tid.load(Ordering::Relaxed))
+}
