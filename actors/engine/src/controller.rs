@@ -2,7 +2,8 @@
 //! and writes poses, forces, contacts and grasps back.
 //!
 //! Everything that another life of it needs is in the scene: poses and velocities of bodies and tips
-//! ([`Pose`], [`Velocity`]), openings of jaws ([`JawState`]), and what is held, at which anchor ([`Grasp`]).
+//! ([`Pose`], [`Velocity`]), openings of jaws ([`JawState`]), what is held, at which anchor ([`Grasp`]), and, where
+//! the session registers it, the play of the mechanism ([`MechanismState`]).
 
 use std::collections::BTreeMap;
 
@@ -23,7 +24,9 @@ use crate::grasp::Hold;
 use crate::grasper::GrasperState;
 use crate::jaws::JawOpening;
 use crate::local_model::local_contact_model;
+use crate::mechanism::MechanismState;
 use crate::settings::EngineSettings;
+use crate::target_track::TargetTrack;
 use crate::world::{FLOOR, RigidWorld};
 
 /// Most contacts that the collision list carries; the deepest ones stay.
@@ -37,6 +40,8 @@ const CATCH_UP_SECS_MAX: f64 = 0.2;
 pub struct EngineController {
     world: RigidWorld,
     access: Access,
+    /// Bodies and instruments whose rows it may write, sorted; all if absent.
+    declared: Option<Vec<Entity>>,
     /// Up to which revision the scene has been looked through.
     seen: Revision,
     /// What each body was built from, and the poses written for it lately.
@@ -67,7 +72,8 @@ impl EngineController {
     pub fn new(context: &BuildContext<'_>, settings: EngineSettings) -> Result<Self, EngineError> {
         let mut this = Self {
             world: RigidWorld::new(settings, context.time)?,
-            access: Self::declared_access(context.scene),
+            access: declared_access(context.scene, &settings),
+            declared: declared_rows(context.scene, &settings),
             seen: Revision::ZERO,
             bodies: BTreeMap::new(),
             instruments: BTreeMap::new(),
@@ -75,37 +81,6 @@ impl EngineController {
         };
         this.take_in(context.scene)?;
         Ok(this)
-    }
-
-    /// Rows that the engine writes: dynamic bodies and instruments that the scene has now, by entity, so that
-    /// nobody else's poses are claimed.
-    fn declared_access(scene: &Snapshot) -> Access {
-        let instruments: Vec<Entity> = scene.iter::<Instrument>().map(|(entity, _)| entity).collect();
-        let mut moved: Vec<Entity> = scene
-            .iter::<RigidBody>()
-            .filter(|(_, body)| body.motion == Motion::Dynamic)
-            .map(|(entity, _)| entity)
-            .chain(instruments.iter().copied())
-            .collect();
-        moved.sort_unstable();
-        moved.dedup();
-        Access::new()
-            .reads::<RigidBody>()
-            .reads::<Shape>()
-            .reads::<Parent>()
-            .reads::<Pose>()
-            .reads::<Velocity>()
-            .reads::<Instrument>()
-            .reads::<InstrumentTarget>()
-            .reads::<JawState>()
-            .reads::<Grasp>()
-            .writes::<Pose>(EntitySet::Of(moved.clone()))
-            .writes::<Velocity>(EntitySet::Of(moved))
-            .writes::<JawState>(EntitySet::Of(instruments.clone()))
-            .writes::<InstrumentForce>(EntitySet::Of(instruments.clone()))
-            .writes::<LocalContactModel>(EntitySet::Of(instruments.clone()))
-            .writes::<Grasp>(EntitySet::Of(instruments))
-            .contributes::<CollisionList>()
     }
 
     /// The world that it steps.
@@ -234,12 +209,18 @@ impl EngineController {
                         tip_in_world: target.tip_in_world.isometry(),
                         velocity: target.velocity_in_world,
                         opening,
+                        drive_reference: target.jaw_angle,
                     };
                     (state, None)
                 }
                 (None, None, None) => return Ok(()),
             };
+            let is_new = self.world.grasper(entity).is_none();
             self.world.insert_grasper(entity, instrument, &state, hold)?;
+            if let Some(mechanism) = scene.get::<MechanismState>(entity).filter(|_| is_new) {
+                let track = TargetTrack::of(mechanism.previous_target, mechanism.newest_target);
+                self.world.set_track(entity, track)?;
+            }
             let target_seen = known.and_then(|known| known.target_seen);
             self.instruments
                 .insert(entity, KnownInstrument { instrument: instrument.clone(), target_seen, grasp });
@@ -255,7 +236,8 @@ impl EngineController {
 
     fn write_bodies(&mut self, scene: &Snapshot, out: &mut Commands) {
         for (entity, known) in &mut self.bodies {
-            if known.body.motion != Motion::Dynamic {
+            let undeclared = self.declared.as_ref().is_some_and(|rows| rows.binary_search(entity).is_err());
+            if known.body.motion != Motion::Dynamic || undeclared {
                 continue;
             }
             // What sleeps does not move: its last pose, with no velocity, is written once.
@@ -280,7 +262,11 @@ impl EngineController {
         let entities: Vec<Entity> = self.instruments.keys().copied().collect();
         // Contacts borrow the world; they are few.
         let contacts: Vec<Contact> = self.world.contacts().to_vec();
+        let keeps_mechanism = scene.registry().id::<MechanismState>().is_some();
         for entity in entities {
+            if self.declared.as_ref().is_some_and(|rows| rows.binary_search(&entity).is_err()) {
+                continue;
+            }
             let (Some(state), Some(wrench)) =
                 (self.world.grasper_state(entity), self.world.take_wrench_on_hand(entity))
             else {
@@ -297,6 +283,18 @@ impl EngineController {
                     pad_force: grasper.pad_force(),
                 },
             );
+            if keeps_mechanism {
+                out.put(
+                    entity,
+                    MechanismState {
+                        tilt: state.opening.tilt,
+                        tilt_rate: state.opening.tilt_rate,
+                        drive_reference: state.drive_reference,
+                        previous_target: grasper.previous_target().copied(),
+                        newest_target: grasper.target().copied(),
+                    },
+                );
+            }
             out.put(entity, InstrumentForce { force: wrench.force, torque: wrench.torque, at: now });
             out.put(entity, local_contact_model(grasper, &state, &contacts, now));
             let Some(known) = self.instruments.get_mut(&entity) else { continue };
@@ -362,6 +360,53 @@ impl Controller for EngineController {
     }
 }
 
+/// The bodies that the engine moves: those that are dynamic now, and the instruments. Naming them leaves the poses
+/// of all others to others.
+fn moved_entities(scene: &Snapshot) -> Vec<Entity> {
+    let mut moved: Vec<Entity> = scene
+        .iter::<RigidBody>()
+        .filter(|(_, body)| body.motion == Motion::Dynamic)
+        .map(|(entity, _)| entity)
+        .chain(scene.iter::<Instrument>().map(|(entity, _)| entity))
+        .collect();
+    moved.sort_unstable();
+    moved.dedup();
+    moved
+}
+
+/// Rows that may be written; `None` for all.
+fn declared_rows(scene: &Snapshot, settings: &EngineSettings) -> Option<Vec<Entity>> {
+    (!settings.claims_all_poses).then(|| moved_entities(scene))
+}
+
+fn declared_access(scene: &Snapshot, settings: &EngineSettings) -> Access {
+    let on = |entities| if settings.claims_all_poses { EntitySet::All } else { EntitySet::Of(entities) };
+    let moved = moved_entities(scene);
+    let instruments: Vec<Entity> = scene.iter::<Instrument>().map(|(entity, _)| entity).collect();
+    let access = Access::new()
+        .reads::<RigidBody>()
+        .reads::<Shape>()
+        .reads::<Parent>()
+        .reads::<Pose>()
+        .reads::<Velocity>()
+        .reads::<Instrument>()
+        .reads::<InstrumentTarget>()
+        .reads::<JawState>()
+        .reads::<Grasp>()
+        .writes::<Pose>(on(moved.clone()))
+        .writes::<Velocity>(on(moved))
+        .writes::<JawState>(on(instruments.clone()))
+        .writes::<InstrumentForce>(on(instruments.clone()))
+        .writes::<LocalContactModel>(on(instruments.clone()))
+        .writes::<Grasp>(on(instruments.clone()))
+        .contributes::<CollisionList>();
+    if scene.registry().id::<MechanismState>().is_some() {
+        access.reads::<MechanismState>().writes::<MechanismState>(on(instruments))
+    } else {
+        access
+    }
+}
+
 /// The history of a body that has been written by others only.
 fn first_write(pose: Option<&Pose>) -> [Option<Pose>; WRITES_IN_FLIGHT] {
     let mut written = [None; WRITES_IN_FLIGHT];
@@ -379,10 +424,17 @@ fn in_parent(scene: &Snapshot, entity: Entity, world_from_entity: Pose) -> Pose 
 
 /// The state of an instrument as an earlier life of the engine left it in the scene.
 fn resumed_state(scene: &Snapshot, entity: Entity, jaws: &JawState) -> GrasperState {
+    let mechanism = scene.get::<MechanismState>(entity);
     GrasperState {
         tip_in_world: scene.world_pose(entity),
         velocity: scene.get::<Velocity>(entity).copied().unwrap_or_default(),
-        opening: JawOpening { angle: jaws.angle, rate: jaws.rate, ..JawOpening::default() },
+        opening: JawOpening {
+            angle: jaws.angle,
+            rate: jaws.rate,
+            tilt: mechanism.map_or(0.0, |state| state.tilt),
+            tilt_rate: mechanism.map_or(0.0, |state| state.tilt_rate),
+        },
+        drive_reference: mechanism.map_or(jaws.angle, |state| state.drive_reference),
     }
 }
 

@@ -43,6 +43,8 @@ pub struct GrasperState {
     pub velocity: Velocity,
     /// Jaws.
     pub opening: JawOpening,
+    /// Where the drive of the jaws is on its way to its target \[rad\].
+    pub drive_reference: f64,
 }
 
 /// The constraint that helps friction.
@@ -127,6 +129,7 @@ impl Grasper {
             state.velocity.linear,
             state.velocity.angular,
             state.opening,
+            state.drive_reference,
             groups[1],
             settings,
             |jaw| user_data(Some(jaw)),
@@ -186,6 +189,10 @@ impl Grasper {
     pub fn target(&self) -> Option<&InstrumentTarget> {
         self.track.newest()
     }
+    /// The sample before it.
+    pub fn previous_target(&self) -> Option<&InstrumentTarget> {
+        self.track.previous()
+    }
     pub(crate) fn palm(&self) -> RigidBodyHandle {
         self.palm
     }
@@ -206,6 +213,7 @@ impl Grasper {
                 angular: vector_from_rapier(body.angvel()),
             },
             opening: self.jaws.opening(world, self.palm),
+            drive_reference: self.jaws.reference(),
         }
     }
 

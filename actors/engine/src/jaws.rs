@@ -120,6 +120,7 @@ impl Jaws {
         linear: Vector3<f64>,
         angular: Vector3<f64>,
         opening: JawOpening,
+        reference: f64,
         groups: InteractionGroups,
         settings: &EngineSettings,
         user_data: impl Fn(usize) -> u128,
@@ -137,7 +138,7 @@ impl Jaws {
         let mut this = Self {
             jaws: Vec::with_capacity(count),
             drive: None,
-            reference: opening.angle,
+            reference,
             angle_max: instrument.jaw_angle_max,
             torque_max,
             linkage: [linkage_stiffness, critical(linkage_stiffness, inertia_about_hinge)],
@@ -282,6 +283,11 @@ impl Jaws {
             }
             _ => {}
         }
+    }
+
+    /// Where the drive is on its way to its target \[rad\].
+    pub fn reference(&self) -> f64 {
+        self.reference
     }
 
     /// How far inside of the actual opening the drive's target lies \[rad\]; positive while squeezing.

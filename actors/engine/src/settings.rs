@@ -29,6 +29,9 @@ pub struct EngineSettings {
     pub jaw_rate_max: f64,
     /// How far a target is carried on along its velocity when no newer one arrives \[s\].
     pub extrapolation_secs_max: f64,
+    /// Whether the engine claims the poses of all entities rather than of those that are dynamic at its start, so
+    /// that bodies may be spawned while it runs.
+    pub claims_all_poses: bool,
 }
 
 impl Default for EngineSettings {
@@ -43,6 +46,7 @@ impl Default for EngineSettings {
             coupling_force_max: 20.0,
             jaw_rate_max: 6.0,
             extrapolation_secs_max: 0.02,
+            claims_all_poses: false,
         }
     }
 }

@@ -28,6 +28,7 @@ use crate::grasp::{self, Hold, PadContact};
 use crate::grasper::{Grasper, GrasperState};
 use crate::settings::EngineSettings;
 use crate::shapes;
+use crate::target_track::TargetTrack;
 
 /// The world's own floor reports its contacts under this entity.
 pub const FLOOR: Entity = Entity::of_writer(u16::MAX, u16::MAX);
@@ -289,6 +290,18 @@ impl RigidWorld {
             }
         }
         self.physics.wake_up(known.handle, true);
+        Ok(())
+    }
+
+    /// Gives an instrument the last two samples that another world had of its hand.
+    ///
+    /// # Errors
+    /// A target that is out of range, or [`EngineError::Unknown`].
+    pub fn set_track(&mut self, entity: Entity, track: TargetTrack) -> Result<(), EngineError> {
+        for sample in track.previous().into_iter().chain(track.newest()) {
+            check(entity, sample)?;
+        }
+        self.graspers.get_mut(&entity).ok_or(EngineError::Unknown { entity })?.track = track;
         Ok(())
     }
 

@@ -95,6 +95,7 @@ impl TestHand {
     ) -> Self {
         let mut state = GrasperState { tip_in_world: tip, ..GrasperState::default() };
         state.opening.angle = jaw;
+        state.drive_reference = jaw;
         world.insert_grasper(entity, instrument, &state, None).unwrap();
         let hand = Self { entity, tip, velocity: Vector3::zeros(), jaw_angle: jaw };
         hand.send(world);
