@@ -254,7 +254,7 @@ impl HapticsController {
         let Passivated { force, damping, power } =
             self.passivity.passivate(&wrench.force, &state.linear_velocity, dt);
         wrench.force = force;
-        self.felt.update(&state.pose_in_device.translation.vector, &force, dt);
+        self.felt.update(&state.pose_in_device.translation.vector, &state.linear_velocity, &force, dt);
         self.status.injected_damping = damping;
         self.status.damping_power = power;
         wrench
@@ -263,7 +263,7 @@ impl HapticsController {
     /// The hand is gone: the instrument stays where it is.
     fn freeze(&mut self, out: &mut Commands) {
         self.renderer.reset();
-        self.felt.update(&Vector3::zeros(), &Vector3::zeros(), 1e-3);
+        self.felt.clear();
         self.status.injected_damping = 0.0;
         self.status.damping_power = 0.0;
         if let Some(target) = &mut self.target

@@ -8,8 +8,9 @@
 //! `α = −W/(ΔT v²)` that takes the deficit out again.
 //!
 //! The loop from sample to force has a delay, and a strong damper behind a delay shakes the hand by itself, so
-//! `α` is bounded. What damping cannot balance any more, the force pays: it fades with the observer's deficit and
-//! is gone at `deficit_max`. Unlike damping that needs no velocity, so it works at rest and at any delay.
+//! `α` is bounded. What damping cannot balance any more, the force pays: it fades with the deficit and is gone at
+//! `deficit_max`. Unlike damping that needs no velocity, so it works at rest and at any delay. The observer itself
+//! forgives nothing: what it reports is what happened.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -24,8 +25,12 @@ pub struct PassivityConfig {
     pub enabled: bool,
     /// Most damping \[N·s/m\]; well below `m/ΔT` of the device, or the damper itself oscillates.
     pub damping_max: f64,
-    /// Deficit of the observer at which no force is left \[J\].
+    /// Deficit at which no force is left \[J\].
     pub deficit_max: f64,
+    /// Time constant with which a deficit is forgiven \[s\]: a force that has faded must come back, or the
+    /// hand sinks through the wall for good. The scene's mean power into the hand stays below
+    /// `deficit_max / forgiving_secs`.
+    pub forgiving_secs: f64,
     /// Apparent mass of the device \[kg\]: how fast an unopposed force changes the velocity.
     pub apparent_mass: f64,
     /// Most energy that the observer remembers \[J\]. Energy long lost to friction must not license an
@@ -35,7 +40,14 @@ pub struct PassivityConfig {
 
 impl Default for PassivityConfig {
     fn default() -> Self {
-        Self { enabled: true, damping_max: 11.0, deficit_max: 0.002, apparent_mass: 0.045, storage_max: 0.02 }
+        Self {
+            enabled: true,
+            damping_max: 11.0,
+            deficit_max: 0.005,
+            forgiving_secs: 0.1,
+            apparent_mass: 0.045,
+            storage_max: 0.02,
+        }
     }
 }
 
@@ -78,6 +90,8 @@ pub struct PassivityController {
     observer: EnergyObserver,
     /// Energy taken out so far \[J\].
     dissipated: f64,
+    /// The balance that decides \[J\]: the observer's, with deficits slowly forgiven.
+    account: f64,
     /// The force of the tick before: on its way to the hand, and not yet observed \[N\].
     pending: Vector3<f64>,
 }
@@ -93,7 +107,13 @@ impl PassivityController {
         let sane = |x: f64| if x.is_finite() { x } else { 0.0 };
         let observer =
             EnergyObserver { energy: sane(energy), energy_min: sane(energy_min).min(sane(energy)) };
-        Self { config, observer, dissipated: sane(dissipated), pending: Vector3::zeros() }
+        Self {
+            config,
+            observer,
+            dissipated: sane(dissipated),
+            account: observer.energy,
+            pending: Vector3::zeros(),
+        }
     }
     /// The observer.
     pub fn observer(&self) -> &EnergyObserver {
@@ -107,12 +127,17 @@ impl PassivityController {
     /// Accounts for the interval that just ended: `applied` acted on the hand while it moved by
     /// `displacement`.
     pub fn observe(&mut self, applied: &Wrench, displacement: &Twist) {
+        let before = self.observer.energy;
         self.observer.exchange(applied, displacement);
+        self.account = (self.account + self.observer.energy - before).min(self.config.storage_max);
         self.observer.energy = self.observer.energy.min(self.config.storage_max);
     }
 
     /// Makes `wanted` \[N\] passive for an interval of `dt` \[s\] that begins at `velocity` \[m/s\].
     pub fn passivate(&mut self, wanted: &Vector3<f64>, velocity: &Vector3<f64>, dt: f64) -> Passivated {
+        if self.account < 0.0 {
+            self.account /= 1.0 + dt / self.config.forgiving_secs;
+        }
         let passivated = self.damp(wanted, velocity, dt);
         self.dissipated += passivated.power * dt;
         self.pending = passivated.force;
@@ -123,7 +148,7 @@ impl PassivityController {
         if !self.config.enabled {
             return Passivated { force: *wanted, ..Passivated::default() };
         }
-        let share = (1.0 + self.observer.energy / self.config.deficit_max).clamp(0.0, 1.0);
+        let share = (1.0 + self.account / self.config.deficit_max).clamp(0.0, 1.0);
         let force = wanted * share;
         let unchanged = Passivated { force, ..Passivated::default() };
         let speed_squared = velocity.norm_squared();
@@ -137,7 +162,7 @@ impl PassivityController {
         // opposes the motion needs no such reserve.
         let reserve =
             if delivered > 0.0 { force.norm_squared() * dt * dt / self.config.apparent_mass } else { 0.0 };
-        let left = self.observer.energy - (delivered + on_its_way) * dt - reserve;
+        let left = self.account - (delivered + on_its_way) * dt - reserve;
         if left >= 0.0 {
             return unchanged;
         }
@@ -217,7 +242,8 @@ mod tests {
 
     #[test]
     fn injected_damping_is_the_published_formula() {
-        let mut controller = PassivityController::new(PassivityConfig::default());
+        let config = PassivityConfig { forgiving_secs: f64::INFINITY, ..PassivityConfig::default() };
+        let mut controller = PassivityController::new(config);
         let displaced = Twist::new(Vector3::new(1e-4, 0.0, 0.0), Vector3::zeros());
         controller.observe(&Wrench::new(Vector3::new(0.1, 0.0, 0.0), Vector3::zeros()), &displaced);
         let deficit = 1e-5;
@@ -227,6 +253,19 @@ mod tests {
         assert!((out.damping - expected).abs() < 1e-9, "{} {expected}", out.damping);
         assert!((out.force.x + expected * 0.1).abs() < 1e-12);
         assert!((controller.dissipated() - deficit).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_deficit_fades_the_force_and_is_forgiven() {
+        let mut controller = PassivityController::new(PassivityConfig::default());
+        let displaced = Twist::new(Vector3::new(1e-3, 0.0, 0.0), Vector3::zeros());
+        controller.observe(&Wrench::new(Vector3::new(2.5, 0.0, 0.0), Vector3::zeros()), &displaced);
+        let mut felt = || controller.passivate(&Vector3::x(), &Vector3::zeros(), DT).force.x;
+        let first = felt();
+        assert!((first - 0.5).abs() < 0.01, "half of the allowed deficit leaves half of the force: {first}");
+        let later = (0..1000).map(|_| felt()).last().unwrap();
+        assert!(later > 0.99, "{later}");
+        assert!((controller.observer().energy + 2.5e-3).abs() < 1e-15, "the observer forgets nothing");
     }
 
     #[test]

@@ -10,6 +10,9 @@ const FORCE_MIN: f64 = 0.1;
 /// Standard deviation of the position below which the slope says nothing \[m\].
 const SPREAD_MIN: f64 = 2e-5;
 
+/// Speed above which damping, not stiffness, is felt \[m/s\].
+const SPEED_MAX: f64 = 0.03;
+
 /// Estimates −dF/dx at the hand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FeltStiffness {
@@ -36,12 +39,27 @@ impl FeltStiffness {
         }
     }
 
-    /// Takes the handle's position \[m\] and the force on the hand \[N\] of a tick of `dt` \[s\]; both in
-    /// the device's frame. Starts anew when contact is made or the force turns by more than about 25°.
-    pub fn update(&mut self, position: &Vector3<f64>, force: &Vector3<f64>, dt: f64) {
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        *self = Self::new(self.window);
+    }
+
+    /// Takes the handle's position \[m\], its velocity \[m/s\] and the force on the hand \[N\] of a tick of `dt`
+    /// \[s\], all in the device's frame. Starts anew when contact is made or the force turns by more than
+    /// about 25°; looks away while the hand is fast.
+    pub fn update(
+        &mut self,
+        position: &Vector3<f64>,
+        velocity: &Vector3<f64>,
+        force: &Vector3<f64>,
+        dt: f64,
+    ) {
         let size = force.norm();
         if size < FORCE_MIN {
-            *self = Self::new(self.window);
+            self.clear();
+            return;
+        }
+        if velocity.norm_squared() > SPEED_MAX * SPEED_MAX {
             return;
         }
         if self.weight == 0.0 || force.dot(&self.normal) < 0.9 * size {
@@ -74,10 +92,13 @@ mod tests {
         let normal = Vector3::new(0.0, 0.6, 0.8);
         for tick in 0..500 {
             let depth = 0.002 + 0.0005 * (f64::from(tick) * 0.05).sin();
-            felt.update(&(normal * -depth), &(normal * depth * 800.0), 1e-3);
+            felt.update(&(normal * -depth), &Vector3::zeros(), &(normal * depth * 800.0), 1e-3);
         }
         assert!((felt.value().unwrap() - 800.0).abs() < 1e-6);
-        felt.update(&Vector3::zeros(), &Vector3::zeros(), 1e-3);
+        // A fast tick says nothing, whatever its force.
+        felt.update(&Vector3::zeros(), &(normal * 0.5), &(normal * 3.0), 1e-3);
+        assert!((felt.value().unwrap() - 800.0).abs() < 1e-6);
+        felt.update(&Vector3::zeros(), &Vector3::zeros(), &Vector3::zeros(), 1e-3);
         assert_eq!(felt.value(), None);
     }
 
@@ -86,11 +107,11 @@ mod tests {
         let mut felt = FeltStiffness::new(0.2);
         for tick in 0..500 {
             let x = 0.001 * (f64::from(tick) * 0.05).sin();
-            felt.update(&Vector3::new(x, 0.0, 0.0), &Vector3::new(1.0, 0.0, 0.0), 1e-3);
+            felt.update(&Vector3::new(x, 0.0, 0.0), &Vector3::zeros(), &Vector3::new(1.0, 0.0, 0.0), 1e-3);
         }
         assert!(felt.value().unwrap().abs() < 1e-9);
         let mut still = FeltStiffness::new(0.2);
-        still.update(&Vector3::zeros(), &Vector3::x(), 1e-3);
+        still.update(&Vector3::zeros(), &Vector3::zeros(), &Vector3::x(), 1e-3);
         assert_eq!(still.value(), None);
     }
 }

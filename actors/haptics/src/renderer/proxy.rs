@@ -46,7 +46,7 @@ pub struct ProxyConfig {
 
 impl Default for ProxyConfig {
     fn default() -> Self {
-        Self { stiffness: 1000.0, damping_ratio: 0.5, blend_secs: [0.002, 0.02] }
+        Self { stiffness: 800.0, damping_ratio: 0.5, blend_secs: [0.002, 0.02] }
     }
 }
 

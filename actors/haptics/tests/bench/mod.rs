@@ -5,14 +5,14 @@
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_devices::{
-    DeviceFaults, DeviceMonitor, DeviceSample, DeviceSlot, DriverConfig, DriverCore, HapticDevice, VirtualHand,
-    VirtualHandConfig, link,
+    DeviceFaults, DeviceMonitor, DeviceSample, DeviceSlot, DriverConfig, DriverCore, HapticDevice,
+    VirtualHand, VirtualHandConfig, link,
 };
 use trocar_haptics::{HapticsConfig, HapticsController};
 use trocar_scene::{
     BuildContext, Commands, ContactPlane, Controller, Entity, EntityAllocator, Events, Hand, HandTarget,
-    HapticStatus, Instrument, InstrumentForce, InstrumentTarget, Jobs, LocalContactModel, Port, Pose, Registry,
-    Side, SimTime, Store, Tick, Velocity, WriterRules,
+    HapticStatus, Instrument, InstrumentForce, InstrumentTarget, Jobs, LocalContactModel, Port, Pose,
+    Registry, Side, SimTime, Store, Tick, Velocity, WriterRules,
 };
 
 pub const HAND: Entity = Entity::new(0, 0, 1);
@@ -141,17 +141,23 @@ impl Bench {
 
     /// One millisecond: driver, haptics, engine if due.
     pub fn step(&mut self) {
+        self.step_with(|tick| tick());
+    }
+
+    /// The same, with `around` called around the controller's tick and nothing else.
+    pub fn step_with<R>(&mut self, around: impl FnOnce(&mut dyn FnMut()) -> R) -> R {
         self.driver.step(self.now.as_nanos(), &mut self.device);
-        self.tick_controller();
+        let result = self.tick_controller(around);
         if (self.ticks * self.wall.rate).is_multiple_of(1000) {
             self.engine();
         }
         self.now += PERIOD;
         self.ticks += 1;
+        result
     }
 
     /// Only the haptic tick; its commands are validated and applied.
-    pub fn tick_controller(&mut self) {
+    fn tick_controller<R>(&mut self, around: impl FnOnce(&mut dyn FnMut()) -> R) -> R {
         self.out.begin(self.now);
         let snapshot = self.store.snapshot();
         let tick = Tick {
@@ -163,12 +169,14 @@ impl Bench {
             events: Events::new(snapshot.events(), snapshot.events().next()),
             jobs: &self.jobs,
         };
-        self.controller.tick(&tick, &snapshot, &mut self.out).unwrap();
+        let (controller, out) = (&mut self.controller, &mut self.out);
+        let result = around(&mut || controller.tick(&tick, &snapshot, out).unwrap());
         drop(snapshot);
         self.out.seal();
         self.store.validate(&self.out, &self.rules).unwrap();
         self.store.apply(&mut self.out, self.now);
         self.out.clear();
+        result
     }
 
     pub fn run(&mut self, millis: u64) {
@@ -181,8 +189,7 @@ impl Bench {
     pub fn restart_controller(&mut self) {
         self.epoch += 1;
         self.slot.fence().raise(self.epoch);
-        self.controller =
-            build(&self.store, &self.slot, &self.device, self.config, self.now, self.epoch);
+        self.controller = build(&self.store, &self.slot, &self.device, self.config, self.now, self.epoch);
     }
 
     /// Quasi-static toy physics: the instrument follows the hand, and stops at the wall.
