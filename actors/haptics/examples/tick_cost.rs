@@ -20,11 +20,9 @@ fn main() {
         let hand =
             VirtualHandConfig { start_in_device: handle(0.002, 0.0, 0.0), ..VirtualHandConfig::default() };
         let wall = Wall {
-            point_in_world: start_tip(Mount::SealedPort),
-            normal_in_world: -Vector3::x(),
             friction: 0.3,
-            rate: 500,
             base_force: Vector3::new(0.0, 0.0, -0.05),
+            ..Wall::plane(start_tip(Mount::SealedPort), -Vector3::x(), 500)
         };
         let config = HapticsConfig { renderer, ..HapticsConfig::default() };
         let mut bench = Bench::new(hand, config, Mount::SealedPort, wall);

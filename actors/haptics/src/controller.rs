@@ -20,8 +20,9 @@ use crate::energy::{Passivated, PassivityConfig, PassivityController};
 use crate::felt_stiffness::FeltStiffness;
 use crate::renderer::{ForceRenderer, RenderInput, SimulatedInstrument};
 
-/// Damping above about this share of m/ΔT at the device oscillates with the loop's delay of 1.5 steps.
-const DAMPING_SHARE: f64 = 0.25;
+/// Most damping as a share of m/ΔT of the device. The loop's delay of 1.5 steps and the filter of the measured
+/// velocity take `B·τ` off the apparent mass, τ about 3 ms; half of the mass has to stay.
+const DAMPING_SHARE: f64 = 0.15;
 /// Period of a driver \[s\]: a faster controller shortens the loop's delay no further.
 const PERIOD_NOMINAL: f64 = 1e-3;
 

@@ -41,13 +41,7 @@ fn a_press_of_five_milliseconds_is_an_event_with_its_edges() {
         trocar_devices::VirtualHandConfig::default(),
         HapticsConfig::default(),
         bench::Mount::Free,
-        bench::Wall {
-            point_in_world: nalgebra::Vector3::zeros(),
-            normal_in_world: nalgebra::Vector3::x(),
-            friction: 0.0,
-            rate: 500,
-            base_force: nalgebra::Vector3::zeros(),
-        },
+        bench::Wall::plane(nalgebra::Vector3::zeros(), nalgebra::Vector3::x(), 500),
     );
     let mut store = Store::from_snapshot(&bench.store.snapshot());
     let capabilities = Capabilities {

@@ -12,13 +12,7 @@ use trocar_scene::{
 
 fn wall(mount: Mount, rate: u64) -> Wall {
     let away = if mount == Mount::Free { Vector3::x() } else { -Vector3::x() };
-    Wall {
-        point_in_world: start_tip(mount),
-        normal_in_world: away,
-        friction: 0.0,
-        rate,
-        base_force: Vector3::zeros(),
-    }
+    Wall::plane(start_tip(mount), away, rate)
 }
 
 fn bench(mount: Mount) -> Bench {

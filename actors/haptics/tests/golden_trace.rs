@@ -19,11 +19,9 @@ const HEADER: &str = "t_secs,x,y,z,fx,fy,fz,energy";
 fn trace() -> Vec<[f64; 8]> {
     let hand = VirtualHandConfig { start_in_device: handle(0.004, 0.0, 0.0), ..VirtualHandConfig::default() };
     let wall = Wall {
-        point_in_world: start_tip(Mount::SealedPort),
-        normal_in_world: Vector3::new(-0.8, 0.0, 0.6),
         friction: 0.3,
-        rate: 100,
         base_force: Vector3::new(0.0, 0.0, -0.05),
+        ..Wall::plane(start_tip(Mount::SealedPort), Vector3::new(-0.8, 0.0, 0.6), 100)
     };
     let mut bench = Bench::new(hand, HapticsConfig::default(), Mount::SealedPort, wall);
     let mut rows = Vec::new();

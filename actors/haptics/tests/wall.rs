@@ -7,7 +7,8 @@ use bench::{Bench, Mount, Wall, handle, start_tip};
 use nalgebra::Vector3;
 use trocar_devices::VirtualHandConfig;
 use trocar_haptics::HapticsConfig;
-use trocar_haptics::renderer::{RendererConfig, VirtualCouplingConfig};
+use trocar_haptics::renderer::{ProxyConfig, RendererConfig, VirtualCouplingConfig};
+use trocar_scene::SimTime;
 
 #[derive(Clone, Copy, Debug)]
 struct Case {
@@ -18,12 +19,22 @@ struct Case {
     passivity: bool,
     /// Coulomb friction of the device [N].
     friction: f64,
+    /// Of driver and haptics.
+    period: SimTime,
 }
 
 impl Case {
     fn proxy(rate: u64, impedance: bool, mount: Mount) -> Self {
         let friction = VirtualHandConfig::default().friction;
-        Self { renderer: RendererConfig::default(), rate, impedance, mount, passivity: true, friction }
+        Self {
+            renderer: RendererConfig::default(),
+            rate,
+            impedance,
+            mount,
+            passivity: true,
+            friction,
+            period: SimTime::from_millis(1),
+        }
     }
 }
 
@@ -51,16 +62,11 @@ fn press(case: Case, newtons: f64) -> Press {
         friction: case.friction,
         ..VirtualHandConfig::default()
     };
-    let wall = Wall {
-        point_in_world: start_tip(case.mount),
-        normal_in_world: away,
-        friction: 0.0,
-        rate: case.rate,
-        base_force: Vector3::zeros(),
-    };
+    let wall = Wall::plane(start_tip(case.mount), away, case.rate);
     let config =
         HapticsConfig { renderer: case.renderer, passivity: case.passivity, ..HapticsConfig::default() };
     let mut bench = Bench::new(hand, config, case.mount, wall);
+    bench.period = case.period;
     if case.impedance {
         bench.aim(Vector3::new(-newtons / 500.0, 0.0, 0.0));
     }
@@ -124,6 +130,55 @@ fn a_frictionless_device_without_an_arm_is_no_exception() {
 }
 
 #[test]
+fn ten_kilohertz_feel_the_same() {
+    for impedance in [true, false] {
+        let case =
+            Case { period: SimTime::from_micros(100), ..Case::proxy(100, impedance, Mount::SealedPort) };
+        let (light, firm) = (press(case, 0.6), press(case, 1.2));
+        let felt = stiffness(&light, &firm);
+        assert!((500.0..1100.0).contains(&felt), "{case:?}: {felt} N/m");
+        assert!(firm.energy_min >= 0.0 && firm.speed_rms < 1e-4, "{case:?}: {firm:?}");
+    }
+}
+
+/// Slides over a sphere of 15 mm at 40 mm/s; returns the largest change of force in a tick [N] and the bench.
+fn slide(rate: u64, blend_secs: [f64; 2]) -> (f64, Bench) {
+    let hand =
+        VirtualHandConfig { start_in_device: handle(0.003, -0.008, 0.0), ..VirtualHandConfig::default() };
+    let wall = Wall { radius: Some(0.015), ..Wall::plane(start_tip(Mount::Free), Vector3::x(), rate) };
+    let renderer = RendererConfig::Proxy(ProxyConfig { blend_secs, ..ProxyConfig::default() });
+    let config = HapticsConfig { renderer, ..HapticsConfig::default() };
+    let mut bench = Bench::new(hand, config, Mount::Free, wall);
+    bench.aim(Vector3::new(-0.005, -0.008, 0.0));
+    bench.run(600);
+    let (mut last, mut largest) = (bench.felt().1, 0.0f64);
+    assert!(last.norm() > 0.5, "{last:?}");
+    for step in 0..400 {
+        bench.aim(Vector3::new(-0.005, -0.008 + 4e-5 * f64::from(step), 0.0));
+        bench.step();
+        let force = bench.felt().1;
+        largest = largest.max((force - last).norm());
+        last = force;
+    }
+    (largest, bench)
+}
+
+/// A slow engine can only state the plane that it saw last, and corrects it with its next step.
+#[test]
+fn sliding_over_a_sphere_has_no_steps_at_any_physics_rate() {
+    let blend = ProxyConfig::default().blend_secs;
+    for (rate, step_max) in [(10, 0.10), (100, 0.03), (500, 0.03)] {
+        let (largest, mut bench) = slide(rate, blend);
+        println!("{rate} Hz: the force changes by at most {largest:.3} N in a tick");
+        assert!(largest < step_max, "{rate} Hz: {largest} N in a tick");
+        assert!(bench.status().energy_min >= 0.0, "{rate} Hz: {:?}", bench.status());
+        assert!(bench.speed_rms(300) < 0.02);
+    }
+    let (unblended, _) = slide(10, [1e-4, 1e-4]);
+    assert!(unblended > 0.3, "without blending the correction must be felt: {unblended} N");
+}
+
+#[test]
 fn a_held_force_at_10_hz_is_active_and_the_guard_pays_for_it() {
     let held = Case { renderer: RendererConfig::Held, ..Case::proxy(10, true, Mount::Free) };
     let unguarded = press(Case { passivity: false, ..held }, 1.2);
@@ -164,13 +219,7 @@ fn virtual_coupling_is_fit_for_fast_physics() {
 #[test]
 fn the_stiffness_that_is_felt_is_also_reported() {
     let hand = VirtualHandConfig { friction: 0.0, ..VirtualHandConfig::default() };
-    let wall = Wall {
-        point_in_world: start_tip(Mount::Free),
-        normal_in_world: Vector3::x(),
-        friction: 0.0,
-        rate: 100,
-        base_force: Vector3::zeros(),
-    };
+    let wall = Wall::plane(start_tip(Mount::Free), Vector3::x(), 100);
     let mut bench = Bench::new(hand, HapticsConfig::default(), Mount::Free, wall);
     let mut reported = 0.0;
     for step in 0..200 {

@@ -36,8 +36,8 @@ pub struct ProxyConfig {
     /// bears.
     pub stiffness: f64,
     /// Damping ratio of the contact: device mass on the spring of the contact. A sampled and delayed spring
-    /// creates energy, about `K·1.5 ΔT` of negative damping, and this has to outweigh it. Each plane's own
-    /// damping comes on top.
+    /// creates energy, about `K·1.5 ΔT` of negative damping, and this has to outweigh it. A plane with more
+    /// damping than that feels like itself, as far as the device bears it.
     pub damping_ratio: f64,
     /// Shortest and longest time constant with which a change of the model is blended in \[s\]; in between
     /// it is half of the time between two models.
@@ -106,7 +106,7 @@ impl Proxy {
             let onset = (contact.depth / DAMPING_DEPTH).clamp(0.0, 1.0);
             let spring = 1.0 / (contact.compliance + 1.0 / stiffness);
             let critical = 2.0 * (spring * input.apparent_mass).sqrt();
-            let damping = contact.damping + self.config.damping_ratio * critical;
+            let damping = contact.damping.max(self.config.damping_ratio * critical);
             let damping = damping.min(input.damping_max) * onset;
             let closing = -contact.normal.dot(&velocity);
             // Never below zero: a contact that pulls would be felt as glue.

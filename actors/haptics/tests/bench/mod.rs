@@ -29,6 +29,10 @@ pub struct Wall {
     pub point_in_world: Vector3<f64>,
     pub normal_in_world: Vector3<f64>,
     pub friction: f64,
+    /// Damping that the toy engine publishes with its plane [N·s/m].
+    pub damping: f64,
+    /// Radius of a sphere that bulges out of the wall's point, [m]; a plane without.
+    pub radius: Option<f64>,
     /// Steps per second of the toy engine.
     pub rate: u64,
     pub base_force: Vector3<f64>,
@@ -57,6 +61,8 @@ pub struct Bench {
     pub config: HapticsConfig,
     pub wall: Wall,
     pub epoch: u32,
+    /// Of driver and haptics.
+    pub period: SimTime,
     ticks: u64,
     out: Commands,
     rules: WriterRules,
@@ -64,13 +70,35 @@ pub struct Bench {
     jobs: Jobs,
 }
 
-const PERIOD: SimTime = SimTime::from_millis(1);
-
 /// Where the tip is at the start, for each mount.
 pub fn start_tip(mount: Mount) -> Vector3<f64> {
     match mount {
         Mount::Free => Vector3::new(0.0, 0.0, 0.33),
         Mount::Port | Mount::SealedPort => Vector3::zeros(),
+    }
+}
+
+impl Wall {
+    /// A rigid, frictionless plane through `point` for an engine of `rate` steps per second.
+    pub fn plane(point_in_world: Vector3<f64>, normal_in_world: Vector3<f64>, rate: u64) -> Self {
+        Self {
+            point_in_world,
+            normal_in_world,
+            friction: 0.0,
+            // A real engine publishes its coupling's damping: more than a hand-held device bears.
+            damping: 9.0,
+            radius: None,
+            rate,
+            base_force: Vector3::zeros(),
+        }
+    }
+
+    /// The tangent plane nearest to a tip: point and normal.
+    fn tangent(&self, tip: &Vector3<f64>) -> (Vector3<f64>, Vector3<f64>) {
+        let Some(radius) = self.radius else { return (self.point_in_world, self.normal_in_world) };
+        let centre = self.point_in_world - self.normal_in_world * radius;
+        let normal = (tip - centre).normalize();
+        (centre + normal * radius, normal)
     }
 }
 
@@ -123,6 +151,7 @@ impl Bench {
             config,
             wall,
             epoch: 1,
+            period: SimTime::from_millis(1),
             ticks: 0,
             out: Commands::new(registry.clone(), allocator),
             rules,
@@ -139,7 +168,7 @@ impl Bench {
         self.engine_out.clear();
     }
 
-    /// One millisecond: driver, haptics, engine if due.
+    /// One period: driver, haptics, engine if due.
     pub fn step(&mut self) {
         self.step_with(|tick| tick());
     }
@@ -148,10 +177,10 @@ impl Bench {
     pub fn step_with<R>(&mut self, around: impl FnOnce(&mut dyn FnMut()) -> R) -> R {
         self.driver.step(self.now.as_nanos(), &mut self.device);
         let result = self.tick_controller(around);
-        if (self.ticks * self.wall.rate).is_multiple_of(1000) {
+        if (self.now.as_nanos() * self.wall.rate).is_multiple_of(1_000_000_000) {
             self.engine();
         }
-        self.now += PERIOD;
+        self.now += self.period;
         self.ticks += 1;
         result
     }
@@ -162,7 +191,7 @@ impl Bench {
         let snapshot = self.store.snapshot();
         let tick = Tick {
             time: self.now,
-            period: PERIOD,
+            period: self.period,
             number: self.ticks,
             me: self.out.me(),
             epoch: self.epoch,
@@ -180,7 +209,8 @@ impl Bench {
     }
 
     pub fn run(&mut self, millis: u64) {
-        for _ in 0..millis {
+        let end = self.now + SimTime::from_millis(millis);
+        while self.now < end {
             self.step();
         }
     }
@@ -198,15 +228,16 @@ impl Bench {
         let Some(target) = scene.get::<InstrumentTarget>(INSTRUMENT).copied() else { return };
         let wall = &self.wall;
         let wanted = target.tip_in_world.translation;
-        let depth = (wall.point_in_world - wanted).dot(&wall.normal_in_world).max(0.0);
-        let proxy = Pose::new(wanted + wall.normal_in_world * depth, target.tip_in_world.rotation);
-        let push = wall.normal_in_world * depth * WALL_STIFFNESS;
+        let (point, normal) = wall.tangent(&wanted);
+        let depth = (point - wanted).dot(&normal).max(0.0);
+        let proxy = Pose::new(wanted + normal * depth, target.tip_in_world.rotation);
+        let push = normal * depth * WALL_STIFFNESS;
         let velocity = if depth > 0.0 { Velocity::default() } else { target.velocity_in_world };
         let plane = ContactPlane {
-            point_in_world: Point3::from(wall.point_in_world),
-            normal_in_world: wall.normal_in_world,
+            point_in_world: Point3::from(point),
+            normal_in_world: normal,
             stiffness: WALL_STIFFNESS,
-            damping: 0.0,
+            damping: wall.damping,
             friction: wall.friction,
         };
         let out = &mut self.engine_out;
@@ -245,12 +276,14 @@ impl Bench {
     }
     /// Root mean square of the handle's speed over the next `millis` [m/s].
     pub fn speed_rms(&mut self, millis: u64) -> f64 {
-        let mut sum = 0.0;
-        for _ in 0..millis {
+        let (mut sum, mut count) = (0.0, 0.0);
+        let end = self.now + SimTime::from_millis(millis);
+        while self.now < end {
             self.step();
             sum += self.sample().state.linear_velocity.norm_squared();
+            count += 1.0;
         }
-        (sum / millis as f64).sqrt()
+        (sum / f64::max(count, 1.0)).sqrt()
     }
 }
 
