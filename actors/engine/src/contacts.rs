@@ -30,8 +30,6 @@ pub struct Contact {
     pub friction_in_world: Vector3<f64>,
     /// Coulomb coefficient in effect.
     pub friction_coefficient: f64,
-    /// Speed at which `a` and `b` approach each other along the normal \[m/s\].
-    pub approach_speed: f64,
     /// Whether `a` cannot give way.
     pub a_is_fixed: bool,
     /// Whether `b` cannot give way.
@@ -127,9 +125,6 @@ fn contacts_of(
     let Some(depth) = depth_now(pair, colliders) else { return };
     let body = |collider: &Collider| collider.parent().and_then(|handle| bodies.get(handle));
     let fixed = |collider: &Collider| body(collider).is_none_or(|body| !body.is_dynamic());
-    let velocity = |collider: &Collider, at: Vector| {
-        body(collider).map_or(Vector::ZERO, |body| body.velocity_at_point(at))
-    };
     for manifold in pair.solver_manifolds() {
         let impulse: f64 = manifold.points.iter().map(|point| point.data.impulse).sum();
         let Some(at) = center(manifold, bodies) else { continue };
@@ -143,7 +138,6 @@ fn contacts_of(
             normal_force: impulse / step_secs,
             friction_in_world: vector_from_rapier(friction_impulse_on_second(manifold)) / step_secs,
             friction_coefficient: manifold.data.friction,
-            approach_speed: (velocity(first, at) - velocity(second, at)).dot(normal),
             a_is_fixed: fixed(first),
             b_is_fixed: fixed(second),
         };

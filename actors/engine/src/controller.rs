@@ -16,7 +16,7 @@ use trocar_scene::components::{
 use trocar_scene::controller::{BuildContext, Controller, ControllerError, Tick};
 use trocar_scene::entity::Entity;
 use trocar_scene::snapshot::Snapshot;
-use trocar_scene::time::{Revision, SimTime};
+use trocar_scene::time::Revision;
 
 use crate::contacts::Contact;
 use crate::error::EngineError;
@@ -258,7 +258,8 @@ impl EngineController {
         }
     }
 
-    fn write_instruments(&mut self, scene: &Snapshot, now: SimTime, out: &mut Commands) {
+    fn write_instruments(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) {
+        let (now, period_secs) = (tick.time, tick.period.as_secs_f64());
         let entities: Vec<Entity> = self.instruments.keys().copied().collect();
         // Contacts borrow the world; they are few.
         let contacts: Vec<Contact> = self.world.contacts().to_vec();
@@ -272,6 +273,8 @@ impl EngineController {
             else {
                 continue;
             };
+            // One tick to get there, half a tick for haptics to hear of it.
+            let obstacle = self.world.obstacle(entity, 1.5 * period_secs);
             let Some(grasper) = self.world.grasper(entity) else { continue };
             out.put(entity, in_parent(scene, entity, state.tip_in_world.into()));
             out.put(entity, state.velocity);
@@ -296,7 +299,7 @@ impl EngineController {
                 );
             }
             out.put(entity, InstrumentForce { force: wrench.force, torque: wrench.torque, at: now });
-            out.put(entity, local_contact_model(grasper, &state, &contacts, now));
+            out.put(entity, local_contact_model(grasper, &state, &contacts, obstacle, now));
             let Some(known) = self.instruments.get_mut(&entity) else { continue };
             let since =
                 known.grasp.filter(|grasp| grasper.hold().is_some_and(|hold| hold.held == grasp.held));
@@ -355,7 +358,7 @@ impl Controller for EngineController {
             self.world.skip_to(tick.time);
         }
         self.write_bodies(scene, out);
-        self.write_instruments(scene, tick.time, out);
+        self.write_instruments(scene, tick, out);
         Ok(())
     }
 }

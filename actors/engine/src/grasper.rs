@@ -77,7 +77,8 @@ pub struct Grasper {
 }
 
 impl Grasper {
-    /// Adds the instrument's bodies to the world.
+    /// Adds the instrument's bodies to the world, with the collision groups of the palm and of the jaws.
+    #[allow(clippy::too_many_arguments)] // every one of them is needed once, here
     pub(crate) fn insert(
         world: &mut PhysicsWorld,
         settings: &EngineSettings,
@@ -108,8 +109,10 @@ impl Grasper {
                 vector_to_rapier(&moments),
             ));
         let radius = instrument.shaft_radius;
-        let reach = SHAFT_REACH.min(instrument.shaft_length - instrument.jaw_length).max(2.0 * radius);
-        let (near, far) = (-instrument.jaw_length - radius, -instrument.jaw_length - reach);
+        // A rod without jaws reaches to the tip.
+        let front = if jaw_count(instrument) == 0 { 0.0 } else { instrument.jaw_length };
+        let reach = SHAFT_REACH.min(instrument.shaft_length - front).max(2.0 * radius);
+        let (near, far) = (-front - radius, -front - reach);
         let shaft = ColliderBuilder::capsule_from_endpoints(
             Vector::new(0.0, 0.0, near),
             Vector::new(0.0, 0.0, far.min(near - 1e-6)),

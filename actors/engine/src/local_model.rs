@@ -10,6 +10,7 @@ use trocar_scene::components::{ContactPlane, LocalContactModel};
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
 
+use crate::anticipate::Obstacle;
 use crate::contacts::Contact;
 use crate::grasper::{Grasper, GrasperState};
 
@@ -18,11 +19,12 @@ const SAME_PLANE_COSINE: f64 = 0.95;
 /// A surface further away than this is left out \[m\].
 const REACH: f64 = 0.0005;
 
-/// The local model of one instrument from all contacts of the step.
+/// The local model of one instrument from all contacts of the step, and from what it is about to touch.
 pub fn local_contact_model(
     grasper: &Grasper,
     state: &GrasperState,
     contacts: &[Contact],
+    obstacle: Option<Obstacle>,
     at: SimTime,
 ) -> LocalContactModel {
     let mut model = LocalContactModel {
@@ -44,16 +46,31 @@ pub fn local_contact_model(
         if gap > REACH {
             continue;
         }
-        let plane = ContactPlane {
-            point_in_world: (state.tip_in_world.translation.vector - side.normal_to_instrument * gap).into(),
-            normal_in_world: side.normal_to_instrument,
-            stiffness: grasper.coupling().stiffness(),
-            damping: grasper.coupling().damping(),
-            friction: contact.friction_coefficient,
-        };
+        let plane = plane_at(grasper, state, side.normal_to_instrument, gap, contact.friction_coefficient);
         insert(&mut model.planes, &mut weights, plane, (contact.normal_force, gap));
     }
+    if let Some(Obstacle { normal_in_world, gap, friction }) = obstacle {
+        let plane = plane_at(grasper, state, normal_in_world, gap, friction);
+        insert(&mut model.planes, &mut weights, plane, (0.0, gap));
+    }
     model
+}
+
+/// The plane at which the tip stops when the instrument is `gap` away from a surface.
+fn plane_at(
+    grasper: &Grasper,
+    state: &GrasperState,
+    normal_in_world: Vector3<f64>,
+    gap: f64,
+    friction: f64,
+) -> ContactPlane {
+    ContactPlane {
+        point_in_world: (state.tip_in_world.translation.vector - normal_in_world * gap).into(),
+        normal_in_world,
+        stiffness: grasper.coupling().stiffness(),
+        damping: grasper.coupling().damping(),
+        friction,
+    }
 }
 
 /// A contact as the instrument sees it.

@@ -20,6 +20,7 @@ use trocar_scene::components::{
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
 
+use crate::anticipate::{Obstacle, first_obstacle};
 use crate::contacts::{self, Contact};
 use crate::conversion::{pose_from_rapier, pose_to_rapier, vector_from_rapier, vector_to_rapier};
 use crate::coupling::Wrench;
@@ -443,6 +444,13 @@ impl RigidWorld {
     /// `instrument_from_body`, if both are simulated.
     pub fn relative_pose(&self, instrument: Entity, body: Entity) -> Option<Isometry3<f64>> {
         Some(self.pose(instrument)?.isometry().inverse() * self.pose(body)?.isometry())
+    }
+
+    /// The first fixed surface that an instrument meets within `horizon_secs` at its present velocity.
+    pub fn obstacle(&self, entity: Entity, horizon_secs: f64) -> Option<Obstacle> {
+        let grasper = self.graspers.get(&entity)?;
+        let velocity = grasper.state(&self.physics).velocity.linear;
+        first_obstacle(&self.physics, grasper, &velocity, horizon_secs)
     }
 
     /// The contacts of the last step between bodies of which at least one is awake, in canonical order.

@@ -304,14 +304,20 @@ fn bad_instruments_and_targets_are_refused() {
 }
 
 #[test]
-fn a_probe_has_no_jaws_and_pushes_all_the_same() {
+fn a_probe_has_no_jaws_and_pushes_with_its_tip() {
     let mut world = world();
     add_boards(&mut world);
     let probe = Instrument { kind: InstrumentKind::Probe, ..Instrument::default() };
-    let mut hands = [TestHand::new(&mut world, LEFT, &probe, pointing_down(-0.026, 0.0, 0.03), 0.0)];
-    run(&mut world, &mut hands, 0.5, |_, t, hand| hand.tip.translation.vector.z = 0.03 - 0.1 * t, no_watch);
+    let mut hands = [TestHand::new(&mut world, LEFT, &probe, pointing_down(-0.026, 0.0, 0.01), 0.0)];
+    let plan = |_: usize, t: f64, hand: &mut TestHand| {
+        hand.tip.translation.vector.z = 0.01 - 0.011 * minimum_jerk(t, 0.3);
+    };
+    run(&mut world, &mut hands, 0.5, plan, no_watch);
+    world.take_wrench_on_hand(LEFT);
+    run(&mut world, &mut hands, 0.1, hold_still, no_watch);
     let force = world.take_wrench_on_hand(LEFT).unwrap().force;
-    assert!(force.z > 0.0);
+    assert!((force.z - 1.0).abs() < 0.02, "1 mm below the board at 1,000 N/m: {force}");
+    assert!(world.pose(LEFT).unwrap().translation.z.abs() < 1e-4);
 }
 
 proptest! {
