@@ -111,7 +111,8 @@ impl DriverThread {
         let stop = Arc::new(AtomicBool::new(false));
         let scheduling = Arc::new(OnceLock::new());
         let fence = core.fence().clone();
-        let name = config.name.clone();
+        // The system takes no NUL, and a panic is no answer to a name.
+        let name = config.name.replace('\0', "");
         let (thread_stop, thread_scheduling) = (Arc::clone(&stop), Arc::clone(&scheduling));
         let thread = std::thread::Builder::new()
             .name(name)

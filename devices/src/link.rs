@@ -404,6 +404,17 @@ mod tests {
     }
 
     #[test]
+    fn both_ends_can_go_to_threads_of_their_own() {
+        fn assert_send<T: Send>() {}
+        fn assert_shared<T: Send + Sync + Clone>() {}
+        assert_send::<DeviceLink>();
+        assert_send::<DriverEnd>();
+        assert_shared::<DeviceSlot>();
+        assert_shared::<DeviceMonitor>();
+        assert_shared::<Fence>();
+    }
+
+    #[test]
     fn only_the_lane_of_the_newest_generation_is_obeyed() {
         let (mut driver, slot, _) = link();
         let mut zombie = slot.take(1).unwrap();
