@@ -54,7 +54,7 @@ impl Default for Strategy {
     fn default() -> Self {
         Self {
             stand_off: 0.022,
-            grasp_tolerance: 0.0007,
+            grasp_tolerance: 0.0005,
             way_tolerance: 0.003,
             peg_tolerance: 0.0015,
             carry_clearance: 0.006,
@@ -256,6 +256,12 @@ impl Autopilot {
         self.hands[hand].felt_secs.is_none_or(|felt| scene.now - felt > scene.strategy.loss_secs)
     }
 
+    /// A receiver that goes for a ring which the giver does not offer any more.
+    fn waits_in_vain(&self, hand: usize) -> bool {
+        let (state, other) = (&self.hands[hand], &self.hands[1 - hand]);
+        hand != self.giver && !state.received && !(other.step == Step::Offer && other.ring == state.ring)
+    }
+
     fn enter(&mut self, scene: &Scene<'_>, hand: usize, step: Step) {
         self.hands[hand].step = step;
         self.hands[hand].since = scene.now;
@@ -284,6 +290,11 @@ impl Autopilot {
         );
         if carrying && self.has_lost(scene, hand) {
             self.hands[hand].failures += 1;
+            self.let_go(scene, hand);
+            return;
+        }
+        let grasping = matches!(state.step, Step::Reach(_) | Step::Enter(_) | Step::Pinch(_));
+        if grasping && self.waits_in_vain(hand) {
             self.let_go(scene, hand);
             return;
         }

@@ -216,6 +216,7 @@ fn grasper(scene: &Snapshot, rig: &HandRig) -> Result<GrasperSeen, ControllerErr
     };
     Ok(GrasperSeen {
         jaw_length: instrument.jaw_length,
+        jaw_width: instrument.jaw_width,
         jaw_thickness: instrument.jaw_thickness,
         jaw_angle_max: instrument.jaw_angle_max,
         shaft_radius: instrument.shaft_radius,

@@ -16,12 +16,18 @@ const CANDIDATES: usize = 72;
 const TUBE_PIECES: usize = 16;
 /// Least sine between shaft and tube: flatter, the jaws would lie along the tube instead of across it.
 const CROSSING_MIN: f64 = 0.5;
+/// Two hands on a ring are far enough apart at this many ring radii: 100° on the ring.
+const SEPARATION: f64 = 1.53;
 /// Distance that is kept from everything \[m\].
 const MARGIN: f64 = 0.0005;
 /// How much of the shaft behind the jaws is looked at \[m\].
 const SHAFT_SEEN: f64 = 0.06;
-/// Jaws this much above the board count as clear of it \[m\].
-const BOARD_MARGIN: f64 = 0.0003;
+/// How far the corners of the blades may be aimed into the board \[m\]: a light touch, so that the jaws reach
+/// as far around the tube as the board allows.
+const BOARD_TOUCH: f64 = 0.0003;
+/// Least and largest depth of a grasp: how far the tip passes beyond the tube's centre line \[m\].
+const DEPTH_MIN: f64 = 0.0003;
+const DEPTH_MAX: f64 = 0.0022;
 
 /// A grasp of a ring.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -88,8 +94,6 @@ pub fn plan_grasp(bench: &BenchSeen, moment: &MomentSeen, wish: &GraspWish) -> O
     let grasper = &bench.graspers[wish.hand];
     let opening = comfortable_opening(bench, grasper);
     let up = bench.up();
-    let lying = bench.height(&ring.center()) - bench.drop_below_center(ring) < 0.004;
-    let depth = if lying { 0.8 * bench.tube_radius } else { 1.6 * bench.tube_radius };
     let obstacles = obstacles(bench, moment, wish);
     let other_apex = bench.graspers[1 - wish.hand].apex;
     let outwards = (grasper.apex - other_apex).try_normalize(1e-9).unwrap_or_else(Vector3::x);
@@ -101,28 +105,32 @@ pub fn plan_grasp(bench: &BenchSeen, moment: &MomentSeen, wish: &GraspWish) -> O
     for candidate in 0..CANDIDATES {
         let angle = 2.0 * std::f64::consts::PI * candidate as f64 / CANDIDATES as f64;
         let point_in_ring = Point3::new(angle.cos(), angle.sin(), 0.0) * bench.ring_radius;
+        let on_line = GraspPlan { point_in_ring, opening, depth: 0.0 }.place(ring, grasper);
+        let depth = depth_above_board(bench, &on_line, grasper, opening);
+        if depth < DEPTH_MIN {
+            continue;
+        }
         let plan = GraspPlan { point_in_ring, opening, depth };
         let placed = plan.place(ring, grasper);
-        let point = placed.tip - placed.shaft * depth;
+        let point = on_line.tip;
         let tangent = ring.pose.rotation * Vector3::z().cross(&point_in_ring.coords).normalize();
         let crossing = placed.shaft.cross(&tangent).norm();
         if crossing < CROSSING_MIN {
             continue;
         }
         let parts = instrument_parts(&placed, grasper, opening, bench.tube_radius);
-        let half_gap = 0.5 * opening * grasper.jaw_length;
-        let low = [1.0, -1.0]
-            .map(|side| bench.height(&(point + placed.closing * (side * half_gap))))
-            .into_iter()
-            .fold(f64::INFINITY, f64::min);
-        if low < BOARD_MARGIN || touches(&parts, &obstacles) || touches_own_ring(&parts, bench, ring, angle) {
+        if touches(&parts, &obstacles) || touches_own_ring(&parts, bench, ring, angle) {
             continue;
         }
         let radial = (point - ring.center()) / bench.ring_radius;
-        let mut score = crossing - 0.3 * placed.closing.dot(&up).abs();
+        // Deep, across the tube, and level: then both pads bear evenly. With the ring's centre on the closing
+        // axis its weight does not turn it between the pads.
+        let swing = placed.closing.dot(&radial.cross(&up)).abs();
+        let mut score = 0.5 * crossing + depth / bench.tube_radius - swing;
+        score -= 0.5 * placed.closing.dot(&up).abs();
         // The other hand will need room, or already takes it.
         score += if other_holds {
-            0.08e3 * (point - held_at).norm().min(2.0 * bench.ring_radius)
+            (point - held_at).norm().min(SEPARATION * bench.ring_radius) / bench.ring_radius
         } else {
             0.8 * radial.dot(&outwards)
         };
@@ -143,6 +151,17 @@ pub fn comfortable_opening(bench: &BenchSeen, grasper: &GrasperSeen) -> f64 {
     let room = bench.ring_radius - peg_radius - bench.tube_radius - grasper.jaw_thickness;
     let half_gap = bench.tube_radius + 0.5 * room.max(0.0);
     (2.0 * (half_gap / grasper.jaw_length).min(1.0).asin()).min(grasper.jaw_angle_max)
+}
+
+/// How deep the tip can go beyond the tube's centre line before a corner of an opened blade is at the board \[m\].
+fn depth_above_board(bench: &BenchSeen, on_line: &PlacedGrasp, grasper: &GrasperSeen, opening: f64) -> f64 {
+    let up = bench.up();
+    let sinks = -on_line.shaft.dot(&up);
+    let half_gap = grasper.jaw_length * (0.5 * opening).sin() + grasper.jaw_thickness;
+    let width = on_line.shaft.cross(&on_line.closing);
+    let corner = half_gap * on_line.closing.dot(&up).abs() + 0.5 * grasper.jaw_width * width.dot(&up).abs();
+    let room = bench.height(&on_line.tip) - corner + BOARD_TOUCH;
+    if sinks > 1e-3 { (room / sinks).min(DEPTH_MAX) } else { DEPTH_MAX }
 }
 
 /// Both blades, opened, and the shaft behind them.

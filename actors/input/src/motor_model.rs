@@ -17,9 +17,9 @@ use thiserror::Error;
 use crate::noise::{Noise, Tremor};
 
 /// Corrections of one movement at most; then it counts as done.
-const CORRECTIONS_MAX: u8 = 8;
+const CORRECTIONS_MAX: u8 = 5;
 /// A correction aims at most this far from the goal itself \[m\].
-const CORRECTION_REACH_MAX: f64 = 0.01;
+const CORRECTION_REACH_MAX: f64 = 0.004;
 /// Error across the movement relative to the error along it.
 const LATERAL_ERROR: f64 = 0.5;
 /// Peak speed of a minimum-jerk reach over its mean speed.

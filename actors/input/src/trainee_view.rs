@@ -22,6 +22,8 @@ pub struct PegSeen {
 pub struct GrasperSeen {
     /// From the hinge to the tip \[m\].
     pub jaw_length: f64,
+    /// Width of a blade \[m\].
+    pub jaw_width: f64,
     /// Thickness of a blade \[m\].
     pub jaw_thickness: f64,
     /// Largest opening \[rad\].

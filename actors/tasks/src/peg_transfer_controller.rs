@@ -228,6 +228,29 @@ impl Controller for PegTransferController {
     }
 }
 
+/// Where the rings start for a left-handed trainee: each mirrored across the plane midway between the two
+/// boards, so that the right hand finds them on its own side. Empty when the scene has no two boards.
+///
+/// For whoever sets a scene up before it starts; the exercise itself never moves a ring.
+pub fn mirrored_start(scene: &Snapshot) -> Vec<(Entity, Pose)> {
+    let (Ok((rings, _)), Ok(pegs)) = (find_rings(scene), find_pegs(scene)) else { return Vec::new() };
+    let middle = |board: usize| {
+        let feet = pegs.iter().filter(|peg| peg.board == board).map(|peg| peg.foot_in_world.coords);
+        let count = pegs.iter().filter(|peg| peg.board == board).count().max(1);
+        feet.sum::<Vector3<f64>>() / count as f64
+    };
+    let (first, second) = (middle(0), middle(1));
+    let Some(normal) = (second - first).try_normalize(1e-9) else { return Vec::new() };
+    let plane = 0.5 * (first + second);
+    let mirror = |ring: Entity| {
+        let mut pose = scene.get::<Pose>(ring).copied().unwrap_or_default();
+        let beyond = (pose.translation - plane).dot(&normal);
+        pose.translation -= normal * (2.0 * beyond);
+        (ring, pose)
+    };
+    rings.into_iter().map(mirror).collect()
+}
+
 fn placement(scene: &Snapshot, ring: Entity) -> RingPlacement {
     let pose = scene.world_pose(ring);
     RingPlacement {

@@ -22,6 +22,7 @@ pub fn bench(first_board: usize) -> BenchSeen {
     };
     let grasper = |x: f64| GrasperSeen {
         jaw_length: 0.018,
+        jaw_width: 0.003,
         jaw_thickness: 0.0015,
         jaw_angle_max: 0.9,
         shaft_radius: 0.0025,
