@@ -4,12 +4,17 @@
 //! own writer. The Model's ends of the rings belong to the [`Intake`], not to the Model: whoever drains
 //! them borrows them as [`Lanes`], and when that drainer dies they come back with whatever was not applied.
 
+use std::collections::VecDeque;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_scene::{Batch, Commands, EntityAllocator, Provenance, Registry, Revision, SimTime, WriterId};
+
+/// Buffers that a handle has from the beginning: enough for a Model that is late now and then, so that
+/// nothing is allocated for it once they have all been used.
+const SPARES: usize = 8;
 
 /// Wakes the Model. Called at most once until the Model begins to drain; must not allocate or wait.
 pub trait Doorbell: Send + Sync {
@@ -66,7 +71,8 @@ pub struct WriterHandle {
     batches: Producer<Box<Batch>>,
     returns: Consumer<Box<Batch>>,
     current: Box<Batch>,
-    spares: Vec<Box<Batch>>,
+    /// Used in turn, so that all of them are warm.
+    spares: VecDeque<Box<Batch>>,
     status: Arc<LaneStatus>,
     bell: Arc<Bell>,
 }
@@ -98,7 +104,7 @@ impl WriterHandle {
         while self.spares.len() < self.spares.capacity()
             && let Ok(spare) = self.returns.pop()
         {
-            self.spares.push(spare);
+            self.spares.push_back(spare);
         }
         if self.current.commands.is_empty() {
             return Submitted::Empty;
@@ -109,7 +115,7 @@ impl WriterHandle {
         }
         self.current.commands.seal();
         self.current.provenance = Provenance { writer: self.writer, epoch: self.epoch, tick, time, based_on };
-        let next = self.spares.pop().unwrap_or_else(|| self.blank());
+        let next = self.spares.pop_front().unwrap_or_else(|| self.blank());
         // Never full: only this end pushes, and there was room above.
         let _ = self.batches.push(std::mem::replace(&mut self.current, next));
         self.status.sent.fetch_add(1, Ordering::Relaxed);
@@ -204,6 +210,8 @@ impl Intake {
         let (batches, from_writer) = RingBuffer::new(capacity);
         // Everything that can be in flight fits into the way back.
         let (to_writer, returns) = RingBuffer::new(capacity + 2);
+        let mut spares = VecDeque::with_capacity(capacity + 2);
+        spares.extend((0..SPARES.min(capacity)).map(|_| blank(&self.registry, &allocator, writer, epoch)));
         let lane = Lane { writer, batches: from_writer, returns: to_writer };
         self.home().push(lane);
         self.arrived.store(true, Ordering::Release);
@@ -214,7 +222,7 @@ impl Intake {
             batches,
             returns,
             current: blank(&self.registry, &allocator, writer, epoch),
-            spares: Vec::with_capacity(capacity + 2),
+            spares,
             allocator,
             status,
             bell: self.bell.clone(),
@@ -448,6 +456,6 @@ mod tests {
         }
         addresses.sort_unstable();
         addresses.dedup();
-        assert!(addresses.len() <= 3, "{} buffers for one batch in flight", addresses.len());
+        assert!(addresses.len() <= SPARES + 1, "{} buffers for one batch in flight", addresses.len());
     }
 }

@@ -1,5 +1,6 @@
 //! The Model actor, runtimes and rates, supervision, faults, recording, clock and lock-step.
 
+pub mod bench;
 pub mod chain;
 pub mod commit;
 pub mod faults;

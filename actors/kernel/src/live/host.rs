@@ -49,10 +49,10 @@ impl Handler<Live> for HostActor {
             let cause = live(&shared, &writer, &life).await;
             life.running.store(false, Ordering::Relaxed);
             if life.is_abandoned() {
-                writer.seat.stats.leave_thread(sched::current_tid());
                 shared.report(Event::ZombieEnded);
                 Arbiter::current().stop();
             } else {
+                writer.seat.stats.leave_thread();
                 shared.died(&writer.seat, &life, cause);
             }
         });
@@ -142,12 +142,11 @@ fn drop_after(controller: Box<dyn Controller>, cause: Cause) -> Cause {
 }
 
 /// An injected stall: a step that does not end, until its time is up or nobody is left to care.
-pub(super) fn stall(shared: &Shared, life: &Life, span: SimTime) {
+pub(super) fn stall(shared: &Shared, span: SimTime) {
     let begun = shared.clock.now();
     while shared.clock.now().since(begun) < span && !shared.over.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_millis(1));
     }
-    let _ = life;
 }
 
 struct Body<'a> {
@@ -228,7 +227,7 @@ impl Body<'_> {
             panic!("fault injected: kill");
         }
         if let Some(span) = seam.take_stall() {
-            stall(self.shared, self.life, span);
+            stall(self.shared, span);
             seam.end_stall();
         }
         if let Some(span) = seam.slow() {

@@ -19,11 +19,12 @@ use actix::prelude::System;
 use arc_swap::ArcSwap;
 use thiserror::Error;
 use tokio::sync::Notify;
-use trocar_scene::{ComponentError, Entity, EntityAllocator, SimTime, Snapshot, Store, WriterId};
+use tokio::sync::oneshot::error::TryRecvError;
+use trocar_scene::{Access, ComponentError, Entity, EntityAllocator, SimTime, Snapshot, Store, WriterId};
 
 use crate::chain::StateHash;
 use crate::faults::{FaultLog, FaultPlanError, FaultRow, FaultSchedule, TargetClass, Targets};
-use crate::handle::{Intake, LaneStatus};
+use crate::handle::{Intake, LaneStatus, WriterHandle};
 use crate::model_core::ModelCore;
 use crate::runtime::{Clock, ControllerReport, Permission, TickStats};
 use crate::spec::{ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, SessionSpec};
@@ -252,6 +253,35 @@ impl LiveSession {
         true
     }
 
+    /// A way to the Model for somebody who is no controller: a console, a viewer, a measurement. It is
+    /// neither ticked nor supervised, and lasts until the session ends or a Model had to be left behind.
+    ///
+    /// # Errors
+    /// When the name or number is taken, the access overlaps with others', or the Model does not answer.
+    pub fn guest(
+        &self,
+        name: &str,
+        id: WriterId,
+        access: &Access,
+        capacity: usize,
+    ) -> Result<WriterHandle, LiveError> {
+        let refused = |reason: String| LiveError::Controller { name: name.to_owned(), reason };
+        let mut answer = self.shared.introduce(name, id, access);
+        let until = Instant::now() + Duration::from_secs(1);
+        loop {
+            match answer.try_recv() {
+                Ok(answer) => break answer.map_err(refused)?,
+                Err(TryRecvError::Empty) if Instant::now() < until => {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                Err(_) => return Err(refused("the Model did not answer".to_owned())),
+            }
+        }
+        let allocator = EntityAllocator::new(self.shared.station, id.0);
+        allocator.skip_to(first_free(&self.snapshot(), self.shared.station, id.0));
+        Ok(self.shared.intake.open(id, 1, capacity, allocator, Arc::default()))
+    }
+
     /// Ends the session within two seconds, whatever hangs: forces to zero first, controllers, Model,
     /// recording. `code` is the exit code unless the supervisor has given up before.
     pub fn stop(mut self, code: i32) -> SessionOutcome {
@@ -371,13 +401,7 @@ fn share(
     let mut writers = Vec::with_capacity(controllers.len());
     for spec in controllers {
         let allocator = EntityAllocator::new(station, spec.writer);
-        let me = Entity::of_writer(station, spec.writer);
-        // A session that goes on from a snapshot must not give a name out twice.
-        let used = scene
-            .view()
-            .entities()
-            .filter(|entity| entity.station() == me.station() && entity.spawner() == me.spawner());
-        allocator.skip_to(used.map(|entity| entity.counter().saturating_add(1)).max().unwrap_or(1));
+        allocator.skip_to(first_free(scene.view(), station, spec.writer));
         writers.push(Arc::new(Writer {
             seat: seat(&spec.name, &spec.child)?,
             id: WriterId(spec.writer),
@@ -414,6 +438,13 @@ fn share(
         batches: AtomicU64::new(0),
         over: AtomicBool::new(false),
     }))
+}
+
+/// The first counter that a writer has not used: a session that goes on from a snapshot must not give a
+/// name out twice.
+fn first_free(scene: &Snapshot, station: u16, writer: u16) -> u32 {
+    let own = |entity: &Entity| entity.station() == station && entity.spawner() == writer;
+    scene.entities().filter(own).map(|entity| entity.counter().saturating_add(1)).max().unwrap_or(1)
 }
 
 /// The actix system on a thread of its own: the main thread belongs to whoever has a window.

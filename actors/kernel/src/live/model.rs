@@ -134,7 +134,7 @@ impl ModelActor {
             panic!("fault injected: kill");
         }
         if let Some(span) = shared.model.seam.take_stall() {
-            super::host::stall(shared, life, span);
+            super::host::stall(shared, span);
             shared.model.seam.end_stall();
         }
         if shared.declares_waiting.swap(false, Ordering::AcqRel) {
@@ -150,21 +150,21 @@ impl ModelActor {
         while let Some((lane, mut batch)) = desk.lanes.next() {
             let id = batch.provenance.writer;
             self.culprit = Some(id);
-            if let Some(index) = shared.writer_index(id) {
-                let writer = &shared.writers[index];
-                // Raised between the pass's beginning and this batch: it must not slip through.
-                if writer.epoch.load(Ordering::Acquire) > batch.provenance.epoch {
-                    desk.raise_fences(shared, now);
-                }
-                match desk.core.apply(&mut batch, now) {
-                    Outcome::Applied { .. } => {
-                        writer.applied.fetch_add(1, Ordering::Relaxed);
-                    }
+            let writer = shared.writer_index(id).map(|index| &shared.writers[index]);
+            // Raised between the pass's beginning and this batch: it must not slip through.
+            if writer.is_some_and(|w| w.epoch.load(Ordering::Acquire) > batch.provenance.epoch) {
+                desk.raise_fences(shared, now);
+            }
+            let outcome = desk.core.apply(&mut batch, now);
+            // Guests have no row in the report.
+            if let Some(writer) = writer {
+                match outcome {
+                    Outcome::Applied { .. } => drop(writer.applied.fetch_add(1, Ordering::Relaxed)),
                     Outcome::Rejected(_) => writer.seat.stats.rejected(),
                     Outcome::Conflict(_) => writer.seat.stats.conflict(),
                 }
-                shared.batches.fetch_add(1, Ordering::Relaxed);
             }
+            shared.batches.fetch_add(1, Ordering::Relaxed);
             desk.lanes.give_back(lane, batch);
             life.bump();
             life.bump();
@@ -207,6 +207,7 @@ impl ModelActor {
                     if let Some(desk) = &self.desk {
                         *lock(&self.shared.final_hash) = Some(desk.core.hash());
                     }
+                    self.shared.model.stats.leave_thread();
                     self.shared.died(&self.shared.model, &life, Cause::Stop);
                     self.life = None;
                     self.leave(ctx);
@@ -216,7 +217,6 @@ impl ModelActor {
     }
 
     fn leave(&mut self, ctx: &mut Context<Self>) {
-        self.shared.model.stats.leave_thread(sched::current_tid());
         ctx.stop();
         Arbiter::current().stop();
     }
@@ -225,10 +225,11 @@ impl ModelActor {
 impl Desk {
     fn hear_declarations(&mut self, shared: &Shared) {
         for declare in std::mem::take(&mut *lock(&shared.declares)) {
-            let writer = &shared.writers[declare.writer];
-            let answer = self.core.declare(&writer.seat.name, writer.id, &declare.access);
-            if answer.is_ok() {
-                *lock(&writer.declared) = Some(declare.access);
+            let answer = self.core.declare(&declare.name, declare.id, &declare.access);
+            if answer.is_ok()
+                && let Some(index) = shared.writer_index(declare.id)
+            {
+                *lock(&shared.writers[index].declared) = Some(declare.access);
             }
             let _ = declare.reply.send(answer.map(|_| ()).map_err(|error| error.to_string()));
         }

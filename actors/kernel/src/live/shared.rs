@@ -136,7 +136,8 @@ pub(crate) struct Writer {
 
 /// A writer that introduces itself to the Model.
 pub(crate) struct Declare {
-    pub(crate) writer: usize,
+    pub(crate) name: String,
+    pub(crate) id: WriterId,
     pub(crate) access: Access,
     pub(crate) reply: oneshot::Sender<Result<(), String>>,
 }
@@ -234,18 +235,26 @@ impl Shared {
         )
     }
 
+    /// Asks the Model to take a writer; the answer comes when it does.
+    pub(crate) fn introduce(
+        &self,
+        name: &str,
+        id: WriterId,
+        access: &Access,
+    ) -> oneshot::Receiver<Result<(), String>> {
+        let (reply, answer) = oneshot::channel();
+        lock(&self.declares).push(Declare { name: name.to_owned(), id, access: access.clone(), reply });
+        self.declares_waiting.store(true, Ordering::Release);
+        self.bell.notify_one();
+        answer
+    }
+
     /// Introduces a writer to the Model and waits for its answer, without waiting when nothing changed.
     pub(crate) async fn declare(&self, writer: &Writer, access: &Access) -> Result<(), String> {
         if lock(&writer.declared).as_ref() == Some(access) {
             return Ok(());
         }
-        let Some(index) = self.writer_index(writer.id) else {
-            return Err(format!("writer {} is not part of the session", writer.id.0));
-        };
-        let (reply, answer) = oneshot::channel();
-        lock(&self.declares).push(Declare { writer: index, access: access.clone(), reply });
-        self.declares_waiting.store(true, Ordering::Release);
-        self.bell.notify_one();
+        let answer = self.introduce(&writer.seat.name, writer.id, access);
         let limit = writer.spec.child.start_limit.to_duration();
         match tokio::time::timeout(limit, answer).await {
             Ok(Ok(answer)) => answer,

@@ -14,6 +14,8 @@ use crate::supervision::{Event, RuntimeClass};
 /// Bounds of the pause between two looks.
 const PAUSE_MIN: SimTime = SimTime::from_millis(1);
 const PAUSE_MAX: SimTime = SimTime::from_millis(10);
+/// Limits after which even a thread that is only kept waiting is replaced.
+const STARVED_MAX: u64 = 20;
 
 /// What was seen of one child last time.
 #[derive(Clone)]
@@ -81,9 +83,7 @@ fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bo
     if watch.told || now.since(watch.since) < seat.heartbeat_limit {
         return;
     }
-    if is_starved(watch, seat.heartbeat_limit) {
-        watch.since = now;
-        watch.cpu = cpu_of(&watch.life);
+    if is_starved(watch, seat.heartbeat_limit, now) {
         return;
     }
     watch.told = true;
@@ -95,8 +95,11 @@ fn cpu_of(life: &Life) -> SimTime {
     sched::thread_cpu(life.tid.load(Ordering::Relaxed)).unwrap_or_default()
 }
 
-/// Wants to run and was not let: the machine is busy, the thread does not hang.
-fn is_starved(watch: &Watch, limit: SimTime) -> bool {
+/// A thread that wants to run and is not let is no stall, however late it is: on a busy machine replacing it
+/// would make things worse. It counts as one when it has computed for half its limit, or waited too long.
+fn is_starved(watch: &Watch, limit: SimTime, now: SimTime) -> bool {
     let used = cpu_of(&watch.life).since(watch.cpu);
-    used.0 < limit.0 / 10 && sched::is_runnable(watch.life.tid.load(Ordering::Relaxed))
+    now.since(watch.since).0 < STARVED_MAX * limit.0
+        && used.0 < limit.0 / 2
+        && sched::is_runnable(watch.life.tid.load(Ordering::Relaxed))
 }

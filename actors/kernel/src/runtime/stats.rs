@@ -95,16 +95,15 @@ impl TickStats {
     }
     /// From now on the thread `tid` does the work; called on that thread.
     pub fn enter_thread(&self, tid: u32) {
-        self.thread.store(tid, Ordering::Relaxed);
-    }
-    /// The thread that did the work ends; called on that thread.
-    pub fn leave_thread(&self, tid: u32) {
-        if self.thread.compare_exchange(tid, 0, Ordering::Relaxed, Ordering::Relaxed).is_ok()
-            && let Some(cpu) = sched::thread_cpu(tid)
-        {
-            self.cpu_before.fetch_add(cpu.0, Ordering::Relaxed);
-            self.cpu_now.store(0, Ordering::Relaxed);
+        if self.thread.swap(tid, Ordering::Relaxed) != tid {
+            // What the thread before had used when it was last looked at.
+            let before = self.cpu_now.swap(0, Ordering::Relaxed);
+            self.cpu_before.fetch_add(before, Ordering::Relaxed);
         }
+    }
+    /// The thread that does the work may end now: keeps what it has used.
+    pub fn leave_thread(&self) {
+        self.cpu();
     }
     /// How many ticks have run.
     pub fn ticks(&self) -> u64 {
@@ -244,7 +243,7 @@ mod tests {
                 x = x.wrapping_mul(31).wrapping_add(1);
                 std::hint::black_box(x);
             }
-            worker.leave_thread(tid);
+            worker.leave_thread();
         })
         .join()
         .expect("the worker ends");

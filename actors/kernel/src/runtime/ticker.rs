@@ -2,7 +2,7 @@
 //! spin. `tokio::time` counts in milliseconds and serves only far below 100 Hz.
 
 use std::io;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use trocar_scene::SimTime;
 
@@ -160,6 +160,32 @@ mod imp {
         fd: AsyncFd<OwnedFd>,
     }
 
+    /// The timer without a runtime around it.
+    pub(super) struct BlockingTimer(OwnedFd);
+
+    impl BlockingTimer {
+        pub(super) fn new() -> io::Result<Self> {
+            Ok(Self(timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::CLOEXEC)?))
+        }
+        pub(super) fn sleep(&self, span: SimTime) -> io::Result<()> {
+            timerfd_settime(&self.0, TimerfdTimerFlags::empty(), &once(span))?;
+            rustix::io::retry_on_intr(|| rustix::io::read(&self.0, &mut [0_u8; 8]))?;
+            Ok(())
+        }
+    }
+
+    fn once(span: SimTime) -> Itimerspec {
+        // Zero would disarm it.
+        let span = span.0.max(1);
+        Itimerspec {
+            it_interval: Timespec { tv_sec: 0, tv_nsec: 0 },
+            it_value: Timespec {
+                tv_sec: (span / 1_000_000_000) as i64,
+                tv_nsec: (span % 1_000_000_000) as i64,
+            },
+        }
+    }
+
     impl Timer {
         pub(super) fn new() -> io::Result<Self> {
             let fd =
@@ -168,15 +194,8 @@ mod imp {
         }
 
         pub(super) async fn sleep(&mut self, now: SimTime, until: SimTime) -> io::Result<()> {
-            let span = until.since(now).0.max(1);
-            let once = Itimerspec {
-                it_interval: Timespec { tv_sec: 0, tv_nsec: 0 },
-                it_value: Timespec {
-                    tv_sec: (span / 1_000_000_000) as i64,
-                    tv_nsec: (span % 1_000_000_000) as i64,
-                },
-            };
-            timerfd_settime(self.fd.get_ref(), TimerfdTimerFlags::empty(), &once)?;
+            let span = until.since(now);
+            timerfd_settime(self.fd.get_ref(), TimerfdTimerFlags::empty(), &once(span))?;
             loop {
                 let mut ready = self.fd.readable().await?;
                 let mut expirations = [0_u8; 8];
@@ -204,6 +223,19 @@ mod imp {
     /// The runtime's own timer counts in milliseconds: it takes the long part, a plain sleep the rest.
     pub(super) struct Timer;
 
+    /// The system's sleep.
+    pub(super) struct BlockingTimer;
+
+    impl BlockingTimer {
+        pub(super) fn new() -> io::Result<Self> {
+            Ok(Self)
+        }
+        pub(super) fn sleep(&self, span: SimTime) -> io::Result<()> {
+            std::thread::sleep(span.to_duration());
+            Ok(())
+        }
+    }
+
     const COARSE: SimTime = SimTime::from_millis(2);
 
     impl Timer {
@@ -222,27 +254,34 @@ mod imp {
     }
 }
 
-/// A plain loop around the system's sleep, without runtime, host or scene: what `bench` compares with.
-/// Runs for `span` at `period` and hands every tick's lateness to `each`; returns how many were skipped.
-pub fn bare_loop(period: SimTime, span: SimTime, mut each: impl FnMut(SimTime)) -> u64 {
+/// A plain loop around the same timer, without runtime, host or scene: what a controller's lateness is
+/// compared with. Runs for `span` at `period` on the calling thread and hands every tick's lateness to
+/// `each`; returns how many ticks were skipped.
+///
+/// # Errors
+/// When the system has no timer to give.
+pub fn bare_loop(period: SimTime, span: SimTime, mut each: impl FnMut(SimTime)) -> io::Result<u64> {
+    let timer = imp::BlockingTimer::new()?;
     let clock = Clock::start();
     let mut schedule = Schedule::new(period, period, 0);
     let mut missed = 0;
-    loop {
-        let due = schedule.next_due();
-        if due > span {
-            return missed;
-        }
+    while schedule.next_due() <= span {
+        let wake = schedule.next_due().since(LEAD);
         let now = clock.now();
-        if now < due {
-            std::thread::sleep(Duration::from_nanos(due.since(now).0));
+        if now < wake {
+            timer.sleep(wake.since(now))?;
         }
-        let now = clock.now();
-        if let Some(tick) = schedule.take(now) {
-            missed += tick.missed;
-            each(now.since(tick.at));
+        loop {
+            let now = clock.now();
+            if let Some(tick) = schedule.take(now) {
+                missed += tick.missed;
+                each(now.since(tick.at));
+                break;
+            }
+            std::hint::spin_loop();
         }
     }
+    Ok(missed)
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! Toy components and controllers for the live tests.
+//! Toy components and controllers for the live tests; not every test program uses all of them.
+#![allow(dead_code)]
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};

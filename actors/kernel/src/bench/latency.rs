@@ -1,0 +1,197 @@
+//! From a writer's submission to the reader's sight, beside a bare actix cross-thread send that ends in an
+//! `ArcSwap` store; and what a batch costs the Model.
+
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+use std::time::{Duration, Instant};
+
+use actix::prelude::*;
+use arc_swap::ArcSwap;
+use trocar_scene::{Access, Entity, EntitySet, Revision, SimTime, WriterId};
+
+use super::scene::{Mark, populated};
+use super::{Better, Effort, Row, median};
+use crate::handle::{Submitted, WriterHandle};
+use crate::live::{LiveError, LiveSession};
+use crate::runtime::sched;
+use crate::spec::SessionSpec;
+use crate::supervision::RuntimeClass;
+
+/// Between two samples, so that everybody has gone to sleep.
+const PAUSE: Duration = Duration::from_micros(500);
+/// A sample that takes longer is given up.
+const SAMPLE_MAX: Duration = Duration::from_millis(500);
+const GUEST: u16 = 7;
+
+struct Bench {
+    live: LiveSession,
+    handle: WriterHandle,
+    me: Entity,
+    next: u64,
+}
+
+impl Bench {
+    fn start(entities: u32) -> Result<Self, LiveError> {
+        let (store, _) = populated(entities);
+        let live = LiveSession::start(SessionSpec::new("bench", 1, store, Vec::new()))?;
+        let access = Access::new().writes::<Mark>(EntitySet::Own);
+        let handle = live.guest("bench", WriterId(GUEST), &access, 4_096)?;
+        Ok(Self { live, handle, me: Entity::of_writer(0, GUEST), next: 0 })
+    }
+
+    fn submit(&mut self) -> Submitted {
+        self.next += 1;
+        let (me, mark) = (self.me, Mark(self.next));
+        self.handle.begin(SimTime(self.next)).put(me, mark);
+        self.handle.submit(self.next, SimTime(self.next), Revision::ZERO)
+    }
+
+    fn is_visible(&self, snapshots: &ArcSwap<trocar_scene::Snapshot>) -> bool {
+        snapshots.load().get::<Mark>(self.me).is_some_and(|mark| mark.0 == self.next)
+    }
+
+    /// µs from submission to sight; `None` when it took too long.
+    fn sample(&mut self) -> Option<f64> {
+        let snapshots = self.live.snapshots();
+        let begun = Instant::now();
+        self.submit();
+        spin_until(begun, || self.is_visible(&snapshots))
+    }
+}
+
+fn spin_until(begun: Instant, mut done: impl FnMut() -> bool) -> Option<f64> {
+    while !done() {
+        if begun.elapsed() > SAMPLE_MAX {
+            return None;
+        }
+        std::hint::spin_loop();
+    }
+    Some(begun.elapsed().as_nanos() as f64 * 1e-3)
+}
+
+/// The floor: an actor on a thread of its own that stores what it is sent.
+struct Storer(Arc<ArcSwap<u64>>);
+impl Actor for Storer {
+    type Context = Context<Self>;
+}
+#[derive(Message)]
+#[rtype(result = "()")]
+struct Send(u64);
+impl Handler<Send> for Storer {
+    type Result = ();
+    fn handle(&mut self, Send(value): Send, _: &mut Self::Context) {
+        self.0.store(Arc::new(value));
+    }
+}
+
+struct Floor {
+    system: System,
+    address: Addr<Storer>,
+    slot: Arc<ArcSwap<u64>>,
+    next: u64,
+}
+
+impl Floor {
+    fn start() -> Result<Self, LiveError> {
+        let slot = Arc::new(ArcSwap::from_pointee(0));
+        let (send, receive) = sync_channel(1);
+        let given = slot.clone();
+        std::thread::Builder::new().name("bench-floor".into()).spawn(move || {
+            let runner = System::new();
+            let arbiter = Arbiter::with_tokio_rt(|| {
+                // The same priority as the Model's thread: what is compared is the way, not the rank.
+                let _ = sched::promote_current(RuntimeClass::Model);
+                tokio::runtime::Builder::new_current_thread()
+                    .enable_io()
+                    .enable_time()
+                    .build()
+                    .expect("a runtime for the floor")
+            });
+            let address = Storer::start_in_arbiter(&arbiter.handle(), move |_| Storer(given));
+            let _ = send.send((System::current(), address));
+            let _ = runner.run();
+        })?;
+        let (system, address) = receive
+            .recv()
+            .map_err(|_| LiveError::Start("the floor's actor system did not start".to_owned()))?;
+        Ok(Self { system, address, slot, next: 0 })
+    }
+    fn sample(&mut self) -> Option<f64> {
+        self.next += 1;
+        let begun = Instant::now();
+        self.address.try_send(Send(self.next)).ok()?;
+        let (slot, next) = (&self.slot, self.next);
+        spin_until(begun, || **slot.load() == next)
+    }
+}
+
+impl Drop for Floor {
+    fn drop(&mut self) {
+        self.system.stop();
+    }
+}
+
+/// Write → visible at 100 and 10,000 populated entities, and the floor, sample by sample in turn.
+pub(super) fn write_to_visible(effort: Effort) -> Result<Vec<Row>, LiveError> {
+    let (blocks, samples) = match effort {
+        Effort::Smoke => (1, 100),
+        Effort::Full => (9, 400),
+    };
+    let mut small = Bench::start(100)?;
+    let mut large = Bench::start(10_000)?;
+    let mut floor = Floor::start()?;
+    let mut medians = [Vec::new(), Vec::new(), Vec::new()];
+    for _ in 0..blocks {
+        let mut block = [Vec::new(), Vec::new(), Vec::new()];
+        for _ in 0..samples {
+            std::thread::sleep(PAUSE);
+            block[0].extend(floor.sample());
+            std::thread::sleep(PAUSE);
+            block[1].extend(small.sample());
+            std::thread::sleep(PAUSE);
+            block[2].extend(large.sample());
+        }
+        for (all, block) in medians.iter_mut().zip(&block) {
+            all.push(median(block));
+        }
+    }
+    let [floor, small, large] = &medians;
+    Ok(vec![
+        Row::on_ratio("write_visible_100_entities_p50", "us", small, floor, 1.0, Better::Lower),
+        Row::on_ratio("write_visible_10000_entities_p50", "us", large, small, 1.5, Better::Lower),
+    ])
+}
+
+/// CPU time of the Model's thread per batch: woken for each, and in a flood.
+pub(super) fn model_cpu(effort: Effort) -> Result<Vec<Row>, LiveError> {
+    let (blocks, paced, flood) = match effort {
+        Effort::Smoke => (1, 100, 5_000),
+        Effort::Full => (5, 500, 50_000),
+    };
+    let mut bench = Bench::start(10_000)?;
+    let (mut woken, mut flooded) = (Vec::new(), Vec::new());
+    for _ in 0..blocks {
+        woken.push(bench.cost(paced, |bench| {
+            bench.sample();
+            std::thread::sleep(PAUSE);
+        }));
+        flooded.push(bench.cost(flood, |bench| while bench.submit() == Submitted::Dropped {}));
+    }
+    Ok(vec![
+        Row::on_value("model_cpu_per_batch_woken", "ns", &woken, None, Better::Lower),
+        Row::on_value("model_cpu_per_batch_flood", "ns", &flooded, None, Better::Lower),
+    ])
+}
+
+impl Bench {
+    fn cost(&mut self, batches: u32, mut one: impl FnMut(&mut Self)) -> f64 {
+        let (cpu, count) = (self.live.model_cpu(), self.live.batches());
+        for _ in 0..batches {
+            one(self);
+        }
+        // Until the last one is through.
+        self.sample();
+        let spent = self.live.model_cpu().since(cpu).0 as f64;
+        spent / (self.live.batches() - count).max(1) as f64
+    }
+}

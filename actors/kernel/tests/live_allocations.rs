@@ -1,0 +1,108 @@
+//! A warmed tick allocates nothing and frees nothing on its thread: not in the controller, not in the ring,
+//! not in the host around them.
+
+mod toys;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use toys::{Count, session};
+use trocar_kernel::live::LiveSession;
+use trocar_kernel::spec::ControllerSpec;
+use trocar_kernel::supervision::RuntimeClass;
+use trocar_scene::{Access, Commands, Controller, ControllerError, EntitySet, Snapshot, Tick};
+
+/// Counts what each thread allocates and frees.
+struct Counting;
+
+thread_local! {
+    static TOUCHES: Cell<u64> = const { Cell::new(0) };
+}
+
+fn touch() {
+    // A thread that is being torn down no longer counts.
+    let _ = TOUCHES.try_with(|touches| touches.set(touches.get() + 1));
+}
+
+// SAFETY: everything is passed on to the system's allocator unchanged; counting touches no memory of it.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        touch();
+        // SAFETY: the caller's promises are those that the system's allocator asks for.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, place: *mut u8, layout: Layout) {
+        touch();
+        // SAFETY: as above.
+        unsafe { System.dealloc(place, layout) }
+    }
+    unsafe fn realloc(&self, place: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        touch();
+        // SAFETY: as above.
+        unsafe { System.realloc(place, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Notes its thread's count at the beginning of every tick, in room that is there already.
+struct Scale {
+    seen: Arc<Mutex<Vec<u64>>>,
+    waste: Arc<AtomicBool>,
+}
+
+impl Controller for Scale {
+    fn access(&self) -> Access {
+        Access::new().writes::<Count>(EntitySet::Own)
+    }
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        if let Ok(mut seen) = self.seen.try_lock()
+            && seen.len() < seen.capacity()
+        {
+            seen.push(TOUCHES.get());
+        }
+        if self.waste.load(Ordering::Relaxed) {
+            std::hint::black_box(Box::new(tick.number));
+        }
+        let before = scene.get::<Count>(tick.me).map_or(0, |count| count.0);
+        out.put(tick.me, Count(before + 1));
+        Ok(())
+    }
+}
+
+const TICKS: usize = 1_500;
+
+fn run(waste: bool) -> Vec<u64> {
+    let seen = Arc::new(Mutex::new(Vec::with_capacity(TICKS)));
+    let (given, waste) = (seen.clone(), Arc::new(AtomicBool::new(waste)));
+    let spec = ControllerSpec::new("scale", 1, RuntimeClass::Haptics, 1_000.0, move |_| {
+        Ok(Box::new(Scale { seen: given.clone(), waste: waste.clone() }) as Box<dyn Controller>)
+    });
+    let live = LiveSession::start(session(vec![spec])).expect("starts");
+    for _ in 0..200 {
+        std::thread::sleep(Duration::from_millis(50));
+        let full = seen.lock().map(|seen| seen.len() == TICKS).unwrap_or(false);
+        if full {
+            break;
+        }
+    }
+    drop(live);
+    let seen = seen.lock().expect("not poisoned").clone();
+    assert_eq!(seen.len(), TICKS, "it has ticked");
+    seen
+}
+
+#[test]
+fn a_warmed_tick_neither_allocates_nor_frees() {
+    let seen = run(false);
+    let warm = &seen[500..];
+    assert_eq!(warm[warm.len() - 1] - warm[0], 0, "over {} ticks", warm.len());
+    // The count sees what it should.
+    let wasteful = run(true);
+    let warm = &wasteful[500..];
+    assert_eq!(warm[warm.len() - 1] - warm[0], 2 * (warm.len() as u64 - 1));
+}
