@@ -55,6 +55,7 @@ pub fn read_gltf(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDa
         cursor: &cursor,
         surface: SurfaceData::default(),
         visits: 0,
+        decoded: 0,
     };
     if root.scenes.is_empty() {
         for mesh in 0..root.meshes.len() {
@@ -116,6 +117,8 @@ struct Walk<'a> {
     cursor: &'a Cursor<'a>,
     surface: SurfaceData,
     visits: usize,
+    /// Vertices decoded so far, kept or not: many nodes may refer to one mesh.
+    decoded: u64,
 }
 
 impl Walk<'_> {
@@ -157,9 +160,9 @@ impl Walk<'_> {
             let part = self.primitive(primitive, &format!("mesh {index}, primitive {k}"), transform)?;
             let limits = self.cursor.limits;
             let whole = Where::Place(Place::Whole);
-            let vertices = (self.surface.positions.len() + part.positions.len()) as u64;
-            if vertices > limits.vertices {
-                return Err(self.cursor.too_large(whole, "vertices", vertices, limits.vertices));
+            self.decoded += part.positions.len() as u64;
+            if self.decoded > limits.vertices {
+                return Err(self.cursor.too_large(whole, "vertices", self.decoded, limits.vertices));
             }
             let triangles = (self.surface.triangles.len() + part.triangles.len()) as u64;
             if triangles > limits.elements {

@@ -61,12 +61,18 @@ pub fn read_obj(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDat
                 parsed.positions.push(Point3::new(x, y, z));
             }
             Some(b"vt") => {
-                limit(&cursor, place, "texture coordinates", parsed.uvs.len(), 3 * limits.elements)?;
+                limit(
+                    &cursor,
+                    place,
+                    "texture coordinates",
+                    parsed.uvs.len(),
+                    limits.elements.saturating_mul(3),
+                )?;
                 let [u, v] = texture_coordinate(&cursor, place, parsed.uvs.len(), words)?;
                 parsed.uvs.push([u, v]);
             }
             Some(b"vn") => {
-                limit(&cursor, place, "normals", parsed.normals.len(), 3 * limits.elements)?;
+                limit(&cursor, place, "normals", parsed.normals.len(), limits.elements.saturating_mul(3))?;
                 let [x, y, z] = numbers(&cursor, place, "normal", parsed.normals.len(), &mut words)?;
                 parsed.normals.push(Vector3::new(x, y, z));
             }

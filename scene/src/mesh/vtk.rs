@@ -259,12 +259,12 @@ impl Reader<'_> {
         // Version 5 has a list of offsets here; it says so in the next word, which may follow a line of its own.
         let mut ahead = self.cursor.clone();
         if ahead.token().eq_ignore_ascii_case(b"OFFSETS") {
-            let offsets = self.count(place, "offsets of cells", count, 2, 4, limit + 1)?;
-            let connectivity = self.count(place, "corners of cells", size, 2, 4, 8 * limit)?;
+            let offsets = self.count(place, "offsets of cells", count, 2, 4, limit.saturating_add(1))?;
+            let connectivity = self.count(place, "corners of cells", size, 2, 4, limit.saturating_mul(8))?;
             return self.cells_with_offsets(offsets, connectivity);
         }
         let count = self.count(place, "cells", count, 4, 8, limit)?;
-        let size = self.count(place, "numbers of cells", size, 2, 4, 9 * limit)?;
+        let size = self.count(place, "numbers of cells", size, 2, 4, limit.saturating_mul(9))?;
         let mut cells = Cells { offsets: Vec::with_capacity(count + 1), vertices: Vec::with_capacity(size) };
         cells.offsets.push(0);
         let mut left = size;

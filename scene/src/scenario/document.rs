@@ -202,34 +202,33 @@ impl Params {
     /// # Errors
     /// Names the place and the key of what does not fit.
     pub fn parse<T: DeserializeOwned>(&self) -> Result<T, ScenarioError> {
-        let Some(source) = &self.source else { return Self::parse_empty(&self.owner) };
-        let document = source.parse()?;
+        let value = match &self.source {
+            None => None,
+            Some(source) => self.find(source.parse()?).ok(),
+        };
+        let value = value.unwrap_or_else(|| Spanned::new(0..0, DeValue::Table(DeTable::new())));
+        let span = value.span();
+        with_entity_names(self.names.as_ref().clone(), || T::deserialize(ValueDeserializer::from(value)))
+            .map_err(|error| match (&self.source, error.span()) {
+                // Of an empty table that nobody wrote, the owner's place is the best there is.
+                (Some(source), Some(at)) if span != (0..0) => {
+                    source.error(at, self.owner.clone(), error.message().trim())
+                }
+                _ => self.error(error.message().trim()),
+            })
+    }
+
+    /// The parameters' table; if nothing is written there, where the owner stands.
+    fn find<'i>(&self, document: Spanned<DeTable<'i>>) -> Result<Spanned<DeValue<'i>>, Range<usize>> {
         let mut value = Spanned::new(document.span(), DeValue::Table(document.into_inner()));
         for step in &self.path {
             let next = match step {
                 Step::Key(key) => value.get_ref().get(key.as_str()).cloned(),
                 Step::Index(index) => value.get_ref().get(*index).cloned(),
             };
-            match next {
-                Some(next) => value = next,
-                None => return Self::parse_empty(&self.owner),
-            }
+            value = next.ok_or_else(|| value.span())?;
         }
-        let span = value.span();
-        with_entity_names(self.names.as_ref().clone(), || T::deserialize(ValueDeserializer::from(value)))
-            .map_err(|error| {
-                source.error(error.span().unwrap_or(span), self.owner.clone(), error.message().trim())
-            })
-    }
-
-    fn parse_empty<T: DeserializeOwned>(owner: &str) -> Result<T, ScenarioError> {
-        T::deserialize(toml::Table::new()).map_err(|error| ScenarioError::Invalid {
-            file: PathBuf::new(),
-            line: 0,
-            column: 0,
-            key: owner.to_owned(),
-            reason: error.message().trim().to_owned(),
-        })
+        Ok(value)
     }
 
     /// An error about these parameters that [`Params::parse`] cannot know of, such as a range.
@@ -247,19 +246,9 @@ impl Params {
     }
 
     fn span(&self) -> Range<usize> {
-        let Some(document) = self.source.as_ref().and_then(|source| source.parse().ok()) else { return 0..0 };
-        let mut value = Spanned::new(document.span(), DeValue::Table(document.into_inner()));
-        for step in &self.path {
-            let next = match step {
-                Step::Key(key) => value.get_ref().get(key.as_str()).cloned(),
-                Step::Index(index) => value.get_ref().get(*index).cloned(),
-            };
-            match next {
-                Some(next) => value = next,
-                // Nothing is written there: the owner's place will do.
-                None => break,
-            }
+        match self.source.as_ref().and_then(|source| source.parse().ok()) {
+            Some(document) => self.find(document).map_or_else(|place| place, |value| value.span()),
+            None => 0..0,
         }
-        value.span()
     }
 }

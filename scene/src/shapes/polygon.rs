@@ -1,5 +1,8 @@
-//! Triangles over a polygon with holes by ear clipping, holes joined by bridges
-//! (D. Eberly, "Triangulation by Ear Clipping", 2002).
+//! Triangles over a polygon with holes by ear clipping, holes joined by bridges (D. Eberly, "Triangulation by Ear
+//! Clipping", 2002), then made a constrained Delaunay triangulation by flipping edges (C. L. Lawson, "Transforming
+//! triangulations", 1972): clipping alone leaves slivers, and triangles without area where points are collinear.
+
+use std::collections::BTreeMap;
 
 use nalgebra::Point2;
 
@@ -29,7 +32,9 @@ pub(super) fn triangulate(outer: &[Point2<f64>], holes: &[Vec<Point2<f64>>]) -> 
         let insert: Vec<usize> = around.chain([loop_[bridge]]).collect();
         loop_.splice(bridge + 1..bridge + 1, insert);
     }
-    clip_ears(&points, loop_)
+    let mut triangles = clip_ears(&points, loop_)?;
+    flip_edges(&points, &mut triangles);
+    Some(triangles)
 }
 
 fn cross(a: Point2<f64>, b: Point2<f64>, c: Point2<f64>) -> f64 {
@@ -108,7 +113,7 @@ fn clip_ears(points: &[Point2<f64>], mut loop_: Vec<usize>) -> Option<Vec<[u32; 
                     p == a || p == b || p == c || !inside(p, [a, b, c])
                 })
         };
-        // The ear with the largest smallest angle keeps slivers away.
+        // Fat ears first: flipping has less to do.
         let quality = |k: usize| {
             let [a, b, c] = shape(k);
             let longest = (b - a).norm_squared().max((c - b).norm_squared()).max((a - c).norm_squared());
@@ -120,6 +125,40 @@ fn clip_ears(points: &[Point2<f64>], mut loop_: Vec<usize>) -> Option<Vec<[u32; 
     }
     triangles.push([loop_[0] as u32, loop_[1] as u32, loop_[2] as u32]);
     Some(triangles)
+}
+
+/// Flips inner edges whose opposite angles add up to more than π, until there are none.
+fn flip_edges(points: &[Point2<f64>], triangles: &mut [[u32; 3]]) {
+    // Each flip makes the smallest angles larger, so this ends; rounding must not make it endless.
+    for _ in 0..4 * triangles.len() {
+        let mut opposite: BTreeMap<[u32; 2], (usize, usize)> = BTreeMap::new();
+        let mut flipped = vec![false; triangles.len()];
+        let mut any = false;
+        for t in 0..triangles.len() {
+            for k in 0..3 {
+                let [a, b] = [triangles[t][k], triangles[t][(k + 1) % 3]];
+                let Some((other, j)) = opposite.insert([a.min(b), a.max(b)], (t, k)) else { continue };
+                if flipped[t] || flipped[other] {
+                    continue;
+                }
+                let (c, d) = (triangles[t][(k + 2) % 3], triangles[other][(j + 2) % 3]);
+                let at = |v: u32| points[v as usize];
+                let angle = |tip: u32| (at(a) - at(tip)).angle(&(at(b) - at(tip)));
+                let convex = cross(at(c), at(a), at(d)) > 0.0 && cross(at(d), at(b), at(c)) > 0.0;
+                if convex && angle(c) + angle(d) > std::f64::consts::PI + 1e-9 {
+                    triangles[t] = [c, a, d];
+                    triangles[other] = [d, b, c];
+                    flipped[t] = true;
+                    flipped[other] = true;
+                    any = true;
+                    break;
+                }
+            }
+        }
+        if !any {
+            return;
+        }
+    }
 }
 
 #[cfg(test)]
@@ -152,7 +191,10 @@ mod tests {
             let expected = 20.0 + holes.iter().map(|hole| area(hole)).sum::<f64>();
             let sum: f64 = triangles.iter().map(|t| area(&t.map(|v| points[v as usize]))).sum();
             prop_assert!((sum - expected).abs() < 1e-9);
-            prop_assert!(triangles.iter().all(|t| area(&t.map(|v| points[v as usize])) > 0.0));
+            for corners in triangles.iter().map(|t| t.map(|v| points[v as usize])) {
+                let longest = (0..3).map(|k| (corners[(k + 1) % 3] - corners[k]).norm_squared()).fold(0.0, f64::max);
+                prop_assert!(area(&corners) > 1e-6 * longest, "{:?} is a sliver", corners);
+            }
             // A polygon of n vertices with h holes takes n + 2 h − 2 triangles.
             prop_assert_eq!(triangles.len(), points.len() + 2 * holes.len() - 2);
         }

@@ -1,0 +1,375 @@
+//! Every component of the field, with values that differ from the default, goes through every format unchanged.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
+use trocar_scene::*;
+
+fn pose() -> Pose {
+    Pose::new(Vector3::new(0.1, -0.2, 0.3), UnitQuaternion::from_euler_angles(0.4, -0.5, 0.6))
+}
+fn velocity() -> Velocity {
+    Velocity { linear: Vector3::new(0.1, 0.2, -0.3), angular: Vector3::new(-1.0, 2.0, 3.5) }
+}
+fn v(x: f64) -> Vector3<f64> {
+    Vector3::new(x, -x, 0.1 * x)
+}
+fn e(counter: u32) -> Entity {
+    Entity::new(1, 2, counter)
+}
+
+struct Formats {
+    registry: Arc<Registry>,
+    seen: BTreeSet<&'static str>,
+}
+
+impl Formats {
+    /// Through postcard, JSON and (unless `toml` is false) TOML, directly and through the registry.
+    fn check<T: Component + PartialEq + Debug>(&mut self, value: T, toml: bool) {
+        assert!(self.seen.insert(T::NAME), "{} is tested twice", T::NAME);
+        value.check().unwrap_or_else(|error| panic!("{}: {error}", T::NAME));
+        let id = self.registry.by_name(T::NAME).expect("registered");
+        let entity = e(9);
+
+        let mut bytes = postcard::to_stdvec(&value).expect("postcard");
+        assert_eq!(postcard::from_bytes::<T>(&bytes).as_ref(), Ok(&value), "{}", T::NAME);
+        bytes.extend([1, 2, 3]);
+        let mut commands = self.commands();
+        let rest = self.registry.put_postcard(id, &mut commands, entity, &bytes).expect("postcard");
+        assert_eq!(rest, [1, 2, 3], "{} leaves what follows it", T::NAME);
+        self.holds(commands, entity, &value);
+
+        let json = serde_json::to_value(&value).expect("JSON");
+        let mut commands = self.commands();
+        self.registry.put_json(id, &mut commands, entity, json.clone()).expect("JSON");
+        let snapshot = self.holds(commands, entity, &value);
+        assert_eq!(snapshot.entity_json(entity)[T::NAME], json);
+        let text = serde_json::to_string(&value).expect("JSON");
+        assert_eq!(serde_json::from_str::<T>(&text).expect("JSON"), value, "{}", T::NAME);
+
+        if toml {
+            let document =
+                toml::Value::try_from(&value).unwrap_or_else(|error| panic!("{}: {error}", T::NAME));
+            let mut commands = self.commands();
+            self.registry.put_toml(id, &mut commands, entity, document).expect("TOML");
+            self.holds(commands, entity, &value);
+        }
+    }
+
+    fn commands(&self) -> Commands {
+        Commands::new(self.registry.clone(), EntityAllocator::new(0, SCENARIO_SPAWNER))
+    }
+
+    fn holds<T: Component + PartialEq + Debug>(
+        &self,
+        mut commands: Commands,
+        entity: Entity,
+        value: &T,
+    ) -> Snapshot {
+        let mut store = Store::new(self.registry.clone());
+        commands.seal();
+        store.apply(&mut commands, SimTime::ZERO);
+        assert_eq!(store.view().get::<T>(entity), Some(value), "{}", T::NAME);
+        store.snapshot()
+    }
+}
+
+#[test]
+fn every_component_goes_through_every_format_unchanged() {
+    let mut formats = Formats { registry: Registry::of_the_field(), seen: BTreeSet::new() };
+    graph_and_meshes(&mut formats);
+    matter_and_looks(&mut formats);
+    instruments(&mut formats);
+    hands_and_tasks(&mut formats);
+    let registered: BTreeSet<&str> = formats.registry.iter().map(|(_, entry)| entry.name).collect();
+    let missing: Vec<_> = registered.difference(&formats.seen).collect();
+    assert!(missing.is_empty(), "components without a test: {missing:?}");
+}
+
+fn graph_and_meshes(formats: &mut Formats) {
+    formats.check(Name("ring \"1\"\n".into()), true);
+    formats.check(Parent(e(4)), true);
+    formats.check(pose(), true);
+    formats.check(velocity(), true);
+    formats.check(
+        Shape::PegBoard {
+            half_extents: [0.03, 0.02],
+            thickness: 0.01,
+            pegs: vec![[0.01, 0.0], [-0.01, 0.005]],
+            peg_radius: 0.001,
+            peg_height: 0.02,
+        },
+        true,
+    );
+    formats.check(SurfaceMesh { triangles: Arc::new(vec![[0, 1, 2], [2, 1, 4_000_000_000]]) }, true);
+    formats.check(TetMesh { tets: Arc::new(vec![[0, 1, 2, 3]]) }, true);
+    formats.check(LineMesh { segments: Arc::new(vec![[0, 1], [1, 2]]), radius: 0.0003 }, true);
+    formats.check(VertexPositions { positions: Arc::new(vec![Point3::new(0.1, -2e-300, 3.0)]) }, true);
+    formats.check(TextureCoordinates { uv: Arc::new(vec![Vector2::new(0.25, 1.0)]) }, true);
+    let node = BoundingVolumeNode {
+        min: Point3::new(-1.0, -2.0, -3.0),
+        max: Point3::new(1.0, 2.0, 3.0),
+        first: 7,
+        primitives: 3,
+    };
+    formats.check(BoundingVolumeTree { nodes: Arc::new(vec![node]) }, true);
+}
+
+fn matter_and_looks(formats: &mut Formats) {
+    formats.check(
+        VisualMaterial {
+            base_color: [0.1, 0.2, 0.3, 0.4],
+            roughness: 0.9,
+            metalness: 1.0,
+            color_map: Some(Texture::File("liver.png".into())),
+            normal_map: Some(Texture::Procedural("bumps".into())),
+            edit_map: None,
+            free_map: Some(Texture::Procedural("noise".into())),
+        },
+        true,
+    );
+    formats.check(Light { color: [1.0, 0.5, 0.25], intensity: 3.0, cone_angle: 0.5 }, true);
+    formats.check(Camera { field_of_view: 0.7, near: 0.02, far: 2.0, aspect: 1.5 }, true);
+    formats.check(
+        RigidBody {
+            motion: Motion::Dynamic,
+            mass: 0.005,
+            friction: 0.3,
+            restitution: 0.2,
+            linear_damping: 0.1,
+            angular_damping: 0.4,
+        },
+        true,
+    );
+    let parameter = |value| Parameter { value, source: "a paper".into() };
+    formats.check(
+        TissueMaterial {
+            density: parameter(1060.0),
+            young_modulus: parameter(5e3),
+            poisson_ratio: parameter(0.45),
+            damping: parameter(2.0),
+            conductivity: parameter(0.52),
+            heat_capacity: parameter(3540.0),
+            force_scale: parameter(1.5),
+        },
+        true,
+    );
+    formats.check(Temperature { celsius: Arc::new(vec![37.0, 60.5]) }, true);
+    formats.check(Burn { omega: Arc::new(vec![0.0, 1.25]) }, true);
+}
+
+fn instruments(formats: &mut Formats) {
+    formats.check(
+        Instrument {
+            kind: InstrumentKind::NeedleDriver,
+            shaft_length: 0.3,
+            jaws: 1,
+            jaw_friction: 0.0,
+            grasp_assist: true,
+            port: Some(e(3)),
+            ..Instrument::default()
+        },
+        true,
+    );
+    formats.check(Port { axial_damping: 0.7, insertion_max: 0.25, ..Port::default() }, true);
+    formats.check(
+        InstrumentTarget {
+            tip_in_world: pose(),
+            velocity_in_world: velocity(),
+            jaw_angle: 0.4,
+            sampled_at: SimTime(1_234_567_890_123),
+        },
+        true,
+    );
+    formats.check(JawState { angle: 0.3, rate: -1.0, pad_force: [0.5, 0.6] }, true);
+    formats.check(InstrumentForce { force: v(1.0), torque: v(0.1), at: SimTime(5) }, true);
+    formats.check(Grasp { held: e(8), anchor: pose(), since: SimTime(77), assisted: true }, true);
+    let plane = ContactPlane {
+        point_in_world: Point3::new(0.1, 0.2, 0.3),
+        normal_in_world: Vector3::z(),
+        stiffness: 900.0,
+        damping: 0.5,
+        friction: 0.3,
+    };
+    // TOML has no null, so a list with gaps cannot stand in it; the engine writes this one, never a file.
+    formats.check(
+        LocalContactModel {
+            proxy_in_world: pose(),
+            proxy_velocity: velocity(),
+            planes: [Some(plane), None, Some(plane), None],
+            base_force: v(0.2),
+            at: SimTime(9),
+        },
+        false,
+    );
+}
+
+fn hands_and_tasks(formats: &mut Formats) {
+    formats.check(Hand { side: Side::Right, instrument: e(2), world_from_device: pose(), scale: 1.25 }, true);
+    formats.check(
+        DeviceInfo {
+            model: "Omni".into(),
+            workspace: [0.16, 0.12, 0.07],
+            max_force: 3.3,
+            max_stiffness: 1000.0,
+            input_dofs: 6,
+            output_dofs: 3,
+            ..DeviceInfo::default()
+        },
+        true,
+    );
+    formats.check(
+        DeviceState {
+            handle_in_device: pose(),
+            velocity_in_device: velocity(),
+            gripper: 0.3,
+            buttons: 5,
+            connected: true,
+            applied_force: v(1.0),
+            sampled_at: SimTime(8),
+        },
+        true,
+    );
+    formats.check(DeviceForce { force: v(2.0), torque: v(0.01), at: SimTime(7) }, true);
+    formats.check(HandTarget { handle_in_device: pose(), gripper: 0.6 }, true);
+    formats.check(
+        HapticStatus {
+            energy: 0.1,
+            energy_min: -0.01,
+            dissipated: 0.2,
+            stale_samples: 3,
+            ..HapticStatus::default()
+        },
+        true,
+    );
+    let primitives = [
+        Primitive::Shape(1),
+        Primitive::Triangle(2),
+        Primitive::Tetrahedron(3),
+        Primitive::Segment(4),
+        Primitive::Vertex(5),
+        Primitive::Jaw(1),
+        Primitive::Shaft,
+    ];
+    let collision = |(k, primitive): (usize, &Primitive)| Collision {
+        a: e(1),
+        primitive_a: *primitive,
+        b: e(2),
+        primitive_b: primitives[6 - k],
+        point_in_world: Point3::new(0.1, 0.2, 0.3),
+        normal_in_world: Vector3::y(),
+        depth: 1e-5,
+        force_in_world: v(0.5),
+        velocity_constraint: 0.1,
+    };
+    let collisions = primitives.iter().enumerate().map(collision).collect();
+    formats.check(CollisionList { collisions, penetration_max: 1e-4 }, true);
+    let error = TaskError { kind: "drop_in_view".into(), at_secs: 12.5, entity: Some(e(5)) };
+    let metrics = BTreeMap::from([("left".to_owned(), BTreeMap::from([("path_length".to_owned(), 1.25)]))]);
+    formats.check(
+        TaskState {
+            task: "peg-transfer".into(),
+            phase: "lift".into(),
+            done: 3,
+            steps: 12,
+            seconds: 33.5,
+            completed: true,
+            cut_off: true,
+            score: Some(87.5),
+            errors: vec![error.clone(), TaskError { entity: None, ..error }],
+            metrics,
+        },
+        true,
+    );
+    formats.check(
+        VitalSigns {
+            heart_rate: 71.0,
+            arterial_pressure: 12_000.0,
+            oxygen_saturation: 0.98,
+            blood_loss: 1e-5,
+        },
+        true,
+    );
+}
+
+#[test]
+fn numbers_that_are_not_finite_are_refused_by_every_format() {
+    let registry = Registry::of_the_field();
+    let id = registry.by_name("pose").expect("registered");
+    let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, SCENARIO_SPAWNER));
+    let mut bad = pose();
+    bad.translation.y = f64::NAN;
+    let bytes = postcard::to_stdvec(&bad).expect("postcard");
+    let refused = registry.put_postcard(id, &mut commands, e(1), &bytes);
+    assert!(matches!(refused, Err(ComponentError::NotFinite { index: 1 })), "{refused:?}");
+    let document = toml::Value::try_from(&bad).expect("TOML has nan");
+    let refused = registry.put_toml(id, &mut commands, e(1), document);
+    assert!(matches!(refused, Err(ComponentError::NotFinite { index: 1 })), "{refused:?}");
+    let refused =
+        registry.put_json(id, &mut commands, e(1), serde_json::json!({ "translation": [1, null, 2] }));
+    assert!(matches!(refused, Err(ComponentError::Malformed(_))), "{refused:?}");
+    let refused = registry.put_json(id, &mut commands, e(1), serde_json::json!({ "rotation": [0, 0, 0, 2] }));
+    assert!(refused.is_err(), "{refused:?}");
+    assert!(commands.is_empty(), "nothing of a refused value is kept");
+}
+
+#[test]
+fn truncated_bytes_are_refused() {
+    let registry = Registry::of_the_field();
+    let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, SCENARIO_SPAWNER));
+    let id = registry.by_name("collision_list").expect("registered");
+    // A list that claims 2³² − 1 entries.
+    let bytes = [0xff, 0xff, 0xff, 0xff, 0x0f, 1, 2, 3];
+    assert!(matches!(
+        registry.put_postcard(id, &mut commands, e(1), &bytes),
+        Err(ComponentError::Malformed(_))
+    ));
+}
+
+#[test]
+fn a_name_is_registered_once() {
+    #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+    struct Imposter;
+    impl Component for Imposter {
+        const NAME: &'static str = "pose";
+    }
+    let mut builder = RegistryBuilder::new();
+    builder.register::<Pose>().expect("free");
+    builder.register::<Pose>().expect("the same type again is fine");
+    let error = builder.register::<Imposter>().err().expect("taken");
+    assert!(matches!(error, RegistryError::NameTaken { name: "pose", .. }));
+    assert!(error.to_string().contains("Imposter") && error.to_string().contains("Pose"), "{error}");
+    let registry = builder.build();
+    let error = registry.by_name("poze").expect_err("unknown").to_string();
+    assert!(error.contains("'poze'") && error.contains("pose"), "{error}");
+    assert_eq!(registry.id::<Velocity>(), None);
+    let mut commands = Commands::new(registry, EntityAllocator::new(0, 1));
+    commands.put(e(1), velocity());
+    assert_eq!(commands.error(), Some(&CommandError::Unregistered("velocity")));
+}
+
+#[test]
+fn ids_and_keys_do_not_depend_on_the_order_of_registration() {
+    let mut one = RegistryBuilder::new();
+    one.register::<Pose>()
+        .expect("free")
+        .register::<Velocity>()
+        .expect("free")
+        .register::<Name>()
+        .expect("free");
+    let mut other = RegistryBuilder::new();
+    other
+        .register::<Name>()
+        .expect("free")
+        .register::<Velocity>()
+        .expect("free")
+        .register::<Pose>()
+        .expect("free");
+    let list =
+        |registry: Arc<Registry>| registry.iter().map(|(id, e)| (id, e.name, e.key)).collect::<Vec<_>>();
+    let (one, other) = (list(one.build()), list(other.build()));
+    assert_eq!(one, other);
+    assert!(one.windows(2).all(|pair| pair[0].1 < pair[1].1));
+}

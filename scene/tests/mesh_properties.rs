@@ -1,0 +1,295 @@
+//! No input makes a reader panic, hang, or allocate more than a fixed multiple of its size.
+
+mod common;
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::path::Path;
+
+use common::{Order, tet_box};
+use proptest::prelude::*;
+use trocar_scene::mesh::{
+    Limits, MeshError, SurfaceData, TetData, read_gltf, read_gmsh, read_obj, read_stl, read_vtk,
+    validate_surface, validate_tets,
+};
+use trocar_scene::shapes;
+
+/// Counts the bytes that a thread holds.
+struct Counting;
+
+thread_local! {
+    static HELD: Cell<isize> = const { Cell::new(0) };
+    static PEAK: Cell<isize> = const { Cell::new(0) };
+}
+
+fn add(bytes: isize) {
+    // Threads that are being torn down no longer count.
+    let _ = HELD.try_with(|held| {
+        held.set(held.get() + bytes);
+        let _ = PEAK.try_with(|peak| peak.set(peak.get().max(held.get())));
+    });
+}
+
+// SAFETY: every call goes to the system's allocator unchanged; counting allocates nothing.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        add(layout.size() as isize);
+        // SAFETY: the caller's obligations are passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        add(-(layout.size() as isize));
+        // SAFETY: the caller's obligations are passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Largest number of bytes held at once while `work` runs, above what was held before.
+fn peak_of<R>(work: impl FnOnce() -> R) -> (R, usize) {
+    let before = HELD.get();
+    PEAK.set(before);
+    let result = work();
+    (result, (PEAK.get() - before) as usize)
+}
+
+type SurfaceReader = fn(&Path, &[u8], &Limits) -> Result<SurfaceData, MeshError>;
+type TetReader = fn(&Path, &[u8], &Limits) -> Result<TetData, MeshError>;
+const SURFACES: [SurfaceReader; 3] = [read_obj, read_stl, read_gltf];
+const VOLUMES: [TetReader; 2] = [read_gmsh, read_vtk];
+
+/// What a reader may hold per byte of input. An OBJ corner of two bytes ("1 ") becomes a triangle of 12 bytes plus
+/// the 36 of its corners, and vectors double as they grow.
+const BYTES_PER_BYTE: usize = 256;
+const BYTES_ALWAYS: usize = 64 << 10;
+
+fn every_reader(bytes: &[u8]) -> Result<(), TestCaseError> {
+    let limits = Limits::default();
+    let allowed = BYTES_PER_BYTE * bytes.len() + BYTES_ALWAYS;
+    for reader in SURFACES {
+        let (read, peak) = peak_of(|| reader(Path::new("x"), bytes, &limits));
+        prop_assert!(peak <= allowed, "{peak} bytes for an input of {}", bytes.len());
+        if let Ok(surface) = read {
+            let vertices = surface.positions.len();
+            prop_assert!(surface.triangles.iter().flatten().all(|v| (*v as usize) < vertices));
+            prop_assert!(surface.positions.iter().all(|p| p.coords.iter().all(|x| x.is_finite())));
+            validate_surface(&surface);
+            surface.split();
+        }
+    }
+    for reader in VOLUMES {
+        let (read, peak) = peak_of(|| reader(Path::new("x"), bytes, &limits));
+        prop_assert!(peak <= allowed, "{peak} bytes for an input of {}", bytes.len());
+        if let Ok(mut volume) = read {
+            let vertices = volume.positions.len();
+            prop_assert!(volume.tets.iter().flatten().all(|v| (*v as usize) < vertices));
+            prop_assert!(volume.positions.iter().all(|p| p.coords.iter().all(|x| x.is_finite())));
+            prop_assert_eq!(volume.tets.len(), volume.tags.len());
+            validate_tets(&volume);
+            volume.flip_inverted();
+            volume.compact();
+            volume.boundary();
+        }
+    }
+    Ok(())
+}
+
+fn valid_files() -> Vec<Vec<u8>> {
+    let surface = shapes::torus(0.75, 0.25, 3, 3).expect("a torus");
+    let volume = tet_box(1);
+    vec![
+        common::write_obj(&surface),
+        common::write_stl(&surface, false),
+        common::write_stl(&surface, true),
+        common::write_gltf_embedded(&surface),
+        common::write_glb(&surface),
+        common::write_gmsh_2(&volume, None),
+        common::write_gmsh_2(&volume, Some(Order::Little)),
+        common::write_gmsh_2(&volume, Some(Order::Big)),
+        common::write_gmsh_4(&volume, None),
+        common::write_gmsh_4(&volume, Some(Order::Little)),
+        common::write_gmsh_4(&volume, Some(Order::Big)),
+        common::write_vtk(&volume, false, 3),
+        common::write_vtk(&volume, true, 3),
+        common::write_vtk(&volume, false, 5),
+        common::write_vtk(&volume, true, 5),
+    ]
+}
+
+#[derive(Clone, Debug)]
+enum Mutation {
+    Flip {
+        at: prop::sample::Index,
+        bit: u8,
+    },
+    Set {
+        at: prop::sample::Index,
+        bytes: Vec<u8>,
+    },
+    Cut {
+        at: prop::sample::Index,
+    },
+    Remove {
+        at: prop::sample::Index,
+        length: usize,
+    },
+    Repeat {
+        at: prop::sample::Index,
+        length: usize,
+    },
+    /// A run of digits becomes another number.
+    Number {
+        at: prop::sample::Index,
+        with: &'static str,
+    },
+}
+
+fn mutation() -> impl Strategy<Value = Mutation> {
+    let at = any::<prop::sample::Index>;
+    let numbers = prop::sample::select(vec![
+        "-1",
+        "0",
+        "4294967295",
+        "4294967296",
+        "9223372036854775807",
+        "18446744073709551615",
+        "nan",
+        "1e400",
+        "-1e-400",
+    ]);
+    prop_oneof![
+        (at(), 0..8u8).prop_map(|(at, bit)| Mutation::Flip { at, bit }),
+        (at(), prop::collection::vec(prop_oneof![Just(0u8), Just(0xff), Just(0x7f), any::<u8>()], 1..9))
+            .prop_map(|(at, bytes)| Mutation::Set { at, bytes }),
+        at().prop_map(|at| Mutation::Cut { at }),
+        (at(), 1..64usize).prop_map(|(at, length)| Mutation::Remove { at, length }),
+        (at(), 1..64usize).prop_map(|(at, length)| Mutation::Repeat { at, length }),
+        (at(), numbers).prop_map(|(at, with)| Mutation::Number { at, with }),
+    ]
+}
+
+fn mutate(file: &mut Vec<u8>, mutation: &Mutation) {
+    if file.is_empty() {
+        return;
+    }
+    match mutation {
+        Mutation::Flip { at, bit } => {
+            let at = at.index(file.len());
+            file[at] ^= 1 << bit;
+        }
+        Mutation::Set { at, bytes } => {
+            let at = at.index(file.len());
+            file.iter_mut().skip(at).zip(bytes).for_each(|(old, new)| *old = *new);
+        }
+        Mutation::Cut { at } => file.truncate(at.index(file.len())),
+        Mutation::Remove { at, length } => {
+            let at = at.index(file.len());
+            file.drain(at..(at + length).min(file.len()));
+        }
+        Mutation::Repeat { at, length } => {
+            let at = at.index(file.len());
+            let piece = file[at..(at + length).min(file.len())].to_vec();
+            file.splice(at..at, piece);
+        }
+        Mutation::Number { at, with } => {
+            let digits = |b: &u8| b.is_ascii_digit();
+            let start = at.index(file.len());
+            let Some(begin) = file[start..].iter().position(digits).map(|offset| start + offset) else {
+                return;
+            };
+            let end = begin + file[begin..].iter().position(|b| !digits(b)).unwrap_or(file.len() - begin);
+            file.splice(begin..end, with.bytes());
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(2000))]
+
+    #[test]
+    fn mutated_files_never_harm(
+        which in any::<prop::sample::Index>(),
+        mutations in prop::collection::vec(mutation(), 1..4),
+    ) {
+        thread_local! {
+            static FILES: Vec<Vec<u8>> = valid_files();
+        }
+        let mut file = FILES.with(|files| files[which.index(files.len())].clone());
+        mutations.iter().for_each(|m| mutate(&mut file, m));
+        every_reader(&file)?;
+    }
+
+    #[test]
+    fn random_bytes_never_harm(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        every_reader(&bytes)?;
+    }
+
+    #[test]
+    fn random_text_never_harms(
+        head in prop::sample::select(vec![
+            "", "v 0 0 0\n", "solid x\n", "glTF", "{\"asset\":{\"version\":\"2.0\"},", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n",
+            "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n$Nodes\n", "# vtk DataFile Version 3.0\nt\nASCII\nDATASET UNSTRUCTURED_GRID\n",
+        ]),
+        words in prop::collection::vec("(v|f|vn|facet|normal|[$]Nodes|[$]Elements|POINTS|CELLS|float|-?[0-9]{1,12}|\n|[ -~]{1,6})", 0..60),
+    ) {
+        every_reader(format!("{head}{}", words.join(" ")).as_bytes())?;
+    }
+
+    #[test]
+    fn any_finite_surface_survives_a_round_trip(
+        points in prop::collection::vec(prop::array::uniform3(-1e6..1e6f64), 3..30),
+        corners in prop::collection::vec(prop::array::uniform3(any::<prop::sample::Index>()), 1..40),
+    ) {
+        let surface = SurfaceData {
+            triangles: corners.iter().map(|t| t.map(|c| c.index(points.len()) as u32)).collect(),
+            positions: points.into_iter().map(Into::into).collect(),
+            ..SurfaceData::default()
+        };
+        let read = read_obj(Path::new("x"), &common::write_obj(&surface), &Limits::default());
+        prop_assert_eq!(read.expect("a valid file"), surface.clone());
+        let read = read_stl(Path::new("x"), &common::write_stl(&surface, false), &Limits::default()).expect("valid");
+        for t in 0..surface.triangles.len() {
+            prop_assert_eq!(read.corners(t), surface.corners(t));
+        }
+    }
+}
+
+/// Headers that promise more than there is, for each place where a count stands.
+#[test]
+fn huge_declarations_are_refused_before_allocating() {
+    let limits = Limits { bytes: u64::MAX, vertices: u64::MAX, elements: u64::MAX };
+    let huge = u64::MAX.to_string();
+    let large = "4000000000";
+    let mut binary_stl = vec![0u8; 84];
+    binary_stl[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
+    let msh = |rest: &str| format!("$MeshFormat\n{rest}").into_bytes();
+    let vtk = |rest: &str| {
+        format!("# vtk DataFile Version 5.0\nt\nBINARY\nDATASET UNSTRUCTURED_GRID\n{rest}").into_bytes()
+    };
+    let mut files = vec![binary_stl];
+    for count in [huge.as_str(), large] {
+        files.push(msh(&format!("2.2 0 8\n$EndMeshFormat\n$Nodes\n{count}\n")));
+        files.push(msh(&format!("2.2 0 8\n$EndMeshFormat\n$Nodes\n0\n$EndNodes\n$Elements\n{count}\n")));
+        files.push(msh(&format!("4.1 0 8\n$EndMeshFormat\n$Nodes\n1 {count} 1 1\n3 1 0 {count}\n")));
+        files.push(msh(&format!("4.1 0 8\n$EndMeshFormat\n$Entities\n0 0 0 {count}\n")));
+        files.push(vtk(&format!("POINTS {count} float\n")));
+        files.push(vtk(&format!("CELLS {count} {count}\n")));
+        files.push(vtk(&format!("CELLS {count} {count}\nOFFSETS vtktypeint64\n")));
+        files.push(vtk(&format!("CELL_TYPES {count}\n")));
+        files.push(vtk(&format!("FIELD f 1\na {count} {count} double\n")));
+    }
+    for file in files {
+        let ((stl, gmsh, vtk), peak) = peak_of(|| {
+            let p = Path::new("x");
+            (
+                read_stl(p, &file, &limits).is_err(),
+                read_gmsh(p, &file, &limits).is_err(),
+                read_vtk(p, &file, &limits).is_err(),
+            )
+        });
+        assert!(stl && gmsh && vtk);
+        assert!(peak < 4096, "{peak} bytes for\n{}", String::from_utf8_lossy(&file));
+    }
+}
