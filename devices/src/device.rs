@@ -21,7 +21,7 @@ use thiserror::Error;
 /// A force and a torque that act on the hand, along the axes of the device's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Wrench {
-    /// Force at the handle's origin [N].
+    /// Force at the handle's origin \[N\].
     pub force: Vector3<f64>,
     /// Torque about the handle's origin [N·m].
     pub torque: Vector3<f64>,
@@ -31,7 +31,7 @@ impl Wrench {
     /// No force and no torque.
     pub const ZERO: Self = Self { force: Vector3::new(0.0, 0.0, 0.0), torque: Vector3::new(0.0, 0.0, 0.0) };
 
-    /// A force [N] without torque.
+    /// A force \[N\] without torque.
     pub const fn from_force(force: Vector3<f64>) -> Self {
         Self { force, torque: Vector3::new(0.0, 0.0, 0.0) }
     }
@@ -51,13 +51,13 @@ impl Default for Wrench {
 /// What a device measures at one instant.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceState {
-    /// Pose of the handle in the device's frame [m].
+    /// Pose of the handle in the device's frame \[m\].
     pub pose_in_device: Isometry3<f64>,
     /// Velocity of the handle's origin along the device's axes [m/s].
     pub linear_velocity: Vector3<f64>,
     /// Angular velocity of the handle along the device's axes [rad/s].
     pub angular_velocity: Vector3<f64>,
-    /// Opening angle of the gripper [rad]; 0 is closed.
+    /// Opening angle of the gripper \[rad\]; 0 is closed.
     pub gripper: f64,
     /// Bit `n` is set while button `n` is pressed.
     pub buttons: u32,
@@ -100,9 +100,9 @@ impl DeviceState {
 /// Where the human who holds the handle wants it to be. Virtual hands aim at it; real devices ignore it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HandIntent {
-    /// Desired pose of the handle in the device's frame [m].
+    /// Desired pose of the handle in the device's frame \[m\].
     pub pose_in_device: Isometry3<f64>,
-    /// Desired opening angle of the gripper [rad].
+    /// Desired opening angle of the gripper \[rad\].
     pub gripper: f64,
 }
 
@@ -138,24 +138,24 @@ impl Dofs {
 /// Box in which the handle can move, in the device's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Workspace {
-    /// Lowest corner [m].
+    /// Lowest corner \[m\].
     pub min_in_device: Vector3<f64>,
-    /// Highest corner [m].
+    /// Highest corner \[m\].
     pub max_in_device: Vector3<f64>,
 }
 
 impl Workspace {
-    /// A box around the origin with these edge lengths [m].
+    /// A box around the origin with these edge lengths \[m\].
     pub fn centred(size: Vector3<f64>) -> Self {
         Self { min_in_device: -0.5 * size, max_in_device: 0.5 * size }
     }
 
-    /// Edge lengths [m].
+    /// Edge lengths \[m\].
     pub fn size(&self) -> Vector3<f64> {
         self.max_in_device - self.min_in_device
     }
 
-    /// How far the point [m] lies outside, per axis and signed; zero inside.
+    /// How far the point \[m\] lies outside, per axis and signed; zero inside.
     pub fn excess(&self, point_in_device: &Vector3<f64>) -> Vector3<f64> {
         point_in_device - point_in_device.sup(&self.min_in_device).inf(&self.max_in_device)
     }
@@ -168,7 +168,7 @@ pub struct Capabilities {
     pub name: String,
     /// Where the handle can move.
     pub workspace: Workspace,
-    /// Greatest force [N] (Euclidean norm) that may be rendered.
+    /// Greatest force \[N\] (Euclidean norm) that may be rendered.
     pub max_force_newtons: f64,
     /// Greatest torque [N·m] (Euclidean norm) that may be rendered.
     pub max_torque: f64,
@@ -178,7 +178,7 @@ pub struct Capabilities {
     pub input_dofs: Dofs,
     /// What is driven; torques are dropped when only translations are.
     pub output_dofs: Dofs,
-    /// Mass that the hand feels when no force is rendered [kg].
+    /// Mass that the hand feels when no force is rendered \[kg\].
     pub apparent_mass: f64,
 }
 
@@ -202,7 +202,7 @@ pub enum DeviceError {
 /// A device that a person holds: six inputs or fewer, and motors that push back.
 ///
 /// Stepped by a driver ([`crate::DriverThread`] live, the lock-step scheduler in virtual time), never by a
-/// controller. `now_ns` is the time since the start of the session [ns] and does not decrease.
+/// controller. `now_ns` is the time since the start of the session \[ns\] and does not decrease.
 pub trait HapticDevice: Send {
     /// What the device can do; constant, and known before `open`.
     fn capabilities(&self) -> &Capabilities;

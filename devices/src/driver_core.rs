@@ -19,7 +19,7 @@ use crate::faults::DeviceFaults;
 use crate::force_guard::{DECAY_END_NS, DECAY_START_NS, ForceGuard, GuardConfig, Request};
 use crate::link::{DeviceCommand, DeviceSample, DriverEnd, DriverStatistics, Fence};
 
-/// Time without a valid reading after which a device counts as unplugged [ns].
+/// Time without a valid reading after which a device counts as unplugged \[ns\].
 const LOST_AFTER_NS: u64 = 200_000_000;
 
 /// Readings kept for the delay fault.
@@ -30,7 +30,7 @@ const DELAY_LINE: usize = 1024;
 pub struct DriverConfig {
     /// Limits of what is felt.
     pub guard: GuardConfig,
-    /// Time between two attempts to open a device that is not there [ns].
+    /// Time between two attempts to open a device that is not there \[ns\].
     pub reopen_period_ns: u64,
 }
 
@@ -43,7 +43,7 @@ impl Default for DriverConfig {
 /// Whether the device is there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Connection {
-    /// Not there; the next attempt to open it is due at this time [ns].
+    /// Not there; the next attempt to open it is due at this time \[ns\].
     Absent { retry_at_ns: u64 },
     /// Open.
     Present,
@@ -172,7 +172,7 @@ impl DriverCore {
         self.publish(now_ns);
     }
 
-    /// What a live driver knows of its own timing: ticks that never ran, and how late [ns] this one is.
+    /// What a live driver knows of its own timing: ticks that never ran, and how late \[ns\] this one is.
     pub fn note_timing(&mut self, missed: u64, lateness_ns: u64) {
         self.statistics.missed += missed;
         self.statistics.lateness_max_ns = self.statistics.lateness_max_ns.max(lateness_ns);

@@ -19,9 +19,9 @@ use crate::driver_core::DriverCore;
 use crate::link::{DriverStatistics, Fence};
 use crate::sched;
 
-/// Lowest rate [Hz], so that the thread notices a stop within 10 ms.
+/// Lowest rate \[Hz\], so that the thread notices a stop within 10 ms.
 const RATE_MIN_HZ: f64 = 100.0;
-/// Highest rate [Hz].
+/// Highest rate \[Hz\].
 const RATE_MAX_HZ: f64 = 10_000.0;
 /// How long a stop waits for a device that hangs before the thread is abandoned.
 const STOP_LIMIT: Duration = Duration::from_millis(200);
@@ -31,11 +31,11 @@ const STOP_LIMIT: Duration = Duration::from_millis(200);
 pub struct DriverThreadConfig {
     /// Name of the thread, for debuggers and system monitors; the system shows its first 15 bytes.
     pub name: String,
-    /// Steps per second [Hz], 100 to 10,000.
+    /// Steps per second \[Hz\], 100 to 10,000.
     pub rate_hz: f64,
     /// FIFO priority (1 to 99), or `None` for the ordinary scheduler.
     pub priority: Option<u8>,
-    /// How long before a tick the thread wakes to spin [ns]; at most 30 % of a period is used.
+    /// How long before a tick the thread wakes to spin \[ns\]; at most 30 % of a period is used.
     pub spin_ns: u64,
     /// Start of the session: instant at which session time is zero. The same for all who talk to the driver.
     pub session_start: Instant,
@@ -54,7 +54,7 @@ pub enum DriverThreadError {
     /// The rate is out of range.
     #[error("driver rate {rate_hz} Hz is out of range ({RATE_MIN_HZ} to {RATE_MAX_HZ} Hz)")]
     Rate {
-        /// The rate that was asked for [Hz].
+        /// The rate that was asked for \[Hz\].
         rate_hz: f64,
     },
     /// The system started no thread.
@@ -229,7 +229,7 @@ fn run(
     }
 }
 
-/// Sleeps until `spin_ns` before the deadline and spins for the rest; the time at the end [ns].
+/// Sleeps until `spin_ns` before the deadline and spins for the rest; the time at the end \[ns\].
 fn wait_for(deadline_ns: u64, spin_ns: u64) -> u64 {
     let wake_ns = deadline_ns.saturating_sub(spin_ns);
     let mut now_ns = sched::monotonic_ns();
@@ -244,7 +244,7 @@ fn wait_for(deadline_ns: u64, spin_ns: u64) -> u64 {
     now_ns
 }
 
-/// What the monotonic clock showed at this instant [ns].
+/// What the monotonic clock showed at this instant \[ns\].
 fn origin_of(session_start: Instant) -> u64 {
     let now = Instant::now();
     let now_ns = sched::monotonic_ns();

@@ -80,7 +80,7 @@ impl DeviceFaults {
         now_ns < self.shared.held_until_ns.load(Relaxed)
     }
 
-    /// By how much readings are late at `now_ns` [ns].
+    /// By how much readings are late at `now_ns` \[ns\].
     pub fn delay_ns(&self, now_ns: u64) -> u64 {
         if now_ns < self.shared.delayed_until_ns.load(Relaxed) {
             self.shared.delay_ns.load(Relaxed)

@@ -10,12 +10,12 @@ use nalgebra::Vector3;
 
 use crate::device::{Capabilities, Dofs, Wrench};
 
-/// Age of a force [ns] from which it fades.
+/// Age of a force \[ns\] from which it fades.
 pub const DECAY_START_NS: u64 = 5_000_000;
-/// Age of a force [ns] at which it is zero.
+/// Age of a force \[ns\] at which it is zero.
 pub const DECAY_END_NS: u64 = 20_000_000;
 
-/// Longest step [ns] for which the slew limit is granted; a driver that was late gets no bigger jump.
+/// Longest step \[ns\] for which the slew limit is granted; a driver that was late gets no bigger jump.
 const SLEW_STEP_MAX_NS: u64 = 2_000_000;
 
 /// How a [`ForceGuard`] limits what is felt.
@@ -25,11 +25,11 @@ pub struct GuardConfig {
     pub slew_force: f64,
     /// Fastest change of the torque [N·m/s].
     pub slew_torque: f64,
-    /// Time over which force grows from nothing after a start, a restart or an interruption [ns].
+    /// Time over which force grows from nothing after a start, a restart or an interruption \[ns\].
     pub ramp_ns: u64,
     /// Viscous damping against the measured velocity [N·s/m].
     pub damping: f64,
-    /// Greatest force of that damping [N].
+    /// Greatest force of that damping \[N\].
     pub damping_force_max: f64,
 }
 
@@ -50,9 +50,9 @@ impl Default for GuardConfig {
 pub(crate) struct Request {
     /// The wrench that the controller wants.
     pub wrench: Wrench,
-    /// Time since the controller computed it [ns].
+    /// Time since the controller computed it \[ns\].
     pub command_age_ns: u64,
-    /// Time since the device last gave a valid reading [ns].
+    /// Time since the device last gave a valid reading \[ns\].
     pub reading_age_ns: u64,
     /// Measured velocity of the handle [m/s].
     pub linear_velocity: Vector3<f64>,

@@ -5,16 +5,16 @@
 /// The lag is integrated by the backward Euler rule, which is stable for every step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FingerFollower {
-    /// Time constant of the lag [s].
+    /// Time constant of the lag \[s\].
     pub time_constant: f64,
     /// Fastest change of the angle [rad/s].
     pub speed_max: f64,
-    /// Widest opening [rad]; 0 is closed.
+    /// Widest opening \[rad\]; 0 is closed.
     pub angle_max: f64,
 }
 
 impl FingerFollower {
-    /// The angle [rad] after `step_secs`, coming from `angle` and aiming at `target`.
+    /// The angle \[rad\] after `step_secs`, coming from `angle` and aiming at `target`.
     pub fn step(&self, angle: f64, target: f64, step_secs: f64) -> f64 {
         let target = target.max(0.0).min(self.angle_max);
         let change = (target - angle) * step_secs / (self.time_constant + step_secs);

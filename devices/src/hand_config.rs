@@ -18,7 +18,7 @@ use crate::oscillator::Oscillator;
 /// Mechanical impedance of a human's arm at the grip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmImpedance {
-    /// Mass that moves with the handle [kg].
+    /// Mass that moves with the handle \[kg\].
     pub mass: f64,
     /// Viscous damping [N·s/m].
     pub damping: f64,
@@ -29,18 +29,18 @@ pub struct ArmImpedance {
 /// Figures of a [`crate::VirtualHand`]; the default is a Phantom Omni in a firm grip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VirtualHandConfig {
-    /// Apparent mass of the device at the handle [kg].
+    /// Apparent mass of the device at the handle \[kg\].
     pub device_mass: f64,
     /// Viscous damping of the device [N·s/m].
     pub device_damping: f64,
-    /// Coulomb friction of the device [N].
+    /// Coulomb friction of the device \[N\].
     pub friction: f64,
     /// The arm that holds the handle.
     pub arm: ArmImpedance,
     /// Whether the arm holds the handle. If not, translation has the device's mass, damping and friction only;
     /// the orientation and the gripper still follow the aim.
     pub impedance: bool,
-    /// Constant force of the human, whatever the position, in the device's frame [N].
+    /// Constant force of the human, whatever the position, in the device's frame \[N\].
     pub push: Vector3<f64>,
     /// Where the handle is at the start, in the device's frame.
     pub start_in_device: Isometry3<f64>,
@@ -52,15 +52,15 @@ pub struct VirtualHandConfig {
     pub stop_stiffness: f64,
     /// Damping of the stops [N·s/m].
     pub stop_damping: f64,
-    /// Natural frequency with which the orientation follows the aim [Hz].
+    /// Natural frequency with which the orientation follows the aim \[Hz\].
     pub orientation_hz: f64,
     /// The fingers at the gripper.
     pub fingers: FingerFollower,
-    /// Resolution of the position that is measured [m]; 0 for none.
+    /// Resolution of the position that is measured \[m\]; 0 for none.
     pub resolution: f64,
-    /// Cut-off of the filter of measured velocities [Hz].
+    /// Cut-off of the filter of measured velocities \[Hz\].
     pub velocity_cutoff_hz: f64,
-    /// Greatest force of the motors [N].
+    /// Greatest force of the motors \[N\].
     pub max_force: f64,
     /// Greatest torque of the motors [N·m]; matters with six outputs.
     pub max_torque: f64,
@@ -110,7 +110,7 @@ pub struct HandConfigError {
 }
 
 impl VirtualHandConfig {
-    /// The resolution of the Phantom Omni [m].
+    /// The resolution of the Phantom Omni \[m\].
     pub const OMNI_RESOLUTION: f64 = 55e-6;
 
     /// Whether every figure is in the range for which the integration is known to be stable.

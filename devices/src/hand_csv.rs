@@ -14,7 +14,7 @@ use crate::reader::{
 use crate::trajectory::{Trajectory, TrajectoryPoint};
 
 const COLUMNS: [&str; 9] = ["t", "x", "y", "z", "qw", "qx", "qy", "qz", "gripper"];
-/// Latest time [s]: 100 years, so that clocks of the day fit and nanoseconds do too.
+/// Latest time \[s\]: 100 years, so that clocks of the day fit and nanoseconds do too.
 const TIME_MAX: f64 = 3.2e9;
 /// How far a quaternion may be from unit length.
 const NORM_TOLERANCE: f64 = 1e-3;

@@ -22,7 +22,7 @@ const COLUMNS: usize = 76;
 const BLOCK: usize = 19;
 /// Frames per second.
 const FRAME_RATE: u64 = 30;
-/// Longest line that is read: 76 numbers of 100 characters [bytes].
+/// Longest line that is read: 76 numbers of 100 characters \[bytes\].
 const LINE_MAX: u64 = 8 * 1024;
 /// How far a matrix may be from a rotation.
 const ROTATION_TOLERANCE: f64 = 1e-2;

@@ -60,15 +60,15 @@ pub struct DriverStatistics {
     pub slew_limited: u64,
     /// How often force was ramped in.
     pub ramps: u64,
-    /// Greatest force that was rendered, after the clamp [N].
+    /// Greatest force that was rendered, after the clamp \[N\].
     pub force_newtons_max: f64,
     /// Greatest torque that was rendered, after the clamp [N·m].
     pub torque_max: f64,
-    /// Time since the last accepted command was computed [ns]; `u64::MAX` before the first.
+    /// Time since the last accepted command was computed \[ns\]; `u64::MAX` before the first.
     pub since_command_ns: u64,
     /// Ticks of a live driver that never ran.
     pub missed: u64,
-    /// Greatest lateness of a live driver's tick [ns].
+    /// Greatest lateness of a live driver's tick \[ns\].
     pub lateness_max_ns: u64,
 }
 

@@ -10,7 +10,7 @@ use nalgebra::Matrix3;
 /// Parameters of a one-dimensional damped oscillator.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Oscillator {
-    /// Mass [kg], above zero.
+    /// Mass \[kg\], above zero.
     pub mass: f64,
     /// Viscous damping [N·s/m].
     pub damping: f64,
@@ -67,7 +67,7 @@ impl Oscillator {
 }
 
 impl Transition {
-    /// Applies the step to one axis: position [m], velocity [m/s], acceleration by the force [m/s²].
+    /// Applies the step to one axis: position \[m\], velocity [m/s], acceleration by the force [m/s²].
     pub fn apply(&self, position: f64, velocity: f64, acceleration: f64) -> (f64, f64) {
         let [px, pv, pa] = self.position;
         let [vx, vv, va] = self.velocity;

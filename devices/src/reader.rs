@@ -9,14 +9,14 @@ use thiserror::Error;
 
 use crate::trajectory::TrajectoryError;
 
-/// Largest file that is read [bytes].
+/// Largest file that is read \[bytes\].
 pub const MAX_FILE_BYTES: u64 = 512 << 20;
 /// Most rows that are read: 67 minutes at 1 kHz.
 pub const MAX_ROWS: usize = 4_000_000;
 
-/// Farthest from the origin that a hand can be [m]; beyond it a file is probably in millimetres.
+/// Farthest from the origin that a hand can be \[m\]; beyond it a file is probably in millimetres.
 const POSITION_MAX: f64 = 10.0;
-/// Longest piece of a file that is quoted in a message [characters].
+/// Longest piece of a file that is quoted in a message \[characters\].
 const QUOTE_MAX: usize = 40;
 
 /// What the first time in a file means.
@@ -133,15 +133,15 @@ pub enum RowProblem {
     /// A line that is longer than any valid one.
     #[error("the line is longer than {limit} bytes")]
     LineTooLong {
-        /// Longest line that is read [bytes].
+        /// Longest line that is read \[bytes\].
         limit: u64,
     },
     /// Time does not increase.
     #[error("time {time_secs} s is not after {previous_secs} s of the row before")]
     TimeNotIncreasing {
-        /// Time of the row [s].
+        /// Time of the row \[s\].
         time_secs: f64,
-        /// Time of the row before [s].
+        /// Time of the row before \[s\].
         previous_secs: f64,
     },
     /// A number beyond what makes sense.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use rustix::thread::{ClockId, Timespec};
 
-/// Time of the monotonic clock [ns].
+/// Time of the monotonic clock \[ns\].
 pub(crate) fn monotonic_ns() -> u64 {
     let now = rustix::time::clock_gettime(ClockId::Monotonic);
     u64::try_from(now.tv_sec).unwrap_or(0) * 1_000_000_000 + u64::try_from(now.tv_nsec).unwrap_or(0)

@@ -10,7 +10,7 @@ use crate::link::DeviceSample;
 /// What a hand was doing at one instant.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrajectoryPoint {
-    /// Session time [ns].
+    /// Session time \[ns\].
     pub time_ns: u64,
     /// State of the device then.
     pub state: DeviceState,
@@ -35,9 +35,9 @@ pub enum TrajectoryError {
     TimeNotIncreasing {
         /// Which point, from 0.
         index: usize,
-        /// Its time [ns].
+        /// Its time \[ns\].
         time_ns: u64,
-        /// Time of the point before [ns].
+        /// Time of the point before \[ns\].
         previous_ns: u64,
     },
     /// A number that is NaN or infinite, or a rotation that is not of unit length.
@@ -51,7 +51,7 @@ pub enum TrajectoryError {
 /// Where a foreign recording lies in a device's frame: shifted by its centre, scaled, then posed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Registration {
-    /// Point of the source [m] that comes to lie on the origin of `device_from_source`.
+    /// Point of the source \[m\] that comes to lie on the origin of `device_from_source`.
     pub centre_in_source: Vector3<f64>,
     /// Scale of lengths; rotations are not scaled.
     pub scale: f64,
@@ -150,17 +150,17 @@ impl Trajectory {
         &self.points
     }
 
-    /// Time of the first point [ns].
+    /// Time of the first point \[ns\].
     pub fn start_ns(&self) -> u64 {
         self.points[0].time_ns
     }
 
-    /// Time of the last point [ns].
+    /// Time of the last point \[ns\].
     pub fn end_ns(&self) -> u64 {
         self.points[self.points.len() - 1].time_ns
     }
 
-    /// Mean position of the points [m].
+    /// Mean position of the points \[m\].
     pub fn centre(&self) -> Vector3<f64> {
         let count = self.points.len() as f64;
         self.points.iter().map(|point| point.state.pose_in_device.translation.vector / count).sum()
@@ -178,7 +178,7 @@ impl Trajectory {
         Self::new(points)
     }
 
-    /// The state at a session time [ns]: bit for bit that of a point of exactly this time, otherwise
+    /// The state at a session time \[ns\]: bit for bit that of a point of exactly this time, otherwise
     /// interpolated (slerp for rotations); at rest before the first point and after the last.
     pub fn at(&self, time_ns: u64) -> DeviceState {
         let after = match self.points.binary_search_by_key(&time_ns, |point| point.time_ns) {

@@ -21,9 +21,9 @@ use crate::device::{Capabilities, DeviceError, DeviceState, Dofs, HandIntent, Ha
 use crate::hand_config::{HandConfigError, VirtualHandConfig};
 use crate::oscillator::{Oscillator, Transition};
 
-/// Longest sub-step [ns].
+/// Longest sub-step \[ns\].
 const SUBSTEP_MAX_NS: u64 = 250_000;
-/// Longest time that is caught up with when the hand was not stepped [ns]; what is older is skipped.
+/// Longest time that is caught up with when the hand was not stepped \[ns\]; what is older is skipped.
 const CATCH_UP_MAX_NS: u64 = 100_000_000;
 /// Rotational inertia of the handle [kg·m²]: a stylus of 45 g and 15 cm about its middle.
 const HANDLE_INERTIA: f64 = 8.4e-5;
