@@ -79,16 +79,16 @@ pub struct MotorParameterError {
 impl MotorParameters {
     /// Typical numbers of a skill. Reaction times span the visual reaction times of adults (Luce 1986,
     /// 0.18–0.4 s), tremor the range measured in surgeons' hands, 0.05–0.5 mm; speeds and Fitts slopes are
-    /// set so that the times per transfer are those reported of trainees.
+    /// set so that a transfer takes an expert 6–8 s, as it does a trained resident.
     pub fn of(skill: Skill) -> Self {
         match skill {
             Skill::Expert => Self {
                 tremor_rms: 0.08e-3,
                 tremor_hz: 10.0,
                 reaction_secs: 0.20,
-                fitts_base_secs: 0.10,
-                fitts_secs_per_bit: 0.11,
-                peak_speed: 0.25,
+                fitts_base_secs: 0.12,
+                fitts_secs_per_bit: 0.14,
+                peak_speed: 0.20,
                 aim_error: 0.02,
                 jaw_speed: 3.0,
             },
@@ -97,8 +97,8 @@ impl MotorParameters {
                 tremor_hz: 9.5,
                 reaction_secs: 0.26,
                 fitts_base_secs: 0.15,
-                fitts_secs_per_bit: 0.16,
-                peak_speed: 0.16,
+                fitts_secs_per_bit: 0.18,
+                peak_speed: 0.15,
                 aim_error: 0.045,
                 jaw_speed: 2.2,
             },

@@ -1,78 +1,81 @@
-//! The trainee against the real physics.
+//! The trainee on the real physics: the whole chain from its intent to the ring and back.
 
 #[path = "support/lockstep.rs"]
 mod lockstep;
 
 use lockstep::Session;
 use trocar_input::{AutopilotConfig, Skill};
-use trocar_scene::{CollisionList, Grasp, InstrumentTarget, JawState};
+use trocar_scene::Instrument;
+
+fn expert() -> AutopilotConfig {
+    AutopilotConfig { skill: Skill::Expert, ..AutopilotConfig::default() }
+}
 
 #[test]
 fn an_expert_completes_the_exercise() {
-    let config = AutopilotConfig { skill: Skill::Expert, ..AutopilotConfig::default() };
-    let trace = std::env::var("TRACE").is_ok();
-    let limit: f64 = std::env::var("LIMIT").ok().and_then(|v| v.parse().ok()).unwrap_or(300.0);
-    let seed: u64 = std::env::var("SEED").ok().and_then(|v| v.parse().ok()).unwrap_or(1);
-    let mut session = Session::new(&config, seed, |_| {});
+    let mut session = Session::new(&expert(), 1, |_| {});
+    let mut story = Vec::new();
     let mut last = String::new();
-    let mut errors = 0;
-    let task = session.run(limit, |session| {
-        let Some(state) = session.trainee() else { return };
-        let steps = state.autopilot.steps().map(|step| step.name());
-        let rings = state.autopilot.rings();
-        let now = format!("{steps:?}{rings:?}");
-        let task = session.task();
-        if trace && (now != last || task.errors.len() != errors) {
-            let scene = session.scene();
-            let side = |name: &str| {
-                let e = scene.find(name).unwrap();
-                let jaw = scene.get::<JawState>(e).copied().unwrap_or_default();
-                let tip = scene.world_pose(e).translation.vector * 1e3;
-                let target = scene
-                    .get::<InstrumentTarget>(e)
-                    .map(|t| (t.tip_in_world.translation * 1e3 - tip).norm())
-                    .unwrap_or(0.0);
-                let held = scene.get::<Grasp>(e).map_or("-".to_string(), |g| {
-                    let in_tip = scene.world_pose(e).inverse() * scene.world_pose(g.held);
-                    let point = (0..720)
-                        .map(|k| {
-                            let a = f64::from(k) * std::f64::consts::PI / 360.0;
-                            in_tip * nalgebra::Point3::new(0.008 * a.cos(), 0.008 * a.sin(), 0.0)
-                        })
-                        .min_by(|a, b| (a.x * a.x + a.y * a.y).total_cmp(&(b.x * b.x + b.y * b.y)))
-                        .unwrap();
-                    format!("{} d{:.2},{:.2}", &scene.name(g.held)[5..], -point.z * 1e3, point.x * 1e3)
-                });
-                format!(
-                    "tip {:6.1} {:6.1} {:6.1} off {:4.1} jaw {:.2} f {:.1}/{:.1} {held:6}",
-                    tip.x, tip.y, tip.z, target, jaw.angle, jaw.pad_force[0], jaw.pad_force[1]
-                )
-            };
-            eprintln!(
-                "{:7.2} {:24} {:?} L {} R {} done {} err {:?}",
-                session.secs(),
-                steps.join(" "),
-                rings,
-                side("grasper.left"),
-                side("grasper.right"),
-                task.done,
-                task.errors.last().map(|e| e.kind.clone())
-            );
-            last = now;
-            errors = task.errors.len();
+    let task = session.run(200.0, |session| {
+        let steps = format!("{:?}", session.task().done);
+        if steps != last {
+            story.push(session.describe());
+            last = steps;
         }
     });
-    let depth = session.scene().iter::<CollisionList>().map(|(_, l)| l.penetration_max).fold(0.0, f64::max);
-    eprintln!(
-        "{:?} {:?} done {} of {} in {:.1} s, score {:?}, errors {:?}, penetration {:.1} um",
-        config.skill,
-        task.phase,
-        task.done,
-        task.steps,
-        task.seconds,
-        task.score,
-        task.errors,
-        depth * 1e6
-    );
-    assert!(task.completed, "{task:?}");
+    let story = story.join("\n");
+    assert!(task.completed && !task.cut_off, "{story}\n{}\n{task:?}", session.describe());
+    assert_eq!((task.done, task.steps), (12, 12));
+    assert!((60.0..150.0).contains(&task.seconds), "{} s\n{story}", task.seconds);
+    assert!(task.score.is_some_and(|score| score > 50.0), "{:?}", task.score);
+}
+
+#[test]
+fn without_friction_or_with_one_jaw_no_ring_is_lifted() {
+    let broken: [fn(&mut Instrument); 2] =
+        [|instrument| instrument.jaw_friction = 0.0, |instrument| instrument.jaws = 1];
+    for change in broken {
+        let mut session = Session::new(&expert(), 1, change);
+        let task = session.run(25.0, |_| {});
+        assert_eq!(task.done, 0, "{}", session.describe());
+        assert!(!task.completed);
+        let handed_over =
+            session.scene().events().since(0).any(|(_, event)| event.name == "ring_handed_over");
+        assert!(!handed_over, "{}", session.describe());
+    }
+}
+
+#[test]
+fn a_left_handed_trainee_starts_on_the_other_side() {
+    let mut session = Session::new(&AutopilotConfig { left_handed: true, ..expert() }, 2, |_| {});
+    let task = session.run(40.0, |session| {
+        let done = session.task().done;
+        assert!(done <= 12);
+    });
+    assert!(task.done >= 2, "{}\n{task:?}", session.describe());
+    let scene = session.scene();
+    let first_lift = scene.events().since(0).find(|(_, event)| event.name == "ring_lifted");
+    let by = first_lift.and_then(|(_, event)| event.object).expect("a ring was lifted");
+    assert_eq!(scene.name(by), "grasper.right");
+}
+
+#[test]
+fn restarts_of_referee_and_trainee_change_no_bit() {
+    let (mut whole, mut restarted) = (Session::new(&expert(), 3, |_| {}), Session::new(&expert(), 3, |_| {}));
+    whole.run(9.0, |_| {});
+    // In the middle of approaches, pinches and the hand-over.
+    let mut at = [0.5, 1.77, 1.96, 2.9, 4.61, 5.0, 7.3].into_iter().peekable();
+    restarted.run(9.0, |session| {
+        if at.peek().is_some_and(|at| session.secs() >= *at) {
+            at.next();
+            session.restart_referee_and_trainee();
+        }
+    });
+    assert_eq!(at.peek(), None);
+    let bytes = |session: &Session| {
+        let mut bytes = Vec::new();
+        session.scene().encode(&mut bytes).unwrap();
+        bytes
+    };
+    assert!(bytes(&whole) == bytes(&restarted), "{}\n{}", whole.describe(), restarted.describe());
 }
