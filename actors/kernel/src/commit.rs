@@ -57,6 +57,10 @@ impl CommitBuffer {
     pub fn payload_len(&self) -> usize {
         self.bytes.len()
     }
+    /// The state hash after the last commit.
+    pub fn last_hash(&self) -> Option<StateHash> {
+        self.entries.last().map(|entry| entry.hash)
+    }
     /// Forgets the commits and keeps the room.
     pub fn clear(&mut self) {
         self.truncate(0);

@@ -11,6 +11,7 @@ pub mod model_core;
 #[cfg(test)]
 mod model_core_tests;
 pub mod publish;
+pub mod recorder;
 pub mod retire;
 pub mod runtime;
 pub mod spec;

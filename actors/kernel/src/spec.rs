@@ -122,6 +122,10 @@ pub trait CommitSink: Send {
     fn close(&mut self) -> bool;
     /// A disk fault begins or ends.
     fn fault(&mut self, _order: &FaultOrder) {}
+    /// Whether everything can be written right now; `None`: it cannot tell.
+    fn is_sound(&self) -> Option<bool> {
+        None
+    }
 }
 
 /// A session: the scene at the start and everyone who acts on it.
@@ -223,7 +227,7 @@ pub struct SessionOutcome {
     pub snapshot: Arc<Snapshot>,
     /// One row per controller, in the order of the session.
     pub controllers: Vec<ControllerReport>,
-    /// The Model's own row; its `scheduled` ticks are batches.
+    /// The Model's own row: it has no rate; live, its ticks are the passes that it was woken for.
     pub model: ControllerReport,
     /// One row per fault of the plan.
     pub faults: Vec<FaultRow>,

@@ -75,8 +75,10 @@ impl LockstepSession {
 
     /// Asks the targets that are not controllers how they are.
     pub(super) fn look_at_sinks(&mut self) {
-        for (name, sink) in &self.fault_sinks {
-            match sink.is_sound() {
+        let recorder = self.recorder.as_ref().map(|recorder| (RECORDER, recorder.is_sound()));
+        let sinks = self.fault_sinks.iter().map(|(name, sink)| (name.as_str(), sink.is_sound()));
+        for (name, sound) in sinks.chain(recorder) {
+            match sound {
                 Some(true) => self.fault_log.resumed(name, self.now),
                 Some(false) => self.fault_log.detected(name, self.now),
                 None => {}

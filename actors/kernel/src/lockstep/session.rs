@@ -308,11 +308,11 @@ impl LockstepSession {
                 self.run_tick(index);
             }
         }
-        if self.fault_log.is_open() {
-            self.look_at_sinks();
-        }
         if at >= self.next_publish {
             self.publish();
+        }
+        if self.fault_log.is_open() {
+            self.look_at_sinks();
         }
         if let Some(stop) = &self.stop_when
             && at >= self.next_stop_check

@@ -1,0 +1,49 @@
+//! Reading MCAP's plain parts from bytes that may be anything: every length is checked before it is used.
+
+/// What is left of some bytes.
+#[derive(Clone, Copy)]
+pub(super) struct Bytes<'a>(pub(super) &'a [u8]);
+
+/// The bytes end before the value does.
+#[derive(Debug)]
+pub(super) struct Short;
+
+impl From<Short> for String {
+    fn from(_: Short) -> Self {
+        "the record ends in the middle of a value".to_owned()
+    }
+}
+
+impl<'a> Bytes<'a> {
+    pub(super) fn take(&mut self, count: u64) -> Result<&'a [u8], Short> {
+        let count = usize::try_from(count).map_err(|_| Short)?;
+        if count > self.0.len() {
+            return Err(Short);
+        }
+        let (taken, rest) = self.0.split_at(count);
+        self.0 = rest;
+        Ok(taken)
+    }
+    fn array<const N: usize>(&mut self) -> Result<[u8; N], Short> {
+        let (taken, rest) = self.0.split_first_chunk::<N>().ok_or(Short)?;
+        self.0 = rest;
+        Ok(*taken)
+    }
+    pub(super) fn u8(&mut self) -> Result<u8, Short> {
+        Ok(self.array::<1>()?[0])
+    }
+    pub(super) fn u16(&mut self) -> Result<u16, Short> {
+        self.array().map(u16::from_le_bytes)
+    }
+    pub(super) fn u32(&mut self) -> Result<u32, Short> {
+        self.array().map(u32::from_le_bytes)
+    }
+    pub(super) fn u64(&mut self) -> Result<u64, Short> {
+        self.array().map(u64::from_le_bytes)
+    }
+    /// A string with its length before it; what is not UTF-8 is replaced.
+    pub(super) fn text(&mut self) -> Result<String, Short> {
+        let length = self.u32()?;
+        Ok(String::from_utf8_lossy(self.take(u64::from(length))?).into_owned())
+    }
+}

@@ -1,0 +1,583 @@
+//! Opens a recording, also one that was cut off, and reads it piece by piece.
+//!
+//! The top-level records are walked once to find the chunks; a chunk is read when it is needed. Whatever
+//! stands behind the last whole record is what a crash left behind: it is reported, and the rest is used.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use thiserror::Error;
+use trocar_scene::{Component, ComponentError, Entity, EntityAllocator, Registry, SimTime, Snapshot, Store};
+
+use super::bytes::Bytes;
+use super::format::{
+    COMMITS, COMPONENT, GAPS, Gap, Group, KEYFRAMES, META, META_DEVICES, META_END, SCENARIO, SCHEMA,
+    decode_keyframe_header,
+};
+use crate::chain::StateHash;
+
+const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+/// Longest chunk that is read into memory; ours are about 1 MiB unless one keyframe is larger.
+const CHUNK_MAX: u64 = 1 << 30;
+/// Longest other record that is looked into.
+const RECORD_MAX: u64 = 64 << 20;
+const OP_FOOTER: u8 = 0x02;
+const OP_CHANNEL: u8 = 0x04;
+const OP_MESSAGE: u8 = 0x05;
+const OP_CHUNK: u8 = 0x06;
+const OP_ATTACHMENT: u8 = 0x09;
+const OP_METADATA: u8 = 0x0c;
+
+/// A file that cannot be used as a recording.
+#[derive(Debug, Error)]
+pub enum RecordingError {
+    /// The file cannot be read.
+    #[error("recording '{}': {source}", file.display())]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// Something else than a recording.
+    #[error("recording '{}': not a recording of trocar: {what}", file.display())]
+    NotARecording {
+        /// The file.
+        file: PathBuf,
+        /// What is missing.
+        what: String,
+    },
+    /// Another version of the format.
+    #[error(
+        "recording '{}', metadata 'trocar': schema {found} (written by version {version}); this version \
+         reads schema {SCHEMA}",
+        file.display()
+    )]
+    Schema {
+        /// The file.
+        file: PathBuf,
+        /// What it says.
+        found: String,
+        /// Which version of trocar wrote it.
+        version: String,
+    },
+    /// Components that this session does not know.
+    #[error("recording '{}': unknown components: {names}", file.display())]
+    UnknownComponents {
+        /// The file.
+        file: PathBuf,
+        /// Their names.
+        names: String,
+    },
+    /// A damaged part.
+    #[error("recording '{}', byte {offset}: {message}", file.display())]
+    Damaged {
+        /// The file.
+        file: PathBuf,
+        /// Where the part begins.
+        offset: u64,
+        /// What is wrong with it.
+        message: String,
+    },
+    /// The recording replays to something else than was recorded.
+    #[error(
+        "recording '{}', revision {revision}: the state hash is {found}, recorded was {recorded}",
+        file.display()
+    )]
+    Diverged {
+        /// The file.
+        file: PathBuf,
+        /// Where.
+        revision: u64,
+        /// What the replay gives.
+        found: StateHash,
+        /// What the file says.
+        recorded: StateHash,
+    },
+}
+
+/// What stands at the head of a recording.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RecordingMetadata {
+    /// Version of trocar that wrote it.
+    pub version: String,
+    /// Name of the scenario.
+    pub scenario: String,
+    /// The scenario's text.
+    pub scenario_text: String,
+    /// The session's seed.
+    pub seed: u64,
+    /// The station's number.
+    pub station: u16,
+    /// How it was run.
+    pub mode: String,
+    /// NAME → key and policy of every component of the session.
+    pub components: BTreeMap<String, String>,
+    /// Capabilities of each device, as JSON.
+    pub devices: BTreeMap<String, String>,
+    /// Whatever else was written.
+    pub extra: BTreeMap<String, String>,
+}
+
+/// What a clean close left at the end.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RecordingEnd {
+    /// The last revision.
+    pub revision: u64,
+    /// The state hash at the end.
+    pub hash: String,
+    /// The time at the end.
+    pub time: SimTime,
+    /// Whether nothing is missing.
+    pub complete: bool,
+}
+
+/// The whole scene at one revision.
+#[derive(Clone, Debug)]
+pub struct Keyframe {
+    /// The state hash of that revision.
+    pub hash: StateHash,
+    /// The time at which it was written.
+    pub time: SimTime,
+    scene: Vec<u8>,
+    offset: u64,
+}
+
+impl Keyframe {
+    /// The scene.
+    ///
+    /// # Errors
+    /// When it cannot be decoded.
+    pub fn load(&self, registry: &Arc<Registry>) -> Result<Store, ComponentError> {
+        let (store, rest) = Store::load(registry, &self.scene)?;
+        if rest.is_empty() {
+            Ok(store)
+        } else {
+            Err(ComponentError::Malformed(format!("{} bytes too many in a keyframe", rest.len())))
+        }
+    }
+    /// Where in the file it stands.
+    pub fn offset(&self) -> u64 {
+        self.offset
+    }
+}
+
+/// A piece of a recording, in order.
+#[derive(Clone, Debug)]
+pub enum Item {
+    /// What changed the scene, in one publication.
+    Commits(Group),
+    /// The whole scene.
+    Keyframe(Keyframe),
+    /// Something is missing here; a keyframe follows.
+    Gap(Gap),
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Chunk {
+    offset: u64,
+    length: u64,
+    start: SimTime,
+    end: SimTime,
+}
+
+/// An opened recording.
+#[derive(Debug)]
+pub struct Recording {
+    path: PathBuf,
+    metadata: RecordingMetadata,
+    end: Option<RecordingEnd>,
+    topics: BTreeMap<u16, String>,
+    chunks: Vec<Chunk>,
+    truncation: Option<String>,
+}
+
+impl Recording {
+    /// Opens a file and finds its parts.
+    ///
+    /// # Errors
+    /// [`RecordingError`]; a file that was merely cut off opens, see [`Self::truncation`].
+    pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        let io_error = |source| RecordingError::Io { file: path.to_owned(), source };
+        let mut file = File::open(path).map_err(io_error)?;
+        let size = file.metadata().map_err(io_error)?.len();
+        let mut recording = Self {
+            path: path.to_owned(),
+            metadata: RecordingMetadata::default(),
+            end: None,
+            topics: BTreeMap::new(),
+            chunks: Vec::new(),
+            truncation: None,
+        };
+        let mut magic = [0; 8];
+        file.read_exact(&mut magic).map_err(|_| recording.not_a_recording("it is shorter than a header"))?;
+        if magic != *MAGIC {
+            return Err(recording.not_a_recording("it is no MCAP file"));
+        }
+        let mut schema = None;
+        let mut offset = 8;
+        let mut footer = false;
+        while !footer {
+            let mut head = [0; 9];
+            if offset + 9 > size {
+                recording.truncation = Some(format!("the file ends at byte {size} without a footer"));
+                break;
+            }
+            file.seek(SeekFrom::Start(offset)).map_err(io_error)?;
+            file.read_exact(&mut head).map_err(io_error)?;
+            let mut fields = Bytes(&head[1..]);
+            let length = fields.u64().unwrap_or(0);
+            if length > size - offset - 9 {
+                recording.truncation =
+                    Some(format!("the file ends at byte {size} in the middle of the record at {offset}"));
+                break;
+            }
+            match head[0] {
+                OP_FOOTER => footer = true,
+                OP_CHUNK => recording.note_chunk(&mut file, offset, length)?,
+                OP_METADATA | OP_ATTACHMENT if length <= RECORD_MAX => {
+                    let mut body = vec![0; length as usize];
+                    file.read_exact(&mut body).map_err(io_error)?;
+                    let noted = if head[0] == OP_METADATA {
+                        recording.note_metadata(&body, &mut schema)
+                    } else {
+                        recording.note_attachment(&body)
+                    };
+                    noted.map_err(|message| recording.damaged(offset, message))?;
+                }
+                _ => {}
+            }
+            offset += 9 + length;
+        }
+        if footer && offset + MAGIC.len() as u64 > size {
+            recording.truncation = Some(format!("the file ends at byte {size} behind the footer"));
+        }
+        match schema {
+            None => Err(recording.not_a_recording("it has no metadata 'trocar'")),
+            Some(found) if found != SCHEMA => Err(RecordingError::Schema {
+                file: path.to_owned(),
+                found,
+                version: recording.metadata.version,
+            }),
+            Some(_) => {
+                recording.find_topics()?;
+                Ok(recording)
+            }
+        }
+    }
+
+    fn find_topics(&mut self) -> Result<(), RecordingError> {
+        if let Some(chunk) = self.chunks.first().copied() {
+            let body = self.chunk_body(chunk)?;
+            self.topics = parse_topics(&body).map_err(|message| self.damaged(chunk.offset, message))?;
+        }
+        Ok(())
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+    /// What stands at its head.
+    pub fn metadata(&self) -> &RecordingMetadata {
+        &self.metadata
+    }
+    /// What a clean close left at its end.
+    pub fn end(&self) -> Option<&RecordingEnd> {
+        self.end.as_ref()
+    }
+    /// Where and how the file was cut off, if it was; everything before that can be used.
+    pub fn truncation(&self) -> Option<&str> {
+        self.truncation.as_deref()
+    }
+    /// Whether it was closed cleanly with nothing missing.
+    pub fn is_complete(&self) -> bool {
+        self.truncation.is_none() && self.end.as_ref().is_some_and(|end| end.complete)
+    }
+    /// The latest time for which there is anything.
+    pub fn duration(&self) -> SimTime {
+        self.chunks.iter().map(|chunk| chunk.end).max().unwrap_or_default()
+    }
+
+    /// The pieces in order, from the beginning.
+    pub fn items(&self) -> impl Iterator<Item = Result<Item, RecordingError>> + '_ {
+        self.items_from_chunk(0)
+    }
+
+    /// The pieces in order, beginning early enough for the scene at `time` to be built from them: at the
+    /// start of the chunk with the last keyframe that is not later.
+    ///
+    /// # Errors
+    /// [`RecordingError`] while looking for that keyframe.
+    pub fn seek(
+        &self,
+        time: SimTime,
+    ) -> Result<impl Iterator<Item = Result<Item, RecordingError>> + '_, RecordingError> {
+        let mut from = 0;
+        let candidates = self.chunks.iter().enumerate().rev().filter(|(_, chunk)| chunk.start <= time);
+        for (index, _) in candidates {
+            let found = self
+                .read_chunk(index)?
+                .iter()
+                .any(|item| matches!(item, Item::Keyframe(keyframe) if keyframe.time <= time));
+            if found {
+                from = index;
+                break;
+            }
+        }
+        Ok(self.items_from_chunk(from))
+    }
+
+    /// The scene at `time`: everything that was committed up to then. Derived components are as they were at
+    /// the last keyframe before.
+    ///
+    /// # Errors
+    /// [`RecordingError`].
+    pub fn snapshot_at(&self, registry: &Arc<Registry>, time: SimTime) -> Result<Snapshot, RecordingError> {
+        let mut replay = super::Replay::seek(self, registry, time)?;
+        replay.advance_to(time)?;
+        Ok(replay.view().clone())
+    }
+
+    /// Every recorded value of a component of an entity, with the time of the batch that wrote it: the hand
+    /// that held a device, say. Values before the first commit are those of the first keyframe, at its time.
+    ///
+    /// # Errors
+    /// [`RecordingError`].
+    pub fn series<T: Component>(
+        &self,
+        registry: &Arc<Registry>,
+        entity: Entity,
+    ) -> Result<Vec<(SimTime, T)>, RecordingError> {
+        let mut series: Vec<(SimTime, T)> = Vec::new();
+        let mut commands = trocar_scene::Commands::new(registry.clone(), EntityAllocator::new(0, 0));
+        let mut fresh = true;
+        for item in self.items() {
+            match item? {
+                Item::Gap(_) => fresh = true,
+                Item::Keyframe(keyframe) if fresh => {
+                    fresh = false;
+                    let store = keyframe
+                        .load(registry)
+                        .map_err(|error| self.damaged(keyframe.offset, error.to_string()))?;
+                    if let Some(value) = store.view().get::<T>(entity) {
+                        series.push((keyframe.time, value.clone()));
+                    }
+                }
+                Item::Keyframe(_) => {}
+                Item::Commits(group) => {
+                    for commit in group.commits() {
+                        commands.clear();
+                        commands
+                            .decode(commit.payload)
+                            .map_err(|error| self.undecodable(commit.revision.0, &error))?;
+                        let rows = commands
+                            .puts()
+                            .filter_map(|(_, puts)| puts.as_any().downcast_ref::<trocar_scene::Puts<T>>());
+                        for (of, value) in rows.flat_map(|puts| puts.rows()) {
+                            if *of == entity {
+                                series.push((commit.provenance.time, value.clone()));
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        Ok(series)
+    }
+
+    /// Checks that a session's components include those of the recording.
+    ///
+    /// # Errors
+    /// [`RecordingError::UnknownComponents`].
+    pub fn check_components(&self, registry: &Registry) -> Result<(), RecordingError> {
+        let names = self.metadata.components.keys();
+        let unknown: Vec<&str> =
+            names.map(String::as_str).filter(|name| registry.by_name(name).is_err()).collect();
+        if unknown.is_empty() {
+            Ok(())
+        } else {
+            Err(RecordingError::UnknownComponents { file: self.path.clone(), names: unknown.join(", ") })
+        }
+    }
+
+    fn items_from_chunk(&self, from: usize) -> impl Iterator<Item = Result<Item, RecordingError>> + '_ {
+        (from..self.chunks.len()).flat_map(|index| match self.read_chunk(index) {
+            Ok(items) => items.into_iter().map(Ok).collect::<Vec<_>>(),
+            Err(error) => vec![Err(error)],
+        })
+    }
+
+    fn note_chunk(&mut self, file: &mut File, offset: u64, length: u64) -> Result<(), RecordingError> {
+        let mut times = [0; 16];
+        if length > CHUNK_MAX || length < 40 {
+            return Err(self.damaged(offset, format!("a chunk of {length} bytes; valid: 40 to {CHUNK_MAX}")));
+        }
+        file.read_exact(&mut times)
+            .map_err(|source| RecordingError::Io { file: self.path.clone(), source })?;
+        let mut fields = Bytes(&times);
+        let start = SimTime(fields.u64().unwrap_or(0));
+        let end = SimTime(fields.u64().unwrap_or(0));
+        self.chunks.push(Chunk { offset, length, start, end });
+        Ok(())
+    }
+
+    fn note_metadata(&mut self, body: &[u8], schema: &mut Option<String>) -> Result<(), String> {
+        let mut body = Bytes(body);
+        let name = body.text()?;
+        let length = body.u32()?;
+        let mut pairs = Bytes(body.take(u64::from(length))?);
+        let mut map = BTreeMap::new();
+        while !pairs.0.is_empty() {
+            map.insert(pairs.text()?, pairs.text()?);
+        }
+        let number = |map: &mut BTreeMap<String, String>, key: &str| {
+            let text = map.remove(key).unwrap_or_default();
+            text.parse::<u64>().map_err(|_| format!("metadata '{name}': {key} is '{text}', not a number"))
+        };
+        match name.as_str() {
+            META => {
+                *schema = Some(map.remove("schema").unwrap_or_default());
+                self.metadata.version = map.remove("version").unwrap_or_default();
+                self.metadata.scenario = map.remove("scenario").unwrap_or_default();
+                self.metadata.mode = map.remove("mode").unwrap_or_default();
+                self.metadata.seed = number(&mut map, "seed")?;
+                let station = number(&mut map, "station")?;
+                self.metadata.station =
+                    u16::try_from(station).map_err(|_| format!("metadata '{name}': station is {station}"))?;
+                for (key, value) in map {
+                    match key.strip_prefix(COMPONENT) {
+                        Some(name) => self.metadata.components.insert(name.to_owned(), value),
+                        None => self.metadata.extra.insert(key, value),
+                    };
+                }
+            }
+            META_DEVICES => self.metadata.devices = map,
+            META_END => {
+                self.end = Some(RecordingEnd {
+                    revision: number(&mut map, "revision")?,
+                    time: SimTime(number(&mut map, "time_ns")?),
+                    hash: map.remove("hash").unwrap_or_default(),
+                    complete: map.remove("complete").as_deref() == Some("true"),
+                });
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn note_attachment(&mut self, body: &[u8]) -> Result<(), String> {
+        let mut body = Bytes(body);
+        body.take(16)?;
+        let name = body.text()?;
+        let _media_type = body.text()?;
+        let length = body.u64()?;
+        let data = body.take(length)?;
+        if name == SCENARIO {
+            self.metadata.scenario_text = String::from_utf8_lossy(data).into_owned();
+        }
+        Ok(())
+    }
+
+    fn read_chunk(&self, index: usize) -> Result<Vec<Item>, RecordingError> {
+        let chunk = self.chunks[index];
+        let body = self.chunk_body(chunk)?;
+        parse_chunk(&body, &self.topics, chunk.offset).map_err(|message| self.damaged(chunk.offset, message))
+    }
+
+    fn chunk_body(&self, chunk: Chunk) -> Result<Vec<u8>, RecordingError> {
+        let io_error = |source| RecordingError::Io { file: self.path.clone(), source };
+        let mut file = File::open(&self.path).map_err(io_error)?;
+        file.seek(SeekFrom::Start(chunk.offset + 9)).map_err(io_error)?;
+        let mut body = vec![0; chunk.length as usize];
+        file.read_exact(&mut body).map_err(io_error)?;
+        Ok(body)
+    }
+
+    pub(super) fn damaged(&self, offset: u64, message: String) -> RecordingError {
+        RecordingError::Damaged { file: self.path.clone(), offset, message }
+    }
+
+    pub(super) fn undecodable(&self, revision: u64, error: &ComponentError) -> RecordingError {
+        self.damaged(0, format!("the commit of revision {revision}: {error}"))
+    }
+
+    fn not_a_recording(&self, what: &str) -> RecordingError {
+        RecordingError::NotARecording { file: self.path.clone(), what: what.to_owned() }
+    }
+}
+
+/// The records of a chunk, after its checksum.
+fn records(body: &[u8]) -> Result<&[u8], String> {
+    let mut body = Bytes(body);
+    body.take(16)?;
+    let _uncompressed = body.u64()?;
+    let crc = body.u32()?;
+    let compression = body.text()?;
+    if !compression.is_empty() {
+        return Err(format!("compressed with '{compression}'; recordings of trocar are not compressed"));
+    }
+    let length = body.u64()?;
+    let records = body.take(length)?;
+    if crc != 0 && crc32fast::hash(records) != crc {
+        return Err("the checksum of the chunk is wrong".to_owned());
+    }
+    Ok(records)
+}
+
+/// Which channel is which topic; the first chunk says it.
+fn parse_topics(body: &[u8]) -> Result<BTreeMap<u16, String>, String> {
+    let mut records = Bytes(records(body)?);
+    let mut topics = BTreeMap::new();
+    while !records.0.is_empty() {
+        let opcode = records.u8()?;
+        let length = records.u64()?;
+        let mut record = Bytes(records.take(length)?);
+        if opcode == OP_CHANNEL {
+            let id = record.u16()?;
+            let _schema = record.u16()?;
+            topics.insert(id, record.text()?);
+        }
+    }
+    Ok(topics)
+}
+
+fn parse_chunk(body: &[u8], topics: &BTreeMap<u16, String>, offset: u64) -> Result<Vec<Item>, String> {
+    let mut records = Bytes(records(body)?);
+    let mut items = Vec::new();
+    while !records.0.is_empty() {
+        let opcode = records.u8()?;
+        let length = records.u64()?;
+        let mut record = Bytes(records.take(length)?);
+        if opcode == OP_MESSAGE {
+            let channel = record.u16()?;
+            let _sequence = record.u32()?;
+            let time = SimTime(record.u64()?);
+            let _published = record.u64()?;
+            let topic = topics.get(&channel).map(String::as_str);
+            items.extend(parse_message(topic, time, record.0, offset)?);
+        }
+    }
+    Ok(items)
+}
+
+/// What a message means to us; other topics are for other tools.
+fn parse_message(
+    topic: Option<&str>,
+    time: SimTime,
+    data: &[u8],
+    offset: u64,
+) -> Result<Option<Item>, String> {
+    Ok(Some(match topic {
+        Some(COMMITS) => Item::Commits(Group::decode(data)?),
+        Some(KEYFRAMES) => {
+            let (hash, scene) = decode_keyframe_header(data)?;
+            Item::Keyframe(Keyframe { hash, time, scene: scene.to_vec(), offset })
+        }
+        Some(GAPS) => Item::Gap(serde_json::from_slice(data).map_err(|error| format!("a gap: {error}"))?),
+        _ => return Ok(None),
+    }))
+}

@@ -1,0 +1,217 @@
+//! Plays a recording back into a Model: the same batches in the same order, checked against the recorded
+//! state hashes.
+
+use std::iter::Peekable;
+use std::sync::Arc;
+
+use trocar_scene::{Commands, ComponentError, Entity, EntityAllocator, Registry, SimTime, Snapshot};
+
+use super::format::{Gap, Group};
+use super::reader::{Item, Keyframe, Recording, RecordingError};
+use crate::chain::StateHash;
+use crate::model_core::ModelCore;
+
+/// Highest entity number that a recording may make the scene reserve room for.
+const COUNTER_MAX: u32 = 1 << 24;
+
+type Items<'a> = Box<dyn Iterator<Item = Result<Item, RecordingError>> + 'a>;
+
+/// A recording being played back.
+pub struct Replay<'a> {
+    recording: &'a Recording,
+    registry: Arc<Registry>,
+    items: Peekable<Items<'a>>,
+    core: ModelCore,
+    commands: Commands,
+    time: SimTime,
+    gaps: Vec<Gap>,
+    /// The next keyframe replaces the scene instead of being checked against it.
+    fresh: bool,
+}
+
+impl<'a> Replay<'a> {
+    /// From the beginning.
+    ///
+    /// # Errors
+    /// [`RecordingError`]; a recording without a keyframe has nothing to play.
+    pub fn new(recording: &'a Recording, registry: &Arc<Registry>) -> Result<Self, RecordingError> {
+        Self::from_items(recording, registry, Box::new(recording.items()))
+    }
+
+    /// From the last keyframe that is not later than `time`; [`Self::advance_to`] plays the rest.
+    ///
+    /// # Errors
+    /// [`RecordingError`].
+    pub fn seek(
+        recording: &'a Recording,
+        registry: &Arc<Registry>,
+        time: SimTime,
+    ) -> Result<Self, RecordingError> {
+        // What stands before the first keyframe of that chunk belongs to an earlier one.
+        let items =
+            recording.seek(time)?.skip_while(|item| matches!(item, Ok(Item::Commits(_) | Item::Gap(_))));
+        Self::from_items(recording, registry, Box::new(items))
+    }
+
+    fn from_items(
+        recording: &'a Recording,
+        registry: &Arc<Registry>,
+        mut items: Items<'a>,
+    ) -> Result<Self, RecordingError> {
+        recording.check_components(registry)?;
+        let first = loop {
+            match items.next().transpose()? {
+                Some(Item::Keyframe(keyframe)) => break keyframe,
+                Some(_) => {}
+                None => {
+                    return Err(RecordingError::NotARecording {
+                        file: recording.path().to_owned(),
+                        what: "it has no keyframe".to_owned(),
+                    });
+                }
+            }
+        };
+        Ok(Self {
+            core: load(recording, registry, &first)?,
+            commands: Commands::new(registry.clone(), EntityAllocator::new(0, 0)),
+            registry: registry.clone(),
+            recording,
+            items: items.peekable(),
+            time: first.time,
+            gaps: Vec::new(),
+            fresh: false,
+        })
+    }
+
+    /// Plays the next publication and gives its time; `None` at the end.
+    ///
+    /// # Errors
+    /// [`RecordingError::Diverged`] when the scene is not what was recorded, and others for damaged parts.
+    pub fn step(&mut self) -> Result<Option<SimTime>, RecordingError> {
+        loop {
+            match self.items.next().transpose()? {
+                None => return Ok(None),
+                Some(Item::Gap(gap)) => {
+                    self.gaps.push(gap);
+                    self.fresh = true;
+                }
+                Some(Item::Keyframe(keyframe)) if self.fresh => {
+                    self.core = load(self.recording, &self.registry, &keyframe)?;
+                    self.time = keyframe.time;
+                    self.fresh = false;
+                }
+                Some(Item::Keyframe(keyframe)) => self.check(keyframe.hash)?,
+                Some(Item::Commits(group)) => {
+                    self.apply(&group)?;
+                    return Ok(Some(self.time));
+                }
+            }
+        }
+    }
+
+    /// Plays everything up to `time`.
+    ///
+    /// # Errors
+    /// As [`Self::step`].
+    pub fn advance_to(&mut self, time: SimTime) -> Result<(), RecordingError> {
+        loop {
+            match self.items.peek() {
+                None => return Ok(()),
+                Some(Ok(Item::Commits(group))) => {
+                    let first = group.commits().next().map(|commit| commit.provenance.time);
+                    if first.is_some_and(|first| first > time) {
+                        return Ok(());
+                    }
+                }
+                Some(Ok(Item::Keyframe(keyframe))) if keyframe.time > time => return Ok(()),
+                Some(Ok(Item::Gap(gap))) if gap.time > time => return Ok(()),
+                Some(_) => {}
+            }
+            if self.step()?.is_none() {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Plays everything that is left, and gives the state hash at the end.
+    ///
+    /// # Errors
+    /// As [`Self::step`].
+    pub fn run_to_end(&mut self) -> Result<StateHash, RecordingError> {
+        while self.step()?.is_some() {}
+        Ok(self.core.hash())
+    }
+
+    /// The scene as it is now.
+    pub fn view(&self) -> &Snapshot {
+        self.core.view()
+    }
+    /// The scene as it is now, to keep.
+    pub fn snapshot(&mut self) -> Arc<Snapshot> {
+        self.core.publish()
+    }
+    /// The state hash so far.
+    pub fn hash(&self) -> StateHash {
+        self.core.hash()
+    }
+    /// Time of the last batch.
+    pub fn time(&self) -> SimTime {
+        self.time
+    }
+    /// What was missing so far.
+    pub fn gaps(&self) -> &[Gap] {
+        &self.gaps
+    }
+
+    fn apply(&mut self, group: &Group) -> Result<(), RecordingError> {
+        for commit in group.commits() {
+            let wrong = |error: &ComponentError| self.recording.undecodable(commit.revision.0, error);
+            self.commands.clear();
+            let rest = self.commands.decode(commit.payload).map_err(|error| wrong(&error))?;
+            if !rest.is_empty() {
+                return Err(wrong(&ComponentError::Malformed(format!("{} bytes too many", rest.len()))));
+            }
+            check_entities(&self.commands).map_err(|error| wrong(&error))?;
+            self.commands.seal();
+            self.core
+                .replay(commit.kind, commit.writer, commit.provenance, &mut self.commands)
+                .map_err(|error| wrong(&error))?;
+            self.time = self.time.max(commit.provenance.time);
+        }
+        self.check(group.hash())
+    }
+
+    fn check(&self, recorded: StateHash) -> Result<(), RecordingError> {
+        let found = self.core.hash();
+        if found == recorded {
+            return Ok(());
+        }
+        Err(RecordingError::Diverged {
+            file: self.recording.path().to_owned(),
+            revision: self.core.view().revision().0,
+            found,
+            recorded,
+        })
+    }
+}
+
+fn load(
+    recording: &Recording,
+    registry: &Arc<Registry>,
+    keyframe: &Keyframe,
+) -> Result<ModelCore, RecordingError> {
+    let wrong = |error: ComponentError| recording.damaged(keyframe.offset(), format!("keyframe: {error}"));
+    let store = keyframe.load(registry).map_err(wrong)?;
+    let core = ModelCore::new(store, recording.metadata().station).map_err(wrong)?;
+    Ok(core.with_chain(keyframe.hash))
+}
+
+/// Columns are dense in entity numbers: an absurd one would reserve absurd room.
+fn check_entities(commands: &Commands) -> Result<(), ComponentError> {
+    let puts = commands.puts().flat_map(|(_, puts)| (0..puts.len()).map(move |index| puts.entity(index)));
+    let absurd = |entity: &Entity| entity.counter() > COUNTER_MAX;
+    match puts.chain(commands.spawns().iter().copied()).find(absurd) {
+        Some(entity) => Err(ComponentError::Malformed(format!("entity {entity} is beyond {COUNTER_MAX}"))),
+        None => Ok(()),
+    }
+}
