@@ -194,7 +194,9 @@ impl Double {
                 let rotation = seen.pose.rotation.slerp(&flat, 0.3);
                 self.moment.rings[ring].pose = Isometry3::from_parts(Translation3::from(center), rotation);
             } else {
-                self.moment.rings[ring].pose.rotation = UnitQuaternion::identity();
+                let center = seen.center() + self.bench.up() * (self.bench.tube_radius - height);
+                self.moment.rings[ring].pose =
+                    Isometry3::from_parts(center.into(), UnitQuaternion::identity());
             }
         }
     }
