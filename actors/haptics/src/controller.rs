@@ -202,6 +202,7 @@ impl HapticsController {
             stiffness_max: self.capabilities.max_stiffness / gain,
             damping_max: damping_max / gain,
             apparent_mass: self.capabilities.apparent_mass / gain,
+            energy_available: self.passivity.available(),
             instrument: self.simulated_instrument(scene, tick.time),
             instrument_force: scene.get::<InstrumentForce>(self.rig.instrument),
             contact_model: scene.get::<LocalContactModel>(self.rig.instrument),

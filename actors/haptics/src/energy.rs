@@ -124,6 +124,11 @@ impl PassivityController {
         self.dissipated
     }
 
+    /// Energy that the scene may still give back \[J\]; negative in deficit.
+    pub fn available(&self) -> f64 {
+        self.account
+    }
+
     /// Accounts for the interval that just ended: `applied` acted on the hand while it moved by
     /// `displacement`.
     pub fn observe(&mut self, applied: &Wrench, displacement: &Twist) {

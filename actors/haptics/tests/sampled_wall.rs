@@ -43,6 +43,7 @@ fn growth(stiffness: f64, damping: f64, delay: usize) -> f64 {
             stiffness_max: f64::INFINITY,
             damping_max: f64::INFINITY,
             apparent_mass: MASS,
+            energy_available: f64::INFINITY,
             instrument: Some(SimulatedInstrument {
                 tip_in_world: Isometry3::identity(),
                 twist: Twist::ZERO,

@@ -40,6 +40,8 @@ pub struct RenderInput<'a> {
     pub damping_max: f64,
     /// Apparent mass of the device, as it is at the tip through the present lever \[kg\].
     pub apparent_mass: f64,
+    /// Energy that the hand has put in and not got back \[J\]: what a force that grows by itself may spend.
+    pub energy_available: f64,
     /// Where the simulation has the instrument.
     pub instrument: Option<SimulatedInstrument>,
     /// The force that the simulation computed.
@@ -120,6 +122,7 @@ pub(crate) mod tests {
             stiffness_max: 2000.0,
             damping_max: 10.0,
             apparent_mass: 0.045,
+            energy_available: f64::INFINITY,
             instrument: None,
             instrument_force: None,
             contact_model: None,

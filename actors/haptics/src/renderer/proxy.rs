@@ -58,8 +58,10 @@ pub struct Proxy {
     anchor: Option<Vector3<f64>>,
     /// The model of the tick before.
     model: Option<LocalContactModel>,
-    /// What the previous models would add still.
+    /// What the previous models would add still to the planes' elastic force.
     remainder: Vector3<f64>,
+    /// What they would add still to damping and base force.
+    free_remainder: Vector3<f64>,
     blend_secs: f64,
 }
 
@@ -71,33 +73,45 @@ impl Proxy {
             anchor: None,
             model: None,
             remainder: Vector3::zeros(),
+            free_remainder: Vector3::zeros(),
             blend_secs: config.blend_secs[0],
         }
     }
 
-    /// What a model says at the device's present position \[N\], and where friction then holds the proxy.
-    fn force_of(
-        &self,
-        model: &LocalContactModel,
-        input: &RenderInput<'_>,
-    ) -> (Vector3<f64>, Option<Vector3<f64>>) {
-        let fresh = freshness(input.now.since(model.at).as_secs_f64(), FADE_SECS);
-        let (contact, anchor) = self.contact_force(model, input);
-        ((contact + model.base_force) * fresh, anchor)
+    /// Lets the remainders of the previous models decay.
+    ///
+    /// Where that makes the force of the planes *grow*, as when a slow engine notices late that the hand is inside of a wall, the
+    /// growth pushes the hand out and so gives it energy. It goes on only as fast as the hand has paid: until then
+    /// the wall stands where the hand was met, and is as stiff there.
+    fn blend(&mut self, force: &Vector3<f64>, input: &RenderInput<'_>) {
+        let (size, missing) = (force.norm(), self.remainder.norm());
+        let mut pace = 1.0;
+        if self.remainder.dot(force) < 0.0 {
+            // The hand may leave a wall that stands too deep; it is never pulled back to it.
+            if missing > size {
+                self.remainder *= size / missing;
+            }
+            let price = size * missing / self.config.stiffness.min(input.stiffness_max).max(1e-6);
+            if price > 0.0 {
+                pace = (input.energy_available / price).clamp(0.0, 1.0);
+            }
+        }
+        // The implicit step of an exponential decay: `exp` is not the same on every machine.
+        let rate = input.dt / self.blend_secs.max(1e-6);
+        self.remainder /= 1.0 + pace * rate;
+        // A weight is felt whether the hand has paid or not, and damping costs nothing.
+        self.free_remainder /= 1.0 + rate;
     }
 
-    fn contact_force(
-        &self,
-        model: &LocalContactModel,
-        input: &RenderInput<'_>,
-    ) -> (Vector3<f64>, Option<Vector3<f64>>) {
+    /// What the planes of a model say at the device's present position.
+    fn contact_force(&self, model: &LocalContactModel, input: &RenderInput<'_>) -> ContactForce {
         let tip = input.tip_in_world.translation.vector;
         let velocity = input.tip_twist.linear;
         let stiffness = self.config.stiffness.min(input.stiffness_max).max(1e-6);
         let contacts = Contacts::near(&model.planes, &tip, stiffness);
         let lambda = contacts.solve(stiffness);
 
-        let mut normal_force = Vector3::zeros();
+        let (mut elastic, mut damped) = (Vector3::zeros(), Vector3::zeros());
         let mut friction = 0.0f64;
         for (contact, lambda) in contacts.iter().zip(lambda) {
             if lambda <= 0.0 {
@@ -109,26 +123,37 @@ impl Proxy {
             let damping = contact.damping.max(self.config.damping_ratio * critical);
             let damping = damping.min(input.damping_max) * onset;
             let closing = -contact.normal.dot(&velocity);
+            elastic += contact.normal * lambda;
             // Never below zero: a contact that pulls would be felt as glue.
-            normal_force += contact.normal * (lambda + damping * closing).max(0.0);
+            damped += contact.normal * (lambda + damping * closing).max(0.0);
             friction = friction.max(contact.friction);
         }
-        let size = normal_force.norm();
+        let size = elastic.norm();
         if size <= 0.0 {
-            return (Vector3::zeros(), None);
+            return ContactForce::default();
         }
-        let normal = normal_force / size;
-        let anchor = self.anchor.unwrap_or(tip);
-        let slide = anchor - tip;
+        let normal = elastic / size;
+        let slide = self.anchor.unwrap_or(tip) - tip;
         let tangential = (slide - normal * normal.dot(&slide)) * stiffness;
-        let limit = friction * size;
-        let tangential = if tangential.norm() > limit {
-            if limit > 0.0 { tangential.normalize() * limit } else { Vector3::zeros() }
-        } else {
-            tangential
-        };
-        (normal_force + tangential, Some(tip + tangential / stiffness))
+        let (stretch, limit) = (tangential.norm(), friction * damped.norm());
+        let tangential = if stretch > limit { tangential * (limit / stretch) } else { tangential };
+        ContactForce {
+            elastic: elastic + tangential,
+            viscous: damped - elastic,
+            anchor: Some(tip + tangential / stiffness),
+        }
     }
+}
+
+/// What planes say at one position.
+#[derive(Clone, Copy, Debug, Default)]
+struct ContactForce {
+    /// By position, friction included \[N\].
+    elastic: Vector3<f64>,
+    /// By velocity \[N\].
+    viscous: Vector3<f64>,
+    /// Where friction then holds the proxy.
+    anchor: Option<Vector3<f64>>,
 }
 
 impl ForceRenderer for Proxy {
@@ -137,24 +162,28 @@ impl ForceRenderer for Proxy {
             self.reset();
             return Wrench::ZERO;
         };
-        let (force, anchor) = self.force_of(model, input);
+        let contact = self.contact_force(model, input);
+        let free = contact.viscous + model.base_force;
         if self.model.as_ref().map(|before| before.at) != Some(model.at) {
             // Old and new are compared at the same, present pose: comparing with the force of the tick
             // before would blend the hand's own motion too, which delays the wall. Before the first model
             // there is nothing, so a hand that comes back inside of a wall is led out gently.
-            let before = self.model.map_or(Vector3::zeros(), |before| {
+            let (elastic_before, free_before) = self.model.map_or(Default::default(), |before| {
                 let [shortest, longest] = self.config.blend_secs;
                 let renewal = model.at.since(before.at).as_secs_f64();
                 self.blend_secs = (0.5 * renewal).min(longest).max(shortest);
-                self.force_of(&before, input).0
+                let contact = self.contact_force(&before, input);
+                (contact.elastic, contact.viscous + before.base_force)
             });
-            self.remainder += before - force;
+            self.remainder += elastic_before - contact.elastic;
+            self.free_remainder += free_before - free;
             self.model = Some(*model);
         }
-        self.anchor = anchor;
-        // The implicit step of an exponential decay: `exp` is not the same on every machine.
-        self.remainder /= 1.0 + input.dt / self.blend_secs.max(1e-6);
-        Wrench::new(force + self.remainder, Vector3::zeros())
+        self.anchor = contact.anchor;
+        self.blend(&contact.elastic, input);
+        let total = contact.elastic + self.remainder + free + self.free_remainder;
+        let fresh = freshness(input.now.since(model.at).as_secs_f64(), FADE_SECS);
+        Wrench::new(total * fresh, Vector3::zeros())
     }
     fn reset(&mut self) {
         *self = Self::new(self.config);
@@ -332,6 +361,23 @@ mod tests {
             last = now;
         }
         assert!((last - 3.0).abs() < 0.02);
+    }
+
+    #[test]
+    fn a_wall_that_appears_around_the_hand_waits_until_the_hand_has_paid() {
+        let wall = model(&[plane(Vector3::zeros(), Vector3::z(), 1e9, 0.0)]);
+        let mut proxy = fresh();
+        let mut at = |depth: f64, energy: f64, ticks: usize| {
+            let mut input = input_at(Vector3::new(0.0, 0.0, -depth));
+            input.contact_model = Some(&wall);
+            input.energy_available = energy;
+            (0..ticks).map(|_| proxy.render(&input).force.z).last().unwrap()
+        };
+        assert!(at(0.002, 0.0, 500).abs() < 1e-9, "nothing paid, nothing pushes");
+        assert!((at(0.003, 0.0, 500) - 1.0).abs() < 1e-9, "deeper it is as stiff as ever");
+        assert!(at(0.001, 0.0, 500).abs() < 1e-9, "it does not pull back");
+        assert!((at(0.003, 0.0, 1) - 2.0).abs() < 1e-9, "and it has followed the hand out");
+        assert!((at(0.003, 1.0, 500) - 3.0).abs() < 1e-6, "paid for, it comes back to its place");
     }
 
     #[test]

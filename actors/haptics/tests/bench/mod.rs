@@ -33,6 +33,8 @@ pub struct Wall {
     pub damping: f64,
     /// Radius of a sphere that bulges out of the wall's point, [m]; a plane without.
     pub radius: Option<f64>,
+    /// From how far away the engine publishes its plane [m].
+    pub reach: f64,
     /// Steps per second of the toy engine.
     pub rate: u64,
     pub base_force: Vector3<f64>,
@@ -88,6 +90,7 @@ impl Wall {
             // A real engine publishes its coupling's damping: more than a hand-held device bears.
             damping: 9.0,
             radius: None,
+            reach: f64::INFINITY,
             rate,
             base_force: Vector3::zeros(),
         }
@@ -229,6 +232,7 @@ impl Bench {
         let wall = &self.wall;
         let wanted = target.tip_in_world.translation;
         let (point, normal) = wall.tangent(&wanted);
+        let near = (wanted - point).dot(&normal) < wall.reach;
         let depth = (point - wanted).dot(&normal).max(0.0);
         let proxy = Pose::new(wanted + normal * depth, target.tip_in_world.rotation);
         let push = normal * depth * WALL_STIFFNESS;
@@ -251,7 +255,7 @@ impl Bench {
             LocalContactModel {
                 proxy_in_world: proxy,
                 proxy_velocity: velocity,
-                planes: [Some(plane), None, None, None],
+                planes: [near.then_some(plane), None, None, None],
                 base_force: wall.base_force,
                 at: self.now,
             },
