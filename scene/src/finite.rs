@@ -54,7 +54,7 @@ macro_rules! accept {
     };
 }
 
-impl<'a> Serializer for &'a mut Walker {
+impl Serializer for &mut Walker {
     type Ok = ();
     type Error = Found;
     type SerializeSeq = Self;

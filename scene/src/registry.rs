@@ -18,8 +18,14 @@ use crate::entity::Entity;
 pub struct ComponentId(pub u16);
 
 /// Decodes a value of a TOML document; an error keeps its place.
-type PutDocument =
-    fn(&mut Commands, Entity, toml::de::ValueDeserializer<'_>) -> Result<(), (Option<Range<usize>>, ComponentError)>;
+type PutDocument = fn(
+    &mut Commands,
+    Entity,
+    toml::de::ValueDeserializer<'_>,
+) -> Result<(), (Option<Range<usize>>, ComponentError)>;
+
+/// Decodes a value from the front of some bytes and returns the rest.
+type PutPostcard = for<'a> fn(&mut Commands, Entity, &'a [u8]) -> Result<&'a [u8], ComponentError>;
 
 /// What the registry knows of one component.
 pub struct ComponentEntry {
@@ -38,7 +44,7 @@ pub struct ComponentEntry {
     put_toml: fn(&mut Commands, Entity, toml::Value) -> Result<(), ComponentError>,
     put_document: PutDocument,
     put_json: fn(&mut Commands, Entity, serde_json::Value) -> Result<(), ComponentError>,
-    put_postcard: for<'a> fn(&mut Commands, Entity, &'a [u8]) -> Result<&'a [u8], ComponentError>,
+    put_postcard: PutPostcard,
 }
 
 /// Something wrong with a set of components.
@@ -155,7 +161,8 @@ impl RegistryBuilder {
                     Ok(())
                 },
                 put_document: |commands, entity, value| {
-                    let value = T::deserialize(value).map_err(|error| (error.span(), malformed(error.message())))?;
+                    let value =
+                        T::deserialize(value).map_err(|error| (error.span(), malformed(error.message())))?;
                     value.check().map_err(|error| (None, error))?;
                     commands.put(entity, value);
                     Ok(())

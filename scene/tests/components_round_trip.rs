@@ -304,7 +304,7 @@ fn numbers_that_are_not_finite_are_refused_by_every_format() {
     let bytes = postcard::to_stdvec(&bad).expect("postcard");
     let refused = registry.put_postcard(id, &mut commands, e(1), &bytes);
     assert!(matches!(refused, Err(ComponentError::NotFinite { index: 1 })), "{refused:?}");
-    let document = toml::Value::try_from(&bad).expect("TOML has nan");
+    let document = toml::Value::try_from(bad).expect("TOML has nan");
     let refused = registry.put_toml(id, &mut commands, e(1), document);
     assert!(matches!(refused, Err(ComponentError::NotFinite { index: 1 })), "{refused:?}");
     let refused =

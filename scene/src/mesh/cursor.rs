@@ -7,7 +7,7 @@ use std::str::FromStr;
 use super::error::{MeshError, Place};
 use super::read::Limits;
 
-/// Longest token or line that is quoted in a message [characters].
+/// Longest token or line that is quoted in a message \[characters\].
 const QUOTED: usize = 40;
 
 /// Byte order of a binary file.

@@ -7,7 +7,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 /// A triangle surface.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SurfaceData {
-    /// Vertices [m].
+    /// Vertices \[m\].
     pub positions: Vec<Point3<f64>>,
     /// Vertices of each triangle, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
@@ -20,7 +20,7 @@ pub struct SurfaceData {
 /// A surface with one vertex for every distinct position, normal and texture coordinate, as renderers want it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SplitSurface {
-    /// Vertices [m].
+    /// Vertices \[m\].
     pub positions: Vec<Point3<f64>>,
     /// Unit normal of each vertex.
     pub normals: Vec<Vector3<f64>>,
@@ -35,7 +35,7 @@ pub struct SplitSurface {
 /// A volume of tetrahedra.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TetData {
-    /// Vertices [m].
+    /// Vertices \[m\].
     pub positions: Vec<Point3<f64>>,
     /// Vertices of each tetrahedron; positive volume means (b−a)×(c−a)·(d−a) > 0.
     pub tets: Vec<[u32; 4]>,
@@ -44,23 +44,23 @@ pub struct TetData {
 }
 
 impl SurfaceData {
-    /// The corners of a triangle [m]. Panics when `triangle` is out of range.
+    /// The corners of a triangle \[m\]. Panics when `triangle` is out of range.
     pub fn corners(&self, triangle: usize) -> [Point3<f64>; 3] {
         self.triangles[triangle].map(|vertex| self.positions[vertex as usize])
     }
 
-    /// Twice the area of a triangle times its unit normal [m²].
+    /// Twice the area of a triangle times its unit normal \[m²\].
     pub fn area_vector(&self, triangle: usize) -> Vector3<f64> {
         let [a, b, c] = self.corners(triangle);
         (b - a).cross(&(c - a))
     }
 
-    /// Area [m²].
+    /// Area \[m²\].
     pub fn area(&self) -> f64 {
         (0..self.triangles.len()).map(|t| self.area_vector(t).norm() / 2.0).sum()
     }
 
-    /// Enclosed volume [m³] by the divergence theorem: meaningful for closed surfaces, positive when the
+    /// Enclosed volume \[m³\] by the divergence theorem: meaningful for closed surfaces, positive when the
     /// triangles are oriented outwards.
     pub fn volume(&self) -> f64 {
         // About the first vertex rather than the origin, so that a distant body loses no digits.
@@ -105,7 +105,7 @@ impl SurfaceData {
     }
 
     /// Gives every corner the area-weighted mean of the triangles around its vertex that meet its own triangle
-    /// at less than `crease` [rad]: smooth where the surface is smooth, sharp where it is sharp.
+    /// at less than `crease` \[rad\]: smooth where the surface is smooth, sharp where it is sharp.
     pub fn compute_normals(&mut self, crease: f64) {
         let area_vectors: Vec<Vector3<f64>> =
             (0..self.triangles.len()).map(|t| self.area_vector(t)).collect();
@@ -201,13 +201,13 @@ fn merge_attribute<T: Copy>(was_empty: bool, own: Option<Vec<T>>, other: Option<
 }
 
 impl TetData {
-    /// Signed volume of a tetrahedron [m³]. Panics when `tet` is out of range.
+    /// Signed volume of a tetrahedron \[m³\]. Panics when `tet` is out of range.
     pub fn tet_volume(&self, tet: usize) -> f64 {
         let [a, b, c, d] = self.tets[tet].map(|vertex| self.positions[vertex as usize]);
         (b - a).cross(&(c - a)).dot(&(d - a)) / 6.0
     }
 
-    /// Sum of the signed volumes [m³].
+    /// Sum of the signed volumes \[m³\].
     pub fn volume(&self) -> f64 {
         (0..self.tets.len()).map(|t| self.tet_volume(t)).sum()
     }

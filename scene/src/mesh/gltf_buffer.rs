@@ -182,7 +182,7 @@ impl View<'_> {
     }
 }
 
-/// `data:[type];base64,…` (RFC 2397).
+/// `data:TYPE;base64,…` (RFC 2397).
 fn data_uri(uri: &str) -> Result<Vec<u8>, &'static str> {
     let (head, body) = uri.split_once(',').ok_or("a data URI without ','")?;
     if !head.ends_with(";base64") {

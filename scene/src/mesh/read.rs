@@ -11,7 +11,7 @@ use super::{read_gltf, read_gmsh, read_obj, read_stl, read_vtk};
 /// How much a mesh file may hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// Size of a file [bytes], and of everything it refers to.
+    /// Size of a file \[bytes\], and of everything it refers to.
     pub bytes: u64,
     /// Vertices of a mesh.
     pub vertices: u64,

@@ -19,7 +19,7 @@ pub struct TetReport {
     pub tets: usize,
     /// Bodies: sets of tetrahedra that hang together by faces.
     pub components: usize,
-    /// Sum of the signed volumes [m³].
+    /// Sum of the signed volumes \[m³\].
     pub volume: f64,
     /// Vertices that no tetrahedron uses.
     pub unreferenced: Finding<u32>,

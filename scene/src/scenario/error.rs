@@ -44,6 +44,6 @@ pub enum ScenarioError {
         /// The key of the reference.
         key: String,
         /// What is wrong with the mesh.
-        source: MeshError,
+        source: Box<MeshError>,
     },
 }

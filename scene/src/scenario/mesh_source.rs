@@ -70,7 +70,7 @@ pub(super) fn load(
     let refused = |source: MeshError| {
         let (line, column) = table.source.line_and_column(span.start);
         let key = super::document::join(table.key, "file");
-        ScenarioError::Mesh { file: table.source.file.clone(), line, column, key, source }
+        ScenarioError::Mesh { file: table.source.file.clone(), line, column, key, source: Box::new(source) }
     };
     let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let listed = |list: &str| list.split(", ").any(|known| known == extension);

@@ -51,7 +51,7 @@ use mesh_source::LoadedMesh;
 
 /// Version of the format that this code reads.
 pub const SCHEMA_VERSION: i64 = 1;
-/// Largest scenario file [bytes].
+/// Largest scenario file \[bytes\].
 pub const FILE_BYTES_MAX: u64 = 16 << 20;
 /// Largest number of entities.
 pub const ENTITIES_MAX: usize = 100_000;
@@ -59,7 +59,7 @@ pub const ENTITIES_MAX: usize = 100_000;
 pub const CONTROLLERS_MAX: usize = 256;
 /// Largest number of hands.
 pub const HANDS_MAX: usize = 16;
-/// Slowest and fastest controller [Hz].
+/// Slowest and fastest controller \[Hz\].
 pub const RATE_HZ: std::ops::RangeInclusive<f64> = 1.0..=10_000.0;
 
 /// A scenario that has been read and checked.
@@ -73,7 +73,7 @@ pub struct Scenario {
     pub title: String,
     /// What it is about.
     pub description: String,
-    /// Acceleration of gravity in world [m/s²].
+    /// Acceleration of gravity in world \[m/s²\].
     pub gravity_in_world: Vector3<f64>,
     /// The controllers, in the order of the file.
     pub controllers: Vec<ControllerEntry>,
@@ -93,7 +93,7 @@ pub struct ControllerEntry {
     pub name: String,
     /// What it is: a name that the program's table of kinds knows.
     pub kind: String,
-    /// Ticks per second [Hz].
+    /// Ticks per second \[Hz\].
     pub rate_hz: f64,
     /// Its parameters.
     pub params: Params,
@@ -129,6 +129,11 @@ impl Scenario {
     /// Names file, line, column, key and valid choices.
     pub fn parse(file: &Path, text: &str, registry: &Arc<Registry>) -> Result<Self, ScenarioError> {
         load::parse(file, text.to_owned(), registry)
+    }
+
+    /// The text of the file.
+    pub fn text(&self) -> &str {
+        &self.source.text
     }
 
     /// The entities' names. Entities are numbered in the order of the file.

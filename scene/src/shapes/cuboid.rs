@@ -6,7 +6,7 @@ use super::builder::{Builder, Corner};
 use super::{ShapeError, length};
 use crate::mesh::SurfaceData;
 
-/// A box about the origin with these half edge lengths [m]: 8 vertices, 12 triangles.
+/// A box about the origin with these half edge lengths \[m\]: 8 vertices, 12 triangles.
 ///
 /// # Errors
 /// When an edge has no length.

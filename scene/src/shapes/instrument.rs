@@ -10,7 +10,7 @@ use crate::mesh::SurfaceData;
 
 /// Sections of a blade along its length.
 const STATIONS: usize = 12;
-/// Creases sharper than this stay sharp [rad].
+/// Creases sharper than this stay sharp \[rad\].
 const CREASE: f64 = 0.7;
 
 /// The parts of an instrument, each a closed body.
@@ -23,18 +23,18 @@ pub struct InstrumentSurface {
     pub jaw_a: Option<SurfaceData>,
     /// Jaw B, closed, in the hinge's frame: the mirror image of jaw A at x ≤ 0.
     pub jaw_b: Option<SurfaceData>,
-    /// From the hinge to the tip [m].
+    /// From the hinge to the tip \[m\].
     pub jaw_length: f64,
 }
 
 impl InstrumentSurface {
-    /// `instrument_from_hinge` of jaw A (`side` +1) or jaw B (−1) when the jaws are open by `jaw_angle` [rad] in all.
+    /// `instrument_from_hinge` of jaw A (`side` +1) or jaw B (−1) when the jaws are open by `jaw_angle` \[rad\] in all.
     pub fn instrument_from_jaw(&self, side: f64, jaw_angle: f64) -> Isometry3<f64> {
         let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), side.signum() * 0.5 * jaw_angle);
         Isometry3::from_parts(Translation3::new(0.0, 0.0, -self.jaw_length), rotation)
     }
 
-    /// All parts in the instrument's frame with the jaws open by `jaw_angle` [rad] in all: one body each.
+    /// All parts in the instrument's frame with the jaws open by `jaw_angle` \[rad\] in all: one body each.
     pub fn assembled(&self, jaw_angle: f64) -> SurfaceData {
         let mut whole = self.shaft.clone();
         for (side, jaw) in [(1.0, &self.jaw_a), (-1.0, &self.jaw_b)] {

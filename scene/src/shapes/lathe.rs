@@ -82,7 +82,7 @@ fn revolve(profile: &[ProfilePoint], segments: usize, closed: bool) -> SurfaceDa
     builder.build()
 }
 
-/// A cylinder about z from −`half_height` to `half_height` [m].
+/// A cylinder about z from −`half_height` to `half_height` \[m\].
 ///
 /// # Errors
 /// When a length is not positive or the segments are out of range.
@@ -100,7 +100,7 @@ pub fn cylinder(radius: f64, half_height: f64, segments: usize) -> Result<Surfac
     Ok(revolve(&profile, segments, false))
 }
 
-/// A quarter of a circle about (0, `center`), from `from` to `to` [rad] above the equator.
+/// A quarter of a circle about (0, `center`), from `from` to `to` \[rad\] above the equator.
 fn arc(radius: f64, center: f64, from: f64, to: f64, steps: usize) -> impl Iterator<Item = ProfilePoint> {
     (0..=steps).map(move |k| {
         let latitude = from + (to - from) * k as f64 / steps as f64;
@@ -123,7 +123,7 @@ pub fn sphere(radius: f64, segments: usize, rings: usize) -> Result<SurfaceData,
     Ok(revolve(&profile, segments, false))
 }
 
-/// A capsule about z: a cylinder of twice `half_height` with hemispherical ends [m]; `rings` segments from the
+/// A capsule about z: a cylinder of twice `half_height` with hemispherical ends \[m\]; `rings` segments from the
 /// equator to a pole.
 ///
 /// # Errors

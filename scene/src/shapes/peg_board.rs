@@ -9,7 +9,7 @@ use super::polygon::triangulate;
 use super::{ShapeError, length, segments as check_segments};
 use crate::mesh::SurfaceData;
 
-/// Dimensions of a peg board whose top face is z = 0. Lengths [m].
+/// Dimensions of a peg board whose top face is z = 0. Lengths \[m\].
 #[derive(Clone, Debug, PartialEq)]
 pub struct PegBoard {
     /// Half edge lengths of the board in x and y.
