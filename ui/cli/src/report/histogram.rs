@@ -15,11 +15,11 @@ pub fn histogram(lateness: &Lateness) -> Option<String> {
     let most = lateness.counts.iter().copied().max().filter(|most| *most > 0)?;
     let first = lateness.upper_us.first().copied().unwrap_or(1.0).max(1e-3);
     let last = lateness.upper_us.last().copied().unwrap_or(1e5).max(first * 10.0);
-    let x = Scale::log((0.5 * first, 2.5 * last), 44.0, WIDTH - 8.0);
+    let x = Scale::log((0.5 * first, 2.5 * last), 62.0, WIDTH - 8.0);
     // Half a count below one, so that a single tick has a bar.
     let y = Scale::log((0.5, most as f64 * 1.3), HEIGHT - 36.0, 8.0);
     let mut chart = Chart::new(WIDTH, HEIGHT, &format!("Lateness of {}", lateness.name), x, y);
-    chart.axes("late by [µs]", "ticks", 6, 4);
+    chart.axes("late by [µs]", "ticks", 3, 3);
     let bottom = y.pixels().0;
     let mut low = 0.5 * first;
     for (i, count) in lateness.counts.iter().enumerate() {

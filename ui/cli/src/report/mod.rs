@@ -57,8 +57,6 @@ pub struct Health {
     pub health: String,
     /// Lives after the first.
     pub restarts: u64,
-    /// Limits and policy in words.
-    pub policy: String,
 }
 
 /// A failure that the supervisor saw.

@@ -13,8 +13,8 @@ use crate::escape::escape;
 pub fn controllers(report: &Report) -> String {
     let head = [
         "controller",
-        "target [Hz]",
-        "achieved [Hz]",
+        "target",
+        "achieved",
         "on time",
         "late p50",
         "p99",
@@ -30,7 +30,11 @@ pub fn controllers(report: &Report) -> String {
         "restarts",
     ];
     let rows = report.summary.controllers.iter().map(controller_row);
-    table(&head, rows, "µs where no unit is given; on time: share of ticks that started less than 1 ms late")
+    table(
+        &head,
+        rows,
+        "Rates in Hz, lateness and step time in µs; on time: share of the scheduled ticks that started less than 1 ms late.",
+    )
 }
 
 fn controller_row(row: &ControllerSummary) -> Vec<Cell> {
@@ -115,14 +119,9 @@ pub fn health(report: &Report) -> String {
     let rows = report.health.iter().map(|child| {
         let health = Cell::text(&child.health);
         let calm = matches!(child.health.as_str(), "healthy" | "stopped" | "held");
-        vec![
-            Cell::text(&child.name),
-            if calm { health } else { health.warn() },
-            Cell::count(child.restarts),
-            Cell::text(&child.policy),
-        ]
+        vec![Cell::text(&child.name), if calm { health } else { health.warn() }, Cell::count(child.restarts)]
     });
-    let mut out = table(&["child", "health", "restarts", "policy"], rows, "");
+    let mut out = table(&["child", "health", "restarts"], rows, "");
     if !report.incidents.is_empty() {
         let rows = report.incidents.iter().map(|incident| {
             vec![

@@ -1,0 +1,238 @@
+//! The command line.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
+
+/// Surgical simulation by actors: one Model, many controllers, each at a rate of its own.
+#[derive(Debug, Parser)]
+#[command(name = "trocar", version, about, max_term_width = 100, arg_required_else_help = true)]
+#[command(
+    after_help = "Exit codes: 0 ok, 1 an expectation failed or the exercise was not completed, 2 usage, \
+    3 a device is missing, 4 a scenario or file cannot be used, 70 internal error.\n\
+    Scores are FLS-style; none is clinically validated."
+)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// More messages on stderr; twice for even more
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Run a scenario: leaves a score, a recording and a report
+    Run(RunArgs),
+    /// List what there is: scenarios, kinds of controllers, components, devices, bench suites
+    List(ListArgs),
+    /// Play a recording back, commit by commit, and compare the state hash
+    Replay(ReplayArgs),
+    /// Draw who acts in a scenario, at which rates, and what flows between them
+    Graph(GraphArgs),
+    /// Measure figures beside the floors of this machine
+    Bench(BenchArgs),
+    /// Look at this machine: what limits the rates, and how to mend it
+    Doctor(DoctorArgs),
+    /// Print a JSON schema
+    Schema(SchemaArgs),
+    /// Print completions for a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+}
+
+/// What to simulate.
+#[derive(Clone, Debug, Args)]
+pub struct SessionArgs {
+    /// Name of a scenario (see `trocar list`), or a TOML file
+    #[arg(value_hint = ValueHint::FilePath)]
+    pub scenario: String,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Another device for a hand: NAME=SPEC, such as `left=virtual:impedance=off` or `right=replay:hand.csv`
+    #[arg(long = "hand", value_name = "NAME=SPEC", value_parser = hand)]
+    pub hands: Vec<(String, String)>,
+    /// Skill of the virtual trainee: novice, intermediate, expert, or 0 to 1
+    #[arg(long)]
+    pub skill: Option<String>,
+    /// The trainee is left-handed
+    #[arg(long)]
+    pub left_handed: bool,
+}
+
+/// `trocar run`.
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// What to simulate.
+    #[command(flatten)]
+    pub session: SessionArgs,
+    /// End after this much time of the session \[s\]; otherwise when the exercise is over
+    #[arg(long, value_parser = positive)]
+    pub seconds: Option<f64>,
+    /// No live table, whatever the terminal
+    #[arg(long)]
+    pub headless: bool,
+    /// Virtual time on one thread, as fast as it goes: the same seed gives the same bits
+    #[arg(long)]
+    pub lockstep: bool,
+    /// Fault plan: what shall go wrong, and what must hold all the same
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub faults: Option<PathBuf>,
+    /// Recording (MCAP) [default: SCENARIO.mcap]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub record: Option<PathBuf>,
+    /// Do not record
+    #[arg(long, conflicts_with = "record")]
+    pub no_record: bool,
+    /// Report (HTML, one file) [default: report-SCENARIO.html]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub report: Option<PathBuf>,
+    /// Write no report
+    #[arg(long, conflicts_with = "report")]
+    pub no_report: bool,
+    /// Print exactly one JSON object on stdout (`trocar schema run` describes it)
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `trocar list`.
+#[derive(Debug, Args)]
+pub struct ListArgs {
+    /// What to list; everything without it
+    pub what: Option<Listed>,
+    /// As JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What can be listed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Listed {
+    /// Scenarios that are part of the program.
+    Scenarios,
+    /// Kinds of controllers that a scenario can ask for.
+    Controllers,
+    /// Components that an entity can have.
+    Components,
+    /// Devices that a hand can have.
+    Devices,
+    /// Suites of `trocar bench`.
+    Suites,
+}
+
+/// `trocar replay`.
+#[derive(Debug, Args)]
+pub struct ReplayArgs {
+    /// The recording
+    #[arg(value_hint = ValueHint::FilePath)]
+    pub file: PathBuf,
+    /// Report (HTML, one file)
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub report: Option<PathBuf>,
+    /// Print exactly one JSON object on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `trocar graph`.
+#[derive(Debug, Args)]
+pub struct GraphArgs {
+    /// What to draw.
+    #[command(flatten)]
+    pub session: SessionArgs,
+    /// In which language
+    #[arg(long, value_enum, default_value_t = GraphFormat::Mermaid)]
+    pub format: GraphFormat,
+    /// Run live for this long first, and write the achieved rates into the graph \[s\]
+    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    pub after: Option<f64>,
+}
+
+/// Languages of graphs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum GraphFormat {
+    /// For Markdown pages.
+    Mermaid,
+    /// For Graphviz.
+    Dot,
+    /// For programs.
+    Json,
+}
+
+/// `trocar bench`.
+#[derive(Debug, Args)]
+pub struct BenchArgs {
+    /// The suite; see `trocar list suites`
+    #[arg(default_value = "kernel")]
+    pub suite: String,
+    /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `trocar doctor`.
+#[derive(Debug, Args)]
+pub struct DoctorArgs {
+    /// As JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `trocar schema`.
+#[derive(Debug, Args)]
+pub struct SchemaArgs {
+    /// Of what
+    #[arg(value_enum, default_value_t = SchemaOf::Scenario)]
+    pub of: SchemaOf,
+}
+
+/// What has a JSON schema.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum SchemaOf {
+    /// Scenario files.
+    Scenario,
+    /// Output of `run --json` and `replay --json`.
+    Run,
+    /// Output of `bench --json`.
+    Bench,
+}
+
+fn hand(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, spec)) if !name.is_empty() && !spec.is_empty() => Ok((name.to_owned(), spec.to_owned())),
+        _ => Err("NAME=SPEC is expected, such as left=virtual".to_owned()),
+    }
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() && value > 0.0 && value <= 1e6 => Ok(value),
+        _ => Err("a number of seconds above 0, at most 1e6, is expected".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_sound() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn seconds_and_hands_are_checked() {
+        assert_eq!(positive("0.5"), Ok(0.5));
+        for wrong in ["0", "-1", "NaN", "inf", "1e7", "x"] {
+            assert!(positive(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!(hand("left=replay:a=b.csv"), Ok(("left".into(), "replay:a=b.csv".into())));
+        assert!(hand("left").is_err() && hand("=virtual").is_err() && hand("left=").is_err());
+    }
+}

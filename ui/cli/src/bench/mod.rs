@@ -1,0 +1,102 @@
+//! `trocar bench`: figures beside the floors of this machine.
+
+mod blocks;
+mod exercise;
+mod scene;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use trocar::summary::{BenchResult, BenchSummary, Exit};
+
+use crate::args::BenchArgs;
+use crate::doctor::machine;
+use crate::failure::{Failure, did_you_mean};
+use crate::output;
+use crate::report::short;
+
+/// Suites by name, and what they measure.
+pub const SUITES: [(&str, &str); 1] =
+    [("kernel", "rates of the live exercise, reads and writes of the scene, speed of lock-step")];
+
+/// A figure or a few, and what is shown while they are measured.
+type Part = (&'static str, fn() -> Result<Vec<BenchResult>, Failure>);
+
+/// The parts of the suite `kernel`.
+const KERNEL: [Part; 3] = [
+    ("reading the scene", scene::reads),
+    ("the exercise in lock-step", exercise::lockstep),
+    ("the exercise live, beside a bare timer loop", exercise::live),
+];
+
+/// Measures a suite.
+pub fn bench(args: &BenchArgs) -> Result<Exit, Failure> {
+    let mut summary = BenchSummary::new(machine());
+    let result = measure(args, &mut summary);
+    if let Err(failure) = &result {
+        summary.error = Some(failure.message.clone());
+    }
+    if args.json {
+        output::print_json(&summary)?;
+    } else if result.is_ok() {
+        output::print_text(&text(&summary))?;
+    }
+    result?;
+    Ok(if summary.missed().next().is_none() { Exit::Ok } else { Exit::Failed })
+}
+
+fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> {
+    let names = || SUITES.iter().map(|(name, _)| *name);
+    if !names().any(|name| name == args.suite) {
+        let known = names().collect::<Vec<_>>().join(", ");
+        let hint = did_you_mean(&args.suite, names());
+        return Err(Failure::usage(format!("no suite is called '{}'; there are: {known}{hint}", args.suite)));
+    }
+    let bar = ProgressBar::new(KERNEL.len() as u64);
+    let style = ProgressStyle::with_template("{bar:24} {pos} of {len}  {msg}  {elapsed}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    for (what, part) in KERNEL {
+        bar.set_message(what);
+        summary.results.extend(part()?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(())
+}
+
+fn text(summary: &BenchSummary) -> String {
+    let machine = &summary.machine;
+    let mut lines = vec![
+        format!(
+            "{} × {}, governor {}, real-time priority {}",
+            machine.cores,
+            machine.cpu,
+            machine.governor.as_deref().unwrap_or("not told"),
+            if machine.fifo { "granted" } else { "refused" }
+        ),
+        String::new(),
+    ];
+    let head = ["figure", "value", "unit", "spread", "floor", "ratio", "bar", "holds"];
+    let number = |value: Option<f64>| value.map_or("–".to_owned(), short);
+    let rows: Vec<Vec<String>> = summary
+        .results
+        .iter()
+        .map(|row| {
+            let sign = match row.better {
+                trocar::summary::Better::Lower => "≤",
+                trocar::summary::Better::Higher => "≥",
+            };
+            vec![
+                row.name.clone(),
+                short(row.value),
+                row.unit.clone(),
+                short(row.spread),
+                number(row.floor),
+                number(row.ratio),
+                row.bar.map_or("–".to_owned(), |bar| format!("{sign} {}", short(bar))),
+                if row.holds { console::style("yes").green() } else { console::style("NO").red().bold() }
+                    .to_string(),
+            ]
+        })
+        .collect();
+    lines.extend(output::columns(&head, &rows));
+    lines.join("\n")
+}

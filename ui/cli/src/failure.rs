@@ -1,0 +1,90 @@
+//! What can end a command early: a message for people and an exit code for scripts.
+
+use std::fmt::Display;
+use std::path::Path;
+
+use trocar::app::AppError;
+use trocar::assembly::AssemblyError;
+use trocar::run::RunError;
+use trocar::summary::Exit;
+
+/// A command that could not do what it was asked for.
+#[derive(Debug)]
+pub struct Failure {
+    /// How the process ends.
+    pub exit: Exit,
+    /// What is wrong, where, and what would be valid.
+    pub message: String,
+}
+
+impl Failure {
+    /// A command line that makes no sense.
+    pub fn usage(message: impl Display) -> Self {
+        Self { exit: Exit::Usage, message: message.to_string() }
+    }
+    /// A scenario or file that cannot be used.
+    pub fn invalid(message: impl Display) -> Self {
+        Self { exit: Exit::Invalid, message: message.to_string() }
+    }
+    /// Something that is the program's or the machine's fault.
+    pub fn internal(message: impl Display) -> Self {
+        Self { exit: Exit::Internal, message: message.to_string() }
+    }
+    /// A file that cannot be written.
+    pub fn write(path: &Path, error: std::io::Error) -> Self {
+        Self::invalid(format!("{}: cannot be written: {error}", path.display()))
+    }
+}
+
+/// The name among `known` that is most like `name`, if any is alike.
+pub fn closest<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    known
+        .into_iter()
+        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
+        .filter(|(likeness, _)| *likeness > 0.75)
+        .max_by(|(a, _), (b, _)| a.total_cmp(b))
+        .map(|(_, candidate)| candidate)
+}
+
+/// `; did you mean 'x'?` or nothing.
+pub fn did_you_mean<'a>(name: &str, known: impl IntoIterator<Item = &'a str>) -> String {
+    closest(name, known).map_or_else(String::new, |best| format!("; did you mean '{best}'?"))
+}
+
+impl From<AppError> for Failure {
+    fn from(error: AppError) -> Self {
+        match &error {
+            AppError::UnknownScenario { name, .. } => {
+                let names = trocar::app::SCENARIOS.iter().map(|(known, _)| *known);
+                Self::invalid(format!("{error}{}", did_you_mean(name, names)))
+            }
+            AppError::Scenario(_) => Self::invalid(error),
+            AppError::Registry(_) | AppError::KindTaken(_) => Self::internal(error),
+        }
+    }
+}
+
+impl From<RunError> for Failure {
+    fn from(error: RunError) -> Self {
+        match &error {
+            RunError::Assembly(AssemblyError::UnknownHand { .. } | AssemblyError::Spec { .. }) => {
+                Self::usage(error)
+            }
+            RunError::Assembly(_) | RunError::Recorder(_) | RunError::Session(_) => Self::invalid(error),
+            RunError::Driver(_) => Self::internal(error),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slip_of_the_pen_finds_its_word_and_nonsense_finds_none() {
+        let known = ["peg-transfer", "wall"];
+        assert_eq!(closest("peg-tranfser", known), Some("peg-transfer"));
+        assert_eq!(closest("pegtransfer", known), Some("peg-transfer"));
+        assert_eq!(closest("zzz", known), None);
+    }
+}

@@ -1,0 +1,178 @@
+//! `trocar graph`: who acts in a scenario, at which rates, and what flows between them.
+
+use std::fmt::Write as _;
+
+use trocar::app::App;
+use trocar::graph::{ActorGraph, Flow, Node, NodeKind};
+use trocar::run::{RunOptions, start};
+use trocar::summary::Exit;
+use trocar_scene::scenario::Scenario;
+
+use crate::args::{GraphArgs, GraphFormat};
+use crate::escape::escape;
+use crate::failure::Failure;
+use crate::live_table::Display;
+use crate::report::short;
+use crate::{output, run};
+
+/// Draws a scenario.
+pub fn graph(args: &GraphArgs) -> Result<Exit, Failure> {
+    let app = App::standard()?;
+    let scenario = app.scenario(&args.session.scenario)?;
+    let options = run::options(&args.session)?;
+    let mut graph = match args.after {
+        Some(seconds) => {
+            let options = RunOptions { seconds: Some(seconds), ..options };
+            let mut display = Display::new(&scenario, &options, false);
+            let outcome =
+                trocar::run::run(&app, &scenario, &options, &mut |progress| display.update(progress));
+            display.clear();
+            outcome?.graph
+        }
+        None => declared(&app, &scenario, &options)?,
+    };
+    add_devices(&mut graph, &scenario);
+    match args.format {
+        GraphFormat::Mermaid => output::print_text(&mermaid(&graph))?,
+        GraphFormat::Dot => output::print_text(&dot(&graph))?,
+        GraphFormat::Json => output::print_json(&graph)?,
+    }
+    Ok(Exit::Ok)
+}
+
+/// What everyone declares, without a tick.
+fn declared(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<ActorGraph, Failure> {
+    let session = start(app, scenario, &RunOptions { lockstep: true, ..options.clone() })?;
+    let accesses = session.accesses();
+    session.finish();
+    Ok(ActorGraph::from_access(
+        &scenario.name,
+        accesses.iter().map(|(name, hz, access)| (name.as_str(), *hz, access)),
+    ))
+}
+
+/// Devices stand outside of the scene: their drivers talk to haptics directly.
+fn add_devices(graph: &mut ActorGraph, scenario: &Scenario) {
+    for hand in &scenario.hands {
+        let (device, haptics) = (format!("device.{}", hand.name), format!("haptics.{}", hand.name));
+        let served = graph.nodes.iter().find(|node| node.name == haptics);
+        let Some(rate) = served.map(|node| node.target_hz) else { continue };
+        graph.add(&device, NodeKind::Device, None);
+        graph.flow(&device, &haptics, vec!["device sample".to_owned()], rate);
+        graph.flow(&haptics, &device, vec!["wrench".to_owned()], rate);
+    }
+}
+
+fn rate(node: &Node) -> String {
+    match (node.target_hz, node.achieved_hz) {
+        (Some(target), Some(achieved)) => format!("{achieved:.1} of {} Hz", short(target)),
+        (Some(target), None) => format!("{} Hz", short(target)),
+        (None, _) => String::new(),
+    }
+}
+
+/// The Model stands for itself only where it has flows of its own.
+fn drawn(graph: &ActorGraph) -> impl Iterator<Item = (usize, &Node)> {
+    let has_flow =
+        |node: &Node| graph.flows.iter().any(|flow| flow.from == node.name || flow.to == node.name);
+    graph.nodes.iter().enumerate().filter(move |(_, node)| node.kind != NodeKind::Model || has_flow(node))
+}
+
+fn index(graph: &ActorGraph, name: &str) -> Option<usize> {
+    graph.nodes.iter().position(|node| node.name == name)
+}
+
+fn label(flow: &Flow, line_break: &str) -> String {
+    let mut label = flow.components.join(line_break);
+    if let Some(hz) = flow.hz {
+        let _ = write!(label, "{line_break}{} Hz", short(hz));
+    }
+    label
+}
+
+/// As Mermaid, for Markdown pages.
+pub fn mermaid(graph: &ActorGraph) -> String {
+    let mut out = String::from(
+        "%% Every flow between controllers passes the Model: batches in, snapshots out.\nflowchart LR\n",
+    );
+    for (i, node) in drawn(graph) {
+        let (open, close) = if node.kind == NodeKind::Device { ("([", "])") } else { ("[", "]") };
+        let text = lines(&[&node.name, &rate(node)]).map(|line| escape_mermaid(&line)).collect::<Vec<_>>();
+        let _ = writeln!(out, "    n{i}{open}\"{}\"{close}", text.join("<br/>"));
+    }
+    for flow in &graph.flows {
+        if let (Some(from), Some(to)) = (index(graph, &flow.from), index(graph, &flow.to)) {
+            let label: Vec<String> = label(flow, "\n").lines().map(escape_mermaid).collect();
+            let _ = writeln!(out, "    n{from} -->|\"{}\"| n{to}", label.join("<br/>"));
+        }
+    }
+    out
+}
+
+/// As DOT, for Graphviz.
+pub fn dot(graph: &ActorGraph) -> String {
+    let mut out = format!(
+        "// Every flow between controllers passes the Model: batches in, snapshots out.\ndigraph \"{}\" {{\n    \
+         rankdir=LR;\n    node [shape=box, style=rounded, fontname=\"sans-serif\"];\n    \
+         edge [fontname=\"sans-serif\", fontsize=10];\n",
+        escape_dot(&graph.scenario)
+    );
+    for (i, node) in drawn(graph) {
+        let shape = if node.kind == NodeKind::Device { ", shape=ellipse" } else { "" };
+        let text = lines(&[&node.name, &rate(node)]).map(|line| escape_dot(&line)).collect::<Vec<_>>();
+        let _ = writeln!(out, "    n{i} [label=\"{}\"{shape}];", text.join("\\n"));
+    }
+    for flow in &graph.flows {
+        if let (Some(from), Some(to)) = (index(graph, &flow.from), index(graph, &flow.to)) {
+            let label: Vec<String> = label(flow, "\n").lines().map(escape_dot).collect();
+            let _ = writeln!(out, "    n{from} -> n{to} [label=\"{}\"];", label.join("\\n"));
+        }
+    }
+    out.push_str("}\n");
+    out
+}
+
+fn lines<'a>(texts: &'a [&'a str]) -> impl Iterator<Item = String> + 'a {
+    texts.iter().filter(|text| !text.is_empty()).map(|text| (*text).to_owned())
+}
+
+/// Mermaid takes HTML entities with `#` instead of `&`.
+fn escape_mermaid(text: &str) -> String {
+    escape(text).replace('#', "").replace('&', "#")
+}
+
+fn escape_dot(text: &str) -> String {
+    let safe: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    safe.replace('\\', "\\\\").replace('"', "\\\"")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn graph() -> ActorGraph {
+        let mut graph = ActorGraph { scenario: "s".into(), ..ActorGraph::default() };
+        graph.add("model", NodeKind::Model, None);
+        graph.add("engine", NodeKind::Controller, Some(500.0));
+        graph.add("bad\"]; x[\"", NodeKind::Controller, Some(100.0));
+        graph.flow("engine", "bad\"]; x[\"", vec!["pose".into(), "velocity".into()], Some(100.0));
+        graph.achieved("engine", 499.9);
+        graph
+    }
+
+    #[test]
+    fn mermaid_has_nodes_rates_and_flows_and_names_cannot_break_out() {
+        let text = mermaid(&graph());
+        assert!(text.contains("n1[\"engine<br/>499.9 of 500 Hz\"]"), "{text}");
+        assert!(text.contains("n1 -->|\"pose<br/>velocity<br/>100 Hz\"| n2"), "{text}");
+        assert!(!text.contains("bad\"]") && !text.contains("model"), "{text}");
+    }
+
+    #[test]
+    fn dot_has_nodes_rates_and_flows_and_names_cannot_break_out() {
+        let text = dot(&graph());
+        assert!(text.contains("n1 [label=\"engine\\n499.9 of 500 Hz\"];"), "{text}");
+        assert!(text.contains("bad\\\"]; x[\\\""), "{text}");
+        assert!(text.trim_end().ends_with('}'));
+    }
+}

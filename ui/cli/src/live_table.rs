@@ -1,0 +1,177 @@
+//! What a terminal shows while a session runs: a table of rates live, a progress bar in virtual time.
+//!
+//! Everything goes to stderr, and only when that is a terminal.
+
+use std::time::{Duration, Instant};
+
+use console::{Term, style};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use trocar::run::{Progress, RunOptions};
+use trocar_kernel::runtime::ControllerReport;
+use trocar_scene::scenario::Scenario;
+use trocar_scene::{DeviceState, Hand, TaskState};
+
+use crate::escape::printable;
+use crate::output::columns;
+use crate::report::short;
+
+/// Between two drawings of the table.
+const REDRAW: Duration = Duration::from_millis(250);
+/// Resolution of the progress bar.
+const BAR_STEPS: u64 = 1000;
+
+/// A session's place on the terminal.
+pub struct Display {
+    kind: Kind,
+    title: String,
+}
+
+enum Kind {
+    Silent,
+    Table { term: Term, lines: usize, drawn: Option<Instant>, before: Vec<(u64, f64)> },
+    Bar { bar: ProgressBar, seconds: Option<f64> },
+}
+
+impl Display {
+    /// The right one for this terminal; none when `silent` or when nobody looks.
+    pub fn new(scenario: &Scenario, options: &RunOptions, silent: bool) -> Self {
+        let term = Term::stderr();
+        let kind = if silent || !term.is_term() {
+            Kind::Silent
+        } else if options.lockstep {
+            let bar = ProgressBar::with_draw_target(Some(BAR_STEPS), ProgressDrawTarget::stderr());
+            let template = "{spinner} {bar:32} {msg}  {elapsed} on the wall";
+            bar.set_style(
+                ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
+            );
+            Kind::Bar { bar, seconds: options.seconds }
+        } else {
+            Kind::Table { term, lines: 0, drawn: None, before: Vec::new() }
+        };
+        Self { kind, title: printable(&scenario.name) }
+    }
+
+    /// Shows how the session stands; cheap when it is not time yet.
+    pub fn update(&mut self, progress: &Progress<'_>) {
+        match &mut self.kind {
+            Kind::Silent => {}
+            Kind::Bar { bar, seconds } => {
+                let task = progress.scene.iter::<TaskState>().next().map(|(_, task)| task);
+                let now = progress.now.as_secs_f64();
+                let by_task = task.map_or(0.0, |task| f64::from(task.done) / f64::from(task.steps.max(1)));
+                let by_time = seconds.map_or(0.0, |seconds| now / seconds);
+                bar.set_position((by_task.max(by_time) * BAR_STEPS as f64) as u64);
+                let speed = now / progress.wall_secs.max(1e-6);
+                let steps =
+                    task.map_or(String::new(), |task| format!("{} of {} steps, ", task.done, task.steps));
+                bar.set_message(format!("{steps}{now:.1} s simulated ({speed:.1}×)"));
+            }
+            Kind::Table { term, lines, drawn, before } => {
+                if drawn.is_some_and(|drawn| drawn.elapsed() < REDRAW) {
+                    return;
+                }
+                let reports = progress.session.reports();
+                let width = usize::from(term.size().1).max(20);
+                let now = progress.now.as_secs_f64();
+                let text: Vec<String> = table(&self.title, progress, &reports, before, now)
+                    .into_iter()
+                    .map(|line| console::truncate_str(&line, width - 1, "…").into_owned())
+                    .collect();
+                *before = reports.iter().map(|row| (row.scheduled - row.missed, now)).collect();
+                // A terminal that goes away takes the table with it, not the session.
+                let _ = term.clear_last_lines(*lines);
+                let _ = term.write_line(&text.join("\n"));
+                *lines = text.len();
+                *drawn = Some(Instant::now());
+            }
+        }
+    }
+
+    /// Takes everything off the terminal.
+    pub fn clear(&mut self) {
+        match &mut self.kind {
+            Kind::Silent => {}
+            Kind::Bar { bar, .. } => bar.finish_and_clear(),
+            Kind::Table { term, lines, .. } => {
+                let _ = term.clear_last_lines(*lines);
+                *lines = 0;
+            }
+        }
+    }
+}
+
+fn table(
+    title: &str,
+    progress: &Progress<'_>,
+    reports: &[ControllerReport],
+    before: &[(u64, f64)],
+    now: f64,
+) -> Vec<String> {
+    let mut first = format!("{}  {now:.1} s", style(title).bold().for_stderr());
+    if let Some((_, task)) = progress.scene.iter::<TaskState>().next() {
+        let phase = printable(&task.phase);
+        first.push_str(&format!(
+            "  {} of {} steps  {phase}  {} errors",
+            task.done,
+            task.steps,
+            task.errors.len()
+        ));
+    }
+    let mut lines = vec![first, String::new()];
+    let head = [
+        "controller",
+        "target Hz",
+        "now Hz",
+        "mean Hz",
+        "on time",
+        "late p50 µs",
+        "p99",
+        "step p50 µs",
+        "p99",
+        "missed",
+        "dropped",
+        "rejected",
+        "restarts",
+    ];
+    let rows: Vec<Vec<String>> =
+        reports.iter().enumerate().map(|(i, row)| rate_row(row, before.get(i), now)).collect();
+    let mut table = columns(&head, &rows).into_iter();
+    if let Some(head) = table.next() {
+        lines.push(style(head).dim().for_stderr().to_string());
+    }
+    lines.extend(table);
+    lines.push(String::new());
+    lines.extend(progress.scene.iter::<Hand>().filter_map(|(entity, hand)| {
+        let force = progress.scene.get::<DeviceState>(entity)?.applied_force.norm();
+        Some(format!("{:<5} {:>5.2} N {}", hand.side.as_str(), force, gauge(force)))
+    }));
+    lines
+}
+
+fn rate_row(row: &ControllerReport, before: Option<&(u64, f64)>, now: f64) -> Vec<String> {
+    let ran = row.scheduled - row.missed;
+    let lately = before.filter(|(_, at)| now > *at).map_or("–".to_owned(), |(count, at)| {
+        format!("{:.0}", (ran.saturating_sub(*count)) as f64 / (now - at))
+    });
+    vec![
+        printable(&row.name),
+        short(row.target_hz),
+        lately,
+        format!("{:.1}", row.achieved_hz),
+        format!("{:.2} %", row.on_time * 100.0),
+        short(row.lateness_us.p50),
+        short(row.lateness_us.p99),
+        short(row.step_us.p50),
+        short(row.step_us.p99),
+        row.missed.to_string(),
+        row.dropped.to_string(),
+        row.rejected.to_string(),
+        row.restarts.to_string(),
+    ]
+}
+
+/// A bar of up to 20 blocks for a force of up to 3.3 N.
+fn gauge(newtons: f64) -> String {
+    let blocks = (newtons / 3.3 * 20.0).round().clamp(0.0, 20.0) as usize;
+    format!("{}{}", "█".repeat(blocks), "·".repeat(20 - blocks))
+}

@@ -1,0 +1,106 @@
+//! `trocar replay`: a recording played back commit by commit, checked against its own state hashes.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use trocar::app::App;
+use trocar::run::task_summary;
+use trocar::summary::{Exit, Mode, RunSummary};
+use trocar::trace::RunTrace;
+use trocar_kernel::recorder::{Recording, RecordingError, Replay};
+use trocar_scene::{CollisionList, DeviceState, SimTime};
+
+use crate::args::ReplayArgs;
+use crate::failure::Failure;
+use crate::report::{self, Report};
+use crate::{output, run};
+
+/// Between two samples of the trace.
+const SAMPLE_EVERY: SimTime = SimTime::from_millis(10);
+
+/// Plays a recording back.
+pub fn replay(args: &ReplayArgs) -> Result<Exit, Failure> {
+    let mut summary = RunSummary::new("", Mode::Replay, 0);
+    summary.recording = Some(args.file.display().to_string());
+    let result = attempt(args, &mut summary);
+    if let Err(failure) = &result {
+        summary.error = Some(failure.message.clone());
+    }
+    if args.json {
+        output::print_json(&summary)?;
+    } else if result.is_ok() {
+        output::print_text(&run::text(&summary))?;
+    }
+    result
+}
+
+fn attempt(args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exit, Failure> {
+    if let Some(report) = &args.report {
+        output::check_writable(report)?;
+    }
+    let app = App::standard()?;
+    let begun = Instant::now();
+    let recording = Recording::open(&args.file).map_err(Failure::invalid)?;
+    summary.scenario = recording.metadata().scenario.clone();
+    summary.seed = recording.metadata().seed;
+    let mut trace = RunTrace::new();
+    let mut replay = Replay::new(&recording, app.registry()).map_err(Failure::invalid)?;
+    let mut next = SimTime::ZERO;
+    let mut force_newtons_max = 0.0_f64;
+    let diverged = loop {
+        match replay.step() {
+            Ok(Some(time)) => {
+                if time >= next {
+                    trace.sample(replay.view());
+                    next = time + SAMPLE_EVERY;
+                }
+                let forces = replay.view().iter::<DeviceState>().map(|(_, state)| state.applied_force.norm());
+                force_newtons_max = forces.fold(force_newtons_max, f64::max);
+            }
+            Ok(None) => break None,
+            Err(error @ RecordingError::Diverged { .. }) => break Some(error),
+            Err(error) => return Err(Failure::invalid(error)),
+        }
+    };
+    trace.sample(replay.view());
+    summary.sim_secs = replay.time().as_secs_f64();
+    summary.state_hash = Some(replay.hash().to_string());
+    summary.task = task_summary(replay.view());
+    summary.force_newtons_max = force_newtons_max;
+    summary.penetration_max =
+        replay.view().iter::<CollisionList>().map(|(_, list)| list.penetration_max).fold(0.0, f64::max);
+    summary.recording_complete = recording.is_complete();
+    summary.wall_secs = begun.elapsed().as_secs_f64();
+
+    let mut failures: Vec<String> = replay
+        .gaps()
+        .iter()
+        .map(|gap| format!("the recording has a gap at {:.3} s", gap.time.as_secs_f64()))
+        .collect();
+    failures.extend(recording.truncation().map(|what| format!("the recording is cut short: {what}")));
+    failures.extend(diverged.map(|error| error.to_string()));
+    if let Some(end) = recording.end()
+        && end.complete
+        && Some(&end.hash) != summary.state_hash.as_ref()
+    {
+        failures.push(format!("the replay ends in another state hash; recorded was {}", end.hash));
+    }
+    if let Some(file) = &args.report {
+        summary.report = Some(file.display().to_string());
+        let html = report::html(&Report {
+            title: &format!("Replay of {}", summary.scenario),
+            summary,
+            trace: &trace,
+            lateness: &[],
+            health: &[],
+            incidents: &[],
+            failures: &failures,
+            force_limits: &BTreeMap::new(),
+        });
+        output::write_file(file, html.as_bytes())?;
+    }
+    if failures.is_empty() {
+        return Ok(Exit::Ok);
+    }
+    Err(Failure { exit: Exit::Failed, message: failures.join("; ") })
+}

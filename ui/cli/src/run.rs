@@ -1,0 +1,272 @@
+//! `trocar run`: a scenario from start to end, with a table while it runs and a report after it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use trocar::app::App;
+use trocar::run::{RunOptions, RunOutcome};
+use trocar::summary::{Exit, Mode, RunSummary};
+use trocar_kernel::faults::FaultPlan;
+use trocar_scene::scenario::Scenario;
+
+use crate::args::{RunArgs, SessionArgs};
+use crate::failure::Failure;
+use crate::live_table::Display;
+use crate::output;
+use crate::report::{self, Report, short};
+
+/// Runs what the command line asks for.
+pub fn run(args: &RunArgs) -> Result<Exit, Failure> {
+    match attempt(args) {
+        Ok((summary, exit)) => {
+            if args.json {
+                output::print_json(&summary)?;
+            }
+            Ok(exit)
+        }
+        Err(failure) if args.json => {
+            let mode = if args.lockstep { Mode::Lockstep } else { Mode::Live };
+            let mut summary = RunSummary::new(&args.session.scenario, mode, args.session.seed);
+            summary.error = Some(failure.message.clone());
+            output::print_json(&summary)?;
+            Err(failure)
+        }
+        Err(failure) => Err(failure),
+    }
+}
+
+fn attempt(args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
+    let app = App::standard()?;
+    let scenario = app.scenario(&args.session.scenario)?;
+    let record = (!args.no_record).then(|| {
+        args.record.clone().unwrap_or_else(|| PathBuf::from(format!("{}.mcap", file_stem(&scenario))))
+    });
+    let report_file = (!args.no_report).then(|| {
+        args.report.clone().unwrap_or_else(|| PathBuf::from(format!("report-{}.html", file_stem(&scenario))))
+    });
+    for file in record.iter().chain(&report_file) {
+        output::check_writable(file)?;
+    }
+    let mut options = options(&args.session)?;
+    options.lockstep = args.lockstep;
+    options.seconds = args.seconds;
+    options.faults = args.faults.as_deref().map(read_plan).transpose()?;
+    options.record = record;
+
+    let mut display = Display::new(&scenario, &options, args.headless || args.json);
+    let outcome = trocar::run::run(&app, &scenario, &options, &mut |progress| display.update(progress));
+    display.clear();
+    let mut outcome = outcome?;
+
+    if let Some(file) = report_file {
+        outcome.summary.report = Some(file.display().to_string());
+        let html = html(&scenario, &outcome, force_limits(&outcome));
+        output::write_file(&file, html.as_bytes())?;
+    }
+    let mut exit = outcome.summary.exit(!outcome.failed_expectations.is_empty());
+    if outcome.kernel.code != 0 {
+        exit = Exit::Internal;
+    }
+    if outcome.summary.error.is_none() && !outcome.failed_expectations.is_empty() {
+        outcome.summary.error =
+            Some(format!("expectation failed: {}", outcome.failed_expectations.join("; ")));
+    }
+    if !args.json {
+        output::print_text(&text(&outcome.summary))?;
+        if !outcome.kernel.permission.fifo && !args.lockstep {
+            tracing::info!("{}", outcome.kernel.permission.refused);
+        }
+    }
+    Ok((outcome.summary, exit))
+}
+
+/// Options that every command with a session shares; an interrupt ends the session in good order.
+pub fn options(args: &SessionArgs) -> Result<RunOptions, Failure> {
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        // The second one does not wait for anybody.
+        signal_hook::flag::register_conditional_shutdown(
+            signal,
+            i32::from(Exit::Internal.code()),
+            stop.clone(),
+        )
+        .and_then(|_| signal_hook::flag::register(signal, stop.clone()))
+        .map_err(Failure::internal)?;
+    }
+    Ok(RunOptions {
+        seed: args.seed,
+        hands: args.hands.clone(),
+        skill: args.skill.clone(),
+        left_handed: args.left_handed,
+        stop,
+        ..RunOptions::default()
+    })
+}
+
+fn read_plan(file: &Path) -> Result<FaultPlan, Failure> {
+    FaultPlan::read(file).map_err(Failure::invalid)
+}
+
+/// The scenario's name as it may stand in a file name.
+fn file_stem(scenario: &Scenario) -> String {
+    let safe = |c: char| if c.is_alphanumeric() || c == '-' || c == '_' { c } else { '-' };
+    scenario.name.chars().take(60).map(safe).collect()
+}
+
+fn force_limits(outcome: &RunOutcome) -> BTreeMap<String, f64> {
+    let scene = &outcome.kernel.snapshot;
+    scene
+        .iter::<trocar_scene::DeviceInfo>()
+        .filter_map(|(entity, info)| {
+            let hand = scene.get::<trocar_scene::Hand>(entity)?;
+            Some((hand.side.as_str().to_owned(), info.max_force))
+        })
+        .collect()
+}
+
+fn html(scenario: &Scenario, outcome: &RunOutcome, force_limits: BTreeMap<String, f64>) -> String {
+    let lateness: Vec<report::Lateness> = outcome
+        .reports
+        .iter()
+        .map(|row| report::Lateness {
+            name: row.name.clone(),
+            upper_us: row.lateness_bars.upper_us.clone(),
+            counts: row.lateness_bars.counts.clone(),
+        })
+        .collect();
+    let health: Vec<report::Health> = outcome
+        .health
+        .iter()
+        .map(|(name, health)| {
+            let restarts = outcome.reports.iter().find(|row| row.name == *name).map_or(0, |row| row.restarts);
+            report::Health { name: name.clone(), health: (*health).to_owned(), restarts: u64::from(restarts) }
+        })
+        .collect();
+    let incidents: Vec<report::Incident> = outcome.kernel.incidents.iter().map(incident).collect();
+    report::html(&Report {
+        title: if scenario.title.is_empty() { &scenario.name } else { &scenario.title },
+        summary: &outcome.summary,
+        trace: &outcome.trace,
+        lateness: &lateness,
+        health: &health,
+        incidents: &incidents,
+        failures: &outcome.failed_expectations,
+        force_limits: &force_limits,
+    })
+}
+
+fn incident(incident: &trocar_kernel::supervision::Incident) -> report::Incident {
+    let detected = incident.detected.as_secs_f64();
+    let outcome = match (incident.restarted, incident.resumed) {
+        (_, Some(resumed)) => {
+            format!("at work again after {} ms", short((resumed.as_secs_f64() - detected) * 1e3))
+        }
+        (Some(_), None) => "restarted, no tick yet".to_owned(),
+        (None, None) => "not restarted".to_owned(),
+    };
+    report::Incident {
+        secs: detected,
+        child: incident.child.clone(),
+        what: incident.cause.to_string(),
+        outcome,
+    }
+}
+
+/// What a person wants to know after a run.
+pub fn text(summary: &RunSummary) -> String {
+    let bold = |text: String| console::style(text).bold().to_string();
+    let task = &summary.task;
+    let verdict = match () {
+        () if task.completed => console::style("completed").green().to_string(),
+        () if task.cut_off => console::style("cut off").yellow().to_string(),
+        () => console::style("not completed").red().to_string(),
+    };
+    let score = task.score.map_or("–".to_owned(), |score| format!("{score:.1}"));
+    let mut lines = vec![
+        format!(
+            "{} {verdict} in {:.1} s, {} errors",
+            bold(summary.scenario.clone()),
+            task.seconds,
+            task.errors.len()
+        ),
+        format!("{} / 100  FLS-style score, not clinically validated", bold(format!("score {score}"))),
+        String::new(),
+    ];
+    lines.extend(rates(summary));
+    lines.push(String::new());
+    lines.push(format!(
+        "largest force at a driver {} N, deepest penetration {} mm",
+        short(summary.force_newtons_max),
+        short(summary.penetration_max * 1e3)
+    ));
+    for fault in &summary.faults {
+        let state = match (fault.injected_secs, fault.resumed_secs) {
+            (Some(from), Some(to)) => format!("overcome in {:.1} ms", (to - from) * 1e3),
+            (Some(_), None) => "not overcome".to_owned(),
+            (None, _) => "did not strike".to_owned(),
+        };
+        lines.push(format!("fault '{}' ({} {}): {state}", fault.id, fault.kind, fault.target));
+    }
+    lines.push(format!(
+        "{:.1} s simulated in {:.1} s; state hash {}",
+        summary.sim_secs,
+        summary.wall_secs,
+        summary.state_hash.as_deref().unwrap_or("–")
+    ));
+    if let Some(file) = &summary.recording {
+        let gaps = if summary.recording_complete { "" } else { " (with gaps)" };
+        lines.push(format!("recording {file}{gaps}"));
+    }
+    if let Some(file) = &summary.report {
+        lines.push(format!("report {file}"));
+    }
+    if let Some(error) = &summary.error {
+        lines.push(console::style(crate::escape::printable(error)).red().to_string());
+    }
+    lines.join("\n")
+}
+
+/// The table of rates.
+fn rates(summary: &RunSummary) -> Vec<String> {
+    let live = summary.mode == Mode::Live;
+    let head: &[&str] = if live {
+        &[
+            "controller",
+            "target Hz",
+            "achieved Hz",
+            "on time",
+            "late p50 µs",
+            "p99",
+            "step p50 µs",
+            "p99",
+            "missed",
+            "restarts",
+        ]
+    } else {
+        &["controller", "target Hz", "ticks", "step p50 µs", "p99", "rejected", "restarts"]
+    };
+    let rows: Vec<Vec<String>> = summary
+        .controllers
+        .iter()
+        .map(|row| {
+            let steps = [short(row.step_us.p50), short(row.step_us.p99)];
+            let mut cells = vec![row.name.clone(), short(row.target_hz)];
+            if live {
+                cells.push(format!("{:.1}", row.achieved_hz));
+                cells.push(format!("{:.2} %", row.on_time * 100.0));
+                cells.extend([short(row.lateness_us.p50), short(row.lateness_us.p99)]);
+                cells.extend(steps);
+                cells.push(row.missed.to_string());
+            } else {
+                cells.push(row.scheduled.to_string());
+                cells.extend(steps);
+                cells.push(row.rejected.to_string());
+            }
+            cells.push(row.restarts.to_string());
+            cells
+        })
+        .collect();
+    output::columns(head, &rows)
+}

@@ -1,0 +1,274 @@
+//! The program from outside: what it prints, how it ends, what it leaves behind.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn trocar(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_trocar"))
+        .args(arguments)
+        .current_dir(folder)
+        .env("NO_COLOR", "1")
+        .output()
+        .expect("the program starts")
+}
+
+fn here() -> tempfile::TempDir {
+    tempfile::tempdir().expect("a folder")
+}
+
+fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).expect("text")
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).expect("text")
+}
+
+/// The one object on stdout.
+fn object(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|error| panic!("{error}: stdout is {:?}, stderr {}", stdout(output), stderr(output)))
+}
+
+fn assert_valid(of: &str, object: &Value) {
+    let folder = here();
+    let printed = trocar(folder.path(), &["schema", of]);
+    let schema: Value = serde_json::from_slice(&printed.stdout).expect("a schema");
+    let validator = jsonschema::validator_for(&schema).expect("a sound schema");
+    let errors: Vec<String> =
+        validator.iter_errors(object).map(|error| format!("{}: {error}", error.instance_path())).collect();
+    assert!(errors.is_empty(), "{errors:?}");
+}
+
+#[test]
+fn a_run_prints_one_object_that_keeps_the_contract_and_leaves_its_files() {
+    let folder = here();
+    let output = trocar(
+        folder.path(),
+        &["run", "peg-transfer", "--lockstep", "--seconds", "2", "--seed", "5", "--json"],
+    );
+    assert_eq!(output.status.code(), Some(0), "cut off by --seconds is no failure: {}", stderr(&output));
+    let summary = object(&output);
+    assert_valid("run", &summary);
+    assert_eq!(summary["mode"], "lockstep");
+    assert_eq!(summary["scenario"], "peg-transfer");
+    assert_eq!(summary["seed"], 5);
+    assert_eq!(summary["task"]["completed"], false);
+    assert_eq!(summary["task"]["cut_off"], true);
+    assert_eq!(summary["task"]["score"], Value::Null);
+    assert_eq!(summary["error"], Value::Null);
+    assert_eq!(summary["recording_complete"], true);
+    let sim_secs = summary["sim_secs"].as_f64().expect("a number");
+    assert!((sim_secs - 2.0).abs() < 0.02, "{sim_secs}");
+    for row in summary["controllers"].as_array().expect("rows") {
+        let scheduled = row["scheduled"].as_u64().expect("a count") as f64;
+        let expected = row["target_hz"].as_f64().expect("a rate") * sim_secs;
+        assert!(
+            (scheduled - expected).abs() <= 1.0,
+            "{}: {scheduled} ticks, expected {expected}",
+            row["name"]
+        );
+        assert_eq!(row["missed"], 0, "{}", row["name"]);
+    }
+    let report = std::fs::read_to_string(folder.path().join("report-peg-transfer.html")).expect("a report");
+    assert!(report.contains("not clinically validated") && report.contains("<svg"));
+    let names: Vec<String> = std::fs::read_dir(folder.path())
+        .expect("a folder")
+        .map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned())
+        .collect();
+    assert_eq!(names.len(), 2, "nothing half-written is left: {names:?}");
+
+    let replayed = trocar(folder.path(), &["replay", "peg-transfer.mcap", "--json"]);
+    assert_eq!(replayed.status.code(), Some(0), "{}", stderr(&replayed));
+    let replay = object(&replayed);
+    assert_valid("run", &replay);
+    assert_eq!(replay["mode"], "replay");
+    assert_eq!(replay["state_hash"], summary["state_hash"]);
+    assert_eq!(replay["task"], summary["task"]);
+}
+
+#[test]
+fn a_live_run_keeps_the_contract() {
+    let folder = here();
+    let arguments = ["run", "peg-transfer", "--seconds", "1.5", "--no-record", "--no-report", "--json"];
+    let output = trocar(folder.path(), &arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let summary = object(&output);
+    assert_valid("run", &summary);
+    assert_eq!(summary["mode"], "live");
+    assert_eq!(summary["recording"], Value::Null);
+    assert!(summary["wall_secs"].as_f64().expect("a number") >= 1.5);
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
+    for row in summary["controllers"].as_array().expect("rows") {
+        assert!(row["scheduled"].as_u64().expect("a count") > 0, "{row}");
+    }
+}
+
+#[test]
+fn without_json_a_person_reads_the_score_and_stderr_stays_quiet() {
+    let folder = here();
+    let arguments = ["run", "peg-transfer", "--lockstep", "--seconds", "1", "--no-record", "--no-report"];
+    let output = trocar(folder.path(), &arguments);
+    let text = stdout(&output);
+    assert!(text.contains("not clinically validated") && text.contains("haptics.left"), "{text}");
+    assert_eq!(stderr(&output), "", "nobody looks at a terminal here");
+    assert!(!text.contains('\u{1b}'), "NO_COLOR is respected");
+}
+
+/// A command that fails, its exit code, and what the message must name.
+fn assert_fails(arguments: &[&str], code: i32, named: &[&str]) {
+    let folder = here();
+    let output = trocar(folder.path(), arguments);
+    let message = stderr(&output);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {message}");
+    for name in named {
+        assert!(message.contains(name), "{arguments:?}: '{name}' is not in: {message}");
+    }
+    assert!(!message.contains("panicked"), "{message}");
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0, "something was written");
+    if arguments.contains(&"--json") {
+        let object = object(&output);
+        assert!(object["error"].as_str().is_some_and(|error| !error.is_empty()), "{object}");
+    } else {
+        assert_eq!(stdout(&output), "");
+    }
+}
+
+#[test]
+fn what_cannot_be_run_is_named_with_what_is_valid() {
+    assert_fails(&["run", "peg-tranfser", "--json"], 4, &["peg-tranfser", "did you mean 'peg-transfer'"]);
+    assert_fails(&["run", "missing.toml"], 4, &["missing.toml"]);
+    assert_fails(&["run", "peg-transfer", "--hand", "middle=virtual"], 2, &["middle", "left", "right"]);
+    assert_fails(&["run", "peg-transfer", "--hand", "left=vrtual"], 2, &["vrtual", "virtual"]);
+    assert_fails(&["run", "peg-transfer", "--hand", "left=replay:no.csv"], 4, &["no.csv"]);
+    assert_fails(&["run", "peg-transfer", "--faults", "no.toml"], 4, &["no.toml"]);
+    assert_fails(&["run", "peg-transfer", "--record", "no/such/a.mcap"], 4, &["no/such"]);
+    assert_fails(&["run", "peg-transfer", "--report", "no/such/a.html"], 4, &["no/such"]);
+    assert_fails(&["run", "peg-transfer", "--seconds", "0"], 2, &["--seconds"]);
+    assert_fails(&["run", "peg-transfer", "--secnds", "1", "--json"], 2, &["--secnds", "--seconds"]);
+    assert_fails(&["replay", "no.mcap", "--json"], 4, &["no.mcap"]);
+    assert_fails(&["bench", "kernl", "--json"], 2, &["kernl", "did you mean 'kernel'"]);
+    assert_fails(&["frobnicate"], 2, &["frobnicate"]);
+}
+
+#[test]
+fn a_failed_run_prints_an_object_of_the_same_schema() {
+    let folder = here();
+    let run = object(&trocar(folder.path(), &["run", "nope", "--lockstep", "--seed", "9", "--json"]));
+    assert_valid("run", &run);
+    assert_eq!((&run["mode"], &run["seed"]), (&"lockstep".into(), &9.into()));
+    assert_valid("bench", &object(&trocar(folder.path(), &["bench", "nope", "--json"])));
+}
+
+#[test]
+fn wrong_files_are_refused_with_their_place() {
+    let folder = here();
+    let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).expect("a file");
+    write("broken.toml", "schema = 1\nname = \"x\"\ntitle = \"X\"\ncolour = \"red\"\n");
+    write("faults.toml", "schema = 1\n[[fault]]\nat_secs = 1.0\ntarget = \"nobody\"\nkind = \"kill\"\n");
+    write("noise.mcap", "this is no recording");
+    write("hand.csv", "t,x,y,z,qw,qx,qy,qz,gripper\n0,0,0,0,1,0,0,0,0\n0.001,NaN,0,0,1,0,0,0,0\n");
+    let cases: [(&[&str], &[&str]); 4] = [
+        (&["run", "broken.toml", "--json"], &["broken.toml:4:1", "colour"]),
+        (&["run", "peg-transfer", "--faults", "faults.toml"], &["nobody", "haptics.left"]),
+        (&["replay", "noise.mcap"], &["noise.mcap"]),
+        (&["run", "peg-transfer", "--hand", "left=replay:hand.csv"], &["hand.csv", "3"]),
+    ];
+    for (arguments, named) in cases {
+        let output = trocar(folder.path(), arguments);
+        let message = stderr(&output);
+        assert_eq!(output.status.code(), Some(4), "{arguments:?}: {message}");
+        for name in named {
+            assert!(message.contains(name), "{arguments:?}: '{name}' is not in: {message}");
+        }
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 4, "something was written");
+}
+
+#[test]
+fn lists_graphs_schemas_and_completions_are_printed() {
+    let folder = here();
+    let text = |arguments: &[&str]| {
+        let output = trocar(folder.path(), arguments);
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", stderr(&output));
+        stdout(&output)
+    };
+    let all = text(&["list"]);
+    for name in ["peg-transfer", "instrument_target", "replay:FILE", "kernel"] {
+        assert!(all.contains(name), "'{name}' is not in: {all}");
+    }
+    let listed: Value = serde_json::from_str(&text(&["list", "scenarios", "--json"])).expect("JSON");
+    assert_eq!(listed["scenarios"][0]["name"], "peg-transfer");
+
+    let mermaid = text(&["graph", "peg-transfer"]);
+    assert!(mermaid.contains("flowchart LR") && mermaid.contains("haptics.left<br/>1000 Hz"), "{mermaid}");
+    assert!(mermaid.contains("instrument_target"), "{mermaid}");
+    let dot = text(&["graph", "peg-transfer", "--format", "dot"]);
+    assert!(dot.contains("digraph") && dot.contains("engine"), "{dot}");
+    let measured = text(&["graph", "peg-transfer", "--after", "1"]);
+    assert!(measured.contains("of 1000 Hz"), "{measured}");
+
+    assert!(text(&["completions", "bash"]).contains("trocar"));
+    for of in ["scenario", "run", "bench"] {
+        let schema: Value = serde_json::from_str(&text(&["schema", of])).expect("JSON");
+        jsonschema::validator_for(&schema).expect("a sound schema");
+    }
+}
+
+#[test]
+fn the_doctor_names_what_it_found_and_how_to_mend_it() {
+    let folder = here();
+    let output = trocar(folder.path(), &["doctor", "--json"]);
+    let found = object(&output);
+    let checks = found["checks"].as_array().expect("checks");
+    assert!(checks.len() >= 7);
+    for check in checks {
+        let is_ok = check["status"] == "ok";
+        assert_eq!(check["mend"].is_null(), is_ok, "{check}");
+        assert!(check["found"].as_str().is_some_and(|text| !text.is_empty()), "{check}");
+    }
+    assert!(found["machine"]["cores"].as_u64().is_some_and(|cores| cores > 0));
+}
+
+#[test]
+fn a_fault_that_is_survived_is_told_and_a_missed_expectation_fails_the_run() {
+    let folder = here();
+    let plan = |limit: &str| {
+        format!(
+            "schema = 1\nseed = 3\n[[fault]]\nid = \"left dies\"\nat_secs = 0.5\ntarget = \"haptics.left\"\n\
+             kind = \"kill\"\n[expect]\nrecovery_secs_max = {limit}\nmodel_restarts_max = 0\n"
+        )
+    };
+    std::fs::write(folder.path().join("kill.toml"), plan("0.1")).expect("a file");
+    std::fs::write(folder.path().join("strict.toml"), plan("0.0")).expect("a file");
+    let run = |faults: &str| {
+        let arguments = [
+            "run",
+            "peg-transfer",
+            "--lockstep",
+            "--seconds",
+            "1",
+            "--faults",
+            faults,
+            "--no-record",
+            "--no-report",
+            "--json",
+        ];
+        trocar(folder.path(), &arguments)
+    };
+    let survived = run("kill.toml");
+    assert_eq!(survived.status.code(), Some(0), "{}", stderr(&survived));
+    let summary = object(&survived);
+    assert_valid("run", &summary);
+    let fault = &summary["faults"][0];
+    let at = |key: &str| fault[key].as_f64().unwrap_or_else(|| panic!("{key} is missing: {fault}"));
+    assert!((at("injected_secs") - 0.5).abs() < 0.01);
+    assert!(at("injected_secs") <= at("detected_secs") && at("detected_secs") <= at("restarted_secs"));
+    assert!(at("restarted_secs") <= at("resumed_secs") && at("resumed_secs") < 0.6);
+
+    let missed = run("strict.toml");
+    assert_eq!(missed.status.code(), Some(1), "{}", stderr(&missed));
+    assert!(object(&missed)["error"].as_str().is_some_and(|error| error.contains("expectation")));
+}
