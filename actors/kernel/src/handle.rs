@@ -258,7 +258,7 @@ pub struct LaneIndex(usize);
 
 impl Lanes {
     /// Begins a pass: from here on a submission rings the bell again. Call it before the first
-    /// [`Self::next`] of a pass, so that nothing sent in between is missed.
+    /// [`Iterator::next`] of a pass, so that nothing sent in between is missed.
     pub fn begin_pass(&mut self) {
         // A swap, not a store: it must see what came before the ring that it silences.
         self.intake.bell.rung.swap(false, Ordering::AcqRel);
@@ -269,19 +269,6 @@ impl Lanes {
             self.lanes.retain(|lane| !lane.is_spent());
             self.next = 0;
         }
-    }
-
-    /// The next batch, one per lane in turn, or `None` when all lanes are empty.
-    pub fn next(&mut self) -> Option<(LaneIndex, Box<Batch>)> {
-        let count = self.lanes.len();
-        for step in 0..count {
-            let index = (self.next + step) % count;
-            if let Ok(batch) = self.lanes[index].batches.pop() {
-                self.next = (index + 1) % count;
-                return Some((LaneIndex(index), batch));
-            }
-        }
-        None
     }
 
     /// Whether nothing waits.
@@ -303,6 +290,23 @@ impl Lanes {
         let mut home = self.intake.home();
         self.intake.arrived.store(false, Ordering::Release);
         self.lanes.append(&mut home);
+    }
+}
+
+/// The batches that wait, one per lane in turn; `None` when all lanes are empty, and again `Some` when more
+/// came.
+impl Iterator for Lanes {
+    type Item = (LaneIndex, Box<Batch>);
+    fn next(&mut self) -> Option<Self::Item> {
+        let count = self.lanes.len();
+        for step in 0..count {
+            let index = (self.next + step) % count;
+            if let Ok(batch) = self.lanes[index].batches.pop() {
+                self.next = (index + 1) % count;
+                return Some((LaneIndex(index), batch));
+            }
+        }
+        None
     }
 }
 

@@ -170,7 +170,7 @@ impl Expect {
             }
         }
         if let Some(limit) = self.force_newtons_max
-            && !(measured.force_newtons_max <= limit)
+            && (measured.force_newtons_max > limit || measured.force_newtons_max.is_nan())
         {
             failures.push(format!("force {:.3} N is above {limit} N", measured.force_newtons_max));
         }

@@ -300,7 +300,7 @@ impl LockstepSession {
         for slot in &mut self.peers {
             if slot.next <= at {
                 slot.peer.step(at);
-                slot.next = slot.next + SimTime(slot.peer.period_ns());
+                slot.next += SimTime(slot.peer.period_ns());
             }
         }
         for index in 0..self.slots.len() {

@@ -3,9 +3,9 @@
 mod bytes;
 mod format;
 mod reader;
-mod recorder;
 mod replay;
 mod side;
+mod sink;
 mod spool;
 #[cfg(test)]
 mod tests;
@@ -13,6 +13,6 @@ mod writer;
 
 pub use format::{Gap, Group, PROFILE, SCHEMA};
 pub use reader::{Item, Keyframe, Recording, RecordingEnd, RecordingError, RecordingMetadata};
-pub use recorder::Recorder;
 pub use replay::Replay;
+pub use sink::Recorder;
 pub use writer::{RecorderError, RecorderOptions, RecordingHead};

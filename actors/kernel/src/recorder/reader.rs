@@ -413,7 +413,7 @@ impl Recording {
 
     fn note_chunk(&mut self, file: &mut File, offset: u64, length: u64) -> Result<(), RecordingError> {
         let mut times = [0; 16];
-        if length > CHUNK_MAX || length < 40 {
+        if !(40..=CHUNK_MAX).contains(&length) {
             return Err(self.damaged(offset, format!("a chunk of {length} bytes; valid: 40 to {CHUNK_MAX}")));
         }
         file.read_exact(&mut times)
