@@ -249,3 +249,146 @@ fn segment_distance(p1: &Vector3<f64>, q1: &Vector3<f64>, p2: &Vector3<f64>, q2:
     }
     ((p1 + d1 * s) - (p2 + d2 * t)).norm()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trainee_view::{HandSeen, PegSeen, tip_pose};
+    use nalgebra::{Isometry3, UnitQuaternion};
+    use proptest::prelude::*;
+
+    fn grasper(x: f64) -> GrasperSeen {
+        GrasperSeen {
+            jaw_length: 0.018,
+            jaw_width: 0.003,
+            jaw_thickness: 0.0015,
+            jaw_angle_max: 0.9,
+            shaft_radius: 0.0025,
+            apex: Vector3::new(x, -0.09, 0.17),
+        }
+    }
+
+    fn bench() -> BenchSeen {
+        let peg = |x: f64, board| PegSeen {
+            board,
+            foot: Vector3::new(x, 0.0, 0.0),
+            up: Vector3::z(),
+            height: 0.02,
+            radius: 0.001,
+        };
+        BenchSeen {
+            pegs: vec![peg(-0.04, 0), peg(-0.012, 0), peg(0.04, 1)],
+            ring_radius: 0.008,
+            tube_radius: 0.0015,
+            graspers: [grasper(-0.1), grasper(0.1)],
+            first_board: 0,
+        }
+    }
+
+    fn moment(rings: Vec<Isometry3<f64>>) -> MomentSeen {
+        let bench = bench();
+        let hand = |index: usize| {
+            let position = Vector3::new(if index == 0 { -0.03 } else { 0.05 }, 0.03, 0.08);
+            HandSeen {
+                tip: tip_pose(&position, &bench.graspers[index].apex, &Vector3::x()),
+                jaw_angle: 0.0,
+                held: None,
+            }
+        };
+        let rings = rings.into_iter().map(|pose| RingSeen { pose, speed: 0.0 }).collect();
+        MomentSeen { rings, hands: [hand(0), hand(1)] }
+    }
+
+    const LEFT: GraspWish = GraspWish { ring: 0, hand: 0, not_again: None };
+
+    #[test]
+    fn a_ring_around_a_peg_is_taken_level_and_from_the_side() {
+        let (bench, moment) = (bench(), moment(vec![Isometry3::translation(-0.04, 0.0, 0.0015)]));
+        let plan = plan_grasp(&bench, &moment, &LEFT).unwrap();
+        let placed = plan.place(&moment.rings[0], &bench.graspers[0]);
+        assert!(placed.closing.z.abs() < 0.2, "{}", placed.closing);
+        assert!(placed.closing.dot(&placed.shaft).abs() < 1e-9);
+        assert!(plan.depth >= DEPTH_MIN && placed.tip.z > 0.0, "{plan:?}");
+        // The side that is turned away from the other hand.
+        assert!(placed.tip.x < -0.04, "{}", placed.tip);
+        // Between tube and peg, with about as much room to either.
+        let half_gap = 0.018 * (0.5 * plan.opening).sin();
+        let (to_tube, to_peg) = (half_gap - 0.0015, 0.008 - 0.001 - 0.0015 - half_gap);
+        assert!(to_tube > 0.0015 && (to_tube - to_peg).abs() < 1e-9, "{to_tube} {to_peg}");
+    }
+
+    #[test]
+    fn a_failed_grasp_is_followed_by_another() {
+        let (bench, moment) = (bench(), moment(vec![Isometry3::translation(-0.04, 0.0, 0.0015)]));
+        let first = plan_grasp(&bench, &moment, &LEFT).unwrap();
+        let not_again = Some(first.point_in_ring);
+        let second = plan_grasp(&bench, &moment, &GraspWish { not_again, ..LEFT }).unwrap();
+        assert!((second.point_in_ring - first.point_in_ring).norm() > 0.004);
+    }
+
+    #[test]
+    fn the_receiver_keeps_away_from_the_giver() {
+        let bench = bench();
+        let center = Vector3::new(0.0, 0.02, 0.045);
+        let mut moment = moment(vec![Isometry3::from_parts(center.into(), UnitQuaternion::identity())]);
+        let held_at = center + Vector3::new(-0.64, 0.77, 0.0) * 0.008;
+        moment.hands[0].tip = tip_pose(&held_at, &bench.graspers[0].apex, &Vector3::new(-0.64, 0.77, 0.0));
+        moment.hands[0].held = Some(0);
+        let plan = plan_grasp(&bench, &moment, &GraspWish { hand: 1, ..LEFT }).unwrap();
+        let placed = plan.place(&moment.rings[0], &bench.graspers[1]);
+        let (one, other) = (held_at - center, placed.tip - placed.shaft * plan.depth - center);
+        assert!(one.angle(&other).to_degrees() > 75.0, "{}", one.angle(&other).to_degrees());
+    }
+
+    #[test]
+    fn what_cannot_be_reached_has_no_plan() {
+        let bench = bench();
+        // Below the board, and a ring that does not exist.
+        let low = moment(vec![Isometry3::translation(-0.04, 0.0, -0.02)]);
+        assert_eq!(plan_grasp(&bench, &low, &LEFT), None);
+        assert_eq!(plan_grasp(&bench, &low, &GraspWish { ring: 5, ..LEFT }), None);
+    }
+
+    #[test]
+    fn segments_have_their_known_distances() {
+        let v = Vector3::new;
+        let distance = |a, b, c, d| segment_distance(&a, &b, &c, &d);
+        let cross = distance(v(-1.0, 0.0, 0.0), v(1.0, 0.0, 0.0), v(0.0, -1.0, 2.0), v(0.0, 1.0, 2.0));
+        assert!((cross - 2.0).abs() < 1e-12);
+        let apart = distance(v(0.0, 0.0, 0.0), v(1.0, 0.0, 0.0), v(3.0, 0.0, 0.0), v(4.0, 0.0, 0.0));
+        assert!((apart - 2.0).abs() < 1e-12);
+        let parallel = distance(v(0.0, 0.0, 0.0), v(1.0, 0.0, 0.0), v(0.5, 1.0, 0.0), v(2.0, 1.0, 0.0));
+        assert!((parallel - 1.0).abs() < 1e-12);
+        let points = distance(v(0.0, 0.0, 0.0), v(0.0, 0.0, 0.0), v(0.0, 3.0, 4.0), v(0.0, 3.0, 4.0));
+        assert!((points - 5.0).abs() < 1e-9);
+    }
+
+    proptest! {
+        #[test]
+        fn every_plan_is_a_pinch_that_clears_pegs_and_boards(
+            x in -0.07..0.07f64, y in -0.03..0.03f64, z in 0.0015..0.06f64,
+            tilt in 0.0..0.5f64, turn in 0.0..6.2f64, hand in 0usize..2,
+        ) {
+            let bench = bench();
+            let axis = nalgebra::Unit::new_normalize(Vector3::new(turn.cos(), turn.sin(), 0.0));
+            let height = z.max(0.0015 + 0.008 * tilt.sin());
+            let pose = Isometry3::from_parts(
+                Vector3::new(x, y, height).into(), UnitQuaternion::from_axis_angle(&axis, tilt));
+            let moment = moment(vec![pose]);
+            if let Some(plan) = plan_grasp(&bench, &moment, &GraspWish { hand, ..LEFT }) {
+                let placed = plan.place(&moment.rings[0], &bench.graspers[hand]);
+                prop_assert!((placed.closing.norm() - 1.0).abs() < 1e-9);
+                prop_assert!(placed.closing.dot(&placed.shaft).abs() < 1e-9);
+                let tangent = pose.rotation * Vector3::z().cross(&plan.point_in_ring.coords).normalize();
+                prop_assert!(placed.closing.dot(&tangent).abs() < 1e-9);
+                prop_assert!((DEPTH_MIN..=DEPTH_MAX).contains(&plan.depth));
+                let parts =
+                    instrument_parts(&placed, &bench.graspers[hand], plan.opening, bench.tube_radius);
+                for peg in &bench.pegs {
+                    let peg = Capsule { from: peg.foot, to: peg.foot + peg.up * peg.height, radius: peg.radius };
+                    prop_assert!(parts.iter().all(|part| part.gap(&peg) >= MARGIN));
+                }
+            }
+        }
+    }
+}
