@@ -301,7 +301,7 @@ fn long_work_runs_elsewhere_and_comes_back() {
             if let Some(sum) = tick.jobs.take(1).and_then(|output| output.downcast::<u64>().ok()) {
                 self.0.lock().expect("not poisoned").push(*sum);
             }
-            if tick.number % 10 == 0 {
+            if tick.number.is_multiple_of(10) {
                 let work = Box::new(|| Box::new((0..1_000_u64).sum::<u64>()) as trocar_scene::JobOutput);
                 tick.jobs.submit(Job { key: 1, takes: ms(1), work });
             }

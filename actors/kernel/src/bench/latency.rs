@@ -88,25 +88,22 @@ struct Floor {
     system: System,
     address: Addr<Storer>,
     slot: Arc<ArcSwap<u64>>,
+    runtime: tokio::runtime::Runtime,
     next: u64,
 }
 
 impl Floor {
-    fn start() -> Result<Self, LiveError> {
+    /// `equal`: with the priority that the Model's thread has; otherwise a plain arbiter as actix makes it.
+    fn start(equal: bool) -> Result<Self, LiveError> {
         let slot = Arc::new(ArcSwap::from_pointee(0));
         let (send, receive) = sync_channel(1);
         let given = slot.clone();
         std::thread::Builder::new().name("bench-floor".into()).spawn(move || {
             let runner = System::new();
-            let arbiter = Arbiter::with_tokio_rt(|| {
-                // The same priority as the Model's thread: what is compared is the way, not the rank.
-                let _ = sched::promote_current(RuntimeClass::Model);
-                tokio::runtime::Builder::new_current_thread()
-                    .enable_io()
-                    .enable_time()
-                    .build()
-                    .expect("a runtime for the floor")
-            });
+            let arbiter = Arbiter::new();
+            if equal {
+                arbiter.spawn_fn(|| drop(sched::promote_current(RuntimeClass::Model)));
+            }
             let address = Storer::start_in_arbiter(&arbiter.handle(), move |_| Storer(given));
             let _ = send.send((System::current(), address));
             let _ = runner.run();
@@ -114,8 +111,18 @@ impl Floor {
         let (system, address) = receive
             .recv()
             .map_err(|_| LiveError::Start("the floor's actor system did not start".to_owned()))?;
-        Ok(Self { system, address, slot, next: 0 })
+        let runtime = tokio::runtime::Builder::new_current_thread().build()?;
+        Ok(Self { system, address, slot, runtime, next: 0 })
     }
+    /// µs until an awaited send has come back, after which everybody sees the value.
+    fn sample_awaited(&mut self) -> Option<f64> {
+        self.next += 1;
+        let begun = Instant::now();
+        self.runtime.block_on(self.address.send(Send(self.next))).ok()?;
+        let (slot, next) = (&self.slot, self.next);
+        spin_until(begun, || **slot.load() == next)
+    }
+    /// µs until a value that was sent without waiting is seen.
     fn sample(&mut self) -> Option<f64> {
         self.next += 1;
         let begun = Instant::now();
@@ -131,34 +138,49 @@ impl Drop for Floor {
     }
 }
 
-/// Write → visible at 100 and 10,000 populated entities, and the floor, sample by sample in turn.
+/// Write → visible at 100 and 10,000 populated entities, and the floors, sample by sample in turn.
+///
+/// The floor is actix's `send`, the kind whose sender learns that the value is there. Two more rows, without
+/// a bar, compare with sending and not waiting: to a plain actor, and to one of the Model's priority.
 pub(super) fn write_to_visible(effort: Effort) -> Result<Vec<Row>, LiveError> {
     let (blocks, samples) = match effort {
-        Effort::Smoke => (1, 100),
-        Effort::Full => (9, 400),
+        Effort::Smoke => (1, 60),
+        Effort::Full => (9, 250),
     };
     let mut small = Bench::start(100)?;
     let mut large = Bench::start(10_000)?;
-    let mut floor = Floor::start()?;
-    let mut medians = [Vec::new(), Vec::new(), Vec::new()];
+    let mut bare = Floor::start(false)?;
+    let mut equal = Floor::start(true)?;
+    let mut medians: [Vec<f64>; 5] = std::array::from_fn(|_| Vec::new());
     for _ in 0..blocks {
-        let mut block = [Vec::new(), Vec::new(), Vec::new()];
+        let mut block: [Vec<f64>; 5] = std::array::from_fn(|_| Vec::with_capacity(samples));
         for _ in 0..samples {
-            std::thread::sleep(PAUSE);
-            block[0].extend(floor.sample());
-            std::thread::sleep(PAUSE);
-            block[1].extend(small.sample());
-            std::thread::sleep(PAUSE);
-            block[2].extend(large.sample());
+            for (kind, results) in block.iter_mut().enumerate() {
+                std::thread::sleep(PAUSE);
+                results.extend(match kind {
+                    0 => bare.sample_awaited(),
+                    1 => small.sample(),
+                    2 => large.sample(),
+                    3 => bare.sample(),
+                    _ => equal.sample(),
+                });
+            }
         }
         for (all, block) in medians.iter_mut().zip(&block) {
             all.push(median(block));
         }
     }
-    let [floor, small, large] = &medians;
+    let [awaited, small, large, sent, equal] = &medians;
+    let beside = |name: &str, floor: &[f64]| {
+        let mut row = Row::on_ratio(name, "us", small, floor, 1.0, Better::Lower);
+        (row.bar, row.holds) = (None, None);
+        row
+    };
     Ok(vec![
-        Row::on_ratio("write_visible_100_entities_p50", "us", small, floor, 1.0, Better::Lower),
+        Row::on_ratio("write_visible_100_entities_p50", "us", small, awaited, 1.0, Better::Lower),
         Row::on_ratio("write_visible_10000_entities_p50", "us", large, small, 1.5, Better::Lower),
+        beside("write_visible_beside_unawaited_send_p50", sent),
+        beside("write_visible_beside_equal_priority_p50", equal),
     ])
 }
 

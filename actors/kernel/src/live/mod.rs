@@ -86,7 +86,15 @@ impl LiveSession {
     /// # Errors
     /// [`LiveError`]; nothing is left running then.
     pub fn start(spec: SessionSpec) -> Result<Self, LiveError> {
-        let mut session = Self::launch(spec)?;
+        Self::start_at(spec, Instant::now())
+    }
+
+    /// Like [`Self::start`], with session time zero at `origin`, which device drivers share.
+    ///
+    /// # Errors
+    /// [`LiveError`]; nothing is left running then.
+    pub fn start_at(spec: SessionSpec, origin: Instant) -> Result<Self, LiveError> {
+        let mut session = Self::launch(spec, Clock::since(origin))?;
         let limit = Instant::now() + Duration::from_secs(30);
         loop {
             let status = lock(&session.board.status);
@@ -114,7 +122,7 @@ impl LiveSession {
         Ok(session)
     }
 
-    fn launch(spec: SessionSpec) -> Result<Self, LiveError> {
+    fn launch(spec: SessionSpec, clock: Clock) -> Result<Self, LiveError> {
         check_controllers(&spec.controllers)?;
         let children = spec.children();
         let root = spec.tree.clone().unwrap_or_else(|| GroupSpec::default_tree(children.clone()));
@@ -134,8 +142,14 @@ impl LiveSession {
         let core = ModelCore::new(Store::from_snapshot(spec.scene.view()), spec.station)?;
         let (reports, inbox) = sync_channel(REPORTS_MAX);
         let order: Vec<String> = spec.controllers.iter().map(|controller| controller.name.clone()).collect();
-        let shared =
-            share(&spec.scene, spec.station, spec.seed, spec.controllers, spec.recorder, &tree, reports)?;
+        let shared = share(
+            &spec.scene,
+            (clock, spec.station, spec.seed),
+            spec.controllers,
+            spec.recorder,
+            &tree,
+            reports,
+        )?;
         let order = order
             .iter()
             .filter_map(|name| shared.writers.iter().position(|writer| writer.seat.name == *name))
@@ -189,6 +203,16 @@ impl LiveSession {
     pub fn stats(&self) -> Vec<ControllerReport> {
         let elapsed = self.elapsed();
         self.order.iter().map(|index| self.shared.writers[*index].seat.stats.report(elapsed)).collect()
+    }
+    /// What every controller has declared to the Model, with its rate \[Hz\], in the order of the session.
+    pub fn accesses(&self) -> Vec<(String, f64, Access)> {
+        let writers = self.order.iter().map(|index| &self.shared.writers[*index]);
+        writers
+            .filter_map(|writer| {
+                let access = lock(&writer.declared).clone()?;
+                Some((writer.seat.name.clone(), writer.spec.rate_hz, access))
+            })
+            .collect()
     }
     /// The Model's row: it has no rate; its ticks are the passes that it was woken for.
     pub fn model_stats(&self) -> ControllerReport {
@@ -330,7 +354,8 @@ impl LiveSession {
         }
         self.stopped = true;
         let asked = self.shared.reports.try_send(Report::Event(Event::ShutdownRequested { code })).is_ok();
-        if !(asked && self.wait(STOP_MAX)) && !self.has_ended() {
+        let ended = if asked { self.wait(STOP_MAX) } else { self.has_ended() };
+        if !ended {
             for zero in &self.zero_forces {
                 let _ = crate::runtime::guarded(|| zero());
             }
@@ -372,8 +397,7 @@ fn check_controllers(controllers: &[ControllerSpec]) -> Result<(), LiveError> {
 
 fn share(
     scene: &Store,
-    station: u16,
-    seed: u64,
+    (clock, station, seed): (Clock, u16, u64),
     controllers: Vec<ControllerSpec>,
     recorder: Option<Box<dyn crate::spec::CommitSink>>,
     tree: &Supervisor,
@@ -419,7 +443,7 @@ fn share(
     let bell = Arc::new(Notify::new());
     let ring = bell.clone();
     Ok(Arc::new(Shared {
-        clock: Clock::start(),
+        clock,
         seed,
         station,
         published: Arc::new(ArcSwap::from_pointee(scene.snapshot())),

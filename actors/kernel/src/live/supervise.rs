@@ -297,6 +297,7 @@ impl Crew {
         }
         if self.faults.is_open() {
             self.look_at_faults(run, now);
+            lock(&self.board.status).faults = self.faults.rows().to_vec();
         }
         let mut shut = self.until.is_some_and(|until| now >= until);
         if let Some(stop) = &self.stop_when

@@ -73,7 +73,7 @@ fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bo
         let _ = shared.reports.try_send(Report::Event(Event::Late { child: seat.child, late }));
     }
     // Who is woken by messages may rest as long as it likes.
-    let resting = !seat.ticks && beat % 2 == 0;
+    let resting = !seat.ticks && beat.is_multiple_of(2);
     if beat != watch.beat || resting || blind {
         watch.beat = beat;
         watch.since = now;

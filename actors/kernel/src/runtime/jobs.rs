@@ -136,7 +136,7 @@ mod tests {
             takes: SimTime::ZERO,
             work: Box::new(|| panic!("singular matrix"))
         }));
-        let error = wait_for(&mut runner, &jobs, 5).err().expect("the panic");
+        let error = wait_for(&mut runner, &jobs, 5).expect_err("the panic");
         assert!(error.contains("job 5") && error.contains("singular matrix"), "{error}");
     }
 }

@@ -19,7 +19,11 @@ fn install() {
             if QUIET.get() == 0 {
                 return before(info);
             }
-            let text = info.payload_as_str().unwrap_or("panicked with a value that is no text");
+            let payload = info.payload();
+            let text = match payload.downcast_ref::<String>() {
+                Some(text) => text.as_str(),
+                None => payload.downcast_ref::<&'static str>().copied().unwrap_or("panicked with no text"),
+            };
             let text = match info.location() {
                 Some(place) => format!("{text} ({}:{})", place.file(), place.line()),
                 None => text.to_owned(),
@@ -87,7 +91,7 @@ mod tests {
                 panic!("in drop");
             }
         }
-        let outcome = guarded(|| std::panic::panic_any(Bomb)).map(|()| ());
+        let outcome = guarded(|| std::panic::panic_any(Bomb));
         assert!(outcome.is_err());
     }
 }

@@ -22,7 +22,11 @@ pub struct Clock {
 impl Clock {
     /// A session that starts now.
     pub fn start() -> Self {
-        Self { start: Instant::now() }
+        Self::since(Instant::now())
+    }
+    /// A session that started then: shared with whoever else counts from that instant.
+    pub fn since(start: Instant) -> Self {
+        Self { start }
     }
     /// Time since then.
     pub fn now(&self) -> SimTime {
