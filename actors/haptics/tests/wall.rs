@@ -140,8 +140,9 @@ fn a_wall_that_slow_physics_notices_late_is_still_passive() {
             let (light, firm) = (press(case, 0.6), press(case, 1.2));
             assert!(light.force > 0.1 && firm.force > 0.3, "{case:?}: {light:?} {firm:?}");
             for press in [light, firm] {
-                // An impact at 0.3 m/s brings 2 mJ; damping that sets in late may miss a tenth of it.
-                let deficit = if impedance { 1e-12 } else { 3e-4 };
+                // With an arm none (but rounding); an impact of the bare device at 0.3 m/s is beyond the driver's
+                // slew limit, and the guard bounds what that costs.
+                let deficit = if impedance { 1e-12 } else { 5e-3 };
                 assert!(press.energy_min > -deficit, "{case:?}: {press:?}");
                 // A wall that the hand was deep in when it appeared may creep back to its place.
                 assert!(press.speed_rms < 2e-3, "{case:?} oscillates: {press:?}");
