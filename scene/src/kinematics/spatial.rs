@@ -8,18 +8,18 @@ use serde::{Deserialize, Serialize};
 /// Velocity of a rigid body at a named point, in a named frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Twist {
-    /// Velocity of the point [m/s].
+    /// Velocity of the point \[m/s\].
     pub linear: Vector3<f64>,
-    /// Angular velocity [rad/s].
+    /// Angular velocity \[rad/s\].
     pub angular: Vector3<f64>,
 }
 
 /// Force and moment on a rigid body at a named point, in a named frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Wrench {
-    /// Force [N].
+    /// Force \[N\].
     pub force: Vector3<f64>,
-    /// Moment about the point [N·m].
+    /// Moment about the point \[N·m\].
     pub torque: Vector3<f64>,
 }
 
@@ -27,11 +27,11 @@ impl Twist {
     /// At rest.
     pub const ZERO: Self = Self { linear: Vector3::new(0.0, 0.0, 0.0), angular: Vector3::new(0.0, 0.0, 0.0) };
 
-    /// From its two parts [m/s] and [rad/s].
+    /// From its two parts \[m/s\] and \[rad/s\].
     pub const fn new(linear: Vector3<f64>, angular: Vector3<f64>) -> Self {
         Self { linear, angular }
     }
-    /// The same motion, seen at a point `offset` [m] away from the present one.
+    /// The same motion, seen at a point `offset` \[m\] away from the present one.
     pub fn at_offset(&self, offset: &Vector3<f64>) -> Self {
         Self { linear: self.linear + self.angular.cross(offset), angular: self.angular }
     }
@@ -45,15 +45,15 @@ impl Wrench {
     /// No load.
     pub const ZERO: Self = Self { force: Vector3::new(0.0, 0.0, 0.0), torque: Vector3::new(0.0, 0.0, 0.0) };
 
-    /// From its two parts [N] and [N·m].
+    /// From its two parts \[N\] and \[N·m\].
     pub const fn new(force: Vector3<f64>, torque: Vector3<f64>) -> Self {
         Self { force, torque }
     }
-    /// The same load, with its moment about a point `offset` [m] away from the present one.
+    /// The same load, with its moment about a point `offset` \[m\] away from the present one.
     pub fn at_offset(&self, offset: &Vector3<f64>) -> Self {
         Self { force: self.force, torque: self.torque - offset.cross(&self.force) }
     }
-    /// Power delivered to a body that moves with `twist` [W]; both at the same point and in the same frame.
+    /// Power delivered to a body that moves with `twist` \[W\]; both at the same point and in the same frame.
     pub fn power(&self, twist: &Twist) -> f64 {
         self.force.dot(&twist.linear) + self.torque.dot(&twist.angular)
     }

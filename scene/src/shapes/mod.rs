@@ -1,6 +1,6 @@
 //! Procedural geometry: closed, manifold, outward-oriented surfaces with normals and texture coordinates.
 //!
-//! Axes of revolution are the local z axis, as in [`Shape`](crate::Shape). Curved surfaces are polygons whose
+//! Axes of revolution are the local z axis, as in [`Shape`]. Curved surfaces are polygons whose
 //! vertices lie on the ideal surface, so their volume approaches the ideal one from below (from either side for a
 //! torus) with the square of the number of segments.
 
