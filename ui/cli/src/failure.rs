@@ -7,6 +7,7 @@ use trocar::app::AppError;
 use trocar::assembly::AssemblyError;
 use trocar::run::RunError;
 use trocar::summary::Exit;
+use trocar_kernel::live::LiveError;
 
 /// A command that could not do what it was asked for.
 #[derive(Debug)]
@@ -71,7 +72,8 @@ impl From<RunError> for Failure {
                 Self::usage(error)
             }
             RunError::Assembly(_) | RunError::Recorder(_) | RunError::Session(_) => Self::invalid(error),
-            RunError::Driver(_) => Self::internal(error),
+            RunError::Live(LiveError::Thread(_)) | RunError::Driver(_) => Self::internal(error),
+            RunError::Live(_) => Self::invalid(error),
         }
     }
 }

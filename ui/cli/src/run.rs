@@ -9,6 +9,7 @@ use trocar::app::App;
 use trocar::run::{RunOptions, RunOutcome};
 use trocar::summary::{Exit, Mode, RunSummary};
 use trocar_kernel::faults::FaultPlan;
+use trocar_kernel::supervision::{Cause, Incident};
 use trocar_scene::scenario::Scenario;
 
 use crate::args::{RunArgs, SessionArgs};
@@ -157,7 +158,7 @@ fn html(scenario: &Scenario, outcome: &RunOutcome, force_limits: BTreeMap<String
     })
 }
 
-fn incident(incident: &trocar_kernel::supervision::Incident) -> report::Incident {
+fn incident(incident: &Incident) -> report::Incident {
     let detected = incident.detected.as_secs_f64();
     let outcome = match (incident.restarted, incident.resumed) {
         (_, Some(resumed)) => {
@@ -166,11 +167,16 @@ fn incident(incident: &trocar_kernel::supervision::Incident) -> report::Incident
         (Some(_), None) => "restarted, no tick yet".to_owned(),
         (None, None) => "not restarted".to_owned(),
     };
-    report::Incident {
-        secs: detected,
-        child: incident.child.clone(),
-        what: incident.cause.to_string(),
-        outcome,
+    report::Incident { secs: detected, child: incident.child.clone(), what: cause(&incident.cause), outcome }
+}
+
+fn cause(cause: &Cause) -> String {
+    match cause {
+        Cause::Panic(text) => format!("panicked: {text}"),
+        Cause::Error(text) => format!("gave up: {text}"),
+        Cause::Stop => "ended".to_owned(),
+        Cause::Stall => "stalled".to_owned(),
+        Cause::StartTimeout => "did not start in time".to_owned(),
     }
 }
 

@@ -273,7 +273,7 @@ pub struct BenchResult {
     pub name: String,
     /// Median over the blocks, in `unit`.
     pub value: f64,
-    /// Unit of `value`, `floor` and `spread`.
+    /// Unit of `value` and `floor`.
     pub unit: String,
     /// What a bare loop of the same kind reached in blocks between ours.
     pub floor: Option<f64>,
@@ -285,7 +285,7 @@ pub struct BenchResult {
     pub better: Better,
     /// Whether the bar holds; true without a bar.
     pub holds: bool,
-    /// Half the range between the quartiles of the blocks, in `unit`.
+    /// (largest − smallest) / median of the blocks.
     pub spread: f64,
 }
 

@@ -1,11 +1,12 @@
 //! `trocar bench`: figures beside the floors of this machine.
 
+mod allocation;
 mod blocks;
+mod counting;
 mod exercise;
-mod scene;
 
 use indicatif::{ProgressBar, ProgressStyle};
-use trocar::summary::{BenchResult, BenchSummary, Exit};
+use trocar::summary::{BenchResult, BenchSummary, Better, Exit};
 
 use crate::args::BenchArgs;
 use crate::doctor::machine;
@@ -14,18 +15,41 @@ use crate::output;
 use crate::report::short;
 
 /// Suites by name, and what they measure.
-pub const SUITES: [(&str, &str); 1] =
-    [("kernel", "rates of the live exercise, reads and writes of the scene, speed of lock-step")];
+pub const SUITES: [(&str, &str); 1] = [(
+    "kernel",
+    "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step",
+)];
 
 /// A figure or a few, and what is shown while they are measured.
 type Part = (&'static str, fn() -> Result<Vec<BenchResult>, Failure>);
 
 /// The parts of the suite `kernel`.
-const KERNEL: [Part; 3] = [
-    ("reading the scene", scene::reads),
+const KERNEL: [Part; 4] = [
+    ("rates, reads and writes of the kernel", kernel),
+    ("allocations of a haptic tick", allocation::haptic_ticks),
     ("the exercise in lock-step", exercise::lockstep),
-    ("the exercise live, beside a bare timer loop", exercise::live),
+    ("the exercise live, beside bare timer loops", exercise::live),
 ];
+
+/// What the kernel measures of itself.
+fn kernel() -> Result<Vec<BenchResult>, Failure> {
+    let rows = trocar_kernel::bench::kernel(trocar_kernel::bench::Effort::Full).map_err(Failure::internal)?;
+    Ok(rows
+        .into_iter()
+        .map(|row| BenchResult {
+            name: row.name,
+            value: row.value,
+            unit: row.unit,
+            floor: row.floor,
+            ratio: row.ratio,
+            bar: row.bar,
+            better: if row.better == "higher" { Better::Higher } else { Better::Lower },
+            // A figure without a bar is told, not judged.
+            holds: row.holds.unwrap_or(true),
+            spread: row.spread,
+        })
+        .collect())
+}
 
 /// Measures a suite.
 pub fn bench(args: &BenchArgs) -> Result<Exit, Failure> {
@@ -81,14 +105,14 @@ fn text(summary: &BenchSummary) -> String {
         .iter()
         .map(|row| {
             let sign = match row.better {
-                trocar::summary::Better::Lower => "≤",
-                trocar::summary::Better::Higher => "≥",
+                Better::Lower => "≤",
+                Better::Higher => "≥",
             };
             vec![
                 row.name.clone(),
                 short(row.value),
                 row.unit.clone(),
-                short(row.spread),
+                format!("{:.0} %", 100.0 * row.spread),
                 number(row.floor),
                 number(row.ratio),
                 row.bar.map_or("–".to_owned(), |bar| format!("{sign} {}", short(bar))),

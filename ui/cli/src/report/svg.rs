@@ -8,7 +8,6 @@ use crate::escape::escape;
 /// A chart under construction: axes first, then whatever is drawn on them.
 pub struct Chart {
     svg: String,
-    width: f64,
     height: f64,
     /// Horizontal axis.
     pub x: Scale,
@@ -40,7 +39,7 @@ impl Chart {
             "<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{describe}\" \
              xmlns=\"http://www.w3.org/2000/svg\">"
         );
-        Self { svg, width, height, x, y }
+        Self { svg, height, x, y }
     }
 
     /// Grid, ticks and labels of both axes.
@@ -175,11 +174,6 @@ impl Chart {
     pub fn text(&mut self, class: &str, (x, y): (f64, f64), text: &str) -> &mut Self {
         let _ = write!(self.svg, "<text class=\"{class}\" x=\"{x:.1}\" y=\"{y:.1}\">{}</text>", escape(text));
         self
-    }
-
-    /// Width and height \[px\].
-    pub fn size(&self) -> (f64, f64) {
-        (self.width, self.height)
     }
 
     /// The whole element.

@@ -1,0 +1,70 @@
+//! An allocator that counts what each thread asks of it, so that "allocates nothing" is a figure. The only
+//! module of this crate with unsafe code.
+#![allow(unsafe_code)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+/// The system's allocator, with two counters per thread.
+struct Counting;
+
+thread_local! {
+    // Constant and without a destructor: safe to touch from within the allocator, at any time.
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+    static FREES: Cell<u64> = const { Cell::new(0) };
+}
+
+/// Allocations and frees of the calling thread so far; a reallocation counts as both.
+pub fn counts() -> (u64, u64) {
+    (ALLOCATIONS.with(Cell::get), FREES.with(Cell::get))
+}
+
+fn allocated() {
+    ALLOCATIONS.with(|count| count.set(count.get().wrapping_add(1)));
+}
+
+fn freed() {
+    FREES.with(|count| count.set(count.get().wrapping_add(1)));
+}
+
+// SAFETY: every call is handed on to the system's allocator unchanged; counting touches a thread-local
+// integer only and neither allocates nor unwinds.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        allocated();
+        // SAFETY: the caller keeps the contract of `alloc`.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        allocated();
+        // SAFETY: the caller keeps the contract of `alloc_zeroed`.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        freed();
+        // SAFETY: the caller keeps the contract of `dealloc`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        allocated();
+        freed();
+        // SAFETY: the caller keeps the contract of `realloc`.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_box_is_one_allocation_and_one_free() {
+        let before = counts();
+        drop(std::hint::black_box(Box::new(7_u64)));
+        let after = counts();
+        assert_eq!((after.0 - before.0, after.1 - before.1), (1, 1));
+    }
+}
