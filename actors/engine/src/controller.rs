@@ -79,7 +79,7 @@ impl EngineController {
             instruments: BTreeMap::new(),
             collisions_were_empty: false,
         };
-        this.take_in(context.scene)?;
+        this.take_in(context.scene, 0.0)?;
         Ok(this)
     }
 
@@ -89,7 +89,7 @@ impl EngineController {
     }
 
     /// Takes in what changed in the scene since the last time.
-    fn take_in(&mut self, scene: &Snapshot) -> Result<(), EngineError> {
+    fn take_in(&mut self, scene: &Snapshot, period_secs: f64) -> Result<(), EngineError> {
         self.drop_vanished(scene);
         for (entity, body) in scene.iter_changed::<RigidBody>(self.seen) {
             if let Some(shape) = scene.get::<Shape>(entity) {
@@ -102,7 +102,7 @@ impl EngineController {
             }
         }
         for (entity, pose) in scene.iter_changed::<Pose>(self.seen) {
-            self.take_pose(scene, entity, pose)?;
+            self.take_pose(scene, entity, pose, period_secs)?;
         }
         for (entity, instrument) in scene.iter::<Instrument>() {
             self.take_instrument(scene, entity, instrument)?;
@@ -170,7 +170,13 @@ impl EngineController {
     }
 
     /// A pose that is none of the engine's own is a teleport.
-    fn take_pose(&mut self, scene: &Snapshot, entity: Entity, pose: &Pose) -> Result<(), EngineError> {
+    fn take_pose(
+        &mut self,
+        scene: &Snapshot,
+        entity: Entity,
+        pose: &Pose,
+        period_secs: f64,
+    ) -> Result<(), EngineError> {
         let Some(known) = self.bodies.get_mut(&entity) else { return Ok(()) };
         if known.written.contains(&Some(*pose)) {
             return Ok(());
@@ -181,7 +187,7 @@ impl EngineController {
         known.slept = false;
         let pose = Pose::from(scene.world_pose(entity));
         let velocity = scene.get::<Velocity>(entity).copied().unwrap_or_default();
-        self.world.move_body(entity, &pose, &velocity)
+        self.world.move_body(entity, &pose, &velocity, period_secs)
     }
 
     fn take_instrument(
@@ -346,7 +352,8 @@ impl Controller for EngineController {
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        self.take_in(scene).map_err(|error| ControllerError::Scene(error.to_string()))?;
+        self.take_in(scene, tick.period.as_secs_f64())
+            .map_err(|error| ControllerError::Scene(error.to_string()))?;
         let step_secs = self.world.settings().substep_secs;
         // The world is brought up to the time of the tick; how far it is behind says how many steps that takes.
         let behind = tick.time.since(self.world.now()).as_secs_f64().min(CATCH_UP_SECS_MAX);

@@ -49,6 +49,16 @@ struct Body {
     handle: RigidBodyHandle,
     colliders: Vec<ColliderHandle>,
     motion: Motion,
+    /// Where a kinematic body is on its way to.
+    travel: Option<Travel>,
+}
+
+/// The way of a kinematic body.
+#[derive(Clone, Copy, Debug)]
+struct Travel {
+    to: RapierPose,
+    /// Steps left.
+    steps: u32,
 }
 
 /// Figures since the world was built.
@@ -186,7 +196,7 @@ impl RigidWorld {
                 self.physics.insert_collider(collider, Some(handle))
             })
             .collect();
-        self.bodies.insert(entity, Body { handle, colliders, motion: body.motion });
+        self.bodies.insert(entity, Body { handle, colliders, motion: body.motion, travel: None });
         Ok(())
     }
 
@@ -255,17 +265,25 @@ impl RigidWorld {
         }
     }
 
-    /// Puts a body somewhere else, at the given velocity (kinematic bodies travel there in the next step).
+    /// Puts a body somewhere else, at the given velocity. A kinematic body travels there within `travel_secs`
+    /// (at least one step), pushing what is in its way.
     ///
     /// # Errors
     /// A pose or velocity that is out of range, or [`EngineError::Unknown`].
-    pub fn move_body(&mut self, entity: Entity, pose: &Pose, velocity: &Velocity) -> Result<(), EngineError> {
+    pub fn move_body(
+        &mut self,
+        entity: Entity,
+        pose: &Pose,
+        velocity: &Velocity,
+        travel_secs: f64,
+    ) -> Result<(), EngineError> {
         check(entity, pose)?;
         check(entity, velocity)?;
-        let known = self.bodies.get(&entity).ok_or(EngineError::Unknown { entity })?;
+        let known = self.bodies.get_mut(&entity).ok_or(EngineError::Unknown { entity })?;
         let body = self.physics.bodies.get_mut(known.handle).ok_or(EngineError::Unknown { entity })?;
         if known.motion == Motion::Kinematic {
-            body.set_next_kinematic_position(pose_to_rapier(pose));
+            let steps = (travel_secs / self.settings.substep_secs).round().clamp(1.0, 1000.0) as u32;
+            known.travel = Some(Travel { to: pose_to_rapier(pose), steps });
             return Ok(());
         }
         body.set_position(pose_to_rapier(pose), true);
@@ -326,6 +344,7 @@ impl RigidWorld {
         for grasper in self.graspers.values_mut() {
             grasper.prepare(&mut self.physics, &self.settings, self.now);
         }
+        self.move_kinematic_bodies();
         self.physics.step();
         self.now += SimTime::from_secs_f64(step_secs);
         self.statistics.steps += 1;
@@ -337,6 +356,20 @@ impl RigidWorld {
         self.measure_penetration();
         self.update_holds();
         Ok(())
+    }
+
+    fn move_kinematic_bodies(&mut self) {
+        for body in self.bodies.values_mut() {
+            let Some(travel) = &mut body.travel else { continue };
+            if let Some(rigid) = self.physics.bodies.get_mut(body.handle) {
+                let share = 1.0 / f64::from(travel.steps);
+                rigid.set_next_kinematic_position(rigid.position().lerp(&travel.to, share));
+            }
+            travel.steps -= 1;
+            if travel.steps == 0 {
+                body.travel = None;
+            }
+        }
     }
 
     fn measure_penetration(&mut self) {

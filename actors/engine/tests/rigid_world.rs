@@ -3,7 +3,7 @@
 mod common;
 
 use common::*;
-use nalgebra::{Isometry3, Vector3};
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use trocar_engine::{EngineError, EngineSettings, GrasperState, RigidWorld};
 use trocar_scene::components::{
@@ -77,6 +77,32 @@ fn a_rolling_sphere_accelerates_at_five_sevenths() {
 }
 
 #[test]
+fn a_kinematic_body_travels_and_pushes() {
+    let mut world = world();
+    add_boards(&mut world);
+    let pusher = Entity::new(0, 0, 60);
+    let body = RigidBody { motion: Motion::Kinematic, ..RigidBody::default() };
+    let shape = Shape::Box { half_extents: [0.002, 0.02, 0.004] };
+    world.insert_body(pusher, &body, &shape, &Pose::at(-0.06, 0.0, 0.0045), &Velocity::default()).unwrap();
+    let ring = add_ring(&mut world, 0, Pose::at(-0.04, 0.0, TUBE_RADIUS), 0.5);
+    for tick in 1..=10 {
+        let pose = Pose::at(-0.06 + 0.0015 * f64::from(tick), 0.0, 0.0045);
+        world.move_body(pusher, &pose, &Velocity::default(), 0.01).unwrap();
+        steps(&mut world, 5);
+        let halfway = world.pose(pusher).unwrap().translation.x;
+        assert!((halfway - pose.translation.x + 0.00075).abs() < 1e-9, "it travels evenly");
+        steps(&mut world, 5);
+    }
+    let front = -0.045 + 0.002;
+    assert!((world.pose(pusher).unwrap().translation.x + 0.045).abs() < 1e-9);
+    assert!(
+        world.pose(ring).unwrap().translation.x - RING_RADIUS - TUBE_RADIUS > front - 2e-4,
+        "pushed along"
+    );
+    assert!(world.statistics().penetration_max < 1e-4);
+}
+
+#[test]
 fn a_ring_dropped_over_a_peg_lands_around_it() {
     let mut world = world();
     add_boards(&mut world);
@@ -91,6 +117,22 @@ fn a_ring_dropped_over_a_peg_lands_around_it() {
         "around the peg"
     );
     assert!(world.statistics().penetration_max < 1e-4, "{}", world.statistics().penetration_max);
+}
+
+#[test]
+fn rings_that_tumble_onto_the_board_do_not_sink_in() {
+    let mut worst: f64 = 0.0;
+    for k in 0..20 {
+        let f = f64::from(k);
+        let mut world = world();
+        add_boards(&mut world);
+        let turn = UnitQuaternion::from_euler_angles(0.4 * (0.7 * f).sin(), 0.5 * (1.3 * f).cos(), f);
+        add_ring(&mut world, 0, Pose::new(Vector3::new(-0.026, 0.0, 0.01 + 0.0015 * f), turn), 0.5);
+        steps(&mut world, 250);
+        worst = worst.max(world.statistics().penetration_max);
+    }
+    println!("deepest penetration of 20 tumbling rings: {:.4} mm", worst * 1e3);
+    assert!(worst < 5e-5);
 }
 
 #[test]
