@@ -1,1 +1,78 @@
 //! What crosses crates: scenarios, faults, determinism, benches, tidy checks.
+//!
+//! This library holds what several of those tests need: the standard program, and runs of the peg transfer
+//! with parts of the scenario replaced.
+
+use trocar::app::App;
+use trocar::run::{RunOptions, RunOutcome, run};
+use trocar_scene::scenario::Scenario;
+
+/// The program with everything that comes with Trocar.
+///
+/// # Panics
+/// When the standard names clash, which would be a defect.
+pub fn app() -> App {
+    App::standard().expect("the standard names are distinct")
+}
+
+/// The peg transfer with pieces of its text replaced; every piece must occur.
+///
+/// # Panics
+/// When a piece does not occur or the result is no valid scenario.
+pub fn peg_transfer(app: &App, replacements: &[(&str, &str)]) -> Scenario {
+    edited(app, "peg-transfer", replacements)
+}
+
+/// One of the program's scenarios with pieces of its text replaced; every piece must occur.
+///
+/// # Panics
+/// When a piece does not occur or the result is no valid scenario.
+pub fn edited(app: &App, name: &str, replacements: &[(&str, &str)]) -> Scenario {
+    let (_, text) =
+        trocar::app::SCENARIOS.iter().find(|(known, _)| *known == name).expect("a known scenario");
+    let mut text = (*text).to_owned();
+    for (old, new) in replacements {
+        assert!(text.contains(old), "the scenario does not say '{old}'");
+        text = text.replace(old, new);
+    }
+    Scenario::parse("edited.toml".as_ref(), &text, app.registry()).expect("a valid scenario")
+}
+
+/// Options of a run in lock-step.
+pub fn lockstep(seed: u64) -> RunOptions {
+    RunOptions { lockstep: true, seed, ..RunOptions::default() }
+}
+
+/// Runs to the end without looking.
+///
+/// # Panics
+/// When the run cannot start.
+pub fn finish(app: &App, scenario: &Scenario, options: &RunOptions) -> RunOutcome {
+    run(app, scenario, options, &mut |_| {}).expect("the session starts")
+}
+
+/// Applies `work` to every seed on two threads; results in the order of the seeds.
+///
+/// # Panics
+/// When `work` does.
+pub fn for_seeds<T: Send>(seeds: &[u64], work: impl Fn(u64) -> T + Sync) -> Vec<T> {
+    let middle = seeds.len().div_ceil(2);
+    let (first, second) = seeds.split_at(middle);
+    std::thread::scope(|scope| {
+        let other = scope.spawn(|| second.iter().map(|seed| work(*seed)).collect::<Vec<T>>());
+        let mut results: Vec<T> = first.iter().map(|seed| work(*seed)).collect();
+        results.extend(other.join().expect("no seed panics"));
+        results
+    })
+}
+
+/// The middle value; of an even number of values the mean of the two in the middle.
+///
+/// # Panics
+/// When there is no value.
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let half = sorted.len() / 2;
+    if sorted.len() % 2 == 1 { sorted[half] } else { (sorted[half - 1] + sorted[half]) / 2.0 }
+}

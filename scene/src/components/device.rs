@@ -78,8 +78,12 @@ pub struct DeviceInfo {
     pub workspace: [f64; 3],
     /// Largest force \[N\].
     pub max_force: f64,
+    /// Largest torque \[N·m\].
+    pub max_torque: f64,
     /// Largest stable stiffness \[N/m\].
     pub max_stiffness: f64,
+    /// Mass that the hand feels when no force is rendered \[kg\].
+    pub apparent_mass: f64,
     /// Sensed degrees of freedom.
     pub input_dofs: u8,
     /// Actuated degrees of freedom.

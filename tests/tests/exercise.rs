@@ -1,0 +1,66 @@
+//! The peg transfer as a whole, in lock-step.
+
+use trocar_tests::{app, finish, for_seeds, lockstep, median, peg_transfer};
+
+#[test]
+fn an_expert_completes_the_exercise_within_the_physical_limits() {
+    let app = app();
+    let outcome = finish(&app, &peg_transfer(&app, &[]), &lockstep(1));
+    let summary = &outcome.summary;
+    assert!(summary.task.completed, "{:?}", summary.task);
+    assert!(
+        summary.task.errors.iter().all(|error| error.kind != "drop_out_of_view"),
+        "{:?}",
+        summary.task.errors
+    );
+    assert!((60.0..=150.0).contains(&summary.task.seconds), "{} s", summary.task.seconds);
+    assert!(summary.task.score.is_some_and(|score| score > 40.0), "{:?}", summary.task.score);
+    assert!(summary.penetration_max <= 1e-4, "penetration {} m", summary.penetration_max);
+    assert!(summary.force_newtons_max <= 3.3 + 1e-9, "force {} N", summary.force_newtons_max);
+    for row in &summary.controllers {
+        assert_eq!((row.missed, row.dropped, row.rejected, row.restarts), (0, 0, 0, 0), "{}", row.name);
+        let ticks = (summary.sim_secs * row.target_hz).ceil() as u64;
+        assert!(row.scheduled.abs_diff(ticks) <= 1, "{}: {} ticks for {ticks}", row.name, row.scheduled);
+    }
+}
+
+#[test]
+fn a_left_handed_expert_completes_the_mirrored_exercise() {
+    let app = app();
+    let mut options = lockstep(2);
+    options.left_handed = true;
+    let outcome = finish(&app, &peg_transfer(&app, &[]), &options);
+    assert!(outcome.summary.task.completed, "{:?}", outcome.summary.task);
+    assert!(outcome.summary.task.errors.iter().all(|error| error.kind != "wrong_hand"));
+}
+
+/// The scorer never learns the skill: it sees poses. Twenty seeds each, compared by their medians.
+#[test]
+fn score_and_motion_rank_expert_above_intermediate_above_novice() {
+    let app = app();
+    let scenario = peg_transfer(&app, &[]);
+    let seeds: Vec<u64> = (100..120).collect();
+    let mut rows = Vec::new();
+    for skill in ["expert", "intermediate", "novice"] {
+        let figures = for_seeds(&seeds, |seed| {
+            let mut options = lockstep(seed);
+            options.skill = Some(skill.to_owned());
+            let task = finish(&app, &scenario, &options).summary.task;
+            let path: f64 = task.metrics.values().filter_map(|hand| hand.get("path_length_metres")).sum();
+            (task.score.unwrap_or(0.0), task.seconds, path)
+        });
+        let column =
+            |pick: fn(&(f64, f64, f64)) -> f64| median(&figures.iter().map(pick).collect::<Vec<_>>());
+        rows.push((column(|f| f.0), column(|f| f.1), column(|f| f.2)));
+        println!(
+            "{skill}: score {:.1}, {:.1} s, path {:.2} m",
+            rows[rows.len() - 1].0,
+            rows[rows.len() - 1].1,
+            rows[rows.len() - 1].2
+        );
+    }
+    assert!(rows[0].0 > rows[1].0 && rows[1].0 > rows[2].0, "scores {rows:?}");
+    assert!(rows[0].1 < rows[1].1 && rows[1].1 < rows[2].1, "times {rows:?}");
+    assert!(rows[0].2 < rows[2].2, "paths {rows:?}");
+    assert!((60.0..=150.0).contains(&rows[0].1), "median expert time {} s", rows[0].1);
+}

@@ -1,0 +1,159 @@
+//! From a scenario and the options of a run to a session that either driver of time can take.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use thiserror::Error;
+use trocar_devices::{BuildError, DeviceSpec, HapticDevice, ReplayHand, SpecError};
+use trocar_kernel::spec::{ControllerSpec, SessionSpec, StopWhen, ZeroForces};
+use trocar_scene::scenario::{Scenario, ScenarioError};
+use trocar_scene::{Commands, EntityAllocator, SCENARIO_SPAWNER, SimTime, TaskState};
+
+use crate::app::{App, KindContext};
+use crate::hands::{HandFaults, HandPort, OpenedHand};
+use crate::recorded_hand::{self, RecordedHandError};
+use crate::run::RunOptions;
+
+/// How often a session asks whether its exercise is over.
+const STOP_CHECK: SimTime = SimTime::from_millis(20);
+
+/// Why a session could not be put together.
+#[derive(Debug, Error)]
+pub enum AssemblyError {
+    /// Something in the scenario.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// A hand that the scenario does not have.
+    #[error("--hand {name}: the scenario has no such hand; there are: {known}")]
+    UnknownHand {
+        /// What was asked for.
+        name: String,
+        /// What there is.
+        known: String,
+    },
+    /// A device that cannot be named like that.
+    #[error("hand {hand}: {source}")]
+    Spec {
+        /// The hand.
+        hand: String,
+        /// Why.
+        source: SpecError,
+    },
+    /// A device that could not be made.
+    #[error("hand {hand}: {source}")]
+    Device {
+        /// The hand.
+        hand: String,
+        /// Why.
+        source: BuildError,
+    },
+    /// A recording that holds no such hand.
+    #[error("hand {hand}: {source}")]
+    Recording {
+        /// The hand.
+        hand: String,
+        /// Why.
+        source: RecordedHandError,
+    },
+}
+
+/// A session and its hands, not yet running.
+pub struct Assembly {
+    /// What the kernel takes; without peers, which depend on the driver of time.
+    pub spec: SessionSpec,
+    /// The opened hands.
+    pub hands: Vec<OpenedHand>,
+}
+
+impl Assembly {
+    /// Opens the hands, spawns the scene and makes every controller's blueprint.
+    ///
+    /// # Errors
+    /// [`AssemblyError`] names file, place and valid choices.
+    pub fn new(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Self, AssemblyError> {
+        let hands = open_hands(app, scenario, options)?;
+        let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
+        let mut store = scenario.spawn(app.registry())?;
+        let mut commands = Commands::new(app.registry().clone(), EntityAllocator::new(0, SCENARIO_SPAWNER));
+        for hand in &hands {
+            commands.put(hand.port().entity, hand.info());
+        }
+        if let Some(error) = commands.error() {
+            return Err(scenario.error_at("hand", 0, error.to_string()).into());
+        }
+        commands.seal();
+        store.apply(&mut commands, SimTime::ZERO);
+
+        let mut controllers = Vec::with_capacity(scenario.controllers.len());
+        for (index, entry) in scenario.controllers.iter().enumerate() {
+            let Some(kind) = app.kind(&entry.kind) else {
+                let known = app.kinds().collect::<Vec<_>>().join(", ");
+                let reason = format!("unknown kind '{}'; there are: {known}", entry.kind);
+                return Err(scenario.error_at("controller", index, reason).into());
+            };
+            let blueprint = kind(&KindContext { entry, scenario, hands: &ports, options })?;
+            // Spawner 0 is the scenario's; writers count from 1 in the order of the file.
+            let writer = index as u16 + 1;
+            let factory = blueprint.factory;
+            let mut spec =
+                ControllerSpec::new(&entry.name, writer, blueprint.class, entry.rate_hz, move |context| {
+                    factory(context)
+                });
+            spec.fences = blueprint.fences;
+            controllers.push(spec);
+        }
+        let mut spec = SessionSpec::new(&scenario.name, options.seed, store, controllers);
+        spec.until = options.seconds.map(SimTime::from_secs_f64);
+        spec.stop_when = Some(StopWhen {
+            every: STOP_CHECK,
+            check: Arc::new(|scene| {
+                scene.iter::<TaskState>().any(|(_, task)| task.completed || task.cut_off)
+            }),
+        });
+        spec.faults = options.faults.clone().unwrap_or(spec.faults);
+        for port in &ports {
+            let fence = port.slot.fence().clone();
+            let zero: ZeroForces = Arc::new(move || fence.zero_all_forces());
+            spec.zero_forces.push(zero);
+            spec.fault_sinks.push((port.fault_target(), HandFaults::sink(port)));
+        }
+        Ok(Self { spec, hands })
+    }
+}
+
+fn open_hands(
+    app: &App,
+    scenario: &Scenario,
+    options: &RunOptions,
+) -> Result<Vec<OpenedHand>, AssemblyError> {
+    for (name, _) in &options.hands {
+        if !scenario.hands.iter().any(|hand| hand.name == *name) {
+            return Err(AssemblyError::UnknownHand {
+                name: name.clone(),
+                known: scenario.hands.iter().map(|hand| hand.name.as_str()).collect::<Vec<_>>().join(", "),
+            });
+        }
+    }
+    let mut opened = Vec::with_capacity(scenario.hands.len());
+    for hand in &scenario.hands {
+        let chosen = options.hands.iter().rev().find(|(name, _)| *name == hand.name);
+        let text = chosen.map_or(hand.device.as_str(), |(_, spec)| spec.as_str());
+        let device: Box<dyn HapticDevice> = match text.strip_prefix("recording:") {
+            Some(file) => {
+                let (points, capabilities) = recorded_hand::read(app, Path::new(file), hand.entity)
+                    .map_err(|source| AssemblyError::Recording { hand: hand.name.clone(), source })?;
+                let replay = ReplayHand::from_recording(points).map_err(|error| {
+                    AssemblyError::Recording { hand: hand.name.clone(), source: error.into() }
+                })?;
+                Box::new(replay.with_capabilities(capabilities))
+            }
+            None => {
+                let spec: DeviceSpec =
+                    text.parse().map_err(|source| AssemblyError::Spec { hand: hand.name.clone(), source })?;
+                spec.build().map_err(|source| AssemblyError::Device { hand: hand.name.clone(), source })?
+            }
+        };
+        opened.push(OpenedHand::new(&hand.name, hand.entity, device));
+    }
+    Ok(opened)
+}

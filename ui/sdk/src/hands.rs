@@ -1,0 +1,179 @@
+//! Hands: devices opened for a session, each below its driver's safety, ready for either driver of time.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use trocar_devices::{
+    Capabilities, DeviceFaults, DeviceMonitor, DeviceSlot, DriverConfig, DriverCore, DriverThread,
+    DriverThreadConfig, DriverThreadError, Fence as DeviceFence, HapticDevice, link,
+};
+use trocar_kernel::spec::{FaultKind, FaultOrder, FaultSink, Fence, Peer};
+use trocar_scene::{DeviceInfo, Entity, SimTime};
+
+/// Steps per second of a driver, live and in lock-step \[Hz\].
+pub const DRIVER_RATE_HZ: f64 = 1_000.0;
+
+/// What the rest of the session keeps of a hand whose device runs elsewhere. Clones share it.
+#[derive(Clone)]
+pub struct HandPort {
+    /// Name in the scenario, such as `left`.
+    pub name: String,
+    /// The entity with the `hand` component.
+    pub entity: Entity,
+    /// Where each new haptics controller takes its link.
+    pub slot: DeviceSlot,
+    /// The driver's newest sample, with its statistics.
+    pub monitor: DeviceMonitor,
+    /// Faults at the seam between driver and device.
+    pub faults: DeviceFaults,
+    /// What the device can do.
+    pub capabilities: Capabilities,
+}
+
+impl HandPort {
+    /// Name of the device as a target of faults: `device.left`.
+    pub fn fault_target(&self) -> String {
+        format!("device.{}", self.name)
+    }
+    /// Name of the controller that serves it: `haptics.left`.
+    pub fn controller(&self) -> String {
+        format!("haptics.{}", self.name)
+    }
+}
+
+/// A device with its driver, not yet running.
+pub struct OpenedHand {
+    port: HandPort,
+    core: DriverCore,
+    device: Box<dyn HapticDevice>,
+}
+
+impl OpenedHand {
+    /// Puts the driver's safety around a device.
+    pub fn new(name: impl Into<String>, entity: Entity, device: Box<dyn HapticDevice>) -> Self {
+        let (end, slot, monitor) = link();
+        let faults = DeviceFaults::new();
+        let core = DriverCore::new(DriverConfig::default(), device.as_ref(), end, faults.clone());
+        let capabilities = device.capabilities().clone();
+        let port = HandPort { name: name.into(), entity, slot, monitor, faults, capabilities };
+        Self { port, core, device }
+    }
+
+    /// What stays with the session.
+    pub fn port(&self) -> &HandPort {
+        &self.port
+    }
+
+    /// What the device can do, as a component.
+    pub fn info(&self) -> DeviceInfo {
+        device_info(self.device.capabilities())
+    }
+
+    /// What the device can do, for the head of a recording.
+    pub fn describe(&self) -> serde_json::Value {
+        serde_json::to_value(self.info()).unwrap_or_default()
+    }
+
+    /// For the lock-step driver, which steps it in virtual time.
+    pub fn into_peer(self) -> Box<dyn Peer> {
+        let name = self.port.fault_target();
+        Box::new(SteppedHand { name, core: self.core, device: self.device })
+    }
+
+    /// For live sessions: a thread of its own above every actor.
+    ///
+    /// # Errors
+    /// When the system starts no thread.
+    pub fn into_thread(
+        self,
+        session_start: Instant,
+        priority: u8,
+    ) -> Result<DriverThread, DriverThreadError> {
+        let mut config = DriverThreadConfig::new(self.port.fault_target(), session_start);
+        config.rate_hz = DRIVER_RATE_HZ;
+        config.priority = Some(priority);
+        DriverThread::spawn(self.core, self.device, config)
+    }
+}
+
+/// A device's capabilities as the scene tells them.
+pub fn device_info(capabilities: &Capabilities) -> DeviceInfo {
+    DeviceInfo {
+        model: capabilities.name.clone(),
+        workspace: capabilities.workspace.size().into(),
+        max_force: capabilities.max_force_newtons,
+        max_torque: capabilities.max_torque,
+        max_stiffness: capabilities.max_stiffness,
+        apparent_mass: capabilities.apparent_mass,
+        input_dofs: capabilities.input_dofs.count(),
+        output_dofs: capabilities.output_dofs.count(),
+    }
+}
+
+/// A driver in virtual time.
+struct SteppedHand {
+    name: String,
+    core: DriverCore,
+    device: Box<dyn HapticDevice>,
+}
+
+impl Peer for SteppedHand {
+    fn name(&self) -> &str {
+        &self.name
+    }
+    fn period_ns(&self) -> u64 {
+        (1e9 / DRIVER_RATE_HZ) as u64
+    }
+    fn step(&mut self, now: SimTime) {
+        self.core.step(now.as_nanos(), self.device.as_mut());
+    }
+}
+
+/// Lets the kernel raise a driver's fence when the controller that serves it dies or stalls.
+pub struct HandFence(pub DeviceFence);
+
+impl Fence for HandFence {
+    fn raise(&self, epoch: u32) {
+        self.0.raise(epoch);
+    }
+}
+
+/// How long a killed device stays away before its driver may open it again.
+const KILLED_FOR: SimTime = SimTime::from_millis(100);
+
+/// A device whose latest good reading is older than this, at its driver, is not sound.
+const STALE_AFTER: SimTime = SimTime::from_millis(5);
+
+/// Takes the faults that are meant for a device.
+pub struct HandFaults {
+    faults: DeviceFaults,
+    monitor: DeviceMonitor,
+}
+
+impl HandFaults {
+    /// For the hand of `port`.
+    pub fn sink(port: &HandPort) -> Arc<dyn FaultSink> {
+        Arc::new(Self { faults: port.faults.clone(), monitor: port.monitor.clone() })
+    }
+}
+
+impl FaultSink for HandFaults {
+    fn fault(&self, order: &FaultOrder) {
+        let until = if order.begins { DeviceFaults::FOREVER } else { 0 };
+        // Faults that strike once end by themselves, counted from the driver's latest step.
+        let after = |span: SimTime| self.monitor.sample().published_at_ns.saturating_add(span.as_nanos());
+        match order.kind {
+            FaultKind::Unplug => self.faults.unplug_until(until),
+            FaultKind::Nan => self.faults.nan_until(until),
+            FaultKind::Kill => self.faults.unplug_until(after(KILLED_FOR)),
+            FaultKind::Stall => self.faults.hold_until(after(order.span)),
+            // The plan's check against the target's class refuses every other kind before a session starts.
+            _ => {}
+        }
+    }
+    fn is_sound(&self) -> Option<bool> {
+        let sample = self.monitor.sample();
+        let age_ns = sample.published_at_ns.saturating_sub(sample.sampled_at_ns);
+        Some(sample.state.connected && age_ns <= STALE_AFTER.as_nanos())
+    }
+}

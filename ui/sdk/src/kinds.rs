@@ -1,0 +1,109 @@
+//! The kinds of controllers that come with Trocar, by the names that scenarios use.
+
+use std::sync::Arc;
+
+use serde::Deserialize;
+use serde::de::value::Error as ValueError;
+use serde::de::{DeserializeOwned, IntoDeserializer};
+use trocar_engine::{EngineController, EngineSettings};
+use trocar_haptics::renderer::RendererConfig;
+use trocar_haptics::{HapticsConfig, HapticsController};
+use trocar_input::{AutopilotConfig, AutopilotController, Skill};
+use trocar_kernel::spec::Fence;
+use trocar_kernel::supervision::RuntimeClass;
+use trocar_scene::scenario::{Params, ScenarioError};
+use trocar_scene::{BuildContext, Controller, ControllerError};
+use trocar_tasks::{PegTransferConfig, PegTransferController};
+
+use crate::app::{Blueprint, Kind, KindContext};
+use crate::hands::HandFence;
+
+/// Every standard kind with its name.
+pub(crate) fn standard() -> Vec<(&'static str, Kind)> {
+    vec![
+        ("haptics", Arc::new(haptics)),
+        ("rapier", Arc::new(rapier)),
+        ("peg-transfer", Arc::new(peg_transfer)),
+        ("autopilot", Arc::new(autopilot)),
+    ]
+}
+
+/// A blueprint without fences from a function that builds the controller.
+fn plain<C: Controller>(
+    class: RuntimeClass,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Send + Sync + 'static,
+) -> Blueprint {
+    let factory = move |context: &BuildContext<'_>| {
+        build(context).map(|controller| Box::new(controller) as Box<dyn Controller>)
+    };
+    Blueprint { class, factory: Arc::new(factory), fences: Vec::new() }
+}
+
+/// The parameters, or the default when the file gives none.
+fn parse_or_default<T: DeserializeOwned + Default>(params: &Params) -> Result<T, ScenarioError> {
+    if params.parse::<toml::Table>()?.is_empty() { Ok(T::default()) } else { params.parse() }
+}
+
+/// Parameters of a haptics controller: the hand, and what differs from the default.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct HapticsParams {
+    hand: String,
+    passivity: Option<bool>,
+    felt_window_secs: Option<f64>,
+    status_period_secs: Option<f64>,
+}
+
+fn haptics(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let params: HapticsParams = context.entry.params.parse()?;
+    let Some(port) = context.hands.iter().find(|port| port.name == params.hand) else {
+        let known = context.hands.iter().map(|port| port.name.as_str()).collect::<Vec<_>>().join(", ");
+        let reason = format!("hand: no hand is called '{}'; there are: {known}", params.hand);
+        return Err(context.entry.params.error(reason));
+    };
+    let renderer = match context.scenario.hands.iter().find(|hand| hand.name == params.hand) {
+        Some(hand) => parse_or_default::<RendererConfig>(&hand.renderer)?,
+        None => RendererConfig::default(),
+    };
+    let default = HapticsConfig::default();
+    let config = HapticsConfig {
+        renderer,
+        passivity: params.passivity.unwrap_or(default.passivity),
+        felt_window_secs: params.felt_window_secs.unwrap_or(default.felt_window_secs),
+        status_period_secs: params.status_period_secs.unwrap_or(default.status_period_secs),
+    };
+    config.check().map_err(|error| context.entry.params.error(error.to_string()))?;
+    let fence: Arc<dyn Fence> = Arc::new(HandFence(port.slot.fence().clone()));
+    let port = port.clone();
+    let mut blueprint = plain(RuntimeClass::Haptics, move |context| {
+        let link =
+            port.slot.take(context.epoch).map_err(|error| ControllerError::Device(error.to_string()))?;
+        Ok(HapticsController::new(context, port.entity, link, port.capabilities.clone(), config)?)
+    });
+    blueprint.fences.push(fence);
+    Ok(blueprint)
+}
+
+fn rapier(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let mut config: EngineSettings = parse_or_default(&context.entry.params)?;
+    config.gravity_in_world = context.scenario.gravity_in_world;
+    config.check().map_err(|error| context.entry.params.error(error.to_string()))?;
+    Ok(plain(RuntimeClass::Simulation, move |context| Ok(EngineController::new(context, config.clone())?)))
+}
+
+fn peg_transfer(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let mut config: PegTransferConfig = parse_or_default(&context.scenario.task)?;
+    config.left_handed |= context.options.left_handed;
+    Ok(plain(RuntimeClass::Task, move |context| PegTransferController::new(&config, context)))
+}
+
+fn autopilot(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let mut config: AutopilotConfig = parse_or_default(&context.entry.params)?;
+    if let Some(skill) = &context.options.skill {
+        let parsed = Skill::deserialize(skill.as_str().into_deserializer());
+        config.skill =
+            parsed.map_err(|error: ValueError| context.entry.params.error(format!("skill: {error}")))?;
+    }
+    config.left_handed |= context.options.left_handed;
+    Ok(plain(RuntimeClass::Task, move |context| AutopilotController::new(&config, context)))
+}

@@ -1,0 +1,275 @@
+//! One run of a scenario from start to end: what `trocar run` does, for programs.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use thiserror::Error;
+use trocar_devices::DriverThreadError;
+use trocar_kernel::SessionError;
+use trocar_kernel::faults::{FaultPlan, Measured};
+use trocar_kernel::live::LiveError;
+use trocar_kernel::recorder::{Recorder, RecorderError, RecorderOptions, RecordingHead};
+use trocar_kernel::runtime::ControllerReport;
+use trocar_kernel::spec::SessionOutcome;
+use trocar_scene::scenario::Scenario;
+use trocar_scene::{CollisionList, SimTime, Snapshot, TaskState};
+
+use crate::app::App;
+use crate::assembly::{Assembly, AssemblyError};
+use crate::graph::ActorGraph;
+use crate::session::{Finished, Session};
+use crate::summary::{
+    ControllerSummary, FaultSummary, Mode, Quantiles, RunSummary, TaskErrorSummary, TaskSummary,
+};
+use crate::trace::RunTrace;
+
+/// How often a run looks at its session.
+const LOOK_EVERY: SimTime = SimTime::from_millis(20);
+
+/// What a user asks of a run.
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    /// Virtual time on one thread instead of real time.
+    pub lockstep: bool,
+    /// End after this much session time \[s\]; none: when the exercise is over.
+    pub seconds: Option<f64>,
+    /// Seeds everything random.
+    pub seed: u64,
+    /// Devices instead of the scenario's: (hand, spec).
+    pub hands: Vec<(String, String)>,
+    /// What shall go wrong.
+    pub faults: Option<FaultPlan>,
+    /// File to record to.
+    pub record: Option<PathBuf>,
+    /// Skill of the virtual trainee instead of the scenario's.
+    pub skill: Option<String>,
+    /// The trainee is left-handed.
+    pub left_handed: bool,
+    /// Set by somebody else to end the run early.
+    pub stop: Arc<AtomicBool>,
+}
+
+impl Default for RunOptions {
+    fn default() -> Self {
+        Self {
+            lockstep: false,
+            seconds: None,
+            seed: 1,
+            hands: Vec::new(),
+            faults: None,
+            record: None,
+            skill: None,
+            left_handed: false,
+            stop: Arc::default(),
+        }
+    }
+}
+
+/// Why a run could not start or could not be finished.
+#[derive(Debug, Error)]
+pub enum RunError {
+    /// The session could not be put together.
+    #[error(transparent)]
+    Assembly(#[from] AssemblyError),
+    /// The kernel refused it in lock-step.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// The kernel refused it live.
+    #[error(transparent)]
+    Live(#[from] LiveError),
+    /// A device driver could not be started.
+    #[error(transparent)]
+    Driver(#[from] DriverThreadError),
+    /// The recording could not be created.
+    #[error(transparent)]
+    Recorder(#[from] RecorderError),
+}
+
+/// A look at a running session.
+pub struct Progress<'a> {
+    /// The session.
+    pub session: &'a Session,
+    /// Its latest snapshot.
+    pub scene: &'a Snapshot,
+    /// Time of the session.
+    pub now: SimTime,
+    /// Time on the wall \[s\].
+    pub wall_secs: f64,
+}
+
+/// Everything that is known after a run.
+pub struct RunOutcome {
+    /// The machine-readable contract.
+    pub summary: RunSummary,
+    /// Series for plots.
+    pub trace: RunTrace,
+    /// One row per controller.
+    pub reports: Vec<ControllerReport>,
+    /// What the kernel says.
+    pub kernel: SessionOutcome,
+    /// Supervised children with their health just before the end.
+    pub health: Vec<(String, &'static str)>,
+    /// Who told whom what, with achieved rates.
+    pub graph: ActorGraph,
+    /// Expectations of the fault plan that did not hold, one sentence each.
+    pub failed_expectations: Vec<String>,
+}
+
+/// Starts a session as the options say.
+///
+/// # Errors
+/// [`RunError`].
+pub fn start(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Session, RunError> {
+    let mut assembly = Assembly::new(app, scenario, options)?;
+    if let Some(file) = &options.record {
+        let head = RecordingHead {
+            scenario: scenario.name.clone(),
+            scenario_text: scenario.text().to_owned(),
+            seed: options.seed,
+            station: assembly.spec.station,
+            mode: if options.lockstep { "lockstep" } else { "live" }.to_owned(),
+            devices: assembly.hands.iter().map(|hand| (hand.port().name.clone(), hand.describe())).collect(),
+            extra: std::collections::BTreeMap::new(),
+        };
+        let scene = assembly.spec.scene.view();
+        let record = if options.lockstep { Recorder::inline } else { Recorder::threaded };
+        assembly.spec.recorder = Some(Box::new(record(file, &head, scene, RecorderOptions::default())?));
+    }
+    if options.lockstep { Session::lockstep(assembly) } else { Session::live(assembly) }
+}
+
+/// Runs a scenario to its end and shows `observer` how it goes, about 50 times per second of the session.
+///
+/// # Errors
+/// [`RunError`]; a run that started is always finished and summarised.
+pub fn run(
+    app: &App,
+    scenario: &Scenario,
+    options: &RunOptions,
+    observer: &mut dyn FnMut(&Progress<'_>),
+) -> Result<RunOutcome, RunError> {
+    let begun = Instant::now();
+    let mut session = start(app, scenario, options)?;
+    let mut trace = RunTrace::new();
+    trace.sample(&session.snapshot());
+    let mut next = LOOK_EVERY;
+    while session.run_until(next) && !options.stop.load(Ordering::Relaxed) {
+        let scene = session.snapshot();
+        trace.sample(&scene);
+        let now = session.now();
+        observer(&Progress {
+            session: &session,
+            scene: &scene,
+            now,
+            wall_secs: begun.elapsed().as_secs_f64(),
+        });
+        // A live caller that was kept away does not look several times in a row.
+        while next <= now {
+            next += LOOK_EVERY;
+        }
+    }
+    trace.sample(&session.snapshot());
+    let health = session.health();
+    let accesses = session.accesses();
+    let finished = session.finish();
+    let mut graph = ActorGraph::from_access(
+        &scenario.name,
+        accesses.iter().map(|(name, hz, access)| (name.as_str(), *hz, access)),
+    );
+    for report in &finished.outcome.controllers {
+        graph.achieved(&report.name, report.achieved_hz);
+    }
+    let summary = summarise(scenario, options, &finished, begun.elapsed().as_secs_f64());
+    let failed_expectations = options.faults.as_ref().map_or_else(Vec::new, |plan| {
+        let measured = Measured {
+            force_newtons_max: finished.force_newtons_max,
+            model_restarts: u64::from(finished.outcome.model.restarts),
+            task_completed: summary.task.completed,
+            ended: finished.outcome.sim,
+        };
+        plan.expect.failures(&finished.outcome.faults, &measured)
+    });
+    let reports = finished.outcome.controllers.clone();
+    Ok(RunOutcome { summary, trace, reports, kernel: finished.outcome, health, graph, failed_expectations })
+}
+
+fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wall_secs: f64) -> RunSummary {
+    let outcome = &finished.outcome;
+    let scene = &outcome.snapshot;
+    let mode = if options.lockstep { Mode::Lockstep } else { Mode::Live };
+    let mut summary = RunSummary::new(&scenario.name, mode, options.seed);
+    summary.sim_secs = outcome.sim.as_secs_f64();
+    summary.wall_secs = wall_secs;
+    summary.state_hash = Some(outcome.hash.to_string());
+    summary.task = task_summary(scene);
+    summary.controllers = outcome.controllers.iter().map(controller_summary).collect();
+    summary.faults = outcome
+        .faults
+        .iter()
+        .map(|row| {
+            let record = row.record();
+            FaultSummary {
+                id: record.id,
+                target: record.target,
+                kind: record.kind.name().to_owned(),
+                injected_secs: record.injected_secs,
+                detected_secs: record.detected_secs,
+                restarted_secs: record.restarted_secs,
+                resumed_secs: record.resumed_secs,
+            }
+        })
+        .collect();
+    summary.force_newtons_max = finished.force_newtons_max;
+    summary.penetration_max =
+        scene.iter::<CollisionList>().map(|(_, list)| list.penetration_max).fold(0.0, f64::max);
+    summary.recording = options.record.as_ref().map(|file| file.display().to_string());
+    summary.recording_complete = outcome.recording_complete.unwrap_or(false);
+    summary.error = outcome.reason.clone().or_else(|| finished.driver_errors.first().cloned());
+    summary
+}
+
+/// How the exercise stands in a scene.
+pub fn task_summary(scene: &Snapshot) -> TaskSummary {
+    let Some((_, task)) = scene.iter::<TaskState>().next() else {
+        // Without an exercise there is nothing left undone.
+        return TaskSummary { completed: true, ..TaskSummary::default() };
+    };
+    let over = task.completed || task.cut_off;
+    TaskSummary {
+        completed: task.completed,
+        cut_off: !over,
+        score: if over { task.score } else { None },
+        seconds: task.seconds,
+        errors: task
+            .errors
+            .iter()
+            .map(|error| TaskErrorSummary { kind: error.kind.clone(), at_secs: error.at_secs })
+            .collect(),
+        metrics: task.metrics.clone(),
+    }
+}
+
+fn controller_summary(report: &ControllerReport) -> ControllerSummary {
+    let quantiles = |q: &trocar_kernel::runtime::Quantiles| Quantiles {
+        p50: q.p50,
+        p99: q.p99,
+        p999: q.p999,
+        max: q.max,
+    };
+    ControllerSummary {
+        name: report.name.clone(),
+        target_hz: report.target_hz,
+        achieved_hz: report.achieved_hz,
+        scheduled: report.scheduled,
+        on_time: report.on_time,
+        lateness_us: quantiles(&report.lateness_us),
+        step_us: quantiles(&report.step_us),
+        missed: report.missed,
+        dropped: report.dropped,
+        rejected: report.rejected,
+        conflicts: report.conflicts,
+        restarts: u64::from(report.restarts),
+    }
+}
