@@ -3,10 +3,11 @@
 
 mod toys;
 
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use toys::{count, registry, session, toy};
+use toys::{LET_GO, count, eventually, registry, session, toy};
 use trocar_kernel::faults::{FaultPlan, secs};
 use trocar_kernel::live::LiveSession;
 use trocar_kernel::recorder::{Recorder, RecorderOptions, Recording, RecordingHead, Replay};
@@ -145,4 +146,26 @@ fn the_same_session_description_runs_in_both_drivers() {
             assert!(row.injected.is_some() && row.detected.is_some() && row.resumed.is_some(), "{row:?}");
         }
     }
+}
+
+#[test]
+fn a_recording_goes_on_when_a_model_that_hangs_is_replaced() {
+    let folder = tempfile::tempdir().expect("a folder for temporary files");
+    let file = folder.path().join("live.mcap");
+    let (spec, wish) = toy("fast", 1, 1_000.0);
+    let mut spec = session(vec![spec]);
+    let head = RecordingHead::default();
+    let recorder = Recorder::threaded(&file, &head, spec.scene.view(), RecorderOptions::default());
+    spec.recorder = Some(Box::new(recorder.expect("begins")));
+    let session = LiveSession::start(spec).expect("starts");
+    eventually("it counts", || count(&session.snapshot(), 1) > 50);
+    wish.trap.store(2, Ordering::Relaxed);
+    eventually("the Model is replaced", || session.zombies() == 1);
+    let then = count(&session.snapshot(), 1);
+    eventually("it counts again", || count(&session.snapshot(), 1) > then + 50);
+    LET_GO.store(true, Ordering::Relaxed);
+    let outcome = session.stop(0);
+    let recording = Recording::open(&file).expect("opens");
+    let mut replay = Replay::new(&recording, &registry()).expect("has a keyframe");
+    assert_eq!(replay.run_to_end().expect("one chain from end to end"), outcome.hash);
 }

@@ -123,6 +123,19 @@ impl FaultLog {
         }
     }
 
+    /// How a target that nobody restarts (a device, a disk) says that it is. When it is well again after a
+    /// fault that strikes once, that fault has ended by itself.
+    pub fn looked_at(&mut self, target: &str, sound: bool, now: SimTime) {
+        if !sound {
+            self.detected(target, now);
+            return;
+        }
+        for row in self.begun(target).filter(|row| row.kind.is_instant() && row.detected.is_some()) {
+            row.healed.get_or_insert(now);
+        }
+        self.resumed(target, now);
+    }
+
     /// Something is seen to be wrong with the target.
     pub fn detected(&mut self, target: &str, now: SimTime) {
         for row in self.begun(target).filter(|row| row.detected.is_none()) {
@@ -266,6 +279,31 @@ mod tests {
         log.resumed("engine", secs(3.004));
         assert_eq!(log.rows()[1].recovery(), Some(secs(0.004)));
         assert_eq!(log.rows()[1].restarted, None);
+    }
+
+    #[test]
+    fn a_device_that_is_killed_or_unplugged_tells_itself_when_it_is_back() {
+        let plan = FaultPlan::new(7)
+            .at(secs(1.0))
+            .fault(FaultKind::Kill, "device.left")
+            .at(secs(2.0))
+            .lasting(secs(1.0))
+            .unplug("device.left");
+        let mut log = FaultLog::new(&plan);
+        log.injected(0, secs(1.0));
+        log.looked_at("device.left", true, secs(1.0));
+        assert_eq!(log.rows()[0].resumed, None, "nobody has noticed anything yet");
+        log.looked_at("device.left", false, secs(1.001));
+        log.looked_at("device.left", true, secs(1.1));
+        let row = &log.rows()[0];
+        assert_eq!((row.detected, row.resumed), (Some(secs(1.001)), Some(secs(1.1))));
+        log.injected(1, secs(2.0));
+        log.looked_at("device.left", false, secs(2.001));
+        log.looked_at("device.left", true, secs(2.5));
+        assert_eq!(log.rows()[1].resumed, None, "still unplugged, whatever it says");
+        log.healed(1, secs(3.0));
+        log.looked_at("device.left", true, secs(3.01));
+        assert_eq!(log.rows()[1].resumed, Some(secs(3.01)));
     }
 
     #[test]

@@ -458,6 +458,7 @@ fn share(
         fences_waiting: AtomicBool::new(false),
         has_sink: recorder.is_some(),
         sink: Mutex::new(recorder),
+        published_hash: Mutex::new(None),
         final_hash: Mutex::new(None),
         batches: AtomicU64::new(0),
         over: AtomicBool::new(false),

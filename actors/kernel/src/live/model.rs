@@ -115,6 +115,10 @@ impl ModelActor {
     fn rebuild(&self) -> Result<ModelCore, String> {
         let store = Store::from_snapshot(&self.shared.published.load());
         let mut core = ModelCore::new(store, self.shared.station).map_err(|error| error.to_string())?;
+        if let Some(head) = *lock(&self.shared.published_hash) {
+            // The log goes on, and so does the chain over it.
+            core = core.with_chain(head);
+        }
         for writer in &self.shared.writers {
             if let Some(access) = &*lock(&writer.declared) {
                 core.declare(&writer.seat.name, writer.id, access).map_err(|error| error.to_string())?;
@@ -254,6 +258,7 @@ impl Desk {
             return;
         }
         drop(before);
+        *lock(&shared.published_hash) = Some(self.core.hash());
         self.retired.retire(std::mem::replace(&mut self.last, snapshot));
         if shared.has_sink
             && let Some(sink) = lock(&shared.sink).as_mut()

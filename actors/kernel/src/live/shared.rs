@@ -173,6 +173,8 @@ pub(crate) struct Shared {
     pub(crate) fences_waiting: AtomicBool,
     pub(crate) sink: Mutex<Option<Box<dyn CommitSink>>>,
     pub(crate) has_sink: bool,
+    /// The state hash of what is published, for a Model that takes over from one out of reach.
+    pub(crate) published_hash: Mutex<Option<StateHash>>,
     /// Left behind by the Model when it ends.
     pub(crate) final_hash: Mutex<Option<StateHash>>,
     pub(crate) batches: AtomicU64,

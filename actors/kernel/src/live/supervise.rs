@@ -16,7 +16,7 @@ use super::shared::{Life, Report, Shared, Writer, lock};
 use crate::faults::{FaultLog, FaultRow, FaultSchedule};
 use crate::model_core::ModelCore;
 use crate::runtime::{Permission, guarded, sched};
-use crate::spec::{FaultKind, FaultOrder, FaultSink, MODEL, StopWhen, ZeroForces};
+use crate::spec::{FaultKind, FaultOrder, FaultSink, MODEL, RECORDER, StopWhen, ZeroForces};
 use crate::supervision::{Action, Cause, ChildId, Event, Health, Incident, RuntimeClass, Supervisor as Tree};
 
 /// Longest pause between two looks at anything.
@@ -363,6 +363,17 @@ impl Crew {
             if healed && is.applied > then.applied {
                 self.faults.resumed(&target, now);
             }
+        }
+        for (name, sink) in &self.sinks {
+            if let Some(sound) = sink.is_sound() {
+                self.faults.looked_at(name, sound, now);
+            }
+        }
+        // A sink that is busy is looked at the next time.
+        if let Ok(sink) = self.shared.sink.try_lock()
+            && let Some(sound) = sink.as_ref().and_then(|sink| sink.is_sound())
+        {
+            self.faults.looked_at(RECORDER, sound, now);
         }
     }
 

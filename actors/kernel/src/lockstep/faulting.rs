@@ -78,10 +78,8 @@ impl LockstepSession {
         let recorder = self.recorder.as_ref().map(|recorder| (RECORDER, recorder.is_sound()));
         let sinks = self.fault_sinks.iter().map(|(name, sink)| (name.as_str(), sink.is_sound()));
         for (name, sound) in sinks.chain(recorder) {
-            match sound {
-                Some(true) => self.fault_log.resumed(name, self.now),
-                Some(false) => self.fault_log.detected(name, self.now),
-                None => {}
+            if let Some(sound) = sound {
+                self.fault_log.looked_at(name, sound, self.now);
             }
         }
     }
