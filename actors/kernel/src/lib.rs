@@ -21,6 +21,6 @@ mod testing;
 
 pub use chain::{CommitKind, StateHash};
 pub use commit::{Commit, CommitBuffer};
+pub use handle::{Doorbell, Intake, LaneStatus, Lanes, Submitted, WriterHandle};
 pub use lockstep::{LockstepSession, SessionError};
-pub use handle::{Doorbell, Intake, Lanes, LaneStatus, Submitted, WriterHandle};
 pub use model_core::{DeclareError, ModelCore, Outcome, Rejection, WriterCounts};
