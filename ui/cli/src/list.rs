@@ -84,5 +84,5 @@ fn rows(app: &App, what: Listed) -> Result<Vec<(String, String)>, Failure> {
 /// The first sentence of a component's description.
 fn component_about(schema: Option<&Value>) -> String {
     let text = schema.and_then(|schema| schema["description"].as_str()).unwrap_or_default();
-    text.split("\n\n").next().unwrap_or_default().replace('\n', " ")
+    text.split("\n\n").next().unwrap_or_default().replace('\n', " ").replace("\\[", "[").replace("\\]", "]")
 }

@@ -89,7 +89,8 @@ impl Scale {
                 (0..TICKS_MAX)
                     .map(|i| (first + i as f64) * step)
                     .take_while(|value| *value <= self.high + step * 1e-9)
-                    .map(|value| (value, format!("{:.digits$}", value + 0.0).replace("-0.0", "0.0")))
+                    .map(|value| if value.abs() < step * 1e-6 { 0.0 } else { value })
+                    .map(|value| (value, format!("{value:.digits$}")))
                     .collect()
             }
         }
@@ -147,7 +148,11 @@ mod tests {
         let texts: Vec<&str> = ticks.iter().map(|(_, text)| text.as_str()).collect();
         assert_eq!(texts, ["0", "20", "40", "60", "80"]);
         let fine = Scale::linear((-0.031, 0.052), 0.0, 1.0).ticks(4);
-        assert_eq!(fine.first().map(|(_, text)| text.as_str()), Some("0.00"));
+        let texts: Vec<&str> = fine.iter().map(|(_, text)| text.as_str()).collect();
+        assert_eq!(texts, ["0.00", "0.05"]);
+        let negative = Scale::linear((-0.02, 0.02), 0.0, 1.0).ticks(4);
+        let texts: Vec<&str> = negative.iter().map(|(_, text)| text.as_str()).collect();
+        assert_eq!(texts, ["-0.02", "-0.01", "0.00", "0.01", "0.02"]);
         assert!(fine.iter().all(|(value, _)| (-0.031..=0.052).contains(value)));
     }
 
