@@ -10,8 +10,9 @@ use trocar_scene::{
     Side, Snapshot, Tick, Velocity,
 };
 
-use crate::autopilot::{Autopilot, Strategy};
+use crate::autopilot::Autopilot;
 use crate::motor_model::{MotorParameters, Skill};
+use crate::strategy::Strategy;
 use crate::trainee_view::{BenchSeen, GrasperSeen, HandSeen, MomentSeen, PegSeen, RingSeen, tip_pose};
 
 /// The virtual trainee as a scenario file describes it.

@@ -10,6 +10,7 @@ pub mod autopilot_controller;
 pub mod grasp_planner;
 pub mod motor_model;
 pub mod noise;
+pub mod strategy;
 pub mod trainee_view;
 
 pub use autopilot_controller::{AutopilotConfig, AutopilotController, register};

@@ -4,8 +4,8 @@ mod support;
 
 use nalgebra::Vector3;
 use support::Double;
-use trocar_input::autopilot::Step;
 use trocar_input::motor_model::{MotorParameters, Skill};
+use trocar_input::strategy::Step;
 use trocar_scene::Side;
 
 #[test]

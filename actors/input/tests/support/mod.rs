@@ -4,8 +4,9 @@
 #![allow(dead_code, reason = "every test binary uses its own part of the double")]
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
-use trocar_input::autopilot::{Autopilot, Strategy};
+use trocar_input::autopilot::Autopilot;
 use trocar_input::motor_model::{MotorParameters, TipCommand};
+use trocar_input::strategy::Strategy;
 use trocar_input::trainee_view::{BenchSeen, GrasperSeen, HandSeen, MomentSeen, PegSeen, RingSeen, tip_pose};
 use trocar_scene::Side;
 
