@@ -126,7 +126,13 @@ fn contacts_of(
     let body = |collider: &Collider| collider.parent().and_then(|handle| bodies.get(handle));
     let fixed = |collider: &Collider| body(collider).is_none_or(|body| !body.is_dynamic());
     for manifold in pair.solver_manifolds() {
-        let impulse: f64 = manifold.points.iter().map(|point| point.data.impulse).sum();
+        let impulse: f64 = manifold
+            .data
+            .solver_contacts
+            .iter()
+            .filter_map(|contact| manifold.points.get(contact.contact_indices()[0] as usize))
+            .map(|point| point.data.impulse)
+            .sum();
         let Some(at) = center(manifold, bodies) else { continue };
         let normal = manifold.data.normal;
         let contact = Contact {
@@ -159,17 +165,23 @@ fn center(manifold: &ContactManifold, bodies: &RigidBodySet) -> Option<Vector> {
     (total > 0.0).then(|| sum / total)
 }
 
-/// Rapier keeps the friction of a whole step in its own tangent basis and the last iteration's in world axes;
-/// the ratio of their lengths scales the latter.
+/// Rapier keeps the friction of a whole step as two numbers in a tangent basis of its own, and that of the last
+/// iteration both so and in world axes. The turn and scale from the one pair of numbers to the other, applied in
+/// world, gives the step's friction exactly. (Its basis is right-handed about the direction opposite to the normal.)
 fn friction_impulse_on_second(manifold: &ContactManifold) -> Vector {
-    manifold.points.iter().fold(Vector::ZERO, |sum, point| {
-        let last = point.data.warmstart_tangent_impulse.norm();
-        if last > 0.0 {
-            sum - point.data.warmstart_tangent_world * (point.data.tangent_impulse.norm() / last)
-        } else {
-            sum
+    let mut sum = Vector::ZERO;
+    for contact in &manifold.data.solver_contacts {
+        let Some(point) = manifold.points.get(contact.contact_indices()[0] as usize) else { continue };
+        let (last, step) = (point.data.warmstart_tangent_impulse, point.data.tangent_impulse);
+        let squared = last.norm_squared();
+        if squared > 0.0 {
+            let last_in_world = point.data.warmstart_tangent_world;
+            let along = last.dot(&step) / squared;
+            let across = (last.x * step.y - last.y * step.x) / squared;
+            sum -= last_in_world * along - manifold.data.normal.cross(last_in_world) * across;
         }
-    })
+    }
+    sum
 }
 
 /// All contacts between bodies of which at least one is awake, in canonical order.

@@ -207,8 +207,9 @@ fn lifts_a_ring_at_every_rate() {
             "{jaws:?}"
         );
         let model = bench.get::<LocalContactModel>(LEFT);
-        assert!((model.base_force.z + RING_MASS * 9.81).abs() < 0.01, "{:?}", model.base_force);
-        assert!(model.planes.iter().all(Option::is_none));
+        let off = (model.base_force + Vector3::new(0.0, 0.0, RING_MASS * 9.81)).norm();
+        assert!(off < 1e-3, "the ring's weight and nothing else: {:?}", model.base_force);
+        assert!(model.planes.iter().all(Option::is_none), "{:?}", model.planes);
         let list = bench.get::<CollisionList>(Entity::of_writer(0, ME));
         assert!(list.penetration_max < 1e-4 && !list.collisions.is_empty());
         assert!(list.collisions.iter().all(|hit| hit.a == LEFT && hit.b == RING));
