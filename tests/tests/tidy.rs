@@ -73,6 +73,8 @@ const RESERVED: [(&str, &[&str]); 9] = [
 const PURE: [&str; 4] = ["scene", "actors/engine", "actors/haptics", "actors/tasks"];
 /// Lines of a file beyond which a newcomer loses the way.
 const LINES_MAX: usize = 600;
+/// Modules with a hash map that is only looked up in, never walked.
+const LOOKUPS: [&str; 3] = ["scene/src/registry.rs", "scene/src/mesh/gmsh.rs", "scene/src/mesh/gmsh_v4.rs"];
 /// Modules in which unsafe code is allowed: scheduling, timers, counting allocations.
 const UNSAFE: [&str; 3] =
     ["devices/src/sched.rs", "actors/kernel/src/runtime/sched.rs", "ui/cli/src/bench/counting.rs"];
@@ -236,7 +238,9 @@ fn nothing_random_is_unseeded_and_no_order_comes_from_a_hash_map() {
     let mut found = Vec::new();
     for folder in ["scene", "actors/engine", "actors/haptics", "actors/tasks", "actors/input"] {
         for (name, code) in production_sources(folder) {
-            for word in ["thread_rng", "rand::rng()", "from_entropy", "from_os_rng", "HashMap", "HashSet"] {
+            let hashed = ["HashMap", "HashSet"].into_iter().filter(|_| !LOOKUPS.contains(&name.as_str()));
+            for word in ["thread_rng", "rand::rng()", "from_entropy", "from_os_rng"].into_iter().chain(hashed)
+            {
                 if code.contains(word) {
                     found.push(format!("{name}: {word}"));
                 }
@@ -335,7 +339,10 @@ fn the_readme_shows_the_rooms_that_exist() {
             assert!(exists, "the README shows {folder}/, which does not exist");
         }
     }
-    assert!(readme.contains("not clinically validated"), "the README says what a score is not");
+    assert!(
+        readme.contains("is clinically validated") && readme.contains("No score"),
+        "the README says what a score is not"
+    );
 }
 
 #[test]
