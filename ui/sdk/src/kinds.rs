@@ -88,7 +88,7 @@ fn rapier(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     let mut config: EngineSettings = parse_or_default(&context.entry.params)?;
     config.gravity_in_world = context.scenario.gravity_in_world;
     config.check().map_err(|error| context.entry.params.error(error.to_string()))?;
-    Ok(plain(RuntimeClass::Simulation, move |context| Ok(EngineController::new(context, config.clone())?)))
+    Ok(plain(RuntimeClass::Simulation, move |context| Ok(EngineController::new(context, config)?)))
 }
 
 fn peg_transfer(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
