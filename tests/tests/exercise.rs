@@ -46,7 +46,7 @@ fn score_and_motion_rank_expert_above_intermediate_above_novice() {
             let mut options = lockstep(seed);
             options.skill = Some(skill.to_owned());
             let task = finish(&app, &scenario, &options).summary.task;
-            let path: f64 = task.metrics.values().filter_map(|hand| hand.get("path_length_metres")).sum();
+            let path: f64 = task.metrics.values().filter_map(|hand| hand.get("path_length_m")).sum();
             (task.score.unwrap_or(0.0), task.seconds, path)
         });
         let column =

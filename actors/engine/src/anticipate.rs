@@ -1,10 +1,12 @@
 //! What an instrument will touch before the next tick: its colliders cast along the tip's velocity.
 //!
 //! At 500 Hz the contacts that the solver predicts suffice. At 10 Hz a hand travels centimetres between two
-//! ticks, and haptics must know of a wall before the engine meets it.
+//! ticks, and haptics must know of a wall before the engine meets it. A tip at rest may start at any time, so what is
+//! near counts as well, whichever way the tip moves now.
 
 use nalgebra::Vector3;
-use rapier3d_f64::parry::query::ShapeCastOptions;
+use rapier3d_f64::parry::bounding_volume::BoundingVolume;
+use rapier3d_f64::parry::query::{ShapeCastOptions, contact};
 use rapier3d_f64::pipeline::{PhysicsWorld, QueryFilter};
 
 use crate::conversion::{vector_from_rapier, vector_to_rapier};
@@ -14,6 +16,9 @@ use crate::grasper::Grasper;
 const PATH_MIN: f64 = 0.0004;
 /// Longest path that is looked along \[m\].
 const PATH_MAX: f64 = 0.03;
+
+/// Speed that a hand may reach before an engine's next tick \[m/s\].
+const START_SPEED: f64 = 0.3;
 
 /// A surface on the way of an instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -34,6 +39,10 @@ pub(crate) fn first_obstacle(
     velocity: &Vector3<f64>,
     horizon_secs: f64,
 ) -> Option<Obstacle> {
+    let near = nearest_obstacle(world, grasper, (START_SPEED * horizon_secs).min(PATH_MAX));
+    if near.is_some() {
+        return near;
+    }
     let speed = velocity.norm();
     let path = (speed * horizon_secs).min(PATH_MAX);
     if path < PATH_MIN {
@@ -61,4 +70,29 @@ pub(crate) fn first_obstacle(
         }
     }
     first.map(|(_, obstacle)| obstacle)
+}
+
+/// The fixed surface that is nearest to the instrument, if one is within `reach` \[m\].
+fn nearest_obstacle(world: &PhysicsWorld, grasper: &Grasper, reach: f64) -> Option<Obstacle> {
+    let fixed = |collider: &rapier3d_f64::geometry::Collider| {
+        collider.parent().and_then(|body| world.bodies.get(body)).is_none_or(|body| body.is_fixed())
+    };
+    let mut nearest: Option<Obstacle> = None;
+    for (_, handle) in grasper.colliders() {
+        let Some(own) = world.colliders.get(handle) else { continue };
+        let around = own.compute_aabb().loosened(reach);
+        let close = |other: &rapier3d_f64::geometry::Collider| around.intersects(&other.compute_aabb());
+        for (_, other) in world.colliders.iter().filter(|(_, other)| fixed(other) && close(other)) {
+            let reach = nearest.map_or(reach, |nearest| nearest.gap);
+            let found = contact(own.position(), own.shape(), other.position(), other.shape(), reach);
+            let Ok(Some(found)) = found else { continue };
+            let gap = found.dist.max(0.0);
+            if nearest.is_none_or(|nearest| gap < nearest.gap) {
+                let friction = (own.friction() * other.friction()).sqrt();
+                nearest =
+                    Some(Obstacle { normal_in_world: vector_from_rapier(found.normal2), gap, friction });
+            }
+        }
+    }
+    nearest
 }

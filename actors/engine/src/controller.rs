@@ -208,7 +208,8 @@ impl EngineController {
                     (state, self.world.grasper(entity).and_then(|grasper| grasper.hold().copied()))
                 }
                 (None, Some(jaws), _) => (resumed_state(scene, entity, jaws), grasp.map(hold_of)),
-                // A new instrument starts where its hand is; before there is a hand it is not there.
+                // A new instrument starts where its hand is, or else where the scenario puts it: a slow engine
+                // would otherwise tell haptics of its surroundings a whole tick late.
                 (None, None, Some(target)) => {
                     let opening = JawOpening { angle: target.jaw_angle, ..JawOpening::default() };
                     let state = GrasperState {
@@ -216,6 +217,15 @@ impl EngineController {
                         velocity: target.velocity_in_world,
                         opening,
                         drive_reference: target.jaw_angle,
+                    };
+                    (state, None)
+                }
+                (None, None, None) if scene.get::<Pose>(entity).is_some() => {
+                    let state = GrasperState {
+                        tip_in_world: scene.world_pose(entity),
+                        velocity: Velocity::default(),
+                        opening: JawOpening::default(),
+                        drive_reference: 0.0,
                     };
                     (state, None)
                 }

@@ -352,7 +352,8 @@ impl Controller for HapticsController {
 fn device_state(sample: &DeviceSample) -> DeviceState {
     let state = &sample.state;
     DeviceState {
-        handle_in_device: renormalised(&state.pose_in_device),
+        // As measured, to the bit: whoever replays the recording must feel what was felt.
+        handle_in_device: Pose::from(state.pose_in_device),
         velocity_in_device: Velocity { linear: state.linear_velocity, angular: state.angular_velocity },
         gripper: state.gripper,
         buttons: state.buttons,
@@ -362,7 +363,7 @@ fn device_state(sample: &DeviceSample) -> DeviceState {
     }
 }
 
-/// A device may be off unit length by 1e-6, and products of rotations drift: the scene gets clean ones.
+/// Products of rotations drift off unit length: the scene gets a clean one.
 fn renormalised(pose: &Isometry3<f64>) -> Pose {
     let mut rotation = pose.rotation;
     rotation.renormalize();

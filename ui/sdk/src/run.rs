@@ -137,7 +137,12 @@ pub fn start(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Ses
         let record = if options.lockstep { Recorder::inline } else { Recorder::threaded };
         assembly.spec.recorder = Some(Box::new(record(file, &head, scene, RecorderOptions::default())?));
     }
-    if options.lockstep { Session::lockstep(assembly) } else { Session::live(assembly) }
+    let started = if options.lockstep { Session::lockstep(assembly) } else { Session::live(assembly) };
+    if let (Err(_), Some(file)) = (&started, &options.record) {
+        // A recording of nothing helps nobody; if it cannot be removed, the error that counts is the other one.
+        let _ = std::fs::remove_file(file);
+    }
+    started
 }
 
 /// Runs a scenario to its end and shows `observer` how it goes, about 50 times per second of the session.
@@ -154,11 +159,14 @@ pub fn run(
     let mut session = start(app, scenario, options)?;
     let mut trace = RunTrace::new();
     trace.sample(&session.snapshot());
+    let mut health = session.health();
     let mut next = LOOK_EVERY;
     while session.run_until(next) && !options.stop.load(Ordering::Relaxed) {
         let scene = session.snapshot();
         trace.sample(&scene);
         let now = session.now();
+        // The last look before the end: afterwards everybody is stopped.
+        health = session.health();
         observer(&Progress {
             session: &session,
             scene: &scene,
@@ -171,7 +179,6 @@ pub fn run(
         }
     }
     trace.sample(&session.snapshot());
-    let health = session.health();
     let accesses = session.accesses();
     let finished = session.finish();
     let mut graph = ActorGraph::from_access(
