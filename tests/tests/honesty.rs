@@ -70,6 +70,7 @@ fn app_with_cheat(declares_it: bool) -> trocar::app::App {
                 Ok(Box::new(cheat) as Box<dyn Controller>)
             }),
             fences: Vec::new(),
+            arrange: None,
         })
     };
     builder.kind("cheat", Arc::new(kind)).expect("a new kind").build().expect("an app")

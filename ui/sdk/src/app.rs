@@ -8,7 +8,7 @@ use thiserror::Error;
 use trocar_kernel::spec::{Factory, Fence};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::{ControllerEntry, Scenario, ScenarioError};
-use trocar_scene::{Component, Registry, RegistryBuilder, RegistryError};
+use trocar_scene::{Commands, Component, Registry, RegistryBuilder, RegistryError, Snapshot};
 
 use crate::hands::HandPort;
 use crate::kinds;
@@ -40,7 +40,12 @@ pub struct Blueprint {
     pub factory: Factory,
     /// Who must refuse its earlier lives.
     pub fences: Vec<Arc<dyn Fence>>,
+    /// Changes the scene before the session starts, for exercises that arrange it.
+    pub arrange: Option<Arrange>,
 }
+
+/// Writes to the scene as the scenario has spawned it.
+pub type Arrange = Box<dyn FnOnce(&Snapshot, &mut Commands)>;
 
 /// Makes the blueprint of one kind of controller.
 pub type Kind = Arc<dyn Fn(&KindContext<'_>) -> Result<Blueprint, ScenarioError> + Send + Sync>;

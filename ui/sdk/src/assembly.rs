@@ -1,6 +1,6 @@
 //! From a scenario and the options of a run to a session that either driver of time can take.
 
-use std::path::Path;
+use std::path::{Component, Path};
 use std::sync::Arc;
 
 use thiserror::Error;
@@ -78,12 +78,6 @@ impl Assembly {
         for hand in &hands {
             commands.put(hand.port().entity, hand.info());
         }
-        if let Some(error) = commands.error() {
-            return Err(scenario.error_at("hand", 0, error.to_string()).into());
-        }
-        commands.seal();
-        store.apply(&mut commands, SimTime::ZERO);
-
         let mut controllers = Vec::with_capacity(scenario.controllers.len());
         for (index, entry) in scenario.controllers.iter().enumerate() {
             let Some(kind) = app.kind(&entry.kind) else {
@@ -94,6 +88,9 @@ impl Assembly {
             let blueprint = kind(&KindContext { entry, scenario, hands: &ports, options })?;
             // Spawner 0 is the scenario's; writers count from 1 in the order of the file.
             let writer = index as u16 + 1;
+            if let Some(arrange) = blueprint.arrange {
+                arrange(store.view(), &mut commands);
+            }
             let factory = blueprint.factory;
             let mut spec =
                 ControllerSpec::new(&entry.name, writer, blueprint.class, entry.rate_hz, move |context| {
@@ -102,6 +99,12 @@ impl Assembly {
             spec.fences = blueprint.fences;
             controllers.push(spec);
         }
+        if let Some(error) = commands.error() {
+            return Err(scenario.error_at("hand", 0, error.to_string()).into());
+        }
+        commands.seal();
+        store.apply(&mut commands, SimTime::ZERO);
+
         let mut spec = SessionSpec::new(&scenario.name, options.seed, store, controllers);
         spec.until = options.seconds.map(SimTime::from_secs_f64);
         spec.stop_when = Some(StopWhen {
@@ -135,9 +138,14 @@ fn open_hands(
         }
     }
     let mut opened = Vec::with_capacity(scenario.hands.len());
-    for hand in &scenario.hands {
+    for (index, hand) in scenario.hands.iter().enumerate() {
         let chosen = options.hands.iter().rev().find(|(name, _)| *name == hand.name);
         let text = chosen.map_or(hand.device.as_str(), |(_, spec)| spec.as_str());
+        if chosen.is_none() && names_a_file_elsewhere(text) {
+            let reason =
+                "device: a file named in a scenario must lie below its folder; use --hand for others";
+            return Err(scenario.error_at("hand", index, reason).into());
+        }
         let device: Box<dyn HapticDevice> = match text.strip_prefix("recording:") {
             Some(file) => {
                 let (points, capabilities) = recorded_hand::read(app, Path::new(file), hand.entity)
@@ -156,4 +164,26 @@ fn open_hands(
         opened.push(OpenedHand::new(&hand.name, hand.entity, device));
     }
     Ok(opened)
+}
+
+/// Whether a device's text names a file by an absolute path or one that climbs up.
+fn names_a_file_elsewhere(device: &str) -> bool {
+    let Some((_, rest)) = device.split_once(':') else { return false };
+    let file = Path::new(rest.split(',').next().unwrap_or(rest));
+    file.components().any(|part| !matches!(part, Component::Normal(_) | Component::CurDir))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_named_in_a_scenario_stay_below_its_folder() {
+        for device in ["replay:../hand.csv", "jigsaws:/data/a.txt,side=left", "recording:a/../../b.mcap"] {
+            assert!(names_a_file_elsewhere(device), "{device}");
+        }
+        for device in ["virtual", "virtual:mass=0.05", "replay:hands/left.csv,force=on"] {
+            assert!(!names_a_file_elsewhere(device), "{device}");
+        }
+    }
 }

@@ -13,6 +13,7 @@ use trocar_kernel::spec::Fence;
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::{Params, ScenarioError};
 use trocar_scene::{BuildContext, Controller, ControllerError};
+use trocar_tasks::peg_transfer_controller::mirrored_start;
 use trocar_tasks::{PegTransferConfig, PegTransferController};
 
 use crate::app::{Blueprint, Kind, KindContext};
@@ -36,7 +37,7 @@ fn plain<C: Controller>(
     let factory = move |context: &BuildContext<'_>| {
         build(context).map(|controller| Box::new(controller) as Box<dyn Controller>)
     };
-    Blueprint { class, factory: Arc::new(factory), fences: Vec::new() }
+    Blueprint { class, factory: Arc::new(factory), fences: Vec::new(), arrange: None }
 }
 
 /// The parameters, or the default when the file gives none.
@@ -91,10 +92,27 @@ fn rapier(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     Ok(plain(RuntimeClass::Simulation, move |context| Ok(EngineController::new(context, config)?)))
 }
 
-fn peg_transfer(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+/// The exercise's parameters with what the user asked for.
+fn peg_transfer_config(context: &KindContext<'_>) -> Result<PegTransferConfig, ScenarioError> {
     let mut config: PegTransferConfig = parse_or_default(&context.scenario.task)?;
     config.left_handed |= context.options.left_handed;
-    Ok(plain(RuntimeClass::Task, move |context| PegTransferController::new(&config, context)))
+    Ok(config)
+}
+
+fn peg_transfer(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config = peg_transfer_config(context)?;
+    let left_handed = config.left_handed;
+    let mut blueprint =
+        plain(RuntimeClass::Task, move |context| PegTransferController::new(&config, context));
+    if left_handed {
+        // The dominant hand receives: a left-handed trainee starts with the rings on the right board.
+        blueprint.arrange = Some(Box::new(|scene, out| {
+            for (entity, pose) in mirrored_start(scene) {
+                out.put(entity, pose);
+            }
+        }));
+    }
+    Ok(blueprint)
 }
 
 fn autopilot(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
@@ -104,6 +122,6 @@ fn autopilot(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
         config.skill =
             parsed.map_err(|error: ValueError| context.entry.params.error(format!("skill: {error}")))?;
     }
-    config.left_handed |= context.options.left_handed;
+    config.left_handed |= peg_transfer_config(context)?.left_handed;
     Ok(plain(RuntimeClass::Task, move |context| AutopilotController::new(&config, context)))
 }
