@@ -6,6 +6,7 @@ use std::sync::Arc;
 use thiserror::Error;
 use trocar_devices::{BuildError, DeviceSpec, HapticDevice, ReplayHand, SpecError};
 use trocar_kernel::spec::{ControllerSpec, SessionSpec, StopWhen, ZeroForces};
+use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::{Scenario, ScenarioError};
 use trocar_scene::{Commands, EntityAllocator, SCENARIO_SPAWNER, SimTime, TaskState};
 
@@ -99,6 +100,7 @@ impl Assembly {
             spec.fences = blueprint.fences;
             controllers.push(spec);
         }
+        stagger_haptics(&mut controllers);
         if let Some(error) = commands.error() {
             return Err(scenario.error_at("hand", 0, error.to_string()).into());
         }
@@ -121,6 +123,16 @@ impl Assembly {
             spec.fault_sinks.push((port.fault_target(), HandFaults::sink(port)));
         }
         Ok(Self { spec, hands })
+    }
+}
+
+/// Spreads the haptic controllers over their period. Drivers tick at whole milliseconds and rank above them: on
+/// few cores hands that tick at the same instants wait for them, and for each other.
+fn stagger_haptics(controllers: &mut [ControllerSpec]) {
+    let hands = controllers.iter().filter(|spec| spec.child.class == RuntimeClass::Haptics).count() as u64;
+    let haptics = controllers.iter_mut().filter(|spec| spec.child.class == RuntimeClass::Haptics);
+    for (index, spec) in haptics.enumerate() {
+        spec.phase = SimTime(spec.period().as_nanos() * (2 * index as u64 + 1) / (2 * hands));
     }
 }
 
