@@ -90,6 +90,29 @@ fn a_run_prints_one_object_that_keeps_the_contract_and_leaves_its_files() {
 }
 
 #[test]
+fn two_processes_with_one_seed_end_in_one_hash_and_another_seed_in_another() {
+    let folder = here();
+    let hash = |seed: &str| {
+        let arguments = [
+            "run",
+            "peg-transfer",
+            "--lockstep",
+            "--seconds",
+            "3",
+            "--seed",
+            seed,
+            "--json",
+            "--no-record",
+            "--no-report",
+        ];
+        object(&trocar(folder.path(), &arguments))["state_hash"].as_str().expect("a hash").to_owned()
+    };
+    let first = hash("7");
+    assert_eq!(first, hash("7"));
+    assert_ne!(first, hash("8"));
+}
+
+#[test]
 fn a_live_run_keeps_the_contract() {
     let folder = here();
     let arguments = ["run", "peg-transfer", "--seconds", "1.5", "--no-record", "--no-report", "--json"];
