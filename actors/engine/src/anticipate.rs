@@ -1,4 +1,5 @@
-//! What an instrument will touch before the next tick: its colliders cast along the tip's velocity.
+//! What an instrument may touch before the next tick: what is near it, or else what its colliders meet when cast
+//! along the tip's velocity.
 //!
 //! At 500 Hz the contacts that the solver predicts suffice. At 10 Hz a hand travels centimetres between two
 //! ticks, and haptics must know of a wall before the engine meets it. A tip at rest may start at any time, so what is
