@@ -18,15 +18,14 @@ const DEVICES: [(&str, &str); 4] = [
 ];
 
 /// Prints the lists.
-pub fn list(args: &ListArgs) -> Result<Exit, Failure> {
-    let app = App::standard()?;
+pub fn list(app: &App, args: &ListArgs) -> Result<Exit, Failure> {
     let all = [Listed::Scenarios, Listed::Controllers, Listed::Components, Listed::Devices, Listed::Suites];
     let wanted: Vec<Listed> =
         all.into_iter().filter(|list| args.what.is_none_or(|what| what == *list)).collect();
     if args.json {
         let mut object = serde_json::Map::from_iter([("schema".to_owned(), json!(SCHEMA))]);
         for what in wanted {
-            let rows = rows(&app, what)?;
+            let rows = rows(app, what)?;
             let rows = rows.into_iter().map(|(name, about)| json!({ "name": name, "about": about }));
             object.insert(title(what).to_owned(), Value::Array(rows.collect()));
         }
@@ -38,7 +37,7 @@ pub fn list(args: &ListArgs) -> Result<Exit, Failure> {
         if wanted.len() > 1 {
             lines.push(console::style(title(*what)).bold().to_string());
         }
-        let rows = rows(&app, *what)?;
+        let rows = rows(app, *what)?;
         let width = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
         lines.extend(
             rows.iter().map(|(name, about)| format!("  {name:<width$}  {about}").trim_end().to_owned()),

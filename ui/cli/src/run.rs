@@ -19,8 +19,8 @@ use crate::output;
 use crate::report::{self, Report, short};
 
 /// Runs what the command line asks for.
-pub fn run(args: &RunArgs) -> Result<Exit, Failure> {
-    match attempt(args) {
+pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
+    match attempt(app, args) {
         Ok((summary, exit)) => {
             if args.json {
                 output::print_json(&summary)?;
@@ -38,8 +38,7 @@ pub fn run(args: &RunArgs) -> Result<Exit, Failure> {
     }
 }
 
-fn attempt(args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
-    let app = App::standard()?;
+fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     let scenario = app.scenario(&args.session.scenario)?;
     let record = (!args.no_record).then(|| {
         args.record.clone().unwrap_or_else(|| PathBuf::from(format!("{}.mcap", file_stem(&scenario))))
@@ -57,7 +56,7 @@ fn attempt(args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     options.record = record;
 
     let mut display = Display::new(&scenario, &options, args.headless || args.json);
-    let outcome = trocar::run::run(&app, &scenario, &options, &mut |progress| display.update(progress));
+    let outcome = trocar::run::run(app, &scenario, &options, &mut |progress| display.update(progress));
     display.clear();
     let mut outcome = outcome?;
 

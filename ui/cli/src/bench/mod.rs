@@ -2,7 +2,7 @@
 
 mod allocation;
 mod blocks;
-mod counting;
+pub mod counting;
 mod exercise;
 
 use indicatif::{ProgressBar, ProgressStyle};
