@@ -47,7 +47,8 @@ impl CommandLine for App {
     fn run(self) -> ExitCode {
         // Help and completions are about the program as it was called.
         let name = std::env::args_os().next().map(PathBuf::from);
-        let name = name.as_deref().and_then(Path::file_stem).and_then(|stem| stem.to_str()).unwrap_or("trocar");
+        let name =
+            name.as_deref().and_then(Path::file_stem).and_then(|stem| stem.to_str()).unwrap_or("trocar");
         let mut command = Cli::command().name(name.to_owned()).bin_name(name.to_owned());
         let parsed = command.try_get_matches_from_mut(std::env::args_os());
         let cli = match parsed.and_then(|matches| Cli::from_arg_matches(&matches)) {
