@@ -2,6 +2,7 @@
 
 use serde_json::{Value, json};
 use trocar::app::{App, SCENARIOS};
+use trocar::plans::{self, PLANS};
 use trocar::summary::{Exit, SCHEMA};
 
 use crate::args::{ListArgs, Listed};
@@ -19,7 +20,14 @@ const DEVICES: [(&str, &str); 4] = [
 
 /// Prints the lists.
 pub fn list(app: &App, args: &ListArgs) -> Result<Exit, Failure> {
-    let all = [Listed::Scenarios, Listed::Controllers, Listed::Components, Listed::Devices, Listed::Suites];
+    let all = [
+        Listed::Scenarios,
+        Listed::Controllers,
+        Listed::Components,
+        Listed::Devices,
+        Listed::Plans,
+        Listed::Suites,
+    ];
     let wanted: Vec<Listed> =
         all.into_iter().filter(|list| args.what.is_none_or(|what| what == *list)).collect();
     if args.json {
@@ -54,6 +62,7 @@ fn title(what: Listed) -> &'static str {
         Listed::Controllers => "controllers",
         Listed::Components => "components",
         Listed::Devices => "devices",
+        Listed::Plans => "plans",
         Listed::Suites => "suites",
     }
 }
@@ -76,6 +85,9 @@ fn rows(app: &App, what: Listed) -> Result<Vec<(String, String)>, Failure> {
             .map(|(_, entry)| (entry.name.to_owned(), component_about((entry.schema)().as_ref())))
             .collect(),
         Listed::Devices => DEVICES.into_iter().map(pair).collect(),
+        Listed::Plans => {
+            PLANS.iter().map(|(name, text)| ((*name).to_owned(), plans::about(text).to_owned())).collect()
+        }
         Listed::Suites => bench::SUITES.into_iter().map(pair).collect(),
     })
 }

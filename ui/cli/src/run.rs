@@ -1,11 +1,12 @@
 //! `trocar run`: a scenario from start to end, with a table while it runs and a report after it.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use trocar::app::App;
+use trocar::plans::{PLANS, PlanError};
 use trocar::run::{RunOptions, RunOutcome};
 use trocar::summary::{Exit, Mode, RunSummary};
 use trocar_kernel::faults::FaultPlan;
@@ -13,7 +14,7 @@ use trocar_kernel::supervision::{Cause, Incident};
 use trocar_scene::scenario::Scenario;
 
 use crate::args::{RunArgs, SessionArgs};
-use crate::failure::Failure;
+use crate::failure::{Failure, did_you_mean};
 use crate::live_table::Display;
 use crate::output;
 use crate::report::{self, Report, short};
@@ -52,7 +53,7 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     let mut options = options(&args.session)?;
     options.lockstep = args.lockstep;
     options.seconds = args.seconds;
-    options.faults = args.faults.as_deref().map(read_plan).transpose()?;
+    options.faults = args.faults.as_deref().map(plan).transpose()?;
     options.record = record;
 
     let mut display = Display::new(&scenario, &options, args.headless || args.json);
@@ -65,7 +66,8 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
         let html = html(&scenario, &outcome, force_limits(&outcome));
         output::write_file(&file, html.as_bytes())?;
     }
-    let mut exit = outcome.summary.exit(!outcome.failed_expectations.is_empty());
+    let mut exit =
+        outcome.summary.exit(!outcome.failed_expectations.is_empty() || !outcome.kernel.held.is_empty());
     if outcome.kernel.code != 0 {
         exit = Exit::Internal;
     }
@@ -105,8 +107,14 @@ pub fn options(args: &SessionArgs) -> Result<RunOptions, Failure> {
     })
 }
 
-fn read_plan(file: &Path) -> Result<FaultPlan, Failure> {
-    FaultPlan::read(file).map_err(Failure::invalid)
+fn plan(name_or_file: &str) -> Result<FaultPlan, Failure> {
+    trocar::plans::plan(name_or_file).map_err(|error| {
+        let hint = match &error {
+            PlanError::Unknown { name, .. } => did_you_mean(name, PLANS.iter().map(|(known, _)| *known)),
+            PlanError::Plan(_) => String::new(),
+        };
+        Failure::invalid(format!("{error}{hint}"))
+    })
 }
 
 /// The scenario's name as it may stand in a file name.

@@ -32,6 +32,7 @@ pub(super) struct Status {
     pub(super) health: BTreeMap<String, Health>,
     pub(super) incidents: Vec<Incident>,
     pub(super) faults: Vec<FaultRow>,
+    pub(super) held: Vec<(String, String)>,
     pub(super) zombies: u32,
     pub(super) up: bool,
     pub(super) permission: Option<Permission>,
@@ -411,6 +412,7 @@ impl Crew {
             }
         }
         status.zombies = self.tree.zombies();
+        status.held = self.tree.given_up();
         status.incidents.clear();
         status.incidents.extend_from_slice(self.tree.incidents());
         let up = self.tree.is_up();

@@ -28,6 +28,17 @@ pub enum Strategy {
     OneForAll,
 }
 
+/// What a group does when one of its children needed more restarts than its intensity allows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Exhausted {
+    /// It gives up, and its parent decides: what OTP does.
+    #[default]
+    Escalate,
+    /// That child is held: fenced and not started again until somebody says so. The others go on.
+    Hold,
+}
+
 /// What a child's thread does, which decides its scheduling priority and its place in the default tree.
 ///
 /// The order is the order of priorities: who stands first is never kept waiting by who stands later.
@@ -147,6 +158,8 @@ pub struct GroupSpec {
     pub intensity: Intensity,
     /// Pauses between restarts.
     pub backoff: Backoff,
+    /// What happens when that was not enough.
+    pub exhausted: Exhausted,
     /// Children, in start order.
     pub children: Vec<Node>,
 }
@@ -177,6 +190,7 @@ impl GroupSpec {
             strategy,
             intensity: Intensity::default(),
             backoff: Backoff::default(),
+            exhausted: Exhausted::default(),
             children: Vec::new(),
         }
     }
@@ -200,6 +214,11 @@ impl GroupSpec {
         self.backoff = backoff;
         self
     }
+    /// The same, but a child that fails too often is held instead of taking the group down.
+    pub fn holding(mut self) -> Self {
+        self.exhausted = Exhausted::Hold;
+        self
+    }
     /// Whether no child stands anywhere below.
     pub fn is_empty(&self) -> bool {
         self.children.iter().all(|node| match node {
@@ -212,18 +231,19 @@ impl GroupSpec {
     /// devices (one-for-one); tasks (one-for-one); network (one-for-one, patient back-off); recorder.
     ///
     /// The Model stands in a group of its own: it resumes from the last published snapshot, which its
-    /// clients already have, so that they need not restart with it unless it keeps failing.
+    /// clients already have, so that they need not restart with it unless it keeps failing. Without a Model
+    /// there is no session; everybody else is held when failing too often, and the rest runs on.
     pub fn default_tree(children: impl IntoIterator<Item = ChildSpec>) -> Self {
         let mut model = Self::new("group.model", Strategy::OneForOne);
-        let mut simulation = Self::new("group.simulation", Strategy::RestForOne);
-        let mut devices = Self::new("group.devices", Strategy::OneForOne);
-        let mut tasks = Self::new("group.tasks", Strategy::OneForOne);
-        let mut network = Self::new("group.network", Strategy::OneForOne).with_backoff(Backoff {
+        let mut simulation = Self::new("group.simulation", Strategy::RestForOne).holding();
+        let mut devices = Self::new("group.devices", Strategy::OneForOne).holding();
+        let mut tasks = Self::new("group.tasks", Strategy::OneForOne).holding();
+        let mut network = Self::new("group.network", Strategy::OneForOne).holding().with_backoff(Backoff {
             base: SimTime::from_millis(200),
             max: SimTime::from_millis(10_000),
             ..Backoff::default()
         });
-        let mut recorder = Self::new("group.recorder", Strategy::OneForOne);
+        let mut recorder = Self::new("group.recorder", Strategy::OneForOne).holding();
         let mut all: Vec<ChildSpec> = children.into_iter().collect();
         // Stable: children of one class keep the order in which they were given.
         all.sort_by_key(|child| child.class);

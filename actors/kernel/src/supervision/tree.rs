@@ -6,7 +6,7 @@ use std::ops::Range;
 use thiserror::Error;
 use trocar_scene::SimTime;
 
-use super::child::{Backoff, ChildSpec, GroupSpec, Intensity, Node, Strategy};
+use super::child::{Backoff, ChildSpec, Exhausted, GroupSpec, Intensity, Node, Strategy};
 
 /// Most children and groups of one tree.
 pub const NODES_MAX: usize = 4_096;
@@ -91,6 +91,7 @@ pub(super) struct Group {
     pub(super) strategy: Strategy,
     pub(super) intensity: Intensity,
     pub(super) backoff: Backoff,
+    pub(super) exhausted: Exhausted,
     /// The children below it.
     pub(super) leaves: Range<usize>,
     pub(super) window: Window,
@@ -129,7 +130,7 @@ impl Flat {
         parent: Option<usize>,
         names: &mut BTreeSet<String>,
     ) -> Result<(), TreeError> {
-        let GroupSpec { id, strategy, intensity, backoff, children } = spec;
+        let GroupSpec { id, strategy, intensity, backoff, exhausted, children } = spec;
         check_backoff(&id, &backoff)?;
         self.claim(&id, names)?;
         let me = self.groups.len();
@@ -140,6 +141,7 @@ impl Flat {
             strategy,
             intensity,
             backoff,
+            exhausted,
             leaves: first..first,
             window: Window::default(),
             streak: Streak::default(),
