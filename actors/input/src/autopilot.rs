@@ -254,7 +254,10 @@ impl Autopilot {
                 if self.can_be_taken(scene, ring) && self.try_ring(scene, hand, ring, true) {
                     return;
                 }
-                if self.is_done(scene, ring) || self.hands[hand].failures > 2 {
+                let seen = &scene.moment.rings[ring];
+                let fallen =
+                    scene.bench.height(&seen.center()) <= 0.0 && seen.speed < scene.strategy.rest_speed;
+                if self.is_done(scene, ring) || fallen || self.hands[hand].failures > 2 {
                     self.hands[hand].received = false;
                     self.hands[hand].ring = None;
                 }

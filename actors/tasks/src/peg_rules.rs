@@ -24,6 +24,8 @@ pub struct Rules {
     pub settle_secs: f64,
     /// Below this speed a hand is idle \[m/s\].
     pub idle_speed: f64,
+    /// A ring that rests this far below the face of the boards has fallen off them, out of reach \[m\].
+    pub fallen_below: f64,
 }
 
 impl Default for Rules {
@@ -35,6 +37,7 @@ impl Default for Rules {
             rest_speed: 0.02,
             settle_secs: 0.15,
             idle_speed: IDLE_SPEED_DEFAULT,
+            fallen_below: 0.02,
         }
     }
 }
@@ -97,6 +100,8 @@ pub enum ErrorKind {
     DropInView,
     /// Left the field of view.
     DropOutOfView,
+    /// Fell off the boards, where no instrument gets it.
+    DropOutOfReach,
     /// Lifted by the hand that should receive.
     WrongHand,
     /// Changed hands on the board or around a peg.
@@ -115,6 +120,7 @@ impl ErrorKind {
         match self {
             Self::DropInView => "drop_in_view",
             Self::DropOutOfView => "drop_out_of_view",
+            Self::DropOutOfReach => "drop_out_of_reach",
             Self::WrongHand => "wrong_hand",
             Self::NotInMidAir => "not_in_mid_air",
             Self::NoHandOver => "no_hand_over",
@@ -123,9 +129,10 @@ impl ErrorKind {
         }
     }
     /// Every kind, for checking names in files.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::DropInView,
         Self::DropOutOfView,
+        Self::DropOutOfReach,
         Self::WrongHand,
         Self::NotInMidAir,
         Self::NoHandOver,

@@ -12,8 +12,8 @@
 //!   a ring that the giver lifts must be handed over (again);
 //! - a ring that was lifted by the wrong hand, or handed over while on the board, does not count as handed
 //!   over: placing it is an error, and it must be transferred again;
-//! - a ring that leaves the field of view while nobody holds it is lost; the exercise goes on without it, but
-//!   is not *completed*.
+//! - a ring that leaves the field of view while nobody holds it, or comes to rest below the boards where no
+//!   instrument gets it, is lost; the exercise goes on without it, but is not *completed*.
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::Side;
@@ -37,7 +37,7 @@ enum RingState {
     Released { at_secs: f64 },
     /// Done: rests on this peg.
     Placed { peg: usize },
-    /// Out of view.
+    /// Out of view or out of reach.
     Lost,
 }
 
@@ -163,6 +163,12 @@ impl PegTransfer {
         if !held && !setup.view.contains(&seen.placement.center_in_world) {
             self.rings[ring].state = RingState::Lost;
             self.fail(ErrorKind::DropOutOfView, secs, ring, happened);
+            return;
+        }
+        let fallen = setup.clearance(&seen.placement) < -setup.rules.fallen_below;
+        if !held && fallen && seen.speed <= setup.rules.rest_speed {
+            self.rings[ring].state = RingState::Lost;
+            self.fail(ErrorKind::DropOutOfReach, secs, ring, happened);
             return;
         }
         match state {
@@ -335,7 +341,7 @@ impl PegTransfer {
     pub fn ring_count(&self) -> u32 {
         self.rings.len() as u32
     }
-    /// Rings lost out of view.
+    /// Rings lost out of view or out of reach.
     pub fn lost(&self) -> u32 {
         self.rings.iter().filter(|ring| ring.state == RingState::Lost).count() as u32
     }

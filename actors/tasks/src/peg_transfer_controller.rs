@@ -158,6 +158,7 @@ impl PegTransferController {
             done: exercise.done(),
             steps: exercise.steps(),
             seconds: exercise.seconds(),
+            over: exercise.outcome().is_some(),
             completed: exercise.outcome() == Some(Outcome::Completed),
             cut_off: exercise.outcome() == Some(Outcome::CutOff),
             score: exercise.score(&self.setup),

@@ -189,6 +189,21 @@ fn a_ring_out_of_view_is_lost_and_costs_its_share() {
 }
 
 #[test]
+fn a_ring_that_fell_off_the_boards_is_lost_once_it_rests() {
+    let mut script = Script::new(Side::Left);
+    script.setup.view =
+        FieldOfView::Box { min: Point3::new(-0.1, -0.1, -0.1), max: Point3::new(0.1, 0.1, 0.15) };
+    script.hold(1, &[Side::Left]).go(1, 0.0, 0.05, 0.04).hold(1, &[]);
+    script.rings[1].speed = 0.9;
+    script.go(1, 0.0, 0.05, -0.03);
+    assert_eq!(script.errors(), [], "it may still bounce");
+    script.rings[1].speed = 0.0;
+    script.go(1, 0.0, 0.05, -0.05).wait(0.5);
+    assert_eq!(script.errors(), [ErrorKind::DropOutOfReach]);
+    assert_eq!(script.exercise.lost(), 1);
+}
+
+#[test]
 fn changing_hands_on_the_board_is_no_hand_over() {
     let mut script = Script::new(Side::Left);
     let both = [Side::Left, Side::Right];

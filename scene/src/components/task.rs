@@ -34,6 +34,8 @@ pub struct TaskState {
     pub steps: u32,
     /// Time on the exercise's own clock \[s\].
     pub seconds: f64,
+    /// Whether the exercise has ended, however it went.
+    pub over: bool,
     /// Whether everything was done.
     pub completed: bool,
     /// Whether time ran out first.

@@ -112,7 +112,7 @@ impl Assembly {
         spec.stop_when = Some(StopWhen {
             every: STOP_CHECK,
             check: Arc::new(|scene| {
-                scene.iter::<TaskState>().any(|(_, task)| task.completed || task.cut_off)
+                scene.iter::<TaskState>().any(|(_, task)| task.over)
             }),
         });
         spec.faults = options.faults.clone().unwrap_or(spec.faults);

@@ -244,11 +244,10 @@ pub fn task_summary(scene: &Snapshot) -> TaskSummary {
         // Without an exercise there is nothing left undone.
         return TaskSummary { completed: true, ..TaskSummary::default() };
     };
-    let over = task.completed || task.cut_off;
     TaskSummary {
         completed: task.completed,
-        cut_off: !over,
-        score: if over { task.score } else { None },
+        cut_off: !task.over,
+        score: if task.over { task.score } else { None },
         seconds: task.seconds,
         errors: task
             .errors
