@@ -275,6 +275,7 @@ fn hands_and_tasks(formats: &mut Formats) {
             done: 3,
             steps: 12,
             seconds: 33.5,
+            over: true,
             completed: true,
             cut_off: true,
             score: Some(87.5),

@@ -25,6 +25,19 @@ fn an_expert_completes_the_exercise_within_the_physical_limits() {
 }
 
 #[test]
+fn with_a_ring_on_the_floor_the_exercise_ends_uncompleted_and_says_why() {
+    let app = app();
+    // Behind the boards and below them: in the camera's picture, but no shaft gets there.
+    let fallen = ("translation = [-0.068, -0.015, 0.0015]", "translation = [-0.008, 0.047, -0.0485]");
+    let outcome = finish(&app, &peg_transfer(&app, &[fallen]), &lockstep(1));
+    let task = &outcome.summary.task;
+    assert!(!task.completed && !task.cut_off, "{task:?}");
+    assert_eq!(task.errors[0].kind, "drop_out_of_reach", "{task:?}");
+    assert!(task.score.is_some_and(|score| score > 30.0), "the others went over and back: {task:?}");
+    assert!(outcome.summary.sim_secs < 150.0, "nobody waits for the ring: {} s", outcome.summary.sim_secs);
+}
+
+#[test]
 fn a_left_handed_expert_completes_the_mirrored_exercise() {
     let app = app();
     let mut options = lockstep(2);

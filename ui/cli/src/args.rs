@@ -34,6 +34,12 @@ pub enum Command {
     Graph(GraphArgs),
     /// Measure figures beside the floors of this machine
     Bench(BenchArgs),
+    /// Faults: show what a session survives by doing it
+    Faults {
+        /// What to do
+        #[command(subcommand)]
+        command: FaultsCommand,
+    },
     /// Look at this machine: what limits the rates, and how to mend it
     Doctor(DoctorArgs),
     /// Print a JSON schema
@@ -173,6 +179,27 @@ pub struct BenchArgs {
     /// The suite; see `trocar list suites`
     #[arg(default_value = "kernel")]
     pub suite: String,
+    /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `trocar faults`.
+#[derive(Debug, Subcommand)]
+pub enum FaultsCommand {
+    /// Kill, stall, unplug, corrupt and flood the peg transfer, and print what came of it beside its bars
+    Verify(VerifyArgs),
+}
+
+/// `trocar faults verify`.
+#[derive(Debug, Args)]
+pub struct VerifyArgs {
+    /// Only in virtual time: exact, the same on every machine
+    #[arg(long)]
+    pub lockstep: bool,
+    /// Only in real time: medians, and what becomes of the process itself
+    #[arg(long)]
+    pub live: bool,
     /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)
     #[arg(long)]
     pub json: bool,

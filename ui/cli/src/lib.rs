@@ -17,6 +17,7 @@ mod bench;
 mod doctor;
 mod escape;
 mod failure;
+mod faults;
 mod graph;
 mod list;
 mod live_table;
@@ -73,6 +74,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Replay(args) => replay::replay(app, &args),
         Command::Graph(args) => graph::graph(app, &args),
         Command::Bench(args) => bench::bench(&args),
+        Command::Faults { command } => faults::faults(&command),
         Command::Doctor(args) => doctor::doctor(&args),
         Command::Schema(args) => {
             let schema = match args.of {

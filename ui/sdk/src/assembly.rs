@@ -111,9 +111,7 @@ impl Assembly {
         spec.until = options.seconds.map(SimTime::from_secs_f64);
         spec.stop_when = Some(StopWhen {
             every: STOP_CHECK,
-            check: Arc::new(|scene| {
-                scene.iter::<TaskState>().any(|(_, task)| task.over)
-            }),
+            check: Arc::new(|scene| scene.iter::<TaskState>().any(|(_, task)| task.over)),
         });
         spec.faults = options.faults.clone().unwrap_or(spec.faults);
         for port in &ports {

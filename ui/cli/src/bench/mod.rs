@@ -1,7 +1,7 @@
 //! `trocar bench`: figures beside the floors of this machine.
 
 mod allocation;
-mod blocks;
+pub mod blocks;
 pub mod counting;
 mod exercise;
 
@@ -86,7 +86,7 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
     Ok(())
 }
 
-fn text(summary: &BenchSummary) -> String {
+pub fn text(summary: &BenchSummary) -> String {
     let machine = &summary.machine;
     let mut lines = vec![
         format!(

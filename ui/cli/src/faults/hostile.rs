@@ -1,0 +1,84 @@
+//! Controllers that misbehave, to show that nobody else suffers from it.
+
+use serde::{Deserialize, Serialize};
+use trocar_scene::{
+    Access, Commands, Component, Controller, ControllerError, Entity, EntitySet, Snapshot, Tick,
+};
+
+/// What the hostile controllers write on entities of their own.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct Nuisance(pub f64);
+impl Component for Nuisance {
+    const NAME: &'static str = "nuisance";
+}
+
+fn access() -> Access {
+    Access::new().writes::<Nuisance>(EntitySet::Own).spawns()
+}
+
+/// Returns an error on every tick.
+pub struct AlwaysFails;
+impl Controller for AlwaysFails {
+    fn access(&self) -> Access {
+        access()
+    }
+    fn tick(&mut self, _: &Tick<'_>, _: &Snapshot, _: &mut Commands) -> Result<(), ControllerError> {
+        Err(ControllerError::Failed("it never works".to_owned()))
+    }
+}
+
+/// Writes a number that is none on every tick.
+pub struct WritesNan;
+impl Controller for WritesNan {
+    fn access(&self) -> Access {
+        access()
+    }
+    fn tick(&mut self, tick: &Tick<'_>, _: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        out.put(tick.me, Nuisance(f64::NAN));
+        Ok(())
+    }
+}
+
+/// Spawns this many entities per tick and takes the last tick's away again.
+pub struct Floods {
+    per_tick: usize,
+    last: Vec<Entity>,
+}
+
+impl Floods {
+    /// `per_tick` spawns and as many despawns on each tick.
+    pub fn new(per_tick: usize) -> Self {
+        Self { per_tick, last: Vec::new() }
+    }
+}
+
+impl Controller for Floods {
+    fn access(&self) -> Access {
+        access()
+    }
+    fn tick(&mut self, _: &Tick<'_>, _: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        for entity in self.last.drain(..) {
+            out.despawn(entity);
+        }
+        for _ in 0..self.per_tick {
+            let entity = out.spawn();
+            out.put(entity, Nuisance(1.0));
+            self.last.push(entity);
+        }
+        Ok(())
+    }
+}
+
+/// Never returns from its first life's hundredth tick; later lives behave.
+pub struct NeverReturns;
+impl Controller for NeverReturns {
+    fn access(&self) -> Access {
+        access()
+    }
+    fn tick(&mut self, tick: &Tick<'_>, _: &Snapshot, _: &mut Commands) -> Result<(), ControllerError> {
+        while tick.epoch == 1 && tick.number >= 100 {
+            std::hint::spin_loop();
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,195 @@
+//! The fault table in real time: medians of at least twenty, beside what a bare thread needs.
+
+use std::sync::Arc;
+use std::sync::mpsc::channel;
+use std::time::{Duration, Instant};
+
+use trocar::app::{App, Blueprint};
+use trocar::assembly::Assembly;
+use trocar::run::{RunError, RunOptions};
+use trocar::session::{Finished, Session};
+use trocar::summary::{BenchResult, Better};
+use trocar_kernel::faults::{FaultPlan, FaultRow, secs};
+use trocar_kernel::spec::{MODEL, SessionSpec};
+use trocar_kernel::supervision::{Backoff, ChildSpec, GroupSpec, Intensity, Node, RuntimeClass};
+use trocar_scene::{Controller, SimTime};
+
+use super::hostile::{NeverReturns, Nuisance};
+use super::lockstep::{ACTORS, FORCE_MAX, SCENARIO};
+use crate::bench::blocks::median;
+use crate::failure::Failure;
+
+/// How often each fault strikes.
+const TIMES: usize = 20;
+/// Until then everybody has warmed up.
+const WARM: f64 = 2.0;
+/// Length of a run that is compared with another one \[s\].
+const COMPARED_SECS: f64 = 5.0;
+
+/// One row after another, with `tell` called before each.
+pub fn rows(tell: &mut dyn FnMut(&str)) -> Result<Vec<BenchResult>, Failure> {
+    let mut rows = Vec::new();
+    tell("live_bare_thread_restart");
+    let floor = median(&bare_restarts());
+    rows.push(BenchResult::on_value("live_bare_thread_restart_p50", "ms", floor, None, Better::Lower));
+    tell("live kills");
+    rows.extend(kills()?);
+    tell("live stalls");
+    rows.extend(stalls()?);
+    tell("live_endless_loop");
+    rows.extend(endless_loop()?);
+    Ok(rows)
+}
+
+/// What a bare thread needs from its panic until a replacement runs \[ms\].
+fn bare_restarts() -> Vec<f64> {
+    let once = || {
+        let (died, inbox) = channel();
+        let (up, answer) = channel();
+        let first = std::thread::spawn(move || {
+            let begun = Instant::now();
+            // No message: the hook would print it, and printing is not what is measured.
+            let _ = std::panic::catch_unwind(|| std::panic::resume_unwind(Box::new(())));
+            let _ = died.send(begun);
+        });
+        let begun = inbox.recv().ok()?;
+        let second = std::thread::spawn(move || up.send(Instant::now()));
+        let resumed = answer.recv().ok()?;
+        let _ = (first.join(), second.join());
+        Some((resumed - begun).as_secs_f64() * 1e3)
+    };
+    (0..TIMES).filter_map(|_| once()).collect()
+}
+
+/// Every actor is killed again and again, all in one session.
+fn kills() -> Result<Vec<BenchResult>, Failure> {
+    let gap = 0.06;
+    let mut plan = FaultPlan::new(1);
+    for time in 0..TIMES {
+        for (index, (actor, _, _)) in ACTORS.iter().enumerate() {
+            plan = plan.at(secs(WARM + gap * (time * ACTORS.len() + index) as f64)).kill(actor);
+        }
+    }
+    let seconds = WARM + gap * (TIMES * ACTORS.len()) as f64 + 1.0;
+    let finished = run(&App::new(), plan, seconds)?;
+    let mut rows = Vec::new();
+    for (actor, _, _) in ACTORS {
+        let figures = figures(&finished, actor, |row| (row.injected, row.resumed));
+        let name = format!("live_kill_{actor}_resumed_p50");
+        rows.push(BenchResult::on_value(name, "ms", median(&figures), Some(10.0), Better::Lower));
+    }
+    let force = (finished.force_newtons_max, 0.0);
+    rows.push(BenchResult::on_value("live_kills_force_max", "N", force, Some(FORCE_MAX), Better::Lower));
+    Ok(rows)
+}
+
+/// Every actor hangs for 300 ms again and again; its replacement has taken over long before.
+fn stalls() -> Result<Vec<BenchResult>, Failure> {
+    let (gap, span) = (0.5, 0.3);
+    let stalled = || ACTORS.iter().filter(|(name, _, _)| *name != MODEL);
+    let mut plan = FaultPlan::new(1);
+    for time in 0..TIMES {
+        for (index, (actor, _, _)) in stalled().enumerate() {
+            // All of them within one gap: threads that hang do not keep each other from being seen.
+            let at = WARM + gap * time as f64 + 0.02 * index as f64;
+            plan = plan.at(secs(at)).lasting(secs(span)).stall(actor);
+        }
+    }
+    let finished = run(&App::new(), plan, WARM + gap * TIMES as f64 + 1.0)?;
+    let mut rows = Vec::new();
+    for (actor, class, rate_hz) in stalled() {
+        let figures = figures(&finished, actor, |row| (row.injected, row.detected));
+        let limit = ChildSpec::new(*actor, *class, *rate_hz).heartbeat_limit.as_secs_f64();
+        let bar = (limit + 1.0 / rate_hz) * 1e3;
+        let name = format!("live_stall_{actor}_detected_p50");
+        rows.push(BenchResult::on_value(name, "ms", median(&figures), Some(bar), Better::Lower));
+    }
+    rows.push(BenchResult::on_value(
+        "live_zombie_forces_refused",
+        "commands",
+        (finished.commands_refused as f64, 0.0),
+        None,
+        Better::Higher,
+    ));
+    let force = (finished.force_newtons_max, 0.0);
+    rows.push(BenchResult::on_value("live_stalls_force_max", "N", force, Some(FORCE_MAX), Better::Lower));
+    Ok(rows)
+}
+
+fn figures(
+    finished: &Finished,
+    actor: &str,
+    span: fn(&FaultRow) -> (Option<SimTime>, Option<SimTime>),
+) -> Vec<f64> {
+    let rows = finished.outcome.faults.iter().filter(|row| row.target == actor);
+    rows.map(|row| match span(row) {
+        (Some(from), Some(to)) => to.since(from).as_secs_f64() * 1e3,
+        // It never came: as long as a fault can matter at all.
+        _ => 1e4,
+    })
+    .collect()
+}
+
+/// What a controller in an endless loop at real-time priority costs the two hands.
+fn endless_loop() -> Result<Vec<BenchResult>, Failure> {
+    let (mut costs, mut replaced) = (Vec::new(), true);
+    for _ in 0..3 {
+        let alone = run(&App::new(), FaultPlan::new(1), COMPARED_SECS)?;
+        let app = App::new().component::<Nuisance>().kind("loops", Arc::new(|_| Ok(loops())));
+        let beside = run(&app.joins("loops", 100.0), FaultPlan::new(1), COMPARED_SECS)?;
+        costs.push((worst_on_time(&alone) - worst_on_time(&beside)) * 100.0);
+        let row = beside.outcome.controllers.iter().find(|row| row.name == "loops");
+        replaced &= row.is_some_and(|row| row.restarts == 1) && beside.outcome.zombies == 1;
+    }
+    let (cost, spread) = median(&costs);
+    let cost = (cost.max(0.0), spread.abs());
+    let mut row =
+        BenchResult::on_value("live_endless_loop_on_time_lost", "points", cost, Some(2.0), Better::Lower);
+    row.holds &= replaced;
+    Ok(vec![row])
+}
+
+fn loops() -> Blueprint {
+    Blueprint {
+        class: RuntimeClass::Collision,
+        factory: Arc::new(|_| Ok(Box::new(NeverReturns) as Box<dyn Controller>)),
+        fences: Vec::new(),
+        arrange: None,
+    }
+}
+
+/// On-time share of the worse hand.
+fn worst_on_time(finished: &Finished) -> f64 {
+    let hands = finished.outcome.controllers.iter().filter(|row| row.name.starts_with("haptics."));
+    hands.map(|row| row.on_time).fold(1.0, f64::min)
+}
+
+fn run(app: &App, plan: FaultPlan, seconds: f64) -> Result<Finished, Failure> {
+    let scenario = app.scenario(SCENARIO)?;
+    let options = RunOptions { seconds: Some(seconds), faults: Some(plan), ..RunOptions::default() };
+    let mut assembly = Assembly::new(app, &scenario, &options).map_err(RunError::from)?;
+    endure(&mut assembly.spec);
+    let mut session = Session::live(assembly)?;
+    session.run_until(SimTime::from_secs_f64(seconds));
+    let finished = session.finish();
+    if finished.outcome.code != 0 {
+        let reason = finished.outcome.reason.unwrap_or_default();
+        return Err(Failure::internal(format!("the session gave up: {reason}")));
+    }
+    // Threads that were left behind come to their end before the next session measures anything.
+    std::thread::sleep(Duration::from_millis(400));
+    Ok(finished)
+}
+
+/// A tree that takes a hundred deaths in a row without a pause: what is measured is the restart itself.
+fn endure(spec: &mut SessionSpec) {
+    let mut tree = GroupSpec::default_tree(spec.children());
+    for node in &mut tree.children {
+        if let Node::Group(group) = node {
+            group.intensity = Intensity { restarts: 1_000, period: SimTime::from_millis(10_000) };
+            group.backoff = Backoff { base: SimTime::ZERO, max: SimTime::ZERO, ..Backoff::default() };
+        }
+    }
+    spec.tree = Some(tree);
+    spec.zombies_max = 64;
+}
