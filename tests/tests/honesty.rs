@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use trocar::app::{AppBuilder, Blueprint};
+use trocar::app::{AppBuilder, Blueprint, KindInfo};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, HandTarget, Pose,
@@ -73,7 +73,7 @@ fn app_with_cheat(declares_it: bool) -> trocar::app::App {
             arrange: None,
         })
     };
-    builder.kind("cheat", Arc::new(kind)).expect("a new kind").build().expect("an app")
+    builder.kind("cheat", KindInfo::new("cheats", 100.0), Arc::new(kind)).expect("a new kind").build()
 }
 
 #[test]

@@ -18,7 +18,8 @@ use serde::de::value::Error as ValueError;
 use trocar::app::{App, SCENARIOS};
 use trocar::run::RunOptions;
 use trocar_devices::{
-    DeviceSpec, JigsawsSelection, JigsawsSide, JigsawsSource, StartTime, read_hand_csv_from, read_jigsaws_from,
+    DeviceSpec, JigsawsSelection, JigsawsSide, JigsawsSource, StartTime, read_hand_csv_from,
+    read_jigsaws_from,
 };
 use trocar_input::Skill;
 use trocar_kernel::faults::FaultPlan;
@@ -220,7 +221,11 @@ fn recordings() -> Vec<Vec<u8>> {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("wall.mcap");
     let record = Some(file.clone());
-    finish(&app, &scenario, &RunOptions { lockstep: true, seconds: Some(0.05), record, ..RunOptions::default() });
+    finish(
+        &app,
+        &scenario,
+        &RunOptions { lockstep: true, seconds: Some(0.05), record, ..RunOptions::default() },
+    );
     let whole = std::fs::read(&file).expect("written");
     let mut unchecked = whole.clone();
     clear_checksums(&mut unchecked);

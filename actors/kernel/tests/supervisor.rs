@@ -442,10 +442,8 @@ fn a_sibling_that_does_not_stop_is_abandoned_at_its_limit_and_replaced() {
 fn shutdown_zeroes_forces_first_and_ends_in_time_whatever_hangs() {
     let model = ChildSpec::new("model", RuntimeClass::Model, 0.0);
     let hands = GroupSpec::new("hands", Strategy::OneForOne).child(spec("b")).child(spec("c"));
-    let root = GroupSpec::new("root", Strategy::RestForOne)
-        .with_intensity(5, ms(300_000))
-        .child(model)
-        .group(hands);
+    let root =
+        GroupSpec::new("root", Strategy::RestForOne).with_intensity(5, ms(300_000)).child(model).group(hands);
     let mut rig = Rig::with(root, 2, &[A, B, C], &[]);
     rig.take();
     rig.at(1_000, Event::ShutdownRequested { code: 0 });
@@ -611,7 +609,10 @@ fn a_tree_that_would_never_give_up_is_refused_by_name() {
     let patient = Backoff { max: ms(10_000), factor: 10.0, ..Backoff::default() };
     let flat = three(Strategy::OneForOne).with_backoff(patient);
     let error = Supervisor::new(flat.clone(), 0, 1).err().expect("5 restarts take 12 s");
-    assert!(matches!(&error, TreeError::NeverGivesUp { group, restarts: 5, .. } if group == "root"), "{error}");
+    assert!(
+        matches!(&error, TreeError::NeverGivesUp { group, restarts: 5, .. } if group == "root"),
+        "{error}"
+    );
     assert!(error.to_string().contains("period"), "{error}");
     assert!(Supervisor::new(flat.with_intensity(5, ms(30_000)), 0, 1).is_ok());
 

@@ -47,6 +47,22 @@ pub struct Blueprint {
 /// Writes to the scene as the scenario has spawned it.
 pub type Arrange = Box<dyn FnOnce(&Snapshot, &mut Commands)>;
 
+/// What people are told about a kind of controller.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KindInfo {
+    /// What it does, in a line.
+    pub about: String,
+    /// The rate at which it is usually run \[Hz\]; the scenario decides.
+    pub rate_hz: f64,
+}
+
+impl KindInfo {
+    /// A line about it, and its usual rate \[Hz\].
+    pub fn new(about: impl Into<String>, rate_hz: f64) -> Self {
+        Self { about: about.into(), rate_hz }
+    }
+}
+
 /// Makes the blueprint of one kind of controller.
 pub type Kind = Arc<dyn Fn(&KindContext<'_>) -> Result<Blueprint, ScenarioError> + Send + Sync>;
 
@@ -75,7 +91,7 @@ pub enum AppError {
 /// Components and kinds of controllers: Trocar's own, and those that a program adds.
 pub struct App {
     registry: Arc<Registry>,
-    kinds: BTreeMap<String, Kind>,
+    kinds: BTreeMap<String, (KindInfo, Kind)>,
 }
 
 impl App {
@@ -84,19 +100,23 @@ impl App {
     /// # Errors
     /// Never in a release: the standard names are distinct, which a test holds.
     pub fn standard() -> Result<Self, AppError> {
-        AppBuilder::standard()?.build()
+        Ok(AppBuilder::standard()?.build())
     }
     /// The components.
     pub fn registry(&self) -> &Arc<Registry> {
         &self.registry
     }
-    /// Names of the kinds of controllers.
+    /// Names of the kinds of controllers, in order.
     pub fn kinds(&self) -> impl Iterator<Item = &str> {
         self.kinds.keys().map(String::as_str)
     }
+    /// What people are told about the kind of that name.
+    pub fn kind_info(&self, name: &str) -> Option<&KindInfo> {
+        self.kinds.get(name).map(|(info, _)| info)
+    }
     /// The kind of that name.
     pub(crate) fn kind(&self, name: &str) -> Option<&Kind> {
-        self.kinds.get(name)
+        self.kinds.get(name).map(|(_, kind)| kind)
     }
     /// Loads a scenario: a name that comes with the program, or a file.
     ///
@@ -121,7 +141,7 @@ impl App {
 /// Puts an [`App`] together.
 pub struct AppBuilder {
     registry: RegistryBuilder,
-    kinds: BTreeMap<String, Kind>,
+    kinds: BTreeMap<String, (KindInfo, Kind)>,
 }
 
 impl AppBuilder {
@@ -136,8 +156,8 @@ impl AppBuilder {
         trocar_tasks::register(&mut registry)?;
         trocar_input::register(&mut registry)?;
         let mut builder = Self { registry, kinds: BTreeMap::new() };
-        for (name, kind) in kinds::standard() {
-            builder = builder.kind(name, kind)?;
+        for (name, info, kind) in kinds::standard() {
+            builder = builder.kind(name, info, kind)?;
         }
         Ok(builder)
     }
@@ -153,19 +173,16 @@ impl AppBuilder {
     ///
     /// # Errors
     /// When its name is taken.
-    pub fn kind(mut self, name: impl Into<String>, kind: Kind) -> Result<Self, AppError> {
+    pub fn kind(mut self, name: impl Into<String>, info: KindInfo, kind: Kind) -> Result<Self, AppError> {
         let name = name.into();
         if self.kinds.contains_key(&name) {
             return Err(AppError::KindTaken(name));
         }
-        self.kinds.insert(name, kind);
+        self.kinds.insert(name, (info, kind));
         Ok(self)
     }
     /// Fixes it.
-    ///
-    /// # Errors
-    /// None today; the signature leaves room for checks across kinds.
-    pub fn build(self) -> Result<App, AppError> {
-        Ok(App { registry: self.registry.build(), kinds: self.kinds })
+    pub fn build(self) -> App {
+        App { registry: self.registry.build(), kinds: self.kinds }
     }
 }
