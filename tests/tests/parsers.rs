@@ -25,7 +25,7 @@ use trocar_input::Skill;
 use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::recorder::{Item, Recording, RecordingError, Replay};
 use trocar_scene::scenario::{Scenario, ScenarioError};
-use trocar_scene::{DeviceState, Entity};
+use trocar_scene::{Commands, DeviceState, Entity, EntityAllocator};
 use trocar_tests::{app, edited, finish};
 
 type Checked = Result<(), TestCaseError>;
@@ -285,6 +285,44 @@ fn check_recording(bytes: &[u8]) -> Checked {
     })
 }
 
+/// One value of every component that a peg transfer has on its way: its NAME and its bytes.
+fn components() -> Vec<(&'static str, Vec<u8>)> {
+    APP.with(|app| {
+        let options = RunOptions { lockstep: true, seconds: Some(0.05), ..RunOptions::default() };
+        let scene = finish(app, &edited(app, "peg-transfer", &[]), &options).kernel.snapshot;
+        let registry = app.registry();
+        let mut found = Vec::new();
+        for (id, entry) in registry.iter() {
+            let (mut first, mut bytes) = (None, Vec::new());
+            let column = scene.erased_column(id);
+            column.for_each_entity(&mut |entity| first = first.or(Some(entity)));
+            if first.is_some_and(|entity| column.encode_row(entity, &mut bytes).expect("encodes")) {
+                found.push((entry.name, bytes));
+            }
+        }
+        assert!(found.len() >= 15, "{} components", found.len());
+        found
+    })
+}
+
+/// A row, its place in the buffer for commands, and what it holds: the largest values are states of controllers.
+const COMPONENT: Bound = Bound { per_byte: 128, always: 64 << 10 };
+
+fn check_component(name: &str, bytes: &[u8]) -> Checked {
+    APP.with(|app| {
+        let registry = app.registry();
+        let id = registry.by_name(name).expect("registered");
+        let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, 1));
+        let (read, peak) = peak_of(|| {
+            registry.put_postcard(id, &mut commands, Entity::new(0, 1, 1), bytes).map(<[u8]>::len)
+        });
+        COMPONENT.holds(peak, bytes.len())?;
+        prop_assert_eq!(read.is_ok(), !commands.is_empty());
+        prop_assert!(commands.puts().all(|(_, puts)| puts.check().is_ok()), "{}", name);
+        Ok(())
+    })
+}
+
 fn lossy(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
@@ -352,6 +390,19 @@ proptest! {
         if let Ok(entity) = text.parse::<Entity>() {
             prop_assert_eq!(entity.to_string().parse(), Ok(entity));
         }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(1_000) })]
+
+    #[test]
+    fn components_of_the_program(
+        (name, bytes) in select(components()).prop_flat_map(|(name, bytes)| (Just(name), mutated(vec![bytes]))),
+        noise in prop::collection::vec(any::<u8>(), 0..200),
+    ) {
+        check_component(name, &bytes)?;
+        check_component(name, &noise)?;
     }
 }
 

@@ -1,6 +1,9 @@
 //! The guarantees of the supervisor tree, one test each, named for what OTP promises and for what a
 //! shared address space adds.
 
+mod rig;
+
+use rig::{Rig, ms};
 use trocar_kernel::supervision::{
     Action, Backoff, Cause, ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Restart,
     RuntimeClass, Strategy, Supervisor, TreeError,
@@ -10,10 +13,6 @@ use trocar_scene::SimTime;
 const A: ChildId = ChildId(0);
 const B: ChildId = ChildId(1);
 const C: ChildId = ChildId(2);
-
-fn ms(millis: u64) -> SimTime {
-    SimTime::from_millis(millis)
-}
 
 fn spec(id: &str) -> ChildSpec {
     ChildSpec::new(id, RuntimeClass::Haptics, 1000.0)
@@ -28,57 +27,7 @@ fn three(strategy: Strategy) -> GroupSpec {
     GroupSpec::new("root", strategy).with_backoff(prompt()).child(spec("a")).child(spec("b")).child(spec("c"))
 }
 
-/// A supervisor whose driver starts and stops children at once, and that remembers what it was ordered.
-struct Rig {
-    tree: Supervisor,
-    log: Vec<Action>,
-    now: SimTime,
-    /// Children that never answer an order to stop.
-    deaf: Vec<ChildId>,
-    /// Children whose construction is not answered.
-    slow_starters: Vec<ChildId>,
-}
-
 impl Rig {
-    fn new(root: GroupSpec) -> Self {
-        Self::with(root, 2, &[], &[])
-    }
-    fn with(root: GroupSpec, zombies_max: u32, deaf: &[ChildId], slow_starters: &[ChildId]) -> Self {
-        let tree = Supervisor::new(root, 7, zombies_max).expect("a valid tree");
-        let mut rig = Self {
-            tree,
-            log: Vec::new(),
-            now: SimTime::ZERO,
-            deaf: deaf.to_vec(),
-            slow_starters: slow_starters.to_vec(),
-        };
-        rig.at(0, Event::Tick);
-        rig
-    }
-    fn at(&mut self, millis: u64, event: Event) {
-        self.at_time(ms(millis), event);
-    }
-    fn at_time(&mut self, now: SimTime, event: Event) {
-        self.now = now;
-        let mut queue = vec![event];
-        while let Some(event) = queue.pop() {
-            let mut out = Vec::new();
-            self.tree.apply(event, self.now, &mut out);
-            for action in &out {
-                match *action {
-                    Action::Start { child, incarnation, .. } if !self.slow_starters.contains(&child) => {
-                        queue.push(Event::Started { child, incarnation });
-                    }
-                    Action::Stop { child } if !self.deaf.contains(&child) => {
-                        let incarnation = self.tree.incarnation(child);
-                        queue.push(Event::Died { child, incarnation, cause: Cause::Stop });
-                    }
-                    _ => {}
-                }
-            }
-            self.log.extend(out);
-        }
-    }
     fn died(&mut self, millis: u64, child: ChildId, cause: Cause) {
         let incarnation = self.tree.incarnation(child);
         self.at(millis, Event::Died { child, incarnation, cause });
@@ -533,97 +482,6 @@ fn the_default_tree_isolates_the_model_and_orders_the_groups() {
         rig.at(10_100 + n, Event::Tick);
     }
     assert_eq!(rig.tree.exit_code(), None);
-}
-
-/// A child of each default group, beside a Model that never fails.
-fn default_tree(class: RuntimeClass) -> (GroupSpec, ChildId) {
-    let child = ChildSpec::new("child", class, 100.0);
-    if class == RuntimeClass::Model {
-        return (GroupSpec::default_tree([child]), ChildId(0));
-    }
-    let model = ChildSpec::new("model", RuntimeClass::Model, 0.0);
-    (GroupSpec::default_tree([model, child]), ChildId(1))
-}
-
-const CLASSES: [RuntimeClass; 9] = [
-    RuntimeClass::Driver,
-    RuntimeClass::Watchdog,
-    RuntimeClass::Model,
-    RuntimeClass::Haptics,
-    RuntimeClass::Collision,
-    RuntimeClass::Simulation,
-    RuntimeClass::Task,
-    RuntimeClass::Network,
-    RuntimeClass::Recorder,
-];
-
-/// Fails whenever it is up, `after` its start, until `until` or until the tree gives up.
-fn keeps_failing(rig: &mut Rig, child: ChildId, after: SimTime, until: SimTime) {
-    while rig.now < until && rig.tree.exit_code().is_none() {
-        let incarnation = rig.tree.incarnation(child);
-        let cause = Cause::Panic("boom".to_owned());
-        rig.at_time(rig.now + after, Event::Died { child, incarnation, cause });
-        while rig.tree.exit_code().is_none() && rig.tree.incarnation(child) == incarnation {
-            let due = rig.tree.next_deadline(rig.now).expect("a pause before the restart");
-            rig.at_time(due, Event::Tick);
-        }
-    }
-}
-
-#[test]
-fn a_child_that_always_fails_escalates_under_every_default_group() {
-    for class in CLASSES {
-        let limit = ms(if class == RuntimeClass::Network { 240_000 } else { 60_000 });
-        let (root, child) = default_tree(class);
-        let mut rig = Rig::new(root);
-        keeps_failing(&mut rig, child, SimTime::ZERO, limit);
-        assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP), "{class:?} within {limit}");
-
-        // Slow failures have driven the pauses to their longest, so slowly that nothing escalated: when it then
-        // fails at once, it still does not go on for ever.
-        let (root, child) = default_tree(class);
-        let mut rig = Rig::new(root);
-        let slow = ms(if class == RuntimeClass::Network { 15_000 } else { 3_000 });
-        keeps_failing(&mut rig, child, slow, ms(600_000));
-        assert_eq!(rig.tree.exit_code(), None, "{class:?} fails too rarely to escalate");
-        let until = rig.now + limit;
-        keeps_failing(&mut rig, child, SimTime::ZERO, until);
-        assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP), "{class:?} within {limit} of long pauses");
-    }
-}
-
-#[test]
-fn a_child_that_fails_once_a_minute_is_restarted_for_ever() {
-    for class in CLASSES {
-        let (root, child) = default_tree(class);
-        let mut rig = Rig::new(root);
-        let day = ms(24 * 3_600_000);
-        keeps_failing(&mut rig, child, ms(60_000), day);
-        assert_eq!(rig.tree.exit_code(), None, "{class:?}");
-        assert!(rig.tree.restarts(child) > 24 * 55, "{class:?}: {}", rig.tree.restarts(child));
-    }
-}
-
-#[test]
-fn a_tree_that_would_never_give_up_is_refused_by_name() {
-    let patient = Backoff { max: ms(10_000), factor: 10.0, ..Backoff::default() };
-    let flat = three(Strategy::OneForOne).with_backoff(patient);
-    let error = Supervisor::new(flat.clone(), 0, 1).err().expect("5 restarts take 12 s");
-    assert!(
-        matches!(&error, TreeError::NeverGivesUp { group, restarts: 5, .. } if group == "root"),
-        "{error}"
-    );
-    assert!(error.to_string().contains("period"), "{error}");
-    assert!(Supervisor::new(flat.with_intensity(5, ms(30_000)), 0, 1).is_ok());
-
-    // Each group for itself is fine, but the root never counts six groups that gave up in its 10 s.
-    let inner = || GroupSpec::new("hands", Strategy::OneForOne).child(spec("a"));
-    let nested = GroupSpec::new("root", Strategy::OneForOne).group(inner());
-    let error = Supervisor::new(nested.clone(), 0, 1).err().expect("never");
-    assert!(matches!(&error, TreeError::NeverGivesUp { group, .. } if group == "root"), "{error}");
-    let mut rig = Rig::new(nested.with_intensity(5, ms(300_000)));
-    keeps_failing(&mut rig, A, SimTime::ZERO, ms(300_000));
-    assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP));
 }
 
 #[test]

@@ -166,7 +166,7 @@ impl TickStats {
     }
 }
 
-/// How one controller kept its rate: a row of `controllers[]` in the machine-readable report.
+/// How one controller kept its rate.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "ControllerSummary")]
