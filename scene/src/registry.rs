@@ -28,6 +28,7 @@ type PutDocument = fn(
 type PutPostcard = for<'a> fn(&mut Commands, Entity, &'a [u8]) -> Result<&'a [u8], ComponentError>;
 
 /// What the registry knows of one component.
+#[derive(Clone)]
 pub struct ComponentEntry {
     /// Stable name.
     pub name: &'static str,
@@ -101,7 +102,7 @@ impl Hasher for TypeIdHasher {
 }
 
 /// Collects components before a session starts.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct RegistryBuilder {
     entries: BTreeMap<&'static str, ComponentEntry>,
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use trocar::app::{AppBuilder, Blueprint, KindInfo};
+use trocar::app::Blueprint;
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, HandTarget, Pose,
@@ -58,7 +58,6 @@ impl Controller for Cheat {
 }
 
 fn app_with_cheat(declares_it: bool) -> trocar::app::App {
-    let builder = AppBuilder::standard().expect("standard");
     let kind = move |_: &trocar::app::KindContext<'_>| {
         Ok(Blueprint {
             class: RuntimeClass::Task,
@@ -73,7 +72,7 @@ fn app_with_cheat(declares_it: bool) -> trocar::app::App {
             arrange: None,
         })
     };
-    builder.kind("cheat", KindInfo::new("cheats", 100.0), Arc::new(kind)).expect("a new kind").build()
+    trocar::app::App::new().kind("cheat", Arc::new(kind))
 }
 
 #[test]

@@ -16,6 +16,7 @@ use serde::Deserialize;
 use serde::de::IntoDeserializer;
 use serde::de::value::Error as ValueError;
 use trocar::app::{App, SCENARIOS};
+use trocar::plans::PLANS;
 use trocar::run::RunOptions;
 use trocar_devices::{
     DeviceSpec, JigsawsSelection, JigsawsSide, JigsawsSource, StartTime, read_hand_csv_from,
@@ -119,6 +120,11 @@ force_newtons_max = 3.3
 model_restarts_max = 0
 task_completed = true
 "#;
+
+fn plans() -> Vec<Vec<u8>> {
+    let ready = PLANS.iter().map(|(_, text)| *text);
+    ready.chain([PLAN]).map(|text| text.as_bytes().to_vec()).collect()
+}
 
 fn check_plan(text: &str) -> Checked {
     let (parsed, peak) = peak_of(|| FaultPlan::parse(text, "hostile.toml"));
@@ -348,7 +354,7 @@ proptest! {
     #[test]
     fn fault_plan_toml(
         text in prop_oneof![
-            3 => mutated(vec![PLAN.as_bytes().to_vec()]).prop_map(|bytes| lossy(&bytes)),
+            3 => mutated(plans()).prop_map(|bytes| lossy(&bytes)),
             1 => words("(schema = 1\n|\\[\\[fault\\]\\]\n|at_secs = |target = \"a\"\n|kind = \"(kill|drop|slow)\"\n|[0-9.e-]{1,5}|\n|nan|inf)"),
             1 => "\\PC{0,200}",
         ],
@@ -429,7 +435,9 @@ fn what_the_mutations_start_from_is_valid() {
         for text in scenarios() {
             Scenario::parse("a.toml".as_ref(), &lossy(&text), app.registry()).expect("valid");
         }
-        FaultPlan::parse(PLAN, "a.toml").expect("valid");
+        for text in plans() {
+            FaultPlan::parse(&lossy(&text), "a.toml").expect("valid");
+        }
         read_hand_csv_from(HAND.as_bytes(), "a.csv", StartTime::File).expect("valid");
         let selection = JigsawsSelection { side: JigsawsSide::Left, source: JigsawsSource::Slave };
         read_jigsaws_from(jigsaws().as_bytes(), "a.txt", selection).expect("valid");

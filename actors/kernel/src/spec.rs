@@ -233,6 +233,8 @@ pub struct SessionOutcome {
     pub faults: Vec<FaultRow>,
     /// What failed, in order.
     pub incidents: Vec<Incident>,
+    /// Who was held for failing too often, and why.
+    pub held: Vec<(String, String)>,
     /// Threads that had to be abandoned and never ended.
     pub zombies: u32,
     /// Whether the recording has everything; `None` without a recorder.

@@ -218,6 +218,60 @@ fn escalation_reaches_the_root_when_every_level_is_exhausted() {
 }
 
 #[test]
+fn a_child_that_fails_too_often_is_held_and_the_others_run_on() {
+    let root = three(Strategy::RestForOne).with_intensity(2, ms(1_000)).holding();
+    let mut rig = Rig::new(root);
+    for at in [10, 20, 30] {
+        rig.panics(at, B);
+    }
+    assert_eq!(
+        (rig.health(A), rig.health(B), rig.health(C)),
+        (Health::Healthy, Health::Held, Health::Healthy)
+    );
+    assert!(rig.tree.exit_code().is_none() && rig.tree.is_up());
+    let given_up = rig.tree.given_up();
+    assert_eq!(given_up[0].0, "b");
+    assert!(given_up[0].1.contains("more than 2 restarts") && given_up[0].1.contains("boom"), "{given_up:?}");
+    // Its siblings begin with a clean sheet, and it stays where it is when they fail.
+    let lives = rig.lives();
+    rig.panics(40, A);
+    assert_eq!(rig.health(B), Health::Held);
+    assert_eq!(rig.lives()[1], lives[1]);
+    // Whoever holds it may let it go again.
+    rig.at(50, Event::Held { child: B, held: false });
+    assert_eq!(rig.health(B), Health::Healthy);
+    assert!(rig.tree.given_up().is_empty());
+    assert_eq!(rig.lives()[1], lives[1] + 1);
+}
+
+#[test]
+fn the_default_tree_holds_everybody_but_the_model() {
+    let classes = [
+        RuntimeClass::Model,
+        RuntimeClass::Haptics,
+        RuntimeClass::Simulation,
+        RuntimeClass::Task,
+        RuntimeClass::Network,
+        RuntimeClass::Recorder,
+    ];
+    for (index, class) in classes.into_iter().enumerate() {
+        let children = classes.map(|class| ChildSpec::new(format!("{class:?}"), class, 100.0));
+        let mut rig = Rig::new(GroupSpec::default_tree(children));
+        let child = rig.tree.find(&format!("{class:?}")).expect("a child");
+        let mut now = 0;
+        for _ in 0..200 {
+            // The pauses of the back-off, and a millisecond.
+            now = rig.tree.next_deadline(ms(now)).map_or(now, |at| at.as_nanos() / 1_000_000) + 1;
+            rig.at(now, Event::Tick);
+            rig.panics(now, child);
+        }
+        let held = rig.health(child) == Health::Held;
+        assert_eq!(held, index > 0, "{class:?}: {:?}", rig.health(child));
+        assert_eq!(rig.tree.exit_code().is_some(), index == 0, "{class:?}");
+    }
+}
+
+#[test]
 fn the_first_restart_is_immediate_and_later_ones_back_off_up_to_a_limit() {
     let backoff = Backoff { base: ms(10), factor: 2.0, max: ms(30), jitter: 0.0, reset_after: ms(1_000) };
     let mut rig = Rig::new(three(Strategy::OneForOne).with_backoff(backoff).with_intensity(100, ms(100_000)));

@@ -80,9 +80,10 @@ pub struct RunArgs {
     /// Virtual time on one thread, as fast as it goes: the same seed gives the same bits
     #[arg(long)]
     pub lockstep: bool,
-    /// Fault plan: what shall go wrong, and what must hold all the same
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
-    pub faults: Option<PathBuf>,
+    /// Fault plan: what shall go wrong, and what must hold all the same; a name (see `trocar list plans`)
+    /// or a TOML file
+    #[arg(long, value_name = "PLAN", value_hint = ValueHint::FilePath)]
+    pub faults: Option<String>,
     /// Recording (MCAP) [default: SCENARIO.mcap]
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub record: Option<PathBuf>,
@@ -121,6 +122,8 @@ pub enum Listed {
     Components,
     /// Devices that a hand can have.
     Devices,
+    /// Ready fault plans.
+    Plans,
     /// Suites of `trocar bench`.
     Suites,
 }

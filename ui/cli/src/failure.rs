@@ -60,7 +60,7 @@ impl From<AppError> for Failure {
                 Self::invalid(format!("{error}{}", did_you_mean(name, names)))
             }
             AppError::Scenario(_) => Self::invalid(error),
-            AppError::Registry(_) | AppError::KindTaken(_) => Self::internal(error),
+            AppError::Setup(_) => Self::internal(error),
         }
     }
 }

@@ -16,8 +16,7 @@ use crate::report::short;
 use crate::{output, run};
 
 /// Draws a scenario.
-pub fn graph(args: &GraphArgs) -> Result<Exit, Failure> {
-    let app = App::standard()?;
+pub fn graph(app: &App, args: &GraphArgs) -> Result<Exit, Failure> {
     let scenario = app.scenario(&args.session.scenario)?;
     let options = run::options(&args.session)?;
     let mut graph = match args.after {
@@ -25,11 +24,11 @@ pub fn graph(args: &GraphArgs) -> Result<Exit, Failure> {
             let options = RunOptions { seconds: Some(seconds), ..options };
             let mut display = Display::new(&scenario, &options, false);
             let outcome =
-                trocar::run::run(&app, &scenario, &options, &mut |progress| display.update(progress));
+                trocar::run::run(app, &scenario, &options, &mut |progress| display.update(progress));
             display.clear();
             outcome?.graph
         }
-        None => declared(&app, &scenario, &options)?,
+        None => declared(app, &scenario, &options)?,
     };
     add_devices(&mut graph, &scenario);
     match args.format {

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use serde::Serialize;
 use serde_json::{Value, json};
 use trocar::app::{App, SCENARIOS};
+use trocar::plans::{self, PLANS};
 use trocar::run::{RunOptions, accesses};
 use trocar::summary::{Exit, SCHEMA};
 
@@ -33,8 +34,8 @@ struct Listing {
 /// How a kind of controller takes part.
 #[derive(Serialize)]
 struct Usage {
-    /// Usual rate \[Hz\].
-    rate_hz: f64,
+    /// Usual rate \[Hz\]; null when nobody said it.
+    rate_hz: Option<f64>,
     /// NAMEs of components, in order.
     reads: Vec<String>,
     /// NAMEs of components, contributions included, in order.
@@ -61,7 +62,7 @@ impl Listing {
         let mut lines = vec![format!("  {:<width$}  {}", self.name, self.about).trim_end().to_owned()];
         if let Some(usage) = &self.controller {
             let indent = " ".repeat(width + 4);
-            lines.push(format!("{indent}usually at {} Hz", short(usage.rate_hz)));
+            lines.extend(usage.rate_hz.map(|hz| format!("{indent}usually at {} Hz", short(hz))));
             for (verb, names) in [("reads", &usage.reads), ("writes", &usage.writes)] {
                 if !names.is_empty() {
                     lines.push(format!("{indent}{verb} {}", names.join(", ")));
@@ -73,15 +74,21 @@ impl Listing {
 }
 
 /// Prints the lists.
-pub fn list(args: &ListArgs) -> Result<Exit, Failure> {
-    let app = App::standard()?;
-    let all = [Listed::Scenarios, Listed::Controllers, Listed::Components, Listed::Devices, Listed::Suites];
+pub fn list(app: &App, args: &ListArgs) -> Result<Exit, Failure> {
+    let all = [
+        Listed::Scenarios,
+        Listed::Controllers,
+        Listed::Components,
+        Listed::Devices,
+        Listed::Plans,
+        Listed::Suites,
+    ];
     let wanted: Vec<Listed> =
         all.into_iter().filter(|list| args.what.is_none_or(|what| what == *list)).collect();
     if args.json {
         let mut object = serde_json::Map::from_iter([("schema".to_owned(), json!(SCHEMA))]);
         for what in wanted {
-            let rows = listings(&app, what)?.iter().map(Listing::json).collect::<Result<_, _>>()?;
+            let rows = listings(app, what)?.iter().map(Listing::json).collect::<Result<_, _>>()?;
             object.insert(title(what).to_owned(), Value::Array(rows));
         }
         output::print_json(&Value::Object(object))?;
@@ -92,7 +99,7 @@ pub fn list(args: &ListArgs) -> Result<Exit, Failure> {
         if wanted.len() > 1 {
             lines.push(console::style(title(*what)).bold().to_string());
         }
-        let rows = listings(&app, *what)?;
+        let rows = listings(app, *what)?;
         let width = rows.iter().map(|row| row.name.chars().count()).max().unwrap_or(0);
         lines.extend(rows.iter().flat_map(|row| row.lines(width)));
         lines.push(String::new());
@@ -107,6 +114,7 @@ fn title(what: Listed) -> &'static str {
         Listed::Controllers => "controllers",
         Listed::Components => "components",
         Listed::Devices => "devices",
+        Listed::Plans => "plans",
         Listed::Suites => "suites",
     }
 }
@@ -128,6 +136,7 @@ fn listings(app: &App, what: Listed) -> Result<Vec<Listing>, Failure> {
             .map(|(_, entry)| Listing::new(entry.name, component_about((entry.schema)().as_ref())))
             .collect(),
         Listed::Devices => DEVICES.into_iter().map(pair).collect(),
+        Listed::Plans => PLANS.iter().map(|(name, text)| Listing::new(*name, plans::about(text))).collect(),
         Listed::Suites => bench::SUITES.into_iter().map(pair).collect(),
     })
 }
@@ -136,10 +145,11 @@ fn listings(app: &App, what: Listed) -> Result<Vec<Listing>, Failure> {
 fn controllers(app: &App) -> Result<Vec<Listing>, Failure> {
     let mut rows: Vec<Listing> = app
         .kinds()
-        .filter_map(|kind| {
-            let info = app.kind_info(kind)?;
-            let usage = Usage { rate_hz: info.rate_hz, reads: Vec::new(), writes: Vec::new() };
-            Some(Listing { controller: Some(usage), ..Listing::new(kind, &info.about) })
+        .map(|kind| {
+            let (about, rate_hz) =
+                app.kind_info(kind).map_or(("", None), |info| (info.about.as_str(), Some(info.rate_hz)));
+            let usage = Usage { rate_hz, reads: Vec::new(), writes: Vec::new() };
+            Listing { controller: Some(usage), ..Listing::new(kind, about) }
         })
         .collect();
     for (name, _) in SCENARIOS {

@@ -19,10 +19,10 @@ use crate::{output, run};
 const SAMPLE_EVERY: SimTime = SimTime::from_millis(10);
 
 /// Plays a recording back.
-pub fn replay(args: &ReplayArgs) -> Result<Exit, Failure> {
+pub fn replay(app: &App, args: &ReplayArgs) -> Result<Exit, Failure> {
     let mut summary = RunSummary::new("", Mode::Replay, 0);
     summary.recording = Some(args.file.display().to_string());
-    let result = attempt(args, &mut summary);
+    let result = attempt(app, args, &mut summary);
     if let Err(failure) = &result {
         summary.error = Some(failure.message.clone());
     }
@@ -34,11 +34,10 @@ pub fn replay(args: &ReplayArgs) -> Result<Exit, Failure> {
     result
 }
 
-fn attempt(args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exit, Failure> {
+fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exit, Failure> {
     if let Some(report) = &args.report {
         output::check_writable(report)?;
     }
-    let app = App::standard()?;
     let begun = Instant::now();
     let recording = Recording::open(&args.file).map_err(Failure::invalid)?;
     summary.scenario = recording.metadata().scenario.clone();

@@ -1,11 +1,12 @@
 //! `trocar run`: a scenario from start to end, with a table while it runs and a report after it.
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use trocar::app::App;
+use trocar::plans::{PLANS, PlanError};
 use trocar::run::{RunOptions, RunOutcome};
 use trocar::summary::{Exit, Mode, RunSummary};
 use trocar_kernel::faults::FaultPlan;
@@ -13,14 +14,14 @@ use trocar_kernel::supervision::{Cause, Incident};
 use trocar_scene::scenario::Scenario;
 
 use crate::args::{RunArgs, SessionArgs};
-use crate::failure::Failure;
+use crate::failure::{Failure, did_you_mean};
 use crate::live_table::Display;
 use crate::output;
 use crate::report::{self, Report, short};
 
 /// Runs what the command line asks for.
-pub fn run(args: &RunArgs) -> Result<Exit, Failure> {
-    match attempt(args) {
+pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
+    match attempt(app, args) {
         Ok((summary, exit)) => {
             if args.json {
                 output::print_json(&summary)?;
@@ -38,8 +39,7 @@ pub fn run(args: &RunArgs) -> Result<Exit, Failure> {
     }
 }
 
-fn attempt(args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
-    let app = App::standard()?;
+fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     let scenario = app.scenario(&args.session.scenario)?;
     let record = (!args.no_record).then(|| {
         args.record.clone().unwrap_or_else(|| PathBuf::from(format!("{}.mcap", file_stem(&scenario))))
@@ -53,11 +53,11 @@ fn attempt(args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     let mut options = options(&args.session)?;
     options.lockstep = args.lockstep;
     options.seconds = args.seconds;
-    options.faults = args.faults.as_deref().map(read_plan).transpose()?;
+    options.faults = args.faults.as_deref().map(plan).transpose()?;
     options.record = record;
 
     let mut display = Display::new(&scenario, &options, args.headless || args.json);
-    let outcome = trocar::run::run(&app, &scenario, &options, &mut |progress| display.update(progress));
+    let outcome = trocar::run::run(app, &scenario, &options, &mut |progress| display.update(progress));
     display.clear();
     let mut outcome = outcome?;
 
@@ -66,7 +66,8 @@ fn attempt(args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
         let html = html(&scenario, &outcome, force_limits(&outcome));
         output::write_file(&file, html.as_bytes())?;
     }
-    let mut exit = outcome.summary.exit(!outcome.failed_expectations.is_empty());
+    let mut exit =
+        outcome.summary.exit(!outcome.failed_expectations.is_empty() || !outcome.kernel.held.is_empty());
     if outcome.kernel.code != 0 {
         exit = Exit::Internal;
     }
@@ -106,8 +107,14 @@ pub fn options(args: &SessionArgs) -> Result<RunOptions, Failure> {
     })
 }
 
-fn read_plan(file: &Path) -> Result<FaultPlan, Failure> {
-    FaultPlan::read(file).map_err(Failure::invalid)
+fn plan(name_or_file: &str) -> Result<FaultPlan, Failure> {
+    trocar::plans::plan(name_or_file).map_err(|error| {
+        let hint = match &error {
+            PlanError::Unknown { name, .. } => did_you_mean(name, PLANS.iter().map(|(known, _)| *known)),
+            PlanError::Plan(_) => String::new(),
+        };
+        Failure::invalid(format!("{error}{hint}"))
+    })
 }
 
 /// The scenario's name as it may stand in a file name.

@@ -2,13 +2,17 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
+use serde::de::DeserializeOwned;
 use thiserror::Error;
 use trocar_kernel::spec::{Factory, Fence};
 use trocar_kernel::supervision::RuntimeClass;
-use trocar_scene::scenario::{ControllerEntry, Scenario, ScenarioError};
-use trocar_scene::{Commands, Component, Registry, RegistryBuilder, RegistryError, Snapshot};
+use trocar_scene::scenario::{ControllerEntry, Params, RATE_HZ, Scenario, ScenarioError};
+use trocar_scene::{
+    BuildContext, Commands, Component, Controller, ControllerError, Registry, RegistryBuilder, RegistryError,
+    Snapshot,
+};
 
 use crate::hands::HandPort;
 use crate::kinds;
@@ -66,15 +70,35 @@ impl KindInfo {
 /// Makes the blueprint of one kind of controller.
 pub type Kind = Arc<dyn Fn(&KindContext<'_>) -> Result<Blueprint, ScenarioError> + Send + Sync>;
 
-/// Why an application cannot be put together.
-#[derive(Debug, Error)]
-pub enum AppError {
-    /// Two components or kinds of one name.
+/// A name that cannot be given: what an [`App`] remembers until somebody asks it for a scenario.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum SetupError {
+    /// Two components of one name.
     #[error(transparent)]
     Registry(#[from] RegistryError),
     /// A kind's name is taken.
     #[error("a controller of kind '{0}' exists already")]
     KindTaken(String),
+    /// A rate that no controller can have.
+    #[error(
+        "controller '{name}': {rate_hz} Hz is out of range ({} to {} Hz)",
+        RATE_HZ.start(),
+        RATE_HZ.end()
+    )]
+    Rate {
+        /// The controller.
+        name: String,
+        /// Its rate.
+        rate_hz: f64,
+    },
+}
+
+/// Why an application has no such scenario.
+#[derive(Debug, Error)]
+pub enum AppError {
+    /// The application itself is contradictory.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
     /// No such scenario.
     #[error("no scenario is called '{name}', and there is no such file; there are: {known}")]
     UnknownScenario {
@@ -89,100 +113,238 @@ pub enum AppError {
 }
 
 /// Components and kinds of controllers: Trocar's own, and those that a program adds.
+///
+/// Adding chains and never fails on the spot; what was wrong is said when the first scenario is asked for.
+///
+/// ```
+/// use serde::{Deserialize, Serialize};
+/// use trocar::prelude::*;
+///
+/// #[derive(Clone, Serialize, Deserialize)]
+/// struct Pulse { per_minute: f64 }
+/// impl Component for Pulse {
+///     const NAME: &'static str = "pulse";
+/// }
+///
+/// let app = App::new().component::<Pulse>();
+/// assert!(app.registry().by_name("pulse").is_ok());
+/// assert!(app.scenario("peg-transfer").is_ok());
+/// ```
 pub struct App {
-    registry: Arc<Registry>,
-    kinds: BTreeMap<String, (KindInfo, Kind)>,
+    components: RegistryBuilder,
+    /// Made when it is first asked for.
+    registry: OnceLock<Arc<Registry>>,
+    kinds: BTreeMap<String, Kind>,
+    about: BTreeMap<String, KindInfo>,
+    joining: Vec<ControllerEntry>,
+    wrong: Option<SetupError>,
+}
+
+impl Default for App {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 impl App {
     /// Everything that comes with Trocar.
-    ///
-    /// # Errors
-    /// Never in a release: the standard names are distinct, which a test holds.
-    pub fn standard() -> Result<Self, AppError> {
-        Ok(AppBuilder::standard()?.build())
+    pub fn new() -> Self {
+        let mut components = RegistryBuilder::new();
+        let standard = [
+            trocar_scene::components::register,
+            trocar_engine::register,
+            trocar_tasks::register,
+            trocar_input::register,
+        ];
+        let wrong = standard.into_iter().find_map(|register| register(&mut components).err());
+        let (mut kinds, mut about) = (BTreeMap::new(), BTreeMap::new());
+        for (name, info, kind) in kinds::standard() {
+            kinds.insert(name.to_owned(), kind);
+            about.insert(name.to_owned(), info);
+        }
+        Self {
+            components,
+            registry: OnceLock::new(),
+            kinds,
+            about,
+            joining: Vec::new(),
+            wrong: wrong.map(SetupError::Registry),
+        }
     }
+
+    /// Adds a component; scenario files and recordings know it by its NAME from then on.
+    #[must_use]
+    pub fn component<T: Component>(mut self) -> Self {
+        if let Err(error) = self.components.register::<T>() {
+            self.wrong.get_or_insert(error.into());
+        }
+        self.registry = OnceLock::new();
+        self
+    }
+
+    /// Adds a kind of controller that needs nothing to begin with.
+    #[must_use]
+    pub fn controller<C: Controller + Default>(self, kind: &str) -> Self {
+        self.controller_with(kind, |(): &(), _| Ok(C::default()))
+    }
+
+    /// Adds a kind of controller that is built from the scene, at the start and after every failure, and from
+    /// what the scenario says under its `params`: `P` is `()` for none, or a struct whose defaults apply when
+    /// nothing is written.
+    #[must_use]
+    pub fn controller_with<C, P>(
+        self,
+        kind: &str,
+        build: impl Fn(&P, &BuildContext<'_>) -> Result<C, ControllerError> + Send + Sync + 'static,
+    ) -> Self
+    where
+        C: Controller,
+        P: DeserializeOwned + Default + Send + Sync + 'static,
+    {
+        let build = Arc::new(build);
+        let blueprint = move |context: &KindContext<'_>| {
+            let params: P = kinds::parse_or_default(&context.entry.params)?;
+            let build = build.clone();
+            Ok(kinds::plain(RuntimeClass::Task, move |context| build(&params, context)))
+        };
+        self.kind(kind, Arc::new(blueprint))
+    }
+
+    /// Adds a kind of controller that says itself how it is scheduled and fenced.
+    #[must_use]
+    pub fn kind(mut self, name: impl Into<String>, kind: Kind) -> Self {
+        let name = name.into();
+        if self.kinds.contains_key(&name) {
+            self.wrong.get_or_insert(SetupError::KindTaken(name));
+        } else {
+            self.kinds.insert(name, kind);
+        }
+        self
+    }
+
+    /// Says what a kind of controller does, in a line, and at which rate \[Hz\] it is usually run: for
+    /// `trocar list controllers`.
+    #[must_use]
+    pub fn about(mut self, kind: impl Into<String>, info: KindInfo) -> Self {
+        self.about.insert(kind.into(), info);
+        self
+    }
+
+    /// Lets a controller of this kind, and of the same name, join every session at `rate_hz`, whatever the
+    /// scenario says; one that has a controller of that name already keeps its own.
+    #[must_use]
+    pub fn joins(mut self, kind: &str, rate_hz: f64) -> Self {
+        if RATE_HZ.contains(&rate_hz) {
+            self.joining.push(joining(kind, kind, rate_hz));
+        } else {
+            self.wrong.get_or_insert(SetupError::Rate { name: kind.to_owned(), rate_hz });
+        }
+        self
+    }
+
     /// The components.
     pub fn registry(&self) -> &Arc<Registry> {
-        &self.registry
+        self.registry.get_or_init(|| self.components.clone().build())
     }
-    /// Names of the kinds of controllers, in order.
+    /// Names of the kinds of controllers.
     pub fn kinds(&self) -> impl Iterator<Item = &str> {
         self.kinds.keys().map(String::as_str)
     }
-    /// What people are told about the kind of that name.
+    /// What people are told about the kind of that name, if anything was said.
     pub fn kind_info(&self, name: &str) -> Option<&KindInfo> {
-        self.kinds.get(name).map(|(info, _)| info)
+        self.about.get(name)
     }
     /// The kind of that name.
-    pub(crate) fn kind(&self, name: &str) -> Option<&Kind> {
-        self.kinds.get(name).map(|(_, kind)| kind)
+    pub(crate) fn kind_of(&self, name: &str) -> Option<&Kind> {
+        self.kinds.get(name)
     }
-    /// Loads a scenario: a name that comes with the program, or a file.
+
+    /// Loads a scenario: a name that comes with the program, or a file. The controllers that join every session
+    /// stand at its end.
     ///
     /// # Errors
-    /// When there is none, or it is wrong; the message names the place.
+    /// When the application is contradictory, there is no such scenario, or it is wrong; the message names the
+    /// place.
     pub fn scenario(&self, name_or_file: &str) -> Result<Scenario, AppError> {
+        self.check()?;
         if let Some((name, text)) = SCENARIOS.iter().find(|(name, _)| *name == name_or_file) {
-            let file = format!("{name}.toml");
-            return Ok(Scenario::parse(Path::new(&file), text, &self.registry)?);
+            return self.scenario_from(Path::new(&format!("{name}.toml")), text);
         }
         let path = Path::new(name_or_file);
         if path.exists() || path.extension().is_some() {
-            return Ok(Scenario::load(path, &self.registry)?);
+            return Ok(self.joined(Scenario::load(path, self.registry())?));
         }
         Err(AppError::UnknownScenario {
             name: name_or_file.to_owned(),
             known: SCENARIOS.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", "),
         })
     }
+
+    /// Reads a scenario that is in memory; `file` is what messages call it, and where it would lie.
+    ///
+    /// # Errors
+    /// As [`Self::scenario`].
+    pub fn scenario_from(&self, file: &Path, text: &str) -> Result<Scenario, AppError> {
+        self.check()?;
+        Ok(self.joined(Scenario::parse(file, text, self.registry())?))
+    }
+
+    fn check(&self) -> Result<(), SetupError> {
+        self.wrong.clone().map_or(Ok(()), Err)
+    }
+
+    fn joined(&self, mut scenario: Scenario) -> Scenario {
+        for entry in &self.joining {
+            if !scenario.controllers.iter().any(|known| known.name == entry.name) {
+                scenario.controllers.push(entry.clone());
+            }
+        }
+        scenario
+    }
 }
 
-/// Puts an [`App`] together.
-pub struct AppBuilder {
-    registry: RegistryBuilder,
-    kinds: BTreeMap<String, (KindInfo, Kind)>,
+/// A controller without a place in a file.
+pub(crate) fn joining(name: &str, kind: &str, rate_hz: f64) -> ControllerEntry {
+    let params = Params::none(format!("controller '{name}'"));
+    ControllerEntry { name: name.to_owned(), kind: kind.to_owned(), rate_hz, params }
 }
 
-impl AppBuilder {
-    /// Begins with everything that comes with Trocar.
-    ///
-    /// # Errors
-    /// Never in a release: the standard names are distinct, which a test holds.
-    pub fn standard() -> Result<Self, AppError> {
-        let mut registry = RegistryBuilder::new();
-        trocar_scene::components::register(&mut registry)?;
-        trocar_engine::register(&mut registry)?;
-        trocar_tasks::register(&mut registry)?;
-        trocar_input::register(&mut registry)?;
-        let mut builder = Self { registry, kinds: BTreeMap::new() };
-        for (name, info, kind) in kinds::standard() {
-            builder = builder.kind(name, info, kind)?;
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trocar_scene::{Access, Tick};
+
+    #[derive(Default)]
+    struct Idle;
+    impl Controller for Idle {
+        fn access(&self) -> Access {
+            Access::new()
         }
-        Ok(builder)
-    }
-    /// Adds a component.
-    ///
-    /// # Errors
-    /// When its name is taken.
-    pub fn component<T: Component>(mut self) -> Result<Self, AppError> {
-        self.registry.register::<T>()?;
-        Ok(self)
-    }
-    /// Adds a kind of controller.
-    ///
-    /// # Errors
-    /// When its name is taken.
-    pub fn kind(mut self, name: impl Into<String>, info: KindInfo, kind: Kind) -> Result<Self, AppError> {
-        let name = name.into();
-        if self.kinds.contains_key(&name) {
-            return Err(AppError::KindTaken(name));
+        fn tick(&mut self, _: &Tick<'_>, _: &Snapshot, _: &mut Commands) -> Result<(), ControllerError> {
+            Ok(())
         }
-        self.kinds.insert(name, (info, kind));
-        Ok(self)
     }
-    /// Fixes it.
-    pub fn build(self) -> App {
-        App { registry: self.registry.build(), kinds: self.kinds }
+
+    #[test]
+    fn what_is_wrong_with_an_app_is_said_when_a_scenario_is_asked_for() {
+        assert!(App::new().scenario("wall").is_ok());
+        let twice = App::new().controller::<Idle>("idle").controller::<Idle>("idle");
+        assert!(twice.scenario("wall").unwrap_err().to_string().contains("'idle' exists already"));
+        let fast = App::new().controller::<Idle>("idle").joins("idle", 1e9);
+        assert!(fast.scenario("wall").unwrap_err().to_string().contains("1 to 10000 Hz"));
+        assert!(App::new().scenario("wal").unwrap_err().to_string().contains("peg-transfer, wall"));
+    }
+
+    #[test]
+    fn a_controller_that_joins_stands_at_the_end_once() {
+        let app = App::new().controller::<Idle>("idle").joins("idle", 10.0).joins("idle", 20.0);
+        let names: Vec<(String, f64)> = app
+            .scenario("wall")
+            .unwrap()
+            .controllers
+            .iter()
+            .map(|entry| (entry.name.clone(), entry.rate_hz))
+            .collect();
+        assert_eq!(names[2..], [("idle".to_owned(), 10.0)]);
     }
 }

@@ -81,7 +81,7 @@ impl Assembly {
         }
         let mut controllers = Vec::with_capacity(scenario.controllers.len());
         for (index, entry) in scenario.controllers.iter().enumerate() {
-            let Some(kind) = app.kind(&entry.kind) else {
+            let Some(kind) = app.kind_of(&entry.kind) else {
                 let known = app.kinds().collect::<Vec<_>>().join(", ");
                 let reason = format!("unknown kind '{}'; there are: {known}", entry.kind);
                 return Err(scenario.error_at("controller", index, reason).into());

@@ -46,7 +46,7 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
 }
 
 /// A blueprint without fences from a function that builds the controller.
-fn plain<C: Controller>(
+pub(crate) fn plain<C: Controller>(
     class: RuntimeClass,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Send + Sync + 'static,
 ) -> Blueprint {
@@ -57,7 +57,7 @@ fn plain<C: Controller>(
 }
 
 /// The parameters, or the default when the file gives none.
-fn parse_or_default<T: DeserializeOwned + Default>(params: &Params) -> Result<T, ScenarioError> {
+pub(crate) fn parse_or_default<T: DeserializeOwned + Default>(params: &Params) -> Result<T, ScenarioError> {
     if params.parse::<toml::Table>()?.is_empty() { Ok(T::default()) } else { params.parse() }
 }
 

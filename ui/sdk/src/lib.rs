@@ -7,6 +7,8 @@ pub mod graph;
 pub mod hands;
 mod kinds;
 pub mod outline;
+pub mod plans;
+pub mod prelude;
 pub mod recorded_hand;
 pub mod run;
 pub mod session;

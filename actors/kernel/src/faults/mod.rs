@@ -8,7 +8,7 @@ mod plan;
 mod schedule;
 
 pub use outcome::{FaultLog, FaultRow, Measured};
-pub use plan::{Expect, FaultAt, FaultPlan, FaultPlanError, FaultSpec, secs};
+pub use plan::{During, Expect, FaultAt, FaultPlan, FaultPlanError, FaultSpec, secs};
 pub use schedule::{FaultSchedule, TargetClass, Targets};
 
 pub use crate::spec::{FaultKind, FaultOrder, FaultRecord};

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 use thiserror::Error;
-use trocar_scene::SimTime;
+use trocar_scene::{Grasp, SimTime, Snapshot};
 
 use crate::spec::FaultKind;
 
@@ -25,6 +25,23 @@ const fn takes_probability(kind: FaultKind) -> bool {
     matches!(kind, FaultKind::Drop | FaultKind::Duplicate | FaultKind::Reorder | FaultKind::Corrupt)
 }
 
+/// What must be going on for a fault to strike.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum During {
+    /// Some instrument holds something.
+    Grasp,
+}
+
+impl During {
+    /// Whether it is going on in a scene.
+    pub fn holds(self, scene: &Snapshot) -> bool {
+        match self {
+            Self::Grasp => scene.iter::<Grasp>().next().is_some(),
+        }
+    }
+}
+
 /// One fault of a plan.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FaultSpec {
@@ -32,6 +49,8 @@ pub struct FaultSpec {
     pub id: String,
     /// When it begins.
     pub at: SimTime,
+    /// It waits from then on until this goes on.
+    pub during: Option<During>,
     /// How long it lasts; `None` lasts until the end of the session (or until the supervisor mends it).
     pub lasting: Option<SimTime>,
     /// Name of a controller, a device, `model`, `recorder` or a link.
@@ -178,7 +197,9 @@ struct File {
 #[serde(deny_unknown_fields)]
 struct FileFault {
     id: Option<String>,
-    at_secs: f64,
+    at_secs: Option<f64>,
+    between_secs: Option<[f64; 2]>,
+    during: Option<During>,
     for_secs: Option<f64>,
     target: String,
     kind: FaultKind,
@@ -195,7 +216,14 @@ impl FaultPlan {
 
     /// Begins a fault at a time since the start of the session.
     pub fn at(self, at: SimTime) -> FaultAt {
-        FaultAt { plan: self, at, lasting: None }
+        FaultAt { plan: self, at, lasting: None, during: None }
+    }
+
+    /// Begins a fault at a random time between two, chosen by the plan's seed.
+    pub fn between(self, from: SimTime, to: SimTime) -> FaultAt {
+        let unit = unit_of(seed_of(self.seed, self.faults.len()));
+        let at = from + SimTime::from_secs_f64(to.since(from).as_secs_f64() * unit);
+        self.at(at)
     }
 
     /// Sets what must hold.
@@ -242,7 +270,8 @@ impl FaultPlan {
             if plan.faults.iter().any(|other| other.id == id) {
                 return Err(value_error(file, &id, "id", "another fault has the same id"));
             }
-            plan.faults.push(fault.into_spec(id, file)?);
+            let unit = unit_of(seed_of(plan.seed, index));
+            plan.faults.push(fault.into_spec(id, file, unit)?);
         }
         Ok(plan)
     }
@@ -262,7 +291,8 @@ impl FaultPlan {
 }
 
 impl FileFault {
-    fn into_spec(self, id: String, file: &str) -> Result<FaultSpec, FaultPlanError> {
+    /// A fault of the plan; `unit` in [0, 1) chooses within `between_secs`.
+    fn into_spec(self, id: String, file: &str, unit: f64) -> Result<FaultSpec, FaultPlanError> {
         let time = |key, value: f64| {
             if (0.0..=MAX_SECS).contains(&value) {
                 Ok(SimTime::from_secs_f64(value))
@@ -297,8 +327,35 @@ impl FileFault {
             let problem = format!("{probability} is not between 0 and 1");
             return Err(value_error(file, &id, "probability", &problem));
         }
+        let at = match (self.at_secs, self.between_secs) {
+            (Some(at), None) => time("at_secs", at)?,
+            (None, Some([from, to])) => {
+                let (from, to) = (time("between_secs", from)?, time("between_secs", to)?);
+                if to < from {
+                    return Err(value_error(
+                        file,
+                        &id,
+                        "between_secs",
+                        "the second time is before the first",
+                    ));
+                }
+                from + SimTime::from_secs_f64(to.since(from).as_secs_f64() * unit)
+            }
+            (Some(_), Some(_)) => {
+                return Err(value_error(file, &id, "at_secs", "say either this or between_secs, not both"));
+            }
+            (None, None) => {
+                return Err(value_error(
+                    file,
+                    &id,
+                    "at_secs",
+                    "say when: this, or between_secs = [from, to]",
+                ));
+            }
+        };
         Ok(FaultSpec {
-            at: time("at_secs", self.at_secs)?,
+            at,
+            during: self.during,
             lasting: self.for_secs.map(|secs| time("for_secs", secs)).transpose()?,
             step: time("step_secs", self.step_secs.unwrap_or(0.0))?,
             delay: time("delay_secs", self.delay_secs.unwrap_or(0.0))?,
@@ -314,6 +371,21 @@ fn value_error(file: &str, id: &str, key: &'static str, problem: &str) -> FaultP
     FaultPlanError::Value { file: file.to_owned(), id: id.to_owned(), key, problem: problem.to_owned() }
 }
 
+/// The seed of one fault of a plan.
+pub(super) fn seed_of(plan_seed: u64, index: usize) -> u64 {
+    // Any odd multiplier keeps the seeds of one plan's faults apart.
+    plan_seed ^ (index as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+}
+
+/// A number in [0, 1) from a seed: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number
+/// generators", 2014).
+fn unit_of(seed: u64) -> f64 {
+    let mut z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+}
+
 /// Seconds as a time of the session; negative and non-finite values give zero.
 pub fn secs(secs: f64) -> SimTime {
     SimTime::from_secs_f64(secs)
@@ -326,9 +398,15 @@ pub struct FaultAt {
     plan: FaultPlan,
     at: SimTime,
     lasting: Option<SimTime>,
+    during: Option<During>,
 }
 
 impl FaultAt {
+    /// It waits until this goes on.
+    pub fn during(mut self, what: During) -> Self {
+        self.during = Some(what);
+        self
+    }
     /// How long the fault lasts before it heals.
     pub fn lasting(mut self, span: SimTime) -> Self {
         self.lasting = Some(span);
@@ -372,6 +450,7 @@ impl FaultAt {
         plan.faults.push(FaultSpec {
             id: format!("{kind} {target} at {} s", self.at.as_secs_f64()),
             at: self.at,
+            during: self.during,
             lasting: self.lasting,
             target: target.to_owned(),
             kind,
@@ -431,6 +510,35 @@ model_restarts_max = 0
             fault.id.clear();
         }
         assert_eq!(read, built);
+    }
+
+    #[test]
+    fn a_random_time_depends_on_the_seed_and_the_place_in_the_plan_alone() {
+        let text = |seed: u32| {
+            let fault =
+                "[[fault]]\nbetween_secs = [2, 6]\nduring = 'grasp'\ntarget = 'engine'\nkind = 'kill'\n";
+            format!("schema = 1\nseed = {seed}\n{fault}{fault}")
+        };
+        let times = |seed| {
+            let plan = FaultPlan::parse(&text(seed), "plan.toml").expect("valid");
+            assert!(plan.faults.iter().all(|fault| fault.during == Some(During::Grasp)));
+            plan.faults.iter().map(|fault| fault.at).collect::<Vec<_>>()
+        };
+        assert_eq!(times(1), times(1));
+        assert!(times(1) != times(2) && times(1)[0] != times(1)[1]);
+        assert!((0..200).flat_map(times).all(|at| (secs(2.0)..=secs(6.0)).contains(&at)));
+        let built = FaultPlan::new(1).between(secs(2.0), secs(6.0)).during(During::Grasp).kill("engine");
+        assert_eq!(built.faults[0].at, times(1)[0], "file and Rust say the same");
+    }
+
+    #[test]
+    fn a_fault_has_exactly_one_time() {
+        let fault =
+            |when: &str| error(&format!("schema = 1\n[[fault]]\n{when}\ntarget = 'x'\nkind = 'kill'\n"));
+        assert!(fault("").contains("between_secs"));
+        assert!(fault("at_secs = 1\nbetween_secs = [1, 2]").contains("not both"));
+        assert!(fault("between_secs = [2, 1]").contains("before the first"));
+        assert!(fault("between_secs = [1, nan]").contains("seconds"));
     }
 
     #[test]

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use trocar_scene::SimTime;
+use trocar_scene::{SimTime, Snapshot};
 
-use super::plan::{FaultPlan, FaultPlanError, FaultSpec};
+use super::plan::{During, FaultPlan, FaultPlanError, FaultSpec, seed_of};
 use crate::spec::{FaultKind, FaultOrder, MODEL};
 
 /// What a target is, and so how it can fail.
@@ -77,11 +77,22 @@ impl Targets {
     }
 }
 
+/// A fault that waits for something to go on.
+#[derive(Clone, Debug)]
+struct Waiting {
+    from: SimTime,
+    during: During,
+    begin: FaultOrder,
+    lasting: Option<SimTime>,
+}
+
 /// The orders of a plan in the order of their time.
 #[derive(Clone, Debug, Default)]
 pub struct FaultSchedule {
+    /// Sorted by time; those that were given stand at the front.
     orders: Vec<(SimTime, FaultOrder)>,
     next: usize,
+    waiting: Vec<Waiting>,
 }
 
 impl FaultSchedule {
@@ -91,6 +102,7 @@ impl FaultSchedule {
     /// [`FaultPlanError::UnknownTarget`] and [`FaultPlanError::KindNotApplicable`], with what is valid.
     pub fn new(plan: &FaultPlan, targets: &Targets) -> Result<Self, FaultPlanError> {
         let mut orders = Vec::with_capacity(plan.faults.len() * 2);
+        let mut waiting = Vec::new();
         for (index, fault) in plan.faults.iter().enumerate() {
             let Some(class) = targets.class(&fault.target) else {
                 let names: Vec<&str> = targets.0.keys().map(String::as_str).collect();
@@ -112,27 +124,57 @@ impl FaultSchedule {
             }
             let begin = order(plan.seed, index, fault);
             // A stall carries its length with it, a kill has none: neither needs an order to end.
-            if let Some(span) = fault.lasting.filter(|_| !fault.kind.is_instant()) {
+            let lasting = fault.lasting.filter(|_| !fault.kind.is_instant());
+            if let Some(during) = fault.during {
+                waiting.push(Waiting { from: fault.at, during, begin, lasting });
+                continue;
+            }
+            if let Some(span) = lasting {
                 orders.push((fault.at + span, FaultOrder { begins: false, ..begin.clone() }));
             }
             orders.push((fault.at, begin));
         }
-        // Ends first, so that of two faults back to back the later one stays.
-        orders.sort_by_key(|(at, order)| (*at, order.begins, order.index));
-        Ok(Self { orders, next: 0 })
+        orders.sort_by_key(place);
+        Ok(Self { orders, next: 0, waiting })
     }
 
-    /// When the next order is due; `None` when all are given.
+    /// When the next order is due; `None` when all are given or wait for something.
     pub fn next_at(&self) -> Option<SimTime> {
         self.orders.get(self.next).map(|(at, _)| *at)
     }
 
-    /// The next order that is due at `now`; call it until it gives `None`.
-    pub fn due(&mut self, now: SimTime) -> Option<&FaultOrder> {
+    /// Whether some fault may strike at any moment from `now` on: look often.
+    pub fn is_waiting(&self, now: SimTime) -> bool {
+        self.waiting.iter().any(|waiting| waiting.from <= now)
+    }
+
+    /// When the first of those that wait begins to.
+    pub fn next_waiting(&self) -> Option<SimTime> {
+        self.waiting.iter().map(|waiting| waiting.from).min()
+    }
+
+    /// The next order that is due at `now`, in the scene as it is; call it until it gives `None`.
+    pub fn due(&mut self, now: SimTime, scene: &Snapshot) -> Option<FaultOrder> {
+        let met = |waiting: &Waiting| waiting.from <= now && waiting.during.holds(scene);
+        if let Some(at) = self.waiting.iter().position(met) {
+            let Waiting { begin, lasting, .. } = self.waiting.remove(at);
+            if let Some(span) = lasting {
+                let end = (now + span, FaultOrder { begins: false, ..begin.clone() });
+                let key = place(&end);
+                let at = self.next + self.orders[self.next..].partition_point(|order| place(order) <= key);
+                self.orders.insert(at, end);
+            }
+            return Some(begin);
+        }
         let (_, order) = self.orders.get(self.next).filter(|(at, _)| *at <= now)?;
         self.next += 1;
-        Some(order)
+        Some(order.clone())
     }
+}
+
+/// Where an order stands: ends first, so that of two faults back to back the later one stays.
+fn place((at, order): &(SimTime, FaultOrder)) -> (SimTime, bool, u32) {
+    (*at, order.begins, order.index)
 }
 
 fn order(seed: u64, index: usize, fault: &FaultSpec) -> FaultOrder {
@@ -150,8 +192,7 @@ fn order(seed: u64, index: usize, fault: &FaultSpec) -> FaultOrder {
         begins: true,
         span,
         probability: fault.probability,
-        // Any odd multiplier keeps the seeds of one plan's faults apart.
-        seed: seed ^ (index as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15),
+        seed: seed_of(seed, index),
     }
 }
 
@@ -159,6 +200,7 @@ fn order(seed: u64, index: usize, fault: &FaultSpec) -> FaultOrder {
 mod tests {
     use super::*;
     use crate::faults::secs;
+    use trocar_scene::{Commands, EntityAllocator, Grasp, Pose, RegistryBuilder, SCENARIO_SPAWNER, Store};
 
     fn targets() -> Targets {
         Targets::new()
@@ -178,11 +220,12 @@ mod tests {
             .at(secs(3.0))
             .nan("engine");
         let mut schedule = FaultSchedule::new(&plan, &targets()).expect("fits");
-        assert!(schedule.due(secs(0.5)).is_none());
+        let (scene, _) = scenes();
+        assert!(schedule.due(secs(0.5), &scene).is_none());
         let mut seen = Vec::new();
         for tenth in 0..50 {
             let now = f64::from(tenth) * 0.1;
-            while let Some(order) = schedule.due(secs(now)) {
+            while let Some(order) = schedule.due(secs(now), &scene) {
                 seen.push((tenth, order.begins, order.kind));
             }
         }
@@ -195,6 +238,46 @@ mod tests {
                 (30, true, FaultKind::Nan),
             ]
         );
+        assert_eq!(schedule.next_at(), None);
+    }
+
+    /// A scene in which nothing is held, and one in which something is.
+    fn scenes() -> (Snapshot, Snapshot) {
+        let mut registry = RegistryBuilder::new();
+        trocar_scene::components::register(&mut registry).expect("distinct names");
+        let registry = registry.build();
+        let mut store = Store::new(registry.clone());
+        let idle = store.snapshot();
+        let mut commands = Commands::new(registry, EntityAllocator::new(0, SCENARIO_SPAWNER));
+        let (tool, ring) = (commands.spawn(), commands.spawn());
+        commands
+            .put(tool, Grasp { held: ring, anchor: Pose::default(), since: SimTime::ZERO, assisted: false });
+        commands.seal();
+        store.apply(&mut commands, SimTime::ZERO);
+        (idle, store.snapshot())
+    }
+
+    #[test]
+    fn a_fault_during_a_grasp_waits_for_one_and_ends_after_its_span() {
+        let plan = FaultPlan::new(1)
+            .at(secs(1.0))
+            .during(During::Grasp)
+            .lasting(secs(0.5))
+            .nan("engine")
+            .at(secs(3.0))
+            .kill("engine");
+        let mut schedule = FaultSchedule::new(&plan, &targets()).expect("fits");
+        let (idle, holding) = scenes();
+        assert!(schedule.due(secs(0.5), &holding).is_none(), "not before its time");
+        assert!(!schedule.is_waiting(secs(0.5)) && schedule.is_waiting(secs(1.0)));
+        assert!(schedule.due(secs(1.5), &idle).is_none(), "nothing is held");
+        let begin = schedule.due(secs(2.8), &holding).expect("strikes");
+        assert!(begin.begins && begin.index == 0);
+        assert!(schedule.due(secs(2.8), &holding).is_none(), "once");
+        assert_eq!(schedule.next_at(), Some(secs(3.0)));
+        assert_eq!(schedule.due(secs(3.0), &idle).expect("the kill").index, 1);
+        let end = schedule.due(secs(3.3), &idle).expect("it heals");
+        assert!(!end.begins && end.index == 0);
         assert_eq!(schedule.next_at(), None);
     }
 

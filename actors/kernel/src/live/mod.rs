@@ -334,6 +334,7 @@ impl LiveSession {
             model: self.shared.model.stats.report(sim),
             faults: status.faults.clone(),
             incidents: status.incidents.clone(),
+            held: status.held.clone(),
             zombies: status.zombies,
             recording_complete: ended.as_ref().and_then(|ended| ended.recording_complete),
             permission: status

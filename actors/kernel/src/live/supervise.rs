@@ -32,6 +32,7 @@ pub(super) struct Status {
     pub(super) health: BTreeMap<String, Health>,
     pub(super) incidents: Vec<Incident>,
     pub(super) faults: Vec<FaultRow>,
+    pub(super) held: Vec<(String, String)>,
     pub(super) zombies: u32,
     pub(super) up: bool,
     pub(super) permission: Option<Permission>,
@@ -123,8 +124,9 @@ impl Crew {
     fn next_look(&self, now: SimTime, run: &Run) -> SimTime {
         let mut at = now + PAUSE_MAX;
         let checks = self.stop_when.as_ref().map(|_| run.next_check);
-        let faults = self.faults.is_open().then(|| now + FAULT_PAUSE);
-        for next in [self.tree.next_deadline(now), self.schedule.next_at(), self.until, checks, faults] {
+        let looking = self.faults.is_open() || self.schedule.is_waiting(now);
+        let looks = if looking { Some(now + FAULT_PAUSE) } else { self.schedule.next_waiting() };
+        for next in [self.tree.next_deadline(now), self.schedule.next_at(), self.until, checks, looks] {
             at = at.min(next.unwrap_or(at));
         }
         at
@@ -285,7 +287,7 @@ impl Crew {
     /// What is due by time rather than by report.
     fn look_around(&mut self, run: &mut Run) {
         let now = self.shared.clock.now();
-        while let Some(order) = self.schedule.due(now).cloned() {
+        while let Some(order) = self.schedule.due(now, &self.shared.published.load()) {
             if order.begins {
                 self.faults.injected(order.index as usize, now);
                 run.begun.insert(order.target.clone(), self.counters(&order.target));
@@ -410,6 +412,7 @@ impl Crew {
             }
         }
         status.zombies = self.tree.zombies();
+        status.held = self.tree.given_up();
         status.incidents.clear();
         status.incidents.extend_from_slice(self.tree.incidents());
         let up = self.tree.is_up();

@@ -30,7 +30,7 @@ impl LockstepSession {
     }
 
     pub(super) fn inject_due_faults(&mut self) {
-        while let Some(order) = self.faults.due(self.now).cloned() {
+        while let Some(order) = self.faults.due(self.now, self.core.view()) {
             if order.begins {
                 self.fault_log.injected(order.index as usize, self.now);
             } else {

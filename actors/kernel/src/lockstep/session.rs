@@ -248,6 +248,7 @@ impl LockstepSession {
             model: self.row(&self.model_stats),
             faults: self.fault_log.rows().to_vec(),
             incidents: self.supervisor.incidents().to_vec(),
+            held: self.supervisor.given_up(),
             zombies: self.supervisor.zombies(),
             recording_complete: self.recording_complete,
             // Nothing here needs a priority.

@@ -28,6 +28,17 @@ pub enum Strategy {
     OneForAll,
 }
 
+/// What a group does when one of its children needed more restarts than its intensity allows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Exhausted {
+    /// It gives up, and its parent decides: what OTP does.
+    #[default]
+    Escalate,
+    /// That child is held: fenced and not started again until somebody says so. The others go on.
+    Hold,
+}
+
 /// What a child's thread does, which decides its scheduling priority and its place in the default tree.
 ///
 /// The order is the order of priorities: who stands first is never kept waiting by who stands later.
@@ -147,6 +158,8 @@ pub struct GroupSpec {
     pub intensity: Intensity,
     /// Pauses between restarts.
     pub backoff: Backoff,
+    /// What happens when that was not enough.
+    pub exhausted: Exhausted,
     /// Children, in start order.
     pub children: Vec<Node>,
 }
@@ -181,6 +194,7 @@ impl GroupSpec {
             strategy,
             intensity: Intensity::default(),
             backoff: Backoff::default(),
+            exhausted: Exhausted::default(),
             children: Vec::new(),
         }
     }
@@ -204,6 +218,11 @@ impl GroupSpec {
         self.backoff = backoff;
         self
     }
+    /// The same, but a child that fails too often is held instead of taking the group down.
+    pub fn holding(mut self) -> Self {
+        self.exhausted = Exhausted::Hold;
+        self
+    }
     /// Whether no child stands anywhere below.
     pub fn is_empty(&self) -> bool {
         self.children.iter().all(|node| match node {
@@ -215,19 +234,21 @@ impl GroupSpec {
     /// The default tree: root (rest-for-one) → model; simulation (rest-for-one: collision before physics);
     /// devices (one-for-one); tasks (one-for-one); network (one-for-one, patient back-off); recorder.
     ///
-    /// A child that always fails at once makes its group give up within 8 s (a link: within 40 s), and after six
-    /// times of that the root: each period holds one round of the longest pauses below it. One that fails once a
-    /// minute is restarted for ever.
+    /// A child that always fails at once is held within 8 s (a link: within 40 s): each period holds a round of the
+    /// longest pauses. The Model's group gives up instead, and after six times of that the root does, within 60 s.
+    /// A child that fails once a minute is restarted for ever.
     ///
     /// The Model stands in a group of its own: it resumes from the last published snapshot, which its
-    /// clients already have, so that they need not restart with it unless it keeps failing.
+    /// clients already have, so that they need not restart with it unless it keeps failing. Without a Model
+    /// there is no session; everybody else is held when failing too often, and the rest runs on.
     pub fn default_tree(children: impl IntoIterator<Item = ChildSpec>) -> Self {
         let mut model = Self::new("group.model", Strategy::OneForOne);
-        let mut simulation = Self::new("group.simulation", Strategy::RestForOne);
-        let mut devices = Self::new("group.devices", Strategy::OneForOne);
-        let mut tasks = Self::new("group.tasks", Strategy::OneForOne);
+        let mut simulation = Self::new("group.simulation", Strategy::RestForOne).holding();
+        let mut devices = Self::new("group.devices", Strategy::OneForOne).holding();
+        let mut tasks = Self::new("group.tasks", Strategy::OneForOne).holding();
         // Five of the longest pauses are 30 s.
         let mut network = Self::new("group.network", Strategy::OneForOne)
+            .holding()
             .with_intensity(5, SimTime::from_millis(60_000))
             .with_backoff(Backoff {
                 base: SimTime::from_millis(200),
@@ -235,7 +256,7 @@ impl GroupSpec {
                 reset_after: SimTime::from_millis(30_000),
                 ..Backoff::default()
             });
-        let mut recorder = Self::new("group.recorder", Strategy::OneForOne);
+        let mut recorder = Self::new("group.recorder", Strategy::OneForOne).holding();
         let mut all: Vec<ChildSpec> = children.into_iter().collect();
         // Stable: children of one class keep the order in which they were given.
         all.sort_by_key(|child| child.class);
@@ -250,9 +271,9 @@ impl GroupSpec {
             };
             group.children.push(Node::Child(child));
         }
-        // Between two times that the network's group gives up lie six of its longest pauses, 36 s.
+        // Between two times that the Model's group gives up lie six of the longest pauses, 7.2 s.
         let mut root =
-            Self::new("root", Strategy::RestForOne).with_intensity(5, SimTime::from_millis(300_000));
+            Self::new("root", Strategy::RestForOne).with_intensity(5, SimTime::from_millis(60_000));
         for group in [model, simulation, devices, tasks, network, recorder] {
             if !group.is_empty() {
                 root.children.push(Node::Group(group));

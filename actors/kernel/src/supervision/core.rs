@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use trocar_scene::SimTime;
 
-use super::child::{ChildSpec, GroupSpec, Restart, RuntimeClass};
+use super::child::{ChildSpec, Exhausted, GroupSpec, Restart, RuntimeClass};
 use super::event::{Action, Cause, ChildId, Event, Incident};
 use super::tree::{Flat, Group, Streak, TreeError};
 
@@ -75,6 +75,8 @@ pub struct Supervisor {
     pub(super) incidents: Vec<Incident>,
     pub(super) incidents_lost: u64,
     pub(super) reason: Option<String>,
+    /// Children that are held for having failed too often, and why.
+    pub(super) given_up: Vec<(ChildId, String)>,
     random: u64,
 }
 
@@ -115,6 +117,7 @@ impl Supervisor {
             incidents: Vec::new(),
             incidents_lost: 0,
             reason: None,
+            given_up: Vec::new(),
             random: seed,
         })
     }
@@ -139,7 +142,12 @@ impl Supervisor {
                 }
             }
             Event::Late { child, late } => self.with(child, |c| c.late = late),
-            Event::Held { child, held } => self.with(child, |c| c.held = held),
+            Event::Held { child, held } => {
+                self.with(child, |c| c.held = held);
+                if !held {
+                    self.try_again(child, now);
+                }
+            }
             Event::ZombieEnded => self.zombies = self.zombies.saturating_sub(1),
             Event::Tick => {}
             Event::ShutdownRequested { code } => {
@@ -318,6 +326,15 @@ impl Supervisor {
                 self.restart_range(affected, i, cohort, now, now + pause, out);
                 return;
             }
+            if member.len() == 1 && at == self.children[i].group && group.exhausted == Exhausted::Hold {
+                let (restarts, period) = (group.intensity.restarts, group.intensity.period);
+                // What it did is no reason to be strict with its siblings.
+                group.window.clear();
+                self.children[i].held = true;
+                let why = format!("held after more than {restarts} restarts in {period}: {reason}");
+                self.given_up.push((ChildId(i as u16), why));
+                return;
+            }
             let Some(parent) = group.parent else {
                 let reason = format!(
                     "{} needed more than {} restarts in {}; the last one because {reason}",
@@ -333,6 +350,17 @@ impl Supervisor {
             self.groups[at].streak = streak;
             at = parent;
         }
+    }
+
+    /// Somebody wants a child back that was held for having failed too often.
+    fn try_again(&mut self, child: ChildId, now: SimTime) {
+        let Some(at) = self.given_up.iter().position(|(held, _)| *held == child) else { return };
+        self.given_up.remove(at);
+        self.cohorts += 1;
+        let (cohort, child) = (self.cohorts, &mut self.children[usize::from(child.0)]);
+        child.cohort = cohort;
+        child.streak = Streak::default();
+        child.phase = Phase::Waiting(now);
     }
 
     fn restart_range(

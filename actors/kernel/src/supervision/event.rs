@@ -141,7 +141,7 @@ pub enum Health {
     Stalled,
     /// Ended, waiting for its next life.
     Restarting,
-    /// Paused on purpose.
+    /// Paused on purpose, or for having failed too often.
     Held,
     /// Ended for good by a failure.
     Failed,

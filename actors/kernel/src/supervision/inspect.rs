@@ -27,6 +27,7 @@ impl Supervisor {
     pub fn health(&self, child: ChildId) -> Option<Health> {
         let child = self.children.get(usize::from(child.0))?;
         Some(match child.phase {
+            Phase::Ended { failed: true } if child.held => Health::Held,
             Phase::Ended { failed: true } => Health::Failed,
             Phase::Ended { failed: false } => Health::Stopped,
             Phase::Waiting(_) | Phase::Starting(_) | Phase::Stopping { .. } if child.stalled => {
@@ -71,6 +72,11 @@ impl Supervisor {
     /// Why the tree gave up, if it did.
     pub fn reason(&self) -> Option<&str> {
         self.reason.as_deref()
+    }
+    /// Children that are held for having failed too often, by name, and why.
+    pub fn given_up(&self) -> Vec<(String, String)> {
+        let name = |child: ChildId| self.children[usize::from(child.0)].spec.id.clone();
+        self.given_up.iter().map(|(child, why)| (name(*child), why.clone())).collect()
     }
     /// Threads that were abandoned and have not ended since.
     pub fn zombies(&self) -> u32 {

@@ -6,7 +6,7 @@ mod event;
 mod inspect;
 mod tree;
 
-pub use child::{Backoff, ChildSpec, GroupSpec, Intensity, Node, Restart, RuntimeClass, Strategy};
+pub use child::{Backoff, ChildSpec, Exhausted, GroupSpec, Intensity, Node, Restart, RuntimeClass, Strategy};
 pub use core::{EXIT_GAVE_UP, INCIDENTS_MAX, SHUTDOWN_CONTROLLERS_MAX, SHUTDOWN_MODEL_MAX, Supervisor};
 pub use event::{Action, Cause, ChildId, Event, Health, Incident};
 pub use tree::{NODES_MAX, TreeError};

@@ -6,7 +6,7 @@ use std::ops::Range;
 use thiserror::Error;
 use trocar_scene::SimTime;
 
-use super::child::{Backoff, ChildSpec, GroupSpec, Intensity, Node, Strategy};
+use super::child::{Backoff, ChildSpec, Exhausted, GroupSpec, Intensity, Node, Strategy};
 
 /// Most children and groups of one tree.
 pub const NODES_MAX: usize = 4_096;
@@ -110,6 +110,7 @@ pub(super) struct Group {
     pub(super) strategy: Strategy,
     pub(super) intensity: Intensity,
     pub(super) backoff: Backoff,
+    pub(super) exhausted: Exhausted,
     /// The children below it.
     pub(super) leaves: Range<usize>,
     pub(super) window: Window,
@@ -149,7 +150,7 @@ impl Flat {
     }
 
     /// Plays a child of `group` that fails whenever it is started, with the longest pauses that jitter allows,
-    /// until the root gives up. Pauses never shrink, so a window that once loses a restart always will.
+    /// until it is held or the root gives up. Pauses never shrink, so a window that once loses a restart always will.
     fn check_gives_up(&self, group: usize) -> Result<(), TreeError> {
         let mut chain: Vec<Group> = Vec::new();
         let mut at = Some(group);
@@ -179,6 +180,9 @@ impl Flat {
                 if group.window.admit(group.intensity, now) {
                     break;
                 }
+                if level == 0 && group.exhausted == Exhausted::Hold {
+                    return Ok(());
+                }
                 group.window.clear();
                 let Some(parent) = chain.get(level + 1).map(|parent| parent.backoff) else { return Ok(()) };
                 pause = pause.max(chain[level].streak.pause(&parent, now, 1.0));
@@ -194,7 +198,7 @@ impl Flat {
         parent: Option<usize>,
         names: &mut BTreeSet<String>,
     ) -> Result<(), TreeError> {
-        let GroupSpec { id, strategy, intensity, backoff, children } = spec;
+        let GroupSpec { id, strategy, intensity, backoff, exhausted, children } = spec;
         check_backoff(&id, &backoff)?;
         self.claim(&id, names)?;
         let me = self.groups.len();
@@ -205,6 +209,7 @@ impl Flat {
             strategy,
             intensity,
             backoff,
+            exhausted,
             leaves: first..first,
             window: Window::default(),
             streak: Streak::default(),

@@ -10,7 +10,7 @@ use trocar::session::Session;
 use trocar::summary::{BenchResult, Better};
 use trocar_scene::{Access, Commands, Controller, ControllerError, SimTime, Snapshot, Tick};
 
-use super::counting::counts;
+use super::counting::{counts, is_counting};
 use super::exercise::SCENARIO;
 use crate::failure::Failure;
 
@@ -50,8 +50,16 @@ impl Controller for Watched {
 }
 
 /// Allocations and frees per warmed tick of the haptic controllers, in the exercise.
+///
+/// # Errors
+/// When the program has another allocator: zero would be no figure then.
 pub fn haptic_ticks() -> Result<Vec<BenchResult>, Failure> {
-    let app = App::standard()?;
+    if !is_counting() {
+        return Err(Failure::usage(
+            "this program's allocator counts nothing; its main file needs trocar_cli::CountingAllocator",
+        ));
+    }
+    let app = App::new();
     let scenario = app.scenario(SCENARIO)?;
     let options = RunOptions { lockstep: true, seconds: Some(END.as_secs_f64()), ..RunOptions::default() };
     let mut assembly = Assembly::new(&app, &scenario, &options)

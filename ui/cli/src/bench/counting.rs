@@ -1,12 +1,18 @@
 //! An allocator that counts what each thread asks of it, so that "allocates nothing" is a figure. The only
-//! module of this crate with unsafe code.
+//! module of this crate with unsafe code. Which allocator a program has is for its `main` to say:
+//!
+//! ```
+//! #[global_allocator]
+//! static ALLOCATOR: trocar_cli::CountingAllocator = trocar_cli::CountingAllocator;
+//! # fn main() {}
+//! ```
 #![allow(unsafe_code)]
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-/// The system's allocator, with two counters per thread.
-struct Counting;
+/// The system's allocator, with two counters per thread that `trocar bench` looks at.
+pub struct CountingAllocator;
 
 thread_local! {
     // Constant and without a destructor: safe to touch from within the allocator, at any time.
@@ -19,6 +25,13 @@ pub fn counts() -> (u64, u64) {
     (ALLOCATIONS.with(Cell::get), FREES.with(Cell::get))
 }
 
+/// Whether the program's allocator is this one; without it nothing is counted.
+pub fn is_counting() -> bool {
+    let before = counts();
+    drop(std::hint::black_box(Box::new(0_u64)));
+    counts() != before
+}
+
 fn allocated() {
     ALLOCATIONS.with(|count| count.set(count.get().wrapping_add(1)));
 }
@@ -29,7 +42,7 @@ fn freed() {
 
 // SAFETY: every call is handed on to the system's allocator unchanged; counting touches a thread-local
 // integer only and neither allocates nor unwinds.
-unsafe impl GlobalAlloc for Counting {
+unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         allocated();
         // SAFETY: the caller keeps the contract of `alloc`.
@@ -53,12 +66,12 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[global_allocator]
+    static ALLOCATOR: CountingAllocator = CountingAllocator;
 
     #[test]
     fn a_box_is_one_allocation_and_one_free() {
@@ -66,5 +79,6 @@ mod tests {
         drop(std::hint::black_box(Box::new(7_u64)));
         let after = counts();
         assert_eq!((after.0 - before.0, after.1 - before.1), (1, 1));
+        assert!(is_counting());
     }
 }

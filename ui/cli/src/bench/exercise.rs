@@ -17,7 +17,7 @@ const BLOCK_SECS: f64 = 6.0;
 const BLOCKS: usize = 5;
 
 fn run(options: &RunOptions) -> Result<RunOutcome, Failure> {
-    let app = App::standard()?;
+    let app = App::new();
     let scenario = app.scenario(SCENARIO)?;
     Ok(trocar::run::run(&app, &scenario, options, &mut |_| {})?)
 }

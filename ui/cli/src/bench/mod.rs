@@ -1,7 +1,7 @@
 //! `trocar bench`: figures beside the floors of this machine.
 
 mod allocation;
-mod counting;
+pub mod counting;
 mod exercise;
 
 use indicatif::{ProgressBar, ProgressStyle};
