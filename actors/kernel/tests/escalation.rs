@@ -67,7 +67,7 @@ fn a_child_that_always_fails_escalates_under_every_default_group() {
     for class in CLASSES {
         let (limit, slow) = match class {
             RuntimeClass::Model => (ms(60_000), ms(3_000)),
-            RuntimeClass::Network => (ms(40_000), ms(15_000)),
+            RuntimeClass::Network | RuntimeClass::Recorder => (ms(40_000), ms(15_000)),
             _ => (ms(8_000), ms(3_000)),
         };
         let (root, child) = default_tree(class);
