@@ -1,6 +1,7 @@
 //! The table of what a program knows: components, and kinds of controllers by the names that scenarios use.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
@@ -213,11 +214,13 @@ impl App {
     /// Adds a kind of controller that says itself how it is scheduled and fenced.
     #[must_use]
     pub fn kind(mut self, name: impl Into<String>, kind: Kind) -> Self {
-        let name = name.into();
-        if self.kinds.contains_key(&name) {
-            self.wrong.get_or_insert(SetupError::KindTaken(name));
-        } else {
-            self.kinds.insert(name, kind);
+        match self.kinds.entry(name.into()) {
+            Entry::Occupied(taken) => {
+                self.wrong.get_or_insert(SetupError::KindTaken(taken.key().clone()));
+            }
+            Entry::Vacant(free) => {
+                free.insert(kind);
+            }
         }
         self
     }
