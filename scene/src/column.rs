@@ -1,9 +1,13 @@
 //! Columns: the rows of one component, in chunks that snapshots share until one of them changes.
 //!
-//! Two-level copy-on-write: a block per spawner, pages of 64 chunks, chunks of 64 rows. Entities of one
-//! spawner are numbered densely, so a row is found by shifts alone and a publication costs what changed,
-//! not what exists. Each row carries the revision in which it changed, each chunk, page and block the
-//! largest below it, so that [`Column::iter_changed`] skips what is old.
+//! Two-level copy-on-write: pages of 64 chunks, chunks of 64 rows. A publication copies what changed, not what
+//! exists. Each row carries the revision in which it changed, each chunk and page the largest below it, so
+//! that [`Column::iter_changed`] skips what is old.
+//!
+//! Entities of one spawner are numbered densely, so a row is found by shifts; but numbers may come from a file,
+//! so nothing is reserved for those that are not there: pages are sorted by number, and below them a node keeps
+//! a bitmap of its 64 places and only the filled ones (Bagwell, "Ideal Hash Trees", 2001). Memory is
+//! proportional to the number of rows, whatever their entities are called.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -13,8 +17,86 @@ use crate::entity::Entity;
 use crate::time::Revision;
 
 const BITS: u32 = 6;
-const FANOUT: usize = 1 << BITS;
-const MASK: u32 = FANOUT as u32 - 1;
+const MASK: u64 = (1 << BITS) - 1;
+
+/// Most pages (4,096 neighbouring numbers of one spawner each) of a column: a bound on what sharing a column
+/// costs. Densely numbered, they hold 67 million entities.
+pub(crate) const PAGES_MAX: usize = 1 << 14;
+
+/// [`Sparse::start`] of a node with holes between its filled places.
+const HOLES: u32 = u32::MAX;
+
+/// Up to 64 places of which only the filled ones take room.
+#[derive(Clone)]
+struct Sparse<S> {
+    filled: u64,
+    /// The first filled place when no hole follows it, which is the rule; otherwise [`HOLES`]. Subtracting it is
+    /// faster than counting bits.
+    start: u32,
+    slots: Vec<S>,
+}
+
+impl<S> Sparse<S> {
+    fn of(index: u32, slot: S) -> Self {
+        Self { filled: 1 << index, start: index, slots: vec![slot] }
+    }
+    /// How many places below `index` are filled.
+    fn rank(&self, index: u32) -> usize {
+        (self.filled & ((1 << index) - 1)).count_ones() as usize
+    }
+    fn has(&self, index: u32) -> bool {
+        self.filled >> index & 1 == 1
+    }
+    fn set_filled(&mut self, filled: u64) {
+        self.filled = filled;
+        let first = filled.trailing_zeros();
+        let run = filled.checked_shr(first).unwrap_or(0);
+        self.start = if run & run.wrapping_add(1) == 0 { first } else { HOLES };
+    }
+    #[inline]
+    fn get(&self, index: u32) -> Option<&S> {
+        if self.start != HOLES {
+            self.slots.get(index.wrapping_sub(self.start) as usize)
+        } else if self.has(index) {
+            self.slots.get(self.rank(index))
+        } else {
+            None
+        }
+    }
+    fn get_mut(&mut self, index: u32) -> Option<&mut S> {
+        if self.has(index) {
+            let rank = self.rank(index);
+            self.slots.get_mut(rank)
+        } else {
+            None
+        }
+    }
+    /// Fills an empty place.
+    fn insert(&mut self, index: u32, slot: S) {
+        let rank = self.rank(index);
+        self.slots.insert(rank, slot);
+        self.set_filled(self.filled | 1 << index);
+    }
+    fn remove(&mut self, index: u32) {
+        if self.has(index) {
+            let rank = self.rank(index);
+            self.slots.remove(rank);
+            self.set_filled(self.filled & !(1 << index));
+        }
+    }
+    fn is_empty(&self) -> bool {
+        self.filled == 0
+    }
+    /// The filled places in order.
+    fn iter(&self) -> impl Iterator<Item = (u32, &S)> {
+        let mut left = self.filled;
+        self.slots.iter().map(move |slot| {
+            let index = left.trailing_zeros();
+            left &= left.wrapping_sub(1);
+            (index, slot)
+        })
+    }
+}
 
 #[derive(Clone)]
 struct Row<T> {
@@ -25,57 +107,67 @@ struct Row<T> {
 #[derive(Clone)]
 struct Chunk<T> {
     latest: Revision,
-    rows: Vec<Option<Row<T>>>,
+    rows: Sparse<Row<T>>,
 }
 
 #[derive(Clone)]
 struct Page<T> {
     latest: Revision,
-    chunks: Vec<Option<Arc<Chunk<T>>>>,
-}
-
-#[derive(Clone)]
-struct Block<T> {
-    key: u32,
-    latest: Revision,
-    pages: Vec<Option<Arc<Page<T>>>>,
+    chunks: Sparse<Arc<Chunk<T>>>,
 }
 
 /// All rows of one component.
 #[derive(Clone)]
 pub struct Column<T> {
-    blocks: Vec<Block<T>>,
+    /// Pages by [`page_of`], ascending.
+    pages: Vec<(u64, Arc<Page<T>>)>,
     len: usize,
     latest: Revision,
 }
 
 impl<T> Default for Column<T> {
     fn default() -> Self {
-        Self { blocks: Vec::new(), len: 0, latest: Revision::ZERO }
+        Self { pages: Vec::new(), len: 0, latest: Revision::ZERO }
     }
 }
 
-fn indices(counter: u32) -> (usize, usize, usize) {
-    ((counter >> (2 * BITS)) as usize, ((counter >> BITS) & MASK) as usize, (counter & MASK) as usize)
+/// Station, spawner and the counter's upper bits.
+fn page_of(entity: Entity) -> u64 {
+    entity.to_bits() >> (2 * BITS)
 }
 
-/// The slot at `index`, after growing the list to reach it.
-fn slot<S>(list: &mut Vec<Option<S>>, index: usize) -> &mut Option<S> {
-    if list.len() <= index {
-        list.resize_with(index + 1, || None);
-    }
-    &mut list[index]
+/// Place of the chunk in its page, and of the row in its chunk.
+fn places(entity: Entity) -> (u32, u32) {
+    let bits = entity.to_bits();
+    (((bits >> BITS) & MASK) as u32, (bits & MASK) as u32)
 }
 
 impl<T: Clone> Column<T> {
+    #[inline]
+    fn find(&self, page: u64) -> Result<usize, usize> {
+        // A scene has a page or two per writer. For so few, comparing with all of them is faster than a search,
+        // whose branches nobody can predict.
+        const FEW: usize = 8;
+        let at = if self.pages.len() <= FEW {
+            self.pages.iter().map(|(number, _)| usize::from(*number < page)).sum()
+        } else {
+            self.pages.partition_point(|(number, _)| *number < page)
+        };
+        match self.pages.get(at) {
+            Some((number, _)) if *number == page => Ok(at),
+            _ => Err(at),
+        }
+    }
+
+    #[inline]
     fn row(&self, entity: Entity) -> Option<&Row<T>> {
-        let key = entity.block();
-        let block = self.blocks.iter().find(|block| block.key == key)?;
-        let (page, chunk, row) = indices(entity.counter());
-        block.pages.get(page)?.as_ref()?.chunks.get(chunk)?.as_ref()?.rows.get(row)?.as_ref()
+        let at = self.find(page_of(entity)).ok()?;
+        let (chunk, row) = places(entity);
+        self.pages[at].1.chunks.get(chunk)?.rows.get(row)
     }
 
     /// The entity's value.
+    #[inline]
     pub fn get(&self, entity: Entity) -> Option<&T> {
         self.row(entity).map(|row| &row.value)
     }
@@ -100,6 +192,19 @@ impl<T: Clone> Column<T> {
         self.latest
     }
 
+    /// Whether rows of these entities fit beside those that are there. Entities in a row of one page count once;
+    /// in another order the answer may be no although there is room.
+    pub(crate) fn has_room(&self, entities: impl Iterator<Item = Entity>) -> bool {
+        let (mut pages, mut last) = (self.pages.len(), None);
+        for page in entities.map(page_of) {
+            if last != Some(page) && self.find(page).is_err() {
+                pages += 1;
+            }
+            last = Some(page);
+        }
+        pages <= PAGES_MAX
+    }
+
     /// Rows in entity order.
     pub fn iter(&self) -> impl Iterator<Item = (Entity, &T)> {
         self.rows_since(None).map(|(entity, row)| (entity, &row.value))
@@ -112,22 +217,14 @@ impl<T: Clone> Column<T> {
 
     fn rows_since(&self, since: Option<Revision>) -> impl Iterator<Item = (Entity, &Row<T>)> {
         let newer = move |latest: Revision| since.is_none_or(|since| latest > since);
-        self.blocks.iter().filter(move |block| newer(block.latest)).flat_map(move |block| {
-            let pages = block.pages.iter().enumerate();
-            let pages = pages.filter_map(move |(p, page)| {
-                page.as_ref().filter(|page| newer(page.latest)).map(|page| (p, page))
-            });
-            pages.flat_map(move |(p, page)| {
-                let chunks = page.chunks.iter().enumerate();
-                let chunks = chunks.filter_map(move |(c, chunk)| {
-                    chunk.as_ref().filter(|chunk| newer(chunk.latest)).map(|chunk| (c, chunk))
-                });
-                chunks.flat_map(move |(c, chunk)| {
-                    chunk.rows.iter().enumerate().filter_map(move |(r, row)| {
-                        let row = row.as_ref().filter(|row| newer(row.revision))?;
-                        let counter = ((p << (2 * BITS)) | (c << BITS) | r) as u32;
-                        Some((Entity::from_bits((u64::from(block.key) << 32) | u64::from(counter)), row))
-                    })
+        let pages = self.pages.iter().filter(move |(_, page)| newer(page.latest));
+        pages.flat_map(move |(number, page)| {
+            let chunks = page.chunks.iter().filter(move |(_, chunk)| newer(chunk.latest));
+            chunks.flat_map(move |(c, chunk)| {
+                let rows = chunk.rows.iter().filter(move |(_, row)| newer(row.revision));
+                rows.map(move |(r, row)| {
+                    let bits = (number << (2 * BITS)) | u64::from(c << BITS) | u64::from(r);
+                    (Entity::from_bits(bits), row)
                 })
             })
         })
@@ -135,31 +232,36 @@ impl<T: Clone> Column<T> {
 
     /// Sets the entity's value.
     pub fn put(&mut self, entity: Entity, value: T, revision: Revision) {
-        let key = entity.block();
-        let at = match self.blocks.binary_search_by_key(&key, |block| block.key) {
+        self.latest = revision;
+        let number = page_of(entity);
+        let (c, r) = places(entity);
+        let row = Row { value, revision };
+        let fresh = |row| Arc::new(Chunk { latest: revision, rows: Sparse::of(r, row) });
+        let at = match self.find(number) {
             Ok(at) => at,
             Err(at) => {
-                self.blocks.insert(at, Block { key, latest: revision, pages: Vec::new() });
-                at
+                let page = Page { latest: revision, chunks: Sparse::of(c, fresh(row)) };
+                self.pages.insert(at, (number, Arc::new(page)));
+                self.len += 1;
+                return;
             }
         };
-        let block = &mut self.blocks[at];
-        let (page, chunk, row) = indices(entity.counter());
-        block.latest = revision;
-        let page = Arc::make_mut(
-            slot(&mut block.pages, page)
-                .get_or_insert_with(|| Arc::new(Page { latest: revision, chunks: Vec::new() })),
-        );
+        let page = Arc::make_mut(&mut self.pages[at].1);
         page.latest = revision;
-        let chunk = Arc::make_mut(
-            slot(&mut page.chunks, chunk)
-                .get_or_insert_with(|| Arc::new(Chunk { latest: revision, rows: Vec::new() })),
-        );
+        let Some(chunk) = page.chunks.get_mut(c) else {
+            page.chunks.insert(c, fresh(row));
+            self.len += 1;
+            return;
+        };
+        let chunk = Arc::make_mut(chunk);
         chunk.latest = revision;
-        let row = slot(&mut chunk.rows, row);
-        self.len += usize::from(row.is_none());
-        *row = Some(Row { value, revision });
-        self.latest = revision;
+        match chunk.rows.get_mut(r) {
+            Some(place) => *place = row,
+            None => {
+                chunk.rows.insert(r, row);
+                self.len += 1;
+            }
+        }
     }
 
     /// Takes the entity's value away; says whether there was one.
@@ -167,23 +269,19 @@ impl<T: Clone> Column<T> {
         if self.row(entity).is_none() {
             return false;
         }
-        let key = entity.block();
-        let Ok(at) = self.blocks.binary_search_by_key(&key, |block| block.key) else { return false };
-        let (page, chunk, row) = indices(entity.counter());
-        let block = &mut self.blocks[at];
-        let Some(Some(page_slot)) = block.pages.get_mut(page) else { return false };
-        let page_rows = Arc::make_mut(page_slot);
-        let Some(Some(chunk_slot)) = page_rows.chunks.get_mut(chunk) else { return false };
-        let rows = Arc::make_mut(chunk_slot);
-        rows.rows[row] = None;
+        let Ok(at) = self.find(page_of(entity)) else { return false };
+        let (c, r) = places(entity);
+        let page = Arc::make_mut(&mut self.pages[at].1);
+        let Some(chunk) = page.chunks.get_mut(c) else { return false };
+        let chunk = Arc::make_mut(chunk);
+        chunk.rows.remove(r);
         // Empty chunks and pages go, so that a long session does not keep what it despawned.
-        if rows.rows.iter().all(Option::is_none) {
-            page_rows.chunks[chunk] = None;
+        if chunk.rows.is_empty() {
+            page.chunks.remove(c);
         }
-        if page_rows.chunks.iter().all(Option::is_none) {
-            block.pages[page] = None;
+        if page.chunks.is_empty() {
+            self.pages.remove(at);
         }
-        block.latest = revision;
         self.len -= 1;
         self.latest = revision;
         true
@@ -208,6 +306,8 @@ pub trait ErasedColumn: Send + Sync {
     fn latest(&self) -> Revision;
     /// The revision of one row.
     fn revision(&self, entity: Entity) -> Option<Revision>;
+    /// Whether rows of these entities, in order, fit beside those that are there.
+    fn has_room(&self, entities: &mut dyn Iterator<Item = Entity>) -> bool;
     /// Takes a row away.
     fn remove(&mut self, entity: Entity, revision: Revision) -> bool;
     /// Visits the entities that have a row, in order.
@@ -240,6 +340,9 @@ impl<T: Component> ErasedColumn for Column<T> {
     fn revision(&self, entity: Entity) -> Option<Revision> {
         Column::revision(self, entity)
     }
+    fn has_room(&self, entities: &mut dyn Iterator<Item = Entity>) -> bool {
+        Column::has_room(self, entities)
+    }
     fn remove(&mut self, entity: Entity, revision: Revision) -> bool {
         Column::remove(self, entity, revision)
     }
@@ -262,4 +365,9 @@ pub(crate) fn encode<T: serde::Serialize>(value: &T, out: &mut Vec<u8>) -> Resul
     postcard::to_io(value, &mut *out)
         .map(|_| ())
         .map_err(|error| ComponentError::Malformed(error.to_string()))
+}
+
+/// Decodes a postcard value from the front of some bytes and gives the rest.
+pub(crate) fn take<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, &'a [u8]), ComponentError> {
+    postcard::take_from_bytes(bytes).map_err(|error| ComponentError::Malformed(error.to_string()))
 }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::column::{Column, ErasedColumn, encode};
+use crate::column::{Column, ErasedColumn, PAGES_MAX, encode, take};
 use crate::component::{Component, ComponentError, RecordPolicy};
 use crate::entity::{Entity, EntityAllocator};
 use crate::event::Event;
@@ -78,6 +78,9 @@ pub enum CommandError {
     /// 2³² entities of one writer.
     #[error("the writer has used up its entities")]
     NoMoreEntities,
+    /// Too many entities at once, or scattered too widely.
+    #[error("the entities of the scene would take more than {PAGES_MAX} pages of 4,096 numbers")]
+    NoRoom,
 }
 
 /// The writes of one tick.
@@ -332,20 +335,13 @@ impl Commands {
         encode(&self.events, out)
     }
 
-    /// Adds what [`Commands::encode`] wrote, and returns the bytes after it.
+    /// Adds what [`Commands::encode`] wrote, and returns the bytes after it. What is added is proportional to the
+    /// number of bytes read; whether a scene has room for the rows, [`crate::Store::check_room`] says.
     ///
     /// # Errors
     /// When the bytes are malformed, name an unknown component, or hold a refused value.
     pub fn decode<'a>(&mut self, bytes: &'a [u8]) -> Result<&'a [u8], ComponentError> {
-        fn take<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, &'a [u8]), ComponentError> {
-            postcard::take_from_bytes(bytes).map_err(|error| ComponentError::Malformed(error.to_string()))
-        }
         let registry = self.registry.clone();
-        let find = |key: u32| {
-            registry
-                .by_key(key)
-                .ok_or_else(|| ComponentError::Malformed(format!("unknown component key {key:#010x}")))
-        };
         let (spawns, rest) = take::<Vec<Entity>>(bytes)?;
         let (despawns, rest) = take::<Vec<Entity>>(rest)?;
         self.spawns.extend(spawns);
@@ -353,13 +349,13 @@ impl Commands {
         let (count, mut rest) = take::<u32>(rest)?;
         for _ in 0..count {
             let ((key, entity), after) = take::<(u32, Entity)>(rest)?;
-            self.removes.push((find(key)?, entity));
+            self.removes.push((registry.require_key(key)?, entity));
             rest = after;
         }
         let (count, mut rest) = take::<u32>(rest)?;
         for _ in 0..count {
             let ((key, rows), mut after) = take::<(u32, u32)>(rest)?;
-            let id = find(key)?;
+            let id = registry.require_key(key)?;
             for _ in 0..rows {
                 let (entity, value) = take::<Entity>(after)?;
                 after = registry.put_postcard(id, self, entity, value)?;
@@ -369,10 +365,14 @@ impl Commands {
         let (count, mut rest) = take::<u32>(rest)?;
         for _ in 0..count {
             let ((key, entity, to), after) = take::<(u32, Entity, WriterId)>(rest)?;
-            self.transfers.push(Transfer { component: find(key)?, entity, to });
+            self.transfers.push(Transfer { component: registry.require_key(key)?, entity, to });
             rest = after;
         }
         let (events, rest) = take::<Vec<Event>>(rest)?;
+        if let Some(event) = events.iter().find(|event| !event.value.is_finite()) {
+            let name = event.name.escape_default();
+            return Err(ComponentError::Malformed(format!("event '{name}': value is not finite")));
+        }
         self.events.extend(events);
         Ok(rest)
     }

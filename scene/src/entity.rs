@@ -48,10 +48,6 @@ impl Entity {
     pub const fn counter(self) -> u32 {
         self.0 as u32
     }
-    /// Station and spawner together: the block of a column in which its row lies.
-    pub(crate) const fn block(self) -> u32 {
-        (self.0 >> 32) as u32
-    }
 }
 
 impl fmt::Display for Entity {

@@ -248,6 +248,10 @@ impl Registry {
     pub fn by_key(&self, key: u32) -> Option<ComponentId> {
         self.by_key.get(&key).copied()
     }
+    /// The id of a key that must be known.
+    pub(crate) fn require_key(&self, key: u32) -> Result<ComponentId, ComponentError> {
+        self.by_key(key).ok_or_else(|| malformed(&format!("unknown component key {key:#010x}")))
+    }
     /// What is known of a component.
     ///
     /// # Panics

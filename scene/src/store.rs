@@ -6,7 +6,7 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use crate::access::WriterRules;
-use crate::column::{Column, ErasedColumn};
+use crate::column::{Column, ErasedColumn, PAGES_MAX, take};
 use crate::commands::{CommandError, Commands};
 use crate::component::ComponentError;
 use crate::entity::Entity;
@@ -114,6 +114,9 @@ impl Store {
                 return Err(Refusal::NotOwner(*entity));
             }
         }
+        if !self.current.alive.has_room(commands.spawns().iter().copied()) {
+            return Err(CommandError::NoRoom.into());
+        }
         for entity in commands.despawns() {
             if !self.current.contains(*entity) {
                 return Err(Refusal::UnknownEntity(*entity));
@@ -194,42 +197,100 @@ impl Store {
         }
     }
 
-    /// Reads what [`Snapshot::encode`] wrote.
+    /// Whether the rows that these commands add fit into the columns, whose pages are bounded. Commands of a
+    /// live writer that [`Store::validate`] accepted always do; those of a file may not.
     ///
     /// # Errors
-    /// When the bytes are malformed or name unknown components.
-    pub fn load<'a>(registry: &Arc<Registry>, bytes: &'a [u8]) -> Result<(Self, &'a [u8]), ComponentError> {
-        fn take<'a, T: serde::Deserialize<'a>>(bytes: &'a [u8]) -> Result<(T, &'a [u8]), ComponentError> {
-            postcard::take_from_bytes(bytes).map_err(|error| ComponentError::Malformed(error.to_string()))
+    /// [`ComponentError::Malformed`] names the component.
+    pub fn check_room(&self, commands: &Commands) -> Result<(), ComponentError> {
+        if !self.current.alive.has_room(commands.spawns().iter().copied()) {
+            return Err(no_room("the list of entities"));
         }
+        for (id, puts) in commands.puts() {
+            let mut entities = (0..puts.len()).map(|index| puts.entity(index));
+            if !self.current.erased_column(id).has_room(&mut entities) {
+                return Err(no_room(self.current.registry.entry(id).name));
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads what [`Snapshot::encode`] wrote, in its canonical order. What it holds afterwards is proportional
+    /// to the number of bytes read.
+    ///
+    /// # Errors
+    /// When the bytes are malformed or out of order, or name unknown components.
+    pub fn load<'a>(registry: &Arc<Registry>, bytes: &'a [u8]) -> Result<(Self, &'a [u8]), ComponentError> {
+        let malformed = |what: String| Err(ComponentError::Malformed(what));
         let mut store = Self::new(registry.clone());
         let ((revision, time, entities), mut rest) = take::<(Revision, SimTime, u32)>(bytes)?;
+        if revision.0 > NUMBER_MAX {
+            return malformed(format!("revision {} is beyond {NUMBER_MAX}", revision.0));
+        }
+        let alive = Arc::make_mut(&mut store.current.alive);
+        let mut last = None;
         for _ in 0..entities {
             let (entity, after) = take::<Entity>(rest)?;
-            Arc::make_mut(&mut store.current.alive).put(entity, (), revision);
+            ascending("the list of entities", &mut last, entity)?;
+            if !alive.has_room(std::iter::once(entity)) {
+                return Err(no_room("the list of entities"));
+            }
+            alive.put(entity, (), revision);
             rest = after;
         }
         let allocator = crate::entity::EntityAllocator::new(0, crate::entity::SCENARIO_SPAWNER);
         let mut commands = Commands::new(registry.clone(), allocator);
         let (columns, mut rest) = take::<u32>(rest)?;
+        let mut last_id = None;
         for _ in 0..columns {
             let ((key, rows), mut after) = take::<(u32, u32)>(rest)?;
-            let id = registry
-                .by_key(key)
-                .ok_or_else(|| ComponentError::Malformed(format!("unknown component key {key:#010x}")))?;
+            let id = registry.require_key(key)?;
+            let name = registry.entry(id).name;
+            if last_id.is_some_and(|last| last >= id) {
+                return malformed(format!("component '{name}' comes again or out of order"));
+            }
+            last_id = Some(id);
+            let mut last = None;
             for _ in 0..rows {
                 let (entity, value) = take::<Entity>(after)?;
+                ascending(name, &mut last, entity)?;
                 after = registry.put_postcard(id, &mut commands, entity, value)?;
             }
             rest = after;
         }
         let ((first, events), rest) = take::<(u64, Vec<crate::event::Event>)>(rest)?;
+        if first > NUMBER_MAX {
+            return malformed(format!("event number {first} is beyond {NUMBER_MAX}"));
+        }
+        if let Some(event) = events.iter().find(|event| !event.value.is_finite()) {
+            return malformed(format!("event '{}': value is not finite", event.name.escape_default()));
+        }
+        store.check_room(&commands)?;
         let columns = &mut store.current.columns;
         commands.puts_mut(|id, puts| puts.apply(exclusive(&mut columns[usize::from(id.0)]), revision));
         store.current.events = Arc::new(EventLog::restore(first, events));
         store.current.revision = revision;
         store.current.time = time;
         Ok((store, rest))
+    }
+}
+
+/// Largest revision and event number that a file may state, so that counting on from there cannot overflow.
+const NUMBER_MAX: u64 = 1 << 62;
+
+fn no_room(what: &str) -> ComponentError {
+    ComponentError::Malformed(format!(
+        "{what}: entity numbers are scattered over more than {PAGES_MAX} pages of 4,096"
+    ))
+}
+
+/// Whether `entity` comes after the one before it.
+fn ascending(what: &str, last: &mut Option<Entity>, entity: Entity) -> Result<(), ComponentError> {
+    match last.replace(entity) {
+        Some(before) if before >= entity => {
+            Err(ComponentError::Malformed(format!("{what}: entity {entity} comes after {before}")))
+        }
+        _ => Ok(()),
     }
 }
 

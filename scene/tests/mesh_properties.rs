@@ -1,59 +1,19 @@
 //! No input makes a reader panic, hang, or allocate more than a fixed multiple of its size.
 
 mod common;
+#[path = "../../tests/support/hostile.rs"]
+mod hostile;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::path::Path;
 
 use common::{Order, tet_box};
+use hostile::{mutated, peak_of};
 use proptest::prelude::*;
 use trocar_scene::mesh::{
     Limits, MeshError, SurfaceData, TetData, read_gltf, read_gmsh, read_obj, read_stl, read_vtk,
     validate_surface, validate_tets,
 };
 use trocar_scene::shapes;
-
-/// Counts the bytes that a thread holds.
-struct Counting;
-
-thread_local! {
-    static HELD: Cell<isize> = const { Cell::new(0) };
-    static PEAK: Cell<isize> = const { Cell::new(0) };
-}
-
-fn add(bytes: isize) {
-    // Threads that are being torn down no longer count.
-    let _ = HELD.try_with(|held| {
-        held.set(held.get() + bytes);
-        let _ = PEAK.try_with(|peak| peak.set(peak.get().max(held.get())));
-    });
-}
-
-// SAFETY: every call goes to the system's allocator unchanged; counting allocates nothing.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        add(layout.size() as isize);
-        // SAFETY: the caller's obligations are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        add(-(layout.size() as isize));
-        // SAFETY: the caller's obligations are passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// Largest number of bytes held at once while `work` runs, above what was held before.
-fn peak_of<R>(work: impl FnOnce() -> R) -> (R, usize) {
-    let before = HELD.get();
-    PEAK.set(before);
-    let result = work();
-    (result, (PEAK.get() - before) as usize)
-}
 
 type SurfaceReader = fn(&Path, &[u8], &Limits) -> Result<SurfaceData, MeshError>;
 type TetReader = fn(&Path, &[u8], &Limits) -> Result<TetData, MeshError>;
@@ -118,106 +78,11 @@ fn valid_files() -> Vec<Vec<u8>> {
     ]
 }
 
-#[derive(Clone, Debug)]
-enum Mutation {
-    Flip {
-        at: prop::sample::Index,
-        bit: u8,
-    },
-    Set {
-        at: prop::sample::Index,
-        bytes: Vec<u8>,
-    },
-    Cut {
-        at: prop::sample::Index,
-    },
-    Remove {
-        at: prop::sample::Index,
-        length: usize,
-    },
-    Repeat {
-        at: prop::sample::Index,
-        length: usize,
-    },
-    /// A run of digits becomes another number.
-    Number {
-        at: prop::sample::Index,
-        with: &'static str,
-    },
-}
-
-fn mutation() -> impl Strategy<Value = Mutation> {
-    let at = any::<prop::sample::Index>;
-    let numbers = prop::sample::select(vec![
-        "-1",
-        "0",
-        "4294967295",
-        "4294967296",
-        "9223372036854775807",
-        "18446744073709551615",
-        "nan",
-        "1e400",
-        "-1e-400",
-    ]);
-    prop_oneof![
-        (at(), 0..8u8).prop_map(|(at, bit)| Mutation::Flip { at, bit }),
-        (at(), prop::collection::vec(prop_oneof![Just(0u8), Just(0xff), Just(0x7f), any::<u8>()], 1..9))
-            .prop_map(|(at, bytes)| Mutation::Set { at, bytes }),
-        at().prop_map(|at| Mutation::Cut { at }),
-        (at(), 1..64usize).prop_map(|(at, length)| Mutation::Remove { at, length }),
-        (at(), 1..64usize).prop_map(|(at, length)| Mutation::Repeat { at, length }),
-        (at(), numbers).prop_map(|(at, with)| Mutation::Number { at, with }),
-    ]
-}
-
-fn mutate(file: &mut Vec<u8>, mutation: &Mutation) {
-    if file.is_empty() {
-        return;
-    }
-    match mutation {
-        Mutation::Flip { at, bit } => {
-            let at = at.index(file.len());
-            file[at] ^= 1 << bit;
-        }
-        Mutation::Set { at, bytes } => {
-            let at = at.index(file.len());
-            file.iter_mut().skip(at).zip(bytes).for_each(|(old, new)| *old = *new);
-        }
-        Mutation::Cut { at } => file.truncate(at.index(file.len())),
-        Mutation::Remove { at, length } => {
-            let at = at.index(file.len());
-            file.drain(at..(at + length).min(file.len()));
-        }
-        Mutation::Repeat { at, length } => {
-            let at = at.index(file.len());
-            let piece = file[at..(at + length).min(file.len())].to_vec();
-            file.splice(at..at, piece);
-        }
-        Mutation::Number { at, with } => {
-            let digits = |b: &u8| b.is_ascii_digit();
-            let start = at.index(file.len());
-            let Some(begin) = file[start..].iter().position(digits).map(|offset| start + offset) else {
-                return;
-            };
-            let end = begin + file[begin..].iter().position(|b| !digits(b)).unwrap_or(file.len() - begin);
-            file.splice(begin..end, with.bytes());
-        }
-    }
-}
-
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
     #[test]
-    fn mutated_files_never_harm(
-        which in any::<prop::sample::Index>(),
-        mutations in prop::collection::vec(mutation(), 1..4),
-    ) {
-        thread_local! {
-            static FILES: Vec<Vec<u8>> = valid_files();
-        }
-        let mut file = FILES.with(|files| files[which.index(files.len())].clone());
-        mutations.iter().for_each(|m| mutate(&mut file, m));
+    fn mutated_files_never_harm(file in mutated(valid_files())) {
         every_reader(&file)?;
     }
 

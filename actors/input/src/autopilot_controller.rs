@@ -1,13 +1,13 @@
 //! The controller that schedules [`Autopilot`]: snapshot → what is seen → hand targets, and nothing else.
 
-use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use trocar_scene::kinematics::coupling::InstrumentCoupling;
 use trocar_scene::kinematics::hand_rig::HandRig;
+use trocar_scene::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand, find_rings};
 use trocar_scene::{
-    Access, BuildContext, Commands, Component, Controller, ControllerError, Entity, EntitySet, Grasp, Hand,
-    HandTarget, Instrument, JawState, Motion, Parent, Pose, RegistryBuilder, RegistryError, RigidBody, Shape,
-    Side, Snapshot, Tick, Velocity,
+    Access, BuildContext, Commands, Component, Controller, ControllerError, Entity, EntitySet, Grasp,
+    HandTarget, Instrument, JawState, Parent, Pose, RegistryBuilder, RegistryError, Side, Snapshot, Tick,
+    Velocity,
 };
 
 use crate::autopilot::Autopilot;
@@ -75,12 +75,13 @@ impl AutopilotController {
         let parameters = config.motor.unwrap_or_else(|| MotorParameters::of(config.skill));
         parameters.validate().map_err(missing)?;
         let scene = context.scene;
-        let hands = [find_hand(scene, Side::Left)?, find_hand(scene, Side::Right)?];
+        let hand = |side| find_hand(scene, side).map(|(entity, _)| entity).map_err(missing);
+        let hands = [hand(Side::Left)?, hand(Side::Right)?];
         let rig = |hand| HandRig::read(scene, hand).map_err(missing);
         let rigs = [rig(hands[0])?, rig(hands[1])?];
-        let (rings, ring_radius, tube_radius) = find_rings(scene)?;
+        let BenchRings { entities: rings, ring_radius, tube_radius } = find_rings(scene).map_err(missing)?;
         let mut bench = BenchSeen {
-            pegs: find_pegs(scene)?,
+            pegs: find_pegs(scene).map_err(missing)?,
             ring_radius,
             tube_radius,
             graspers: [grasper(scene, &rigs[0])?, grasper(scene, &rigs[1])?],
@@ -160,50 +161,15 @@ fn look(scene: &Snapshot, rings: &[Entity], rigs: &[HandRig; 2]) -> MomentSeen {
     MomentSeen { rings: rings.iter().map(seen).collect(), hands }
 }
 
-fn find_hand(scene: &Snapshot, side: Side) -> Result<Entity, ControllerError> {
-    scene
-        .iter::<Hand>()
-        .find(|(_, hand)| hand.side == side)
-        .map(|(entity, _)| entity)
-        .ok_or_else(|| missing(format_args!("the scene has no {} hand", side.as_str())))
-}
-
-fn find_rings(scene: &Snapshot) -> Result<(Vec<Entity>, f64, f64), ControllerError> {
-    let moves = |entity| scene.get::<RigidBody>(entity).is_some_and(|body| body.motion == Motion::Dynamic);
-    let rings: Vec<(Entity, f64, f64)> = scene
-        .iter::<Shape>()
-        .filter_map(|(entity, shape)| match shape {
-            Shape::Torus { ring_radius, tube_radius } if moves(entity) => {
-                Some((entity, *ring_radius, *tube_radius))
-            }
-            _ => None,
-        })
-        .collect();
-    let (_, ring_radius, tube_radius) =
-        *rings.first().ok_or_else(|| missing("the scene has no dynamic body with a torus shape"))?;
-    Ok((rings.into_iter().map(|(entity, ..)| entity).collect(), ring_radius, tube_radius))
-}
-
-fn find_pegs(scene: &Snapshot) -> Result<Vec<PegSeen>, ControllerError> {
-    let mut found = Vec::new();
-    let mut boards = 0;
-    for (entity, shape) in scene.iter::<Shape>() {
-        let Shape::PegBoard { pegs, peg_radius, peg_height, .. } = shape else { continue };
-        let world_from_board = scene.world_pose(entity);
-        found.extend(pegs.iter().map(|[x, y]| PegSeen {
-            board: boards,
-            foot: (world_from_board * nalgebra::Point3::new(*x, *y, 0.0)).coords,
-            up: world_from_board.rotation * Vector3::z(),
-            height: *peg_height,
-            radius: *peg_radius,
-        }));
-        boards += 1;
-    }
-    if boards == 2 {
-        Ok(found)
-    } else {
-        Err(missing(format_args!("the scene has {boards} peg_board shapes, the exercise needs 2")))
-    }
+fn find_pegs(scene: &Snapshot) -> Result<Vec<PegSeen>, BenchError> {
+    let seen = |peg: &BenchPeg| PegSeen {
+        board: peg.board,
+        foot: peg.foot_in_world.coords,
+        up: peg.axis_in_world,
+        height: peg.height,
+        radius: peg.radius,
+    };
+    Ok(peg_bench::find_pegs(scene)?.iter().map(seen).collect())
 }
 
 fn grasper(scene: &Snapshot, rig: &HandRig) -> Result<GrasperSeen, ControllerError> {

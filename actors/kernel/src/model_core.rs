@@ -350,7 +350,7 @@ impl ModelCore {
     /// recorded. The hash afterwards is that of the commands as they are now, encoded anew.
     ///
     /// # Errors
-    /// When the commands cannot be encoded.
+    /// When the commands cannot be encoded, or the scene has no room for their rows; nothing is applied then.
     pub fn replay(
         &mut self,
         kind: CommitKind,
@@ -358,6 +358,7 @@ impl ModelCore {
         provenance: Provenance,
         commands: &mut Commands,
     ) -> Result<Revision, ComponentError> {
+        self.store.check_room(commands)?;
         self.scratch.clear();
         commands.encode(&mut self.scratch)?;
         self.chain.append(kind, writer, provenance.tick, provenance.time, &self.scratch);

@@ -1,6 +1,9 @@
 //! The guarantees of the supervisor tree, one test each, named for what OTP promises and for what a
 //! shared address space adds.
 
+mod rig;
+
+use rig::{Rig, ms};
 use trocar_kernel::supervision::{
     Action, Backoff, Cause, ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Restart,
     RuntimeClass, Strategy, Supervisor, TreeError,
@@ -10,10 +13,6 @@ use trocar_scene::SimTime;
 const A: ChildId = ChildId(0);
 const B: ChildId = ChildId(1);
 const C: ChildId = ChildId(2);
-
-fn ms(millis: u64) -> SimTime {
-    SimTime::from_millis(millis)
-}
 
 fn spec(id: &str) -> ChildSpec {
     ChildSpec::new(id, RuntimeClass::Haptics, 1000.0)
@@ -28,54 +27,7 @@ fn three(strategy: Strategy) -> GroupSpec {
     GroupSpec::new("root", strategy).with_backoff(prompt()).child(spec("a")).child(spec("b")).child(spec("c"))
 }
 
-/// A supervisor whose driver starts and stops children at once, and that remembers what it was ordered.
-struct Rig {
-    tree: Supervisor,
-    log: Vec<Action>,
-    now: SimTime,
-    /// Children that never answer an order to stop.
-    deaf: Vec<ChildId>,
-    /// Children whose construction is not answered.
-    slow_starters: Vec<ChildId>,
-}
-
 impl Rig {
-    fn new(root: GroupSpec) -> Self {
-        Self::with(root, 2, &[], &[])
-    }
-    fn with(root: GroupSpec, zombies_max: u32, deaf: &[ChildId], slow_starters: &[ChildId]) -> Self {
-        let tree = Supervisor::new(root, 7, zombies_max).expect("a valid tree");
-        let mut rig = Self {
-            tree,
-            log: Vec::new(),
-            now: SimTime::ZERO,
-            deaf: deaf.to_vec(),
-            slow_starters: slow_starters.to_vec(),
-        };
-        rig.at(0, Event::Tick);
-        rig
-    }
-    fn at(&mut self, millis: u64, event: Event) {
-        self.now = ms(millis);
-        let mut queue = vec![event];
-        while let Some(event) = queue.pop() {
-            let mut out = Vec::new();
-            self.tree.apply(event, self.now, &mut out);
-            for action in &out {
-                match *action {
-                    Action::Start { child, incarnation, .. } if !self.slow_starters.contains(&child) => {
-                        queue.push(Event::Started { child, incarnation });
-                    }
-                    Action::Stop { child } if !self.deaf.contains(&child) => {
-                        let incarnation = self.tree.incarnation(child);
-                        queue.push(Event::Died { child, incarnation, cause: Cause::Stop });
-                    }
-                    _ => {}
-                }
-            }
-            self.log.extend(out);
-        }
-    }
     fn died(&mut self, millis: u64, child: ChildId, cause: Cause) {
         let incarnation = self.tree.incarnation(child);
         self.at(millis, Event::Died { child, incarnation, cause });
@@ -493,7 +445,8 @@ fn a_sibling_that_does_not_stop_is_abandoned_at_its_limit_and_replaced() {
 fn shutdown_zeroes_forces_first_and_ends_in_time_whatever_hangs() {
     let model = ChildSpec::new("model", RuntimeClass::Model, 0.0);
     let hands = GroupSpec::new("hands", Strategy::OneForOne).child(spec("b")).child(spec("c"));
-    let root = GroupSpec::new("root", Strategy::RestForOne).child(model).group(hands);
+    let root =
+        GroupSpec::new("root", Strategy::RestForOne).with_intensity(5, ms(300_000)).child(model).group(hands);
     let mut rig = Rig::with(root, 2, &[A, B, C], &[]);
     rig.take();
     rig.at(1_000, Event::ShutdownRequested { code: 0 });

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
+use trocar_scene::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand};
 use trocar_scene::{
     Access, BuildContext, Camera, CollisionList, Commands, Component, Controller, ControllerError, Entity,
-    EntitySet, Grasp, Hand, Motion, Parent, Pose, RegistryBuilder, RegistryError, RigidBody, Shape, Side,
-    Snapshot, TaskError, TaskState, Tick, Velocity,
+    EntitySet, Grasp, Parent, Pose, RegistryBuilder, RegistryError, Side, Snapshot, TaskError, TaskState,
+    Tick, Velocity,
 };
 
 use crate::fls_score::FlsWeights;
@@ -81,8 +82,9 @@ impl PegTransferController {
             return Err(missing(&format!("secs_per_error: no error is called '{kind}'; there are: {kinds}")));
         }
         let scene = context.scene;
-        let (rings, ring) = find_rings(scene)?;
-        let pegs = find_pegs(scene)?;
+        let lacks = |error: BenchError| missing(&error.to_string());
+        let (rings, ring) = find_rings(scene).map_err(lacks)?;
+        let pegs = find_pegs(scene).map_err(lacks)?;
         let state = match scene.get::<PegTransferState>(context.me) {
             Some(state) if state.exercise.ring_count() as usize == rings.len() => state.clone(),
             _ => {
@@ -101,7 +103,8 @@ impl PegTransferController {
             rules: config.rules,
             weights: config.weights.clone(),
         };
-        let instruments = [find_instrument(scene, Side::Left)?, find_instrument(scene, Side::Right)?];
+        let instrument = |side| find_hand(scene, side).map(|(_, hand)| hand.instrument).map_err(lacks);
+        let instruments = [instrument(Side::Left)?, instrument(Side::Right)?];
         Ok(Self { setup, rings, instruments, state })
     }
 
@@ -260,49 +263,19 @@ fn placement(scene: &Snapshot, ring: Entity) -> RingPlacement {
     }
 }
 
-fn find_rings(scene: &Snapshot) -> Result<(Vec<Entity>, RingShape), ControllerError> {
-    let moves = |entity| scene.get::<RigidBody>(entity).is_some_and(|body| body.motion == Motion::Dynamic);
-    let mut found: Option<RingShape> = None;
-    let mut rings = Vec::new();
-    for (entity, shape) in scene.iter::<Shape>() {
-        let Shape::Torus { ring_radius, tube_radius } = shape else { continue };
-        if !moves(entity) {
-            continue;
-        }
-        let ring = RingShape { ring_radius: *ring_radius, tube_radius: *tube_radius };
-        if *found.get_or_insert(ring) != ring {
-            return Err(missing(&format!(
-                "ring '{}' differs in size from the first one",
-                scene.name(entity)
-            )));
-        }
-        rings.push(entity);
-    }
-    found.map(|ring| (rings, ring)).ok_or_else(|| missing("the scene has no dynamic body with a torus shape"))
+fn find_rings(scene: &Snapshot) -> Result<(Vec<Entity>, RingShape), BenchError> {
+    let BenchRings { entities, ring_radius, tube_radius } = peg_bench::find_rings(scene)?;
+    Ok((entities, RingShape { ring_radius, tube_radius }))
 }
 
-fn find_pegs(scene: &Snapshot) -> Result<Vec<Peg>, ControllerError> {
-    let boards = scene.iter::<Shape>().filter_map(|(entity, shape)| match shape {
-        Shape::PegBoard { pegs, peg_height, .. } => Some((entity, pegs, *peg_height)),
-        _ => None,
-    });
-    let mut found = Vec::new();
-    let mut count = 0;
-    for (board, (entity, pegs, height)) in boards.enumerate() {
-        let world_from_board = scene.world_pose(entity);
-        count = board + 1;
-        found.extend(pegs.iter().map(|[x, y]| Peg {
-            board,
-            foot_in_world: world_from_board * Point3::new(*x, *y, 0.0),
-            axis_in_world: world_from_board * Vector3::z(),
-            height,
-        }));
-    }
-    if count == 2 {
-        Ok(found)
-    } else {
-        Err(missing(&format!("the scene has {count} peg_board shapes, the exercise needs 2")))
-    }
+fn find_pegs(scene: &Snapshot) -> Result<Vec<Peg>, BenchError> {
+    let peg = |peg: BenchPeg| Peg {
+        board: peg.board,
+        foot_in_world: peg.foot_in_world,
+        axis_in_world: peg.axis_in_world,
+        height: peg.height,
+    };
+    Ok(peg_bench::find_pegs(scene)?.into_iter().map(peg).collect())
 }
 
 fn board_with_rings(
@@ -325,14 +298,6 @@ fn board_with_rings(
             rings.len()
         ))),
     }
-}
-
-fn find_instrument(scene: &Snapshot, side: Side) -> Result<Entity, ControllerError> {
-    scene
-        .iter::<Hand>()
-        .find(|(_, hand)| hand.side == side)
-        .map(|(_, hand)| hand.instrument)
-        .ok_or_else(|| missing(&format!("the scene has no {} hand", side.as_str())))
 }
 
 fn find_view(scene: &Snapshot, config: &PegTransferConfig) -> Result<FieldOfView, ControllerError> {

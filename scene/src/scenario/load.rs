@@ -1,6 +1,6 @@
 //! From the text of a scenario to plain structures and commands.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
@@ -187,18 +187,21 @@ fn check_parents(root: &Table) -> Result<(), ScenarioError> {
             parents.insert(name, (of, parent.span()));
         }
     }
-    for (name, (parent, span)) in &parents {
-        let mut current = *parent;
-        for _ in 0..parents.len() {
-            if current == *name {
-                let key = format!("entity '{name}', parent");
+    // Names from which the chain is known to end, so that every link is followed once.
+    let mut ends = BTreeSet::new();
+    for start in parents.keys() {
+        let mut chain = BTreeSet::new();
+        let mut current = *start;
+        while let Some((next, span)) = parents.get(current)
+            && !ends.contains(current)
+        {
+            if !chain.insert(current) {
+                let key = format!("entity '{current}', parent");
                 return Err(root.source.error(span.clone(), key, "its parents form a cycle"));
             }
-            match parents.get(current) {
-                Some((next, _)) => current = next,
-                None => break,
-            }
+            current = next;
         }
+        ends.extend(chain);
     }
     Ok(())
 }

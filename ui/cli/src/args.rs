@@ -63,7 +63,7 @@ pub struct SessionArgs {
     /// Another device for a hand: NAME=SPEC, such as `left=virtual:impedance=off` or `right=replay:hand.csv`
     #[arg(long = "hand", value_name = "NAME=SPEC", value_parser = hand)]
     pub hands: Vec<(String, String)>,
-    /// Skill of the virtual trainee: novice, intermediate, expert, or 0 to 1
+    /// Skill of the virtual trainee: novice, intermediate or expert
     #[arg(long)]
     pub skill: Option<String>,
     /// The trainee is left-handed
@@ -250,6 +250,8 @@ fn positive(text: &str) -> Result<f64, String> {
 mod tests {
     use super::*;
     use clap::CommandFactory;
+    use proptest::prelude::*;
+    use proptest::sample::select;
 
     #[test]
     fn the_command_line_is_sound() {
@@ -264,5 +266,48 @@ mod tests {
         }
         assert_eq!(hand("left=replay:a=b.csv"), Ok(("left".into(), "replay:a=b.csv".into())));
         assert!(hand("left").is_err() && hand("=virtual").is_err() && hand("left=").is_err());
+    }
+
+    /// Words of which command lines are made, and others.
+    fn word() -> impl Strategy<Value = String> {
+        prop_oneof![
+            2 => select(vec![
+                "run", "list", "replay", "graph", "bench", "doctor", "schema", "completions", "peg-transfer",
+                "--seed", "--hand", "--seconds", "--after", "--skill", "--json", "--format", "--faults", "--", "-",
+                "-v", "-vvvv", "left=virtual", "=", "mermaid", "kernel", "1", "-1", "nan", "1e400", "0.0",
+                "18446744073709551616",
+            ]).prop_map(str::to_owned),
+            1 => "\\PC{0,20}",
+            1 => "--?[a-z]{0,8}(=[-a-z0-9.]{0,6})?",
+        ]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
+
+        #[test]
+        fn any_command_line_is_understood_or_refused(words in prop::collection::vec(word(), 0..8)) {
+            match Cli::try_parse_from(std::iter::once("trocar".to_owned()).chain(words)) {
+                Ok(Cli { command: Command::Run(run), .. }) => {
+                    prop_assert!(run.seconds.is_none_or(|secs| secs > 0.0 && secs <= 1e6));
+                    prop_assert!(run.session.hands.iter().all(|(name, spec)| !name.is_empty() && !spec.is_empty()));
+                }
+                Ok(Cli { command: Command::Graph(graph), .. }) => {
+                    prop_assert!(graph.after.is_none_or(|secs| secs > 0.0 && secs <= 1e6));
+                }
+                Ok(_) => {}
+                Err(error) => prop_assert!(!error.to_string().is_empty()),
+            }
+        }
+
+        #[test]
+        fn any_text_is_a_pair_or_a_number_or_refused(text in prop_oneof!["\\PC{0,30}", "[-+0-9.einfNa=]{0,12}"]) {
+            if let Ok(secs) = positive(&text) {
+                prop_assert!(secs > 0.0 && secs <= 1e6);
+            }
+            if let Ok((name, spec)) = hand(&text) {
+                prop_assert_eq!(format!("{name}={spec}"), text);
+            }
+        }
     }
 }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use trocar::app::App;
 use trocar::graph::{ActorGraph, Flow, Node, NodeKind};
-use trocar::run::{RunOptions, start};
+use trocar::run::{RunOptions, accesses};
 use trocar::summary::Exit;
 use trocar_scene::scenario::Scenario;
 
@@ -41,9 +41,7 @@ pub fn graph(app: &App, args: &GraphArgs) -> Result<Exit, Failure> {
 
 /// What everyone declares, without a tick.
 fn declared(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<ActorGraph, Failure> {
-    let session = start(app, scenario, &RunOptions { lockstep: true, ..options.clone() })?;
-    let accesses = session.accesses();
-    session.finish();
+    let accesses = accesses(app, scenario, options)?;
     Ok(ActorGraph::from_access(
         &scenario.name,
         accesses.iter().map(|(name, hz, access)| (name.as_str(), *hz, access)),
@@ -70,13 +68,6 @@ fn rate(node: &Node) -> String {
     }
 }
 
-/// The Model stands for itself only where it has flows of its own.
-fn drawn(graph: &ActorGraph) -> impl Iterator<Item = (usize, &Node)> {
-    let has_flow =
-        |node: &Node| graph.flows.iter().any(|flow| flow.from == node.name || flow.to == node.name);
-    graph.nodes.iter().enumerate().filter(move |(_, node)| node.kind != NodeKind::Model || has_flow(node))
-}
-
 fn index(graph: &ActorGraph, name: &str) -> Option<usize> {
     graph.nodes.iter().position(|node| node.name == name)
 }
@@ -91,11 +82,13 @@ fn label(flow: &Flow, line_break: &str) -> String {
 
 /// As Mermaid, for Markdown pages.
 pub fn mermaid(graph: &ActorGraph) -> String {
-    let mut out = String::from(
-        "%% Every flow between controllers passes the Model: batches in, snapshots out.\nflowchart LR\n",
-    );
-    for (i, node) in drawn(graph) {
-        let (open, close) = if node.kind == NodeKind::Device { ("([", "])") } else { ("[", "]") };
+    let mut out = String::from("%% Batches go into the Model, snapshots come out of it.\nflowchart LR\n");
+    for (i, node) in graph.nodes.iter().enumerate() {
+        let (open, close) = match node.kind {
+            NodeKind::Model => ("[(", ")]"),
+            NodeKind::Controller => ("[", "]"),
+            NodeKind::Device => ("([", "])"),
+        };
         let text = lines(&[&node.name, &rate(node)]).map(|line| escape_mermaid(&line)).collect::<Vec<_>>();
         let _ = writeln!(out, "    n{i}{open}\"{}\"{close}", text.join("<br/>"));
     }
@@ -111,13 +104,17 @@ pub fn mermaid(graph: &ActorGraph) -> String {
 /// As DOT, for Graphviz.
 pub fn dot(graph: &ActorGraph) -> String {
     let mut out = format!(
-        "// Every flow between controllers passes the Model: batches in, snapshots out.\ndigraph \"{}\" {{\n    \
+        "// Batches go into the Model, snapshots come out of it.\ndigraph \"{}\" {{\n    \
          rankdir=LR;\n    node [shape=box, style=rounded, fontname=\"sans-serif\"];\n    \
          edge [fontname=\"sans-serif\", fontsize=10];\n",
         escape_dot(&graph.scenario)
     );
-    for (i, node) in drawn(graph) {
-        let shape = if node.kind == NodeKind::Device { ", shape=ellipse" } else { "" };
+    for (i, node) in graph.nodes.iter().enumerate() {
+        let shape = match node.kind {
+            NodeKind::Model => ", shape=cylinder, style=bold",
+            NodeKind::Controller => "",
+            NodeKind::Device => ", shape=ellipse",
+        };
         let text = lines(&[&node.name, &rate(node)]).map(|line| escape_dot(&line)).collect::<Vec<_>>();
         let _ = writeln!(out, "    n{i} [label=\"{}\"{shape}];", text.join("\\n"));
     }
@@ -154,7 +151,8 @@ mod tests {
         graph.add("model", NodeKind::Model, None);
         graph.add("engine", NodeKind::Controller, Some(500.0));
         graph.add("bad\"]; x[\"", NodeKind::Controller, Some(100.0));
-        graph.flow("engine", "bad\"]; x[\"", vec!["pose".into(), "velocity".into()], Some(100.0));
+        graph.flow("engine", "model", vec!["pose".into(), "velocity".into()], Some(500.0));
+        graph.flow("model", "bad\"]; x[\"", vec!["pose".into()], Some(100.0));
         graph.achieved("engine", 499.9);
         graph
     }
@@ -163,14 +161,18 @@ mod tests {
     fn mermaid_has_nodes_rates_and_flows_and_names_cannot_break_out() {
         let text = mermaid(&graph());
         assert!(text.contains("n1[\"engine<br/>499.9 of 500 Hz\"]"), "{text}");
-        assert!(text.contains("n1 -->|\"pose<br/>velocity<br/>100 Hz\"| n2"), "{text}");
-        assert!(!text.contains("bad\"]") && !text.contains("model"), "{text}");
+        assert!(text.contains("n0[(\"model\")]"), "{text}");
+        assert!(text.contains("n1 -->|\"pose<br/>velocity<br/>500 Hz\"| n0"), "{text}");
+        assert!(text.contains("n0 -->|\"pose<br/>100 Hz\"| n2"), "{text}");
+        assert!(!text.contains("bad\"]"), "{text}");
     }
 
     #[test]
     fn dot_has_nodes_rates_and_flows_and_names_cannot_break_out() {
         let text = dot(&graph());
         assert!(text.contains("n1 [label=\"engine\\n499.9 of 500 Hz\"];"), "{text}");
+        assert!(text.contains("n0 [label=\"model\", shape=cylinder"), "{text}");
+        assert!(text.contains("n0 -> n2 [label=\"pose\\n100 Hz\"];"), "{text}");
         assert!(text.contains("bad\\\"]; x[\\\""), "{text}");
         assert!(text.trim_end().ends_with('}'));
     }

@@ -1,14 +1,19 @@
 //! `trocar list`: what a scenario or a command line can name.
 
+use std::collections::BTreeSet;
+
+use serde::Serialize;
 use serde_json::{Value, json};
 use trocar::app::{App, SCENARIOS};
 use trocar::plans::{self, PLANS};
+use trocar::run::{RunOptions, accesses};
 use trocar::summary::{Exit, SCHEMA};
 
 use crate::args::{ListArgs, Listed};
 use crate::bench;
 use crate::failure::Failure;
 use crate::output;
+use crate::report::short;
 
 /// Devices by the text that names them, and what they are.
 const DEVICES: [(&str, &str); 4] = [
@@ -17,6 +22,56 @@ const DEVICES: [(&str, &str); 4] = [
     ("jigsaws:FILE", "hand motion from JIGSAWS kinematics"),
     ("recording:FILE", "the same hand as in a recording of this program"),
 ];
+
+/// Something that is listed.
+struct Listing {
+    name: String,
+    about: String,
+    /// What is known of controllers only.
+    controller: Option<Usage>,
+}
+
+/// How a kind of controller takes part.
+#[derive(Serialize)]
+struct Usage {
+    /// Usual rate \[Hz\]; null when nobody said it.
+    rate_hz: Option<f64>,
+    /// NAMEs of components, in order.
+    reads: Vec<String>,
+    /// NAMEs of components, contributions included, in order.
+    writes: Vec<String>,
+}
+
+impl Listing {
+    fn new(name: impl Into<String>, about: impl Into<String>) -> Self {
+        Self { name: name.into(), about: about.into(), controller: None }
+    }
+
+    fn json(&self) -> Result<Value, Failure> {
+        let mut object = json!({ "name": self.name, "about": self.about });
+        if let Some(usage) = &self.controller {
+            let usage = serde_json::to_value(usage).map_err(Failure::internal)?;
+            if let (Some(object), Value::Object(usage)) = (object.as_object_mut(), usage) {
+                object.extend(usage);
+            }
+        }
+        Ok(object)
+    }
+
+    fn lines(&self, width: usize) -> Vec<String> {
+        let mut lines = vec![format!("  {:<width$}  {}", self.name, self.about).trim_end().to_owned()];
+        if let Some(usage) = &self.controller {
+            let indent = " ".repeat(width + 4);
+            lines.extend(usage.rate_hz.map(|hz| format!("{indent}usually at {} Hz", short(hz))));
+            for (verb, names) in [("reads", &usage.reads), ("writes", &usage.writes)] {
+                if !names.is_empty() {
+                    lines.push(format!("{indent}{verb} {}", names.join(", ")));
+                }
+            }
+        }
+        lines
+    }
+}
 
 /// Prints the lists.
 pub fn list(app: &App, args: &ListArgs) -> Result<Exit, Failure> {
@@ -33,9 +88,8 @@ pub fn list(app: &App, args: &ListArgs) -> Result<Exit, Failure> {
     if args.json {
         let mut object = serde_json::Map::from_iter([("schema".to_owned(), json!(SCHEMA))]);
         for what in wanted {
-            let rows = rows(app, what)?;
-            let rows = rows.into_iter().map(|(name, about)| json!({ "name": name, "about": about }));
-            object.insert(title(what).to_owned(), Value::Array(rows.collect()));
+            let rows = listings(app, what)?.iter().map(Listing::json).collect::<Result<_, _>>()?;
+            object.insert(title(what).to_owned(), Value::Array(rows));
         }
         output::print_json(&Value::Object(object))?;
         return Ok(Exit::Ok);
@@ -45,11 +99,9 @@ pub fn list(app: &App, args: &ListArgs) -> Result<Exit, Failure> {
         if wanted.len() > 1 {
             lines.push(console::style(title(*what)).bold().to_string());
         }
-        let rows = rows(app, *what)?;
-        let width = rows.iter().map(|(name, _)| name.chars().count()).max().unwrap_or(0);
-        lines.extend(
-            rows.iter().map(|(name, about)| format!("  {name:<width$}  {about}").trim_end().to_owned()),
-        );
+        let rows = listings(app, *what)?;
+        let width = rows.iter().map(|row| row.name.chars().count()).max().unwrap_or(0);
+        lines.extend(rows.iter().flat_map(|row| row.lines(width)));
         lines.push(String::new());
     }
     output::print_text(&lines.join("\n"))?;
@@ -67,29 +119,60 @@ fn title(what: Listed) -> &'static str {
     }
 }
 
-fn rows(app: &App, what: Listed) -> Result<Vec<(String, String)>, Failure> {
-    let pair = |(name, about): (&str, &str)| (name.to_owned(), about.to_owned());
+fn listings(app: &App, what: Listed) -> Result<Vec<Listing>, Failure> {
+    let pair = |(name, about): (&str, &str)| Listing::new(name, about);
     Ok(match what {
         Listed::Scenarios => {
             let mut rows = Vec::with_capacity(SCENARIOS.len());
             for (name, _) in SCENARIOS {
-                let scenario = app.scenario(name)?;
-                rows.push((name.to_owned(), scenario.description.clone()));
+                rows.push(Listing::new(name, app.scenario(name)?.description));
             }
             rows
         }
-        Listed::Controllers => app.kinds().map(|kind| (kind.to_owned(), String::new())).collect(),
+        Listed::Controllers => controllers(app)?,
         Listed::Components => app
             .registry()
             .iter()
-            .map(|(_, entry)| (entry.name.to_owned(), component_about((entry.schema)().as_ref())))
+            .map(|(_, entry)| Listing::new(entry.name, component_about((entry.schema)().as_ref())))
             .collect(),
         Listed::Devices => DEVICES.into_iter().map(pair).collect(),
-        Listed::Plans => {
-            PLANS.iter().map(|(name, text)| ((*name).to_owned(), plans::about(text).to_owned())).collect()
-        }
+        Listed::Plans => PLANS.iter().map(|(name, text)| Listing::new(*name, plans::about(text))).collect(),
         Listed::Suites => bench::SUITES.into_iter().map(pair).collect(),
     })
+}
+
+/// Every kind with what it declares in the first of our scenarios that uses it.
+fn controllers(app: &App) -> Result<Vec<Listing>, Failure> {
+    let mut rows: Vec<Listing> = app
+        .kinds()
+        .map(|kind| {
+            let (about, rate_hz) =
+                app.kind_info(kind).map_or(("", None), |info| (info.about.as_str(), Some(info.rate_hz)));
+            let usage = Usage { rate_hz, reads: Vec::new(), writes: Vec::new() };
+            Listing { controller: Some(usage), ..Listing::new(kind, about) }
+        })
+        .collect();
+    for (name, _) in SCENARIOS {
+        let scenario = app.scenario(name)?;
+        let accesses = accesses(app, &scenario, &RunOptions::default())?;
+        for entry in &scenario.controllers {
+            let usage =
+                rows.iter_mut().find(|row| row.name == entry.kind).and_then(|row| row.controller.as_mut());
+            let access = accesses.iter().find(|(name, ..)| *name == entry.name);
+            let (Some(usage), Some((.., access))) = (usage, access) else { continue };
+            if usage.reads.is_empty() && usage.writes.is_empty() {
+                usage.reads = names(access.reads.iter().copied());
+                let written = access.writes.iter().map(|(name, _)| *name);
+                usage.writes = names(written.chain(access.contributes.iter().copied()));
+            }
+        }
+    }
+    Ok(rows)
+}
+
+/// In order, each once.
+fn names<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
+    names.collect::<BTreeSet<_>>().into_iter().map(str::to_owned).collect()
 }
 
 /// The first sentence of a component's description.

@@ -224,10 +224,41 @@ fn lists_graphs_schemas_and_completions_are_printed() {
     }
     let listed: Value = serde_json::from_str(&text(&["list", "scenarios", "--json"])).expect("JSON");
     assert_eq!(listed["scenarios"][0]["name"], "peg-transfer");
+    let listed: Value = serde_json::from_str(&text(&["list", "controllers", "--json"])).expect("JSON");
+    let kinds = listed["controllers"].as_array().expect("a list");
+    let names: Vec<&str> = kinds.iter().filter_map(|kind| kind["name"].as_str()).collect();
+    assert_eq!(names, ["autopilot", "haptics", "peg-transfer", "rapier"]);
+    for kind in kinds {
+        assert!(kind["about"].as_str().is_some_and(|about| about.len() > 20), "{kind}");
+        assert!(kind["rate_hz"].as_f64().is_some_and(|hz| hz >= 100.0), "{kind}");
+        let lists = ["reads", "writes"].map(|list| kind[list].as_array().expect("a list").len());
+        assert!(lists.iter().all(|length| *length > 0), "{kind}");
+    }
+    assert!(kinds[0]["writes"].as_array().expect("a list").contains(&"hand_target".into()), "{}", kinds[0]);
+    let listed = text(&["list", "controllers"]);
+    assert!(
+        listed.contains("usually at 1000 Hz") && listed.contains("writes autopilot_state, hand_target"),
+        "{listed}"
+    );
 
     let mermaid = text(&["graph", "peg-transfer"]);
     assert!(mermaid.contains("flowchart LR") && mermaid.contains("haptics.left<br/>1000 Hz"), "{mermaid}");
-    assert!(mermaid.contains("instrument_target"), "{mermaid}");
+    assert!(mermaid.contains("instrument_target") && mermaid.contains("[(\"model\")]"), "{mermaid}");
+    let graph: Value =
+        serde_json::from_str(&text(&["graph", "peg-transfer", "--format", "json"])).expect("JSON");
+    let flows = graph["flows"].as_array().expect("a list");
+    let outside = |flow: &&Value| {
+        [&flow["from"], &flow["to"]]
+            .iter()
+            .any(|end| end.as_str().is_some_and(|end| end.starts_with("device.")))
+    };
+    assert_eq!(flows.iter().filter(outside).count(), 4, "each of two devices and its haptics: {graph}");
+    for flow in flows.iter().filter(|flow| !outside(flow)) {
+        assert!(
+            (flow["from"] == "model") != (flow["to"] == "model"),
+            "controllers meet in the Model only: {flow}"
+        );
+    }
     let dot = text(&["graph", "peg-transfer", "--format", "dot"]);
     assert!(dot.contains("digraph") && dot.contains("engine"), "{dot}");
     let measured = text(&["graph", "peg-transfer", "--after", "1"]);

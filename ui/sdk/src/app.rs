@@ -1,6 +1,7 @@
 //! The table of what a program knows: components, and kinds of controllers by the names that scenarios use.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
@@ -50,6 +51,22 @@ pub struct Blueprint {
 
 /// Writes to the scene as the scenario has spawned it.
 pub type Arrange = Box<dyn FnOnce(&Snapshot, &mut Commands)>;
+
+/// What people are told about a kind of controller.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KindInfo {
+    /// What it does, in a line.
+    pub about: String,
+    /// The rate at which it is usually run \[Hz\]; the scenario decides.
+    pub rate_hz: f64,
+}
+
+impl KindInfo {
+    /// A line about it, and its usual rate \[Hz\].
+    pub fn new(about: impl Into<String>, rate_hz: f64) -> Self {
+        Self { about: about.into(), rate_hz }
+    }
+}
 
 /// Makes the blueprint of one kind of controller.
 pub type Kind = Arc<dyn Fn(&KindContext<'_>) -> Result<Blueprint, ScenarioError> + Send + Sync>;
@@ -119,6 +136,7 @@ pub struct App {
     /// Made when it is first asked for.
     registry: OnceLock<Arc<Registry>>,
     kinds: BTreeMap<String, Kind>,
+    about: BTreeMap<String, KindInfo>,
     joining: Vec<ControllerEntry>,
     wrong: Option<SetupError>,
 }
@@ -140,11 +158,16 @@ impl App {
             trocar_input::register,
         ];
         let wrong = standard.into_iter().find_map(|register| register(&mut components).err());
-        let kinds = kinds::standard().into_iter().map(|(name, kind)| (name.to_owned(), kind)).collect();
+        let (mut kinds, mut about) = (BTreeMap::new(), BTreeMap::new());
+        for (name, info, kind) in kinds::standard() {
+            kinds.insert(name.to_owned(), kind);
+            about.insert(name.to_owned(), info);
+        }
         Self {
             components,
             registry: OnceLock::new(),
             kinds,
+            about,
             joining: Vec::new(),
             wrong: wrong.map(SetupError::Registry),
         }
@@ -191,12 +214,22 @@ impl App {
     /// Adds a kind of controller that says itself how it is scheduled and fenced.
     #[must_use]
     pub fn kind(mut self, name: impl Into<String>, kind: Kind) -> Self {
-        let name = name.into();
-        if self.kinds.contains_key(&name) {
-            self.wrong.get_or_insert(SetupError::KindTaken(name));
-        } else {
-            self.kinds.insert(name, kind);
+        match self.kinds.entry(name.into()) {
+            Entry::Occupied(taken) => {
+                self.wrong.get_or_insert(SetupError::KindTaken(taken.key().clone()));
+            }
+            Entry::Vacant(free) => {
+                free.insert(kind);
+            }
         }
+        self
+    }
+
+    /// Says what a kind of controller does, in a line, and at which rate \[Hz\] it is usually run: for
+    /// `trocar list controllers`.
+    #[must_use]
+    pub fn about(mut self, kind: impl Into<String>, info: KindInfo) -> Self {
+        self.about.insert(kind.into(), info);
         self
     }
 
@@ -219,6 +252,10 @@ impl App {
     /// Names of the kinds of controllers.
     pub fn kinds(&self) -> impl Iterator<Item = &str> {
         self.kinds.keys().map(String::as_str)
+    }
+    /// What people are told about the kind of that name, if anything was said.
+    pub fn kind_info(&self, name: &str) -> Option<&KindInfo> {
+        self.about.get(name)
     }
     /// The kind of that name.
     pub(crate) fn kind_of(&self, name: &str) -> Option<&Kind> {

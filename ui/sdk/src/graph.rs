@@ -1,7 +1,10 @@
 //! Who acts in a session and what flows between them, from what everyone declares: the figure of the
 //! framework, drawn by the program.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
+use trocar_kernel::spec::MODEL;
 use trocar_scene::Access;
 
 /// What a node is.
@@ -38,7 +41,7 @@ pub struct Flow {
     pub to: String,
     /// NAMEs of the components, in order.
     pub components: Vec<String>,
-    /// Exchanges per second: the slower of the two rates; `None` when neither has one.
+    /// Exchanges per second: those of whoever of the two has a rate; `None` when neither has one.
     pub hz: Option<f64>,
 }
 
@@ -49,37 +52,34 @@ pub struct ActorGraph {
     pub scenario: String,
     /// Actors in the order in which they were added.
     pub nodes: Vec<Node>,
-    /// Flows, by writer and reader in the order of `nodes`.
+    /// Flows: of each actor in the order of `nodes` what it sends, then what it takes.
     pub flows: Vec<Flow>,
 }
 
 impl ActorGraph {
-    /// The controllers of a scenario (name, rate in Hz, access) with the Model between them.
+    /// The controllers of a scenario (name, rate in Hz, access) around the Model.
     ///
-    /// A component that one writes (or contributes) and another reads flows from the one to the other,
-    /// through the Model; a controller that reads what it wrote itself is no flow.
+    /// Each controller sends the Model what it writes (or contributes), and takes from the Model's snapshots what
+    /// it reads of the others', each at its own rate; what nobody writes stands still and is no flow.
     pub fn from_access<'a>(
         scenario: impl Into<String>,
         controllers: impl IntoIterator<Item = (&'a str, f64, &'a Access)>,
     ) -> Self {
         let controllers: Vec<_> = controllers.into_iter().collect();
         let mut graph = Self { scenario: scenario.into(), ..Self::default() };
-        graph.add("model", NodeKind::Model, None);
+        graph.add(MODEL, NodeKind::Model, None);
         for (name, hz, _) in &controllers {
             graph.add(name, NodeKind::Controller, Some(*hz));
         }
-        for (from, from_hz, writer) in &controllers {
-            for (to, to_hz, reader) in controllers.iter().filter(|(to, ..)| to != from) {
-                let written = writer.writes.iter().map(|(name, _)| *name).chain(writer.contributes.clone());
-                let mut components: Vec<String> =
-                    written.filter(|name| reader.reads.contains(name)).map(str::to_owned).collect();
-                components.sort_unstable();
-                components.dedup();
-                if !components.is_empty() {
-                    graph.flow(from, to, components, Some(from_hz.min(*to_hz)));
-                }
-            }
+        for (name, hz, access) in &controllers {
+            graph.flow(name, MODEL, to_strings(written_names(access).collect()), Some(*hz));
+            let others = controllers.iter().filter(|(other, ..)| other != name);
+            let moving: BTreeSet<&str> = others.flat_map(|(.., access)| written_names(access)).collect();
+            let read: BTreeSet<&str> =
+                access.reads.iter().copied().filter(|name| moving.contains(name)).collect();
+            graph.flow(MODEL, name, to_strings(read), Some(*hz));
         }
+        graph.flows.retain(|flow| !flow.components.is_empty());
         graph
     }
 
@@ -101,22 +101,48 @@ impl ActorGraph {
     }
 }
 
+/// NAMEs of what a controller writes or contributes.
+fn written_names(access: &Access) -> impl Iterator<Item = &'static str> + '_ {
+    access.writes.iter().map(|(name, _)| *name).chain(access.contributes.iter().copied())
+}
+
+fn to_strings(names: BTreeSet<&str>) -> Vec<String> {
+    names.into_iter().map(str::to_owned).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use trocar_scene::{CollisionList, EntitySet, HandTarget, Pose};
+    use trocar_scene::{CollisionList, EntitySet, HandTarget, Pose, Shape};
 
     #[test]
-    fn what_one_writes_and_another_reads_flows_at_the_slower_rate() {
-        let engine =
-            Access::new().reads::<HandTarget>().writes::<Pose>(EntitySet::All).contributes::<CollisionList>();
+    fn everything_passes_the_model_and_each_controller_exchanges_at_its_own_rate() {
+        let engine = Access::new()
+            .reads::<HandTarget>()
+            .reads::<Shape>()
+            .reads::<Pose>()
+            .writes::<Pose>(EntitySet::All)
+            .contributes::<CollisionList>();
         let pilot =
             Access::new().reads::<Pose>().reads::<CollisionList>().writes::<HandTarget>(EntitySet::All);
-        let graph = ActorGraph::from_access("x", [("engine", 500.0, &engine), ("autopilot", 100.0, &pilot)]);
-        assert_eq!(graph.nodes.len(), 3);
-        assert_eq!(graph.flows.len(), 2);
-        assert_eq!(graph.flows[0].components, ["collision_list", "pose"]);
-        assert_eq!((graph.flows[0].to.as_str(), graph.flows[0].hz), ("autopilot", Some(100.0)));
-        assert_eq!(graph.flows[1].components, ["hand_target"]);
+        let idle = Access::new();
+        let all = [("engine", 500.0, &engine), ("autopilot", 100.0, &pilot), ("idle", 1.0, &idle)];
+        let graph = ActorGraph::from_access("x", all);
+        assert_eq!(graph.nodes.len(), 4);
+        let flows: Vec<(&str, &str, Vec<&str>, Option<f64>)> = graph
+            .flows
+            .iter()
+            .map(|f| (&*f.from, &*f.to, f.components.iter().map(String::as_str).collect(), f.hz))
+            .collect();
+        // What only the engine itself writes is no flow to it, nor is what stands still.
+        assert_eq!(
+            flows,
+            [
+                ("engine", "model", vec!["collision_list", "pose"], Some(500.0)),
+                ("model", "engine", vec!["hand_target"], Some(500.0)),
+                ("autopilot", "model", vec!["hand_target"], Some(100.0)),
+                ("model", "autopilot", vec!["collision_list", "pose"], Some(100.0)),
+            ]
+        );
     }
 }

@@ -16,16 +16,32 @@ use trocar_scene::{BuildContext, Controller, ControllerError};
 use trocar_tasks::peg_transfer_controller::mirrored_start;
 use trocar_tasks::{PegTransferConfig, PegTransferController};
 
-use crate::app::{Blueprint, Kind, KindContext};
+use crate::app::{Blueprint, Kind, KindContext, KindInfo};
 use crate::hands::HandFence;
 
 /// Every standard kind with its name.
-pub(crate) fn standard() -> Vec<(&'static str, Kind)> {
+pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
     vec![
-        ("haptics", Arc::new(haptics)),
-        ("rapier", Arc::new(rapier)),
-        ("peg-transfer", Arc::new(peg_transfer)),
-        ("autopilot", Arc::new(autopilot)),
+        (
+            "haptics",
+            KindInfo::new("serves a haptic device: instrument pose in, force out", 1_000.0),
+            Arc::new(haptics),
+        ),
+        (
+            "rapier",
+            KindInfo::new("physics of rigid bodies: contacts, friction, grasping", 500.0),
+            Arc::new(rapier),
+        ),
+        (
+            "peg-transfer",
+            KindInfo::new("judges a peg transfer: phases, errors, score", 100.0),
+            Arc::new(peg_transfer),
+        ),
+        (
+            "autopilot",
+            KindInfo::new("a virtual trainee: moves two hands through the peg transfer", 100.0),
+            Arc::new(autopilot),
+        ),
     ]
 }
 

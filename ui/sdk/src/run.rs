@@ -14,15 +14,13 @@ use trocar_kernel::recorder::{Recorder, RecorderError, RecorderOptions, Recordin
 use trocar_kernel::runtime::ControllerReport;
 use trocar_kernel::spec::SessionOutcome;
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{CollisionList, SimTime, Snapshot, TaskState};
+use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState};
 
 use crate::app::App;
 use crate::assembly::{Assembly, AssemblyError};
 use crate::graph::ActorGraph;
 use crate::session::{Finished, Session};
-use crate::summary::{
-    ControllerSummary, FaultSummary, Mode, Quantiles, RunSummary, TaskErrorSummary, TaskSummary,
-};
+use crate::summary::{FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;
 
 /// How often a run looks at its session.
@@ -211,7 +209,7 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
     summary.wall_secs = wall_secs;
     summary.state_hash = Some(outcome.hash.to_string());
     summary.task = task_summary(scene);
-    summary.controllers = outcome.controllers.iter().map(controller_summary).collect();
+    summary.controllers = outcome.controllers.clone();
     summary.faults = outcome
         .faults
         .iter()
@@ -238,6 +236,21 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
     summary
 }
 
+/// What every controller of a scenario declares to read and write, with its rate \[Hz\]; nothing is run.
+///
+/// # Errors
+/// [`RunError`] when the session cannot start.
+pub fn accesses(
+    app: &App,
+    scenario: &Scenario,
+    options: &RunOptions,
+) -> Result<Vec<(String, f64, Access)>, RunError> {
+    let session = start(app, scenario, &RunOptions { lockstep: true, ..options.clone() })?;
+    let accesses = session.accesses();
+    session.finish();
+    Ok(accesses)
+}
+
 /// How the exercise stands in a scene.
 pub fn task_summary(scene: &Snapshot) -> TaskSummary {
     let Some((_, task)) = scene.iter::<TaskState>().next() else {
@@ -255,28 +268,5 @@ pub fn task_summary(scene: &Snapshot) -> TaskSummary {
             .map(|error| TaskErrorSummary { kind: error.kind.clone(), at_secs: error.at_secs })
             .collect(),
         metrics: task.metrics.clone(),
-    }
-}
-
-fn controller_summary(report: &ControllerReport) -> ControllerSummary {
-    let quantiles = |q: &trocar_kernel::runtime::Quantiles| Quantiles {
-        p50: q.p50,
-        p99: q.p99,
-        p999: q.p999,
-        max: q.max,
-    };
-    ControllerSummary {
-        name: report.name.clone(),
-        target_hz: report.target_hz,
-        achieved_hz: report.achieved_hz,
-        scheduled: report.scheduled,
-        on_time: report.on_time,
-        lateness_us: quantiles(&report.lateness_us),
-        step_us: quantiles(&report.step_us),
-        missed: report.missed,
-        dropped: report.dropped,
-        rejected: report.rejected,
-        conflicts: report.conflicts,
-        restarts: u64::from(report.restarts),
     }
 }

@@ -6,6 +6,8 @@ use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+pub use trocar_kernel::bench::{Better, Row as BenchResult};
+pub use trocar_kernel::runtime::{ControllerReport as ControllerSummary, Quantiles};
 
 /// Version of the objects in this file; it rises when a field changes its meaning or goes away.
 pub const SCHEMA: u32 = 1;
@@ -151,51 +153,6 @@ pub struct TaskErrorSummary {
     pub at_secs: f64,
 }
 
-/// How one controller kept its rate.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ControllerSummary {
-    /// Name of the writer, such as `haptics.left`.
-    pub name: String,
-    /// Ticks per second that it should make.
-    pub target_hz: f64,
-    /// Ticks per second that it made.
-    pub achieved_hz: f64,
-    /// Ticks that were due.
-    pub scheduled: u64,
-    /// Share of the scheduled ticks that started less than 1 ms late, 0 to 1.
-    #[schemars(range(min = 0.0, max = 1.0))]
-    pub on_time: f64,
-    /// How late ticks started.
-    pub lateness_us: Quantiles,
-    /// How long steps took.
-    pub step_us: Quantiles,
-    /// Ticks that never ran.
-    pub missed: u64,
-    /// Batches refused at its handle.
-    pub dropped: u64,
-    /// Batches refused by the Model.
-    pub rejected: u64,
-    /// Batches whose precondition no longer held.
-    pub conflicts: u64,
-    /// How often it was started again.
-    pub restarts: u64,
-}
-
-/// Quantiles of a latency \[µs\].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Quantiles {
-    /// Median.
-    pub p50: f64,
-    /// 99 % lie below.
-    pub p99: f64,
-    /// 99.9 % lie below.
-    pub p999: f64,
-    /// Largest.
-    pub max: f64,
-}
-
 /// What became of one fault. Times in seconds of the session; null for what did not happen.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -255,82 +212,6 @@ pub struct Machine {
     pub fifo: bool,
 }
 
-/// Whether small or large values are good.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Better {
-    /// The smaller, the better.
-    Lower,
-    /// The larger, the better.
-    Higher,
-}
-
-/// One measured figure.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct BenchResult {
-    /// What was measured.
-    pub name: String,
-    /// Median over the blocks, in `unit`.
-    pub value: f64,
-    /// Unit of `value` and `floor`.
-    pub unit: String,
-    /// What a bare loop of the same kind reached in blocks between ours.
-    pub floor: Option<f64>,
-    /// `value / floor`.
-    pub ratio: Option<f64>,
-    /// What the ratio (or, without a floor, the value) is held against; null for figures that are only told.
-    pub bar: Option<f64>,
-    /// Which side of the bar is good.
-    pub better: Better,
-    /// Whether the bar holds; true without a bar.
-    pub holds: bool,
-    /// (largest − smallest) / median of the blocks.
-    pub spread: f64,
-}
-
-impl BenchResult {
-    /// A figure that is held against a bar on the value itself.
-    pub fn on_value(
-        name: impl Into<String>,
-        unit: impl Into<String>,
-        (value, spread): (f64, f64),
-        bar: Option<f64>,
-        better: Better,
-    ) -> Self {
-        let holds = bar.is_none_or(|bar| better.holds(value, bar));
-        let (name, unit) = (name.into(), unit.into());
-        Self { name, value, unit, floor: None, ratio: None, bar, better, holds, spread }
-    }
-
-    /// A figure that is held against a bar on its ratio to a floor that was measured beside it.
-    pub fn on_ratio(
-        name: impl Into<String>,
-        unit: impl Into<String>,
-        (value, spread): (f64, f64),
-        floor: f64,
-        bar: Option<f64>,
-        better: Better,
-    ) -> Self {
-        let ratio = if floor != 0.0 { value / floor } else { f64::INFINITY };
-        let holds = bar.is_none_or(|bar| better.holds(ratio, bar));
-        let (name, unit) = (name.into(), unit.into());
-        // JSON has no infinity: a ratio to a floor of nothing is not known.
-        let ratio = Some(ratio).filter(|ratio| ratio.is_finite());
-        Self { name, value, unit, floor: Some(floor), ratio, bar, better, holds, spread }
-    }
-}
-
-impl Better {
-    /// Whether `value` is on the good side of `bar`; NaN never is.
-    pub fn holds(self, value: f64, bar: f64) -> bool {
-        match self {
-            Self::Lower => value <= bar,
-            Self::Higher => value >= bar,
-        }
-    }
-}
-
 /// JSON schema of [`RunSummary`].
 pub fn run_schema() -> serde_json::Value {
     strict(schemars::schema_for!(RunSummary).to_value())
@@ -376,23 +257,6 @@ mod tests {
         assert_eq!(summary.exit(false), Exit::Ok);
         assert_eq!(summary.exit(true), Exit::Failed);
         assert_eq!(summary.exit(true).code(), 1);
-    }
-
-    #[test]
-    fn a_bar_holds_on_its_good_side_only() {
-        let row = |value, better| BenchResult::on_value("x", "ns", (value, 0.0), Some(60.0), better).holds;
-        assert!(row(60.0, Better::Lower) && row(60.0, Better::Higher));
-        assert!(row(12.0, Better::Lower) && !row(12.0, Better::Higher));
-        assert!(!row(f64::NAN, Better::Lower) && !row(f64::NAN, Better::Higher));
-    }
-
-    #[test]
-    fn a_ratio_is_held_against_the_bar_and_a_floor_of_nothing_gives_none() {
-        let row = BenchResult::on_ratio("x", "us", (30.0, 1.0), 25.0, Some(1.0), Better::Lower);
-        assert_eq!(row.ratio, Some(1.2));
-        assert!(!row.holds);
-        let row = BenchResult::on_ratio("x", "us", (30.0, 1.0), 0.0, Some(1.5), Better::Lower);
-        assert_eq!((row.ratio, row.holds), (None, false));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use arc_swap::ArcSwap;
 use trocar_scene::{Access, Entity, EntitySet, Revision, SimTime, WriterId};
 
 use super::scene::{Mark, populated};
-use super::{Better, Effort, Row, median};
+use super::{Better, Effort, Row, median, median_and_spread};
 use crate::handle::{Submitted, WriterHandle};
 use crate::live::{LiveError, LiveSession};
 use crate::runtime::sched;
@@ -170,15 +170,12 @@ pub(super) fn write_to_visible(effort: Effort) -> Result<Vec<Row>, LiveError> {
             all.push(median(block));
         }
     }
-    let [awaited, small, large, sent, equal] = &medians;
-    let beside = |name: &str, floor: &[f64]| {
-        let mut row = Row::on_ratio(name, "us", small, floor, 1.0, Better::Lower);
-        (row.bar, row.holds) = (None, None);
-        row
-    };
+    let [awaited, small, large, sent, equal] = medians.map(|blocks| median_and_spread(&blocks));
+    let beside =
+        |name: &str, (floor, _): (f64, f64)| Row::on_ratio(name, "us", small, floor, None, Better::Lower);
     Ok(vec![
-        Row::on_ratio("write_visible_100_entities_p50", "us", small, awaited, 1.0, Better::Lower),
-        Row::on_ratio("write_visible_10000_entities_p50", "us", large, small, 1.5, Better::Lower),
+        Row::on_ratio("write_visible_100_entities_p50", "us", small, awaited.0, Some(1.0), Better::Lower),
+        Row::on_ratio("write_visible_10000_entities_p50", "us", large, small.0, Some(1.5), Better::Lower),
         beside("write_visible_beside_unawaited_send_p50", sent),
         beside("write_visible_beside_equal_priority_p50", equal),
     ])
@@ -200,8 +197,8 @@ pub(super) fn model_cpu(effort: Effort) -> Result<Vec<Row>, LiveError> {
         flooded.push(bench.cost(flood, |bench| while bench.submit() == Submitted::Dropped {}));
     }
     Ok(vec![
-        Row::on_value("model_cpu_per_batch_woken", "ns", &woken, None, Better::Lower),
-        Row::on_value("model_cpu_per_batch_flood", "ns", &flooded, None, Better::Lower),
+        Row::on_value("model_cpu_per_batch_woken", "ns", median_and_spread(&woken), None, Better::Lower),
+        Row::on_value("model_cpu_per_batch_flood", "ns", median_and_spread(&flooded), None, Better::Lower),
     ])
 }
 

@@ -6,6 +6,7 @@ mod latency;
 mod rates;
 mod scene;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::live::LiveError;
@@ -21,102 +22,97 @@ pub enum Effort {
     Full,
 }
 
-/// One measured figure: a row of `results[]`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Row {
-    /// What was measured.
-    pub name: String,
-    /// Median over the blocks.
-    pub value: f64,
-    /// Unit of `value`.
-    pub unit: String,
-    /// The same measured on the floor, where there is one.
-    pub floor: Option<f64>,
-    /// `value / floor`.
-    pub ratio: Option<f64>,
-    /// What the ratio (or, without a floor, the value) has to reach.
-    pub bar: Option<f64>,
-    /// `lower` or `higher`.
-    pub better: String,
-    /// Whether it does; none without a bar.
-    pub holds: Option<bool>,
-    /// (largest − smallest) / median over the blocks.
-    pub spread: f64,
-}
-
-/// Which way is better.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Better {
+/// Whether small or large values are good.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Better {
+    /// The smaller, the better.
     Lower,
+    /// The larger, the better.
     Higher,
 }
 
-impl Row {
-    /// The median of `blocks` against a bar on the value itself.
-    pub(crate) fn on_value(name: &str, unit: &str, blocks: &[f64], bar: Option<f64>, better: Better) -> Self {
-        let value = median(blocks);
-        Self::finish(name, unit, value, None, bar, better, spread(blocks))
-    }
-    /// The median of `blocks` beside that of the floor's, against a bar on the ratio.
-    pub(crate) fn on_ratio(
-        name: &str,
-        unit: &str,
-        blocks: &[f64],
-        floor: &[f64],
-        bar: f64,
-        better: Better,
-    ) -> Self {
-        let (value, floor) = (median(blocks), median(floor));
-        Self::finish(name, unit, value, Some(floor), Some(bar), better, spread(blocks))
-    }
-
-    fn finish(
-        name: &str,
-        unit: &str,
-        value: f64,
-        floor: Option<f64>,
-        bar: Option<f64>,
-        better: Better,
-        spread: f64,
-    ) -> Self {
-        let ratio = floor.filter(|floor| *floor != 0.0).map(|floor| value / floor);
-        let judged = ratio.unwrap_or(value);
-        let holds = bar.map(|bar| match better {
-            Better::Lower => judged <= bar,
-            Better::Higher => judged >= bar,
-        });
-        let better = match better {
-            Better::Lower => "lower",
-            Better::Higher => "higher",
-        };
-        Self {
-            name: name.to_owned(),
-            value,
-            unit: unit.to_owned(),
-            floor,
-            ratio,
-            bar,
-            better: better.to_owned(),
-            holds,
-            spread,
+impl Better {
+    /// Whether `value` is on the good side of `bar`; NaN never is.
+    pub fn holds(self, value: f64, bar: f64) -> bool {
+        match self {
+            Self::Lower => value <= bar,
+            Self::Higher => value >= bar,
         }
     }
 }
 
-pub(crate) fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    match sorted.len() {
-        0 => 0.0,
-        n if n % 2 == 1 => sorted[n / 2],
-        n => (sorted[n / 2 - 1] + sorted[n / 2]) / 2.0,
+/// One measured figure.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "BenchResult")]
+pub struct Row {
+    /// What was measured.
+    pub name: String,
+    /// Median over the blocks, in `unit`.
+    pub value: f64,
+    /// Unit of `value` and `floor`.
+    pub unit: String,
+    /// What a bare loop of the same kind reached in blocks between ours.
+    pub floor: Option<f64>,
+    /// `value / floor`.
+    pub ratio: Option<f64>,
+    /// What the ratio (or, without a floor, the value) is held against; null for figures that are only told.
+    pub bar: Option<f64>,
+    /// Which side of the bar is good.
+    pub better: Better,
+    /// Whether the bar holds; true without a bar.
+    pub holds: bool,
+    /// (largest − smallest) / median of the blocks.
+    pub spread: f64,
+}
+
+impl Row {
+    /// A figure, (median, spread) as [`median_and_spread`] gives them, that is held against a bar on the value
+    /// itself.
+    pub fn on_value(
+        name: impl Into<String>,
+        unit: impl Into<String>,
+        (value, spread): (f64, f64),
+        bar: Option<f64>,
+        better: Better,
+    ) -> Self {
+        let holds = bar.is_none_or(|bar| better.holds(value, bar));
+        let (name, unit) = (name.into(), unit.into());
+        Self { name, value, unit, floor: None, ratio: None, bar, better, holds, spread }
+    }
+
+    /// A figure that is held against a bar on its ratio to a floor that was measured beside it.
+    pub fn on_ratio(
+        name: impl Into<String>,
+        unit: impl Into<String>,
+        (value, spread): (f64, f64),
+        floor: f64,
+        bar: Option<f64>,
+        better: Better,
+    ) -> Self {
+        let ratio = if floor != 0.0 { value / floor } else { f64::INFINITY };
+        let holds = bar.is_none_or(|bar| better.holds(ratio, bar));
+        let (name, unit) = (name.into(), unit.into());
+        // JSON has no infinity: a ratio to a floor of nothing is not known.
+        let ratio = Some(ratio).filter(|ratio| ratio.is_finite());
+        Self { name, value, unit, floor: Some(floor), ratio, bar, better, holds, spread }
     }
 }
 
-fn spread(values: &[f64]) -> f64 {
-    let middle = median(values);
-    let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(*v), high.max(*v)));
-    if values.is_empty() || middle == 0.0 { 0.0 } else { (high - low) / middle.abs() }
+/// Median of several blocks, and (largest − smallest) / median; NaN and 0 of none.
+pub fn median_and_spread(values: &[f64]) -> (f64, f64) {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let (Some(low), Some(high)) = (sorted.first(), sorted.last()) else { return (f64::NAN, 0.0) };
+    let middle = sorted.len() / 2;
+    let median =
+        if sorted.len() % 2 == 1 { sorted[middle] } else { 0.5 * (sorted[middle - 1] + sorted[middle]) };
+    (median, if median == 0.0 { 0.0 } else { (high - low) / median.abs() })
+}
+
+pub(crate) fn median(values: &[f64]) -> f64 {
+    median_and_spread(values).0
 }
 
 /// Runs the whole suite.
@@ -137,19 +133,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn medians_and_spreads() {
-        assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
-        assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), 2.5);
-        assert_eq!(median(&[]), 0.0);
-        assert_eq!(spread(&[1.0, 2.0, 4.0]), 1.5);
+    fn medians_and_spreads_of_known_values() {
+        assert_eq!(median_and_spread(&[4.0, 1.0, 2.0]), (2.0, 1.5));
+        assert_eq!(median_and_spread(&[4.0, 1.0, 2.0, 3.0]).0, 2.5);
+        assert_eq!(median_and_spread(&[0.0, 0.0]), (0.0, 0.0));
+        assert!(median_and_spread(&[]).0.is_nan());
     }
 
     #[test]
-    fn a_bar_is_judged_on_the_ratio_where_there_is_a_floor() {
-        let row = Row::on_ratio("a", "us", &[3.0], &[2.0], 1.5, Better::Lower);
-        assert_eq!((row.ratio, row.holds), (Some(1.5), Some(true)));
-        let row = Row::on_value("a", "1", &[0.98], Some(0.99), Better::Higher);
-        assert_eq!((row.ratio, row.holds), (None, Some(false)));
-        assert_eq!(Row::on_value("a", "ns", &[5.0], None, Better::Lower).holds, None);
+    fn a_bar_holds_on_its_good_side_only() {
+        let row = |value, better| Row::on_value("x", "ns", (value, 0.0), Some(60.0), better).holds;
+        assert!(row(60.0, Better::Lower) && row(60.0, Better::Higher));
+        assert!(row(12.0, Better::Lower) && !row(12.0, Better::Higher));
+        assert!(!row(f64::NAN, Better::Lower) && !row(f64::NAN, Better::Higher));
+        assert!(Row::on_value("x", "ns", (5.0, 0.0), None, Better::Lower).holds, "told, not judged");
+    }
+
+    #[test]
+    fn a_ratio_is_held_against_the_bar_and_a_floor_of_nothing_gives_none() {
+        let row = Row::on_ratio("x", "us", (30.0, 1.0), 25.0, Some(1.0), Better::Lower);
+        assert_eq!(row.ratio, Some(1.2));
+        assert!(!row.holds);
+        let row = Row::on_ratio("x", "us", (30.0, 1.0), 0.0, Some(1.5), Better::Lower);
+        assert_eq!((row.ratio, row.holds), (None, false));
     }
 }

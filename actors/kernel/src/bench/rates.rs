@@ -9,7 +9,7 @@ use trocar_scene::{
     Snapshot, Store, Tick,
 };
 
-use super::{Better, Effort, Row};
+use super::{Better, Effort, Row, median_and_spread};
 use crate::live::{LiveError, LiveSession};
 use crate::runtime::{AtomicHistogram, Quantiles, sched, ticker};
 use crate::spec::{ControllerSpec, SessionOutcome, SessionSpec};
@@ -134,7 +134,7 @@ pub(super) fn two_hands(effort: Effort) -> Result<Vec<Row>, LiveError> {
     let mut share = Row::on_value(
         "hands_1khz_on_time",
         "share",
-        &on_time,
+        median_and_spread(&on_time),
         Some((floor - 0.005).max(0.99)),
         Better::Higher,
     );
@@ -142,8 +142,15 @@ pub(super) fn two_hands(effort: Effort) -> Result<Vec<Row>, LiveError> {
     share.ratio = Some(share.value / floor);
     Ok(vec![
         share,
-        Row::on_ratio("hands_1khz_lateness_p99", "us", &p99, &floor_p99, 1.5, Better::Lower),
-        Row::on_value("hands_1khz_thread_cpu", "share", &cpu, Some(0.10), Better::Lower),
+        Row::on_ratio(
+            "hands_1khz_lateness_p99",
+            "us",
+            median_and_spread(&p99),
+            super::median(&floor_p99),
+            Some(1.5),
+            Better::Lower,
+        ),
+        Row::on_value("hands_1khz_thread_cpu", "share", median_and_spread(&cpu), Some(0.10), Better::Lower),
     ])
 }
 
@@ -162,8 +169,10 @@ pub(super) fn one_hand_at_10_khz(effort: Effort) -> Result<Vec<Row>, LiveError> 
             cpu.push(row.cpu_share);
         }
     }
-    let mut share = Row::on_value("hand_10khz_ticks_run", "share", &ran, Some(0.97), Better::Higher);
+    let mut share =
+        Row::on_value("hand_10khz_ticks_run", "share", median_and_spread(&ran), Some(0.97), Better::Higher);
     share.floor = Some(super::median(&floor));
     share.ratio = share.floor.map(|floor| share.value / floor);
-    Ok(vec![share, Row::on_value("hand_10khz_thread_cpu", "share", &cpu, None, Better::Lower)])
+    let cpu = median_and_spread(&cpu);
+    Ok(vec![share, Row::on_value("hand_10khz_thread_cpu", "share", cpu, None, Better::Lower)])
 }

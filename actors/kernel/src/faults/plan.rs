@@ -252,8 +252,11 @@ impl FaultPlan {
     /// # Errors
     /// [`FaultPlanError`], naming the place and what is valid.
     pub fn parse(text: &str, file: &str) -> Result<Self, FaultPlanError> {
-        let parsed: File = toml::from_str(text)
-            .map_err(|error| FaultPlanError::Syntax { file: file.to_owned(), message: error.to_string() })?;
+        let parsed: File = toml::from_str(text).map_err(|error| {
+            // An error without a place, such as nesting beyond TOML's limit, is about the whole document.
+            let place = if error.span().is_none() { "line 1 and below: " } else { "" };
+            FaultPlanError::Syntax { file: file.to_owned(), message: format!("{place}{error}") }
+        })?;
         if parsed.schema != SCHEMA {
             return Err(FaultPlanError::Schema { file: file.to_owned(), found: parsed.schema });
         }

@@ -5,6 +5,7 @@
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 use hdrhistogram::Histogram;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 const SUB_BITS: u32 = 7;
@@ -121,14 +122,15 @@ pub struct Bars {
     pub counts: Vec<u64>,
 }
 
-/// Quantiles of a span, µs; zeros when nothing was counted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// Quantiles of a latency \[µs\].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct Quantiles {
     /// Median.
     pub p50: f64,
-    /// 99 %.
+    /// 99 % lie below.
     pub p99: f64,
-    /// 99.9 %.
+    /// 99.9 % lie below.
     pub p999: f64,
     /// Largest.
     pub max: f64,

@@ -2,6 +2,7 @@
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::SimTime;
 
@@ -165,36 +166,42 @@ impl TickStats {
     }
 }
 
-/// A row of `controllers[]` in the machine-readable report.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+/// How one controller kept its rate.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "ControllerSummary")]
 pub struct ControllerReport {
-    /// Name of the controller.
+    /// Name of the writer, such as `haptics.left`.
     pub name: String,
-    /// Rate asked for, Hz.
+    /// Ticks per second that it should make.
     pub target_hz: f64,
-    /// Rate that it ran at, from its first tick to its last, Hz.
+    /// Ticks per second that it made.
     pub achieved_hz: f64,
     /// Ticks that were due.
     pub scheduled: u64,
-    /// Share of them that started less than 1 ms late, 0 to 1.
+    /// Share of the scheduled ticks that started less than 1 ms late, 0 to 1.
+    #[schemars(range(min = 0.0, max = 1.0))]
     pub on_time: f64,
-    /// From due to started, µs.
+    /// How late ticks started.
     pub lateness_us: Quantiles,
-    /// From started to done, µs.
+    /// How long steps took.
     pub step_us: Quantiles,
     /// Ticks that never ran.
     pub missed: u64,
-    /// Batches that found their ring full.
+    /// Batches refused at its handle.
     pub dropped: u64,
-    /// Batches that the Model refused.
+    /// Batches refused by the Model.
     pub rejected: u64,
-    /// Batches whose preconditions did not hold.
+    /// Batches whose precondition no longer held.
     pub conflicts: u64,
-    /// Lives after the first.
+    /// How often it was started again.
+    #[schemars(with = "u64")]
     pub restarts: u32,
-    /// CPU time of its thread per time of the session, 0 to 1.
+    /// CPU time of its thread per time of the session, 0 to 1; for people, not in the machine-readable report.
+    #[serde(skip)]
     pub cpu_share: f64,
-    /// Lateness in a form that can be drawn.
+    /// Lateness in a form that can be drawn; not in the machine-readable report.
+    #[serde(skip)]
     pub lateness_bars: Bars,
 }
 

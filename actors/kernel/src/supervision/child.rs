@@ -170,12 +170,16 @@ impl Default for Intensity {
     }
 }
 
+/// 10 ms, doubling up to 1 s, ± 20 %.
+///
+/// Five of the longest pauses (6 s) fit into the default intensity's 10 s, so that whoever keeps failing at once
+/// exceeds it however long the pauses have become.
 impl Default for Backoff {
     fn default() -> Self {
         Self {
             base: SimTime::from_millis(10),
             factor: 2.0,
-            max: SimTime::from_millis(2_000),
+            max: SimTime::from_millis(1_000),
             jitter: 0.2,
             reset_after: SimTime::from_millis(5_000),
         }
@@ -230,6 +234,10 @@ impl GroupSpec {
     /// The default tree: root (rest-for-one) → model; simulation (rest-for-one: collision before physics);
     /// devices (one-for-one); tasks (one-for-one); network (one-for-one, patient back-off); recorder.
     ///
+    /// A child that always fails at once is held within 8 s (a link: within 40 s): each period holds a round of the
+    /// longest pauses. The Model's group gives up instead, and after six times of that the root does, within 60 s.
+    /// A child that fails once a minute is restarted for ever.
+    ///
     /// The Model stands in a group of its own: it resumes from the last published snapshot, which its
     /// clients already have, so that they need not restart with it unless it keeps failing. Without a Model
     /// there is no session; everybody else is held when failing too often, and the rest runs on.
@@ -238,11 +246,16 @@ impl GroupSpec {
         let mut simulation = Self::new("group.simulation", Strategy::RestForOne).holding();
         let mut devices = Self::new("group.devices", Strategy::OneForOne).holding();
         let mut tasks = Self::new("group.tasks", Strategy::OneForOne).holding();
-        let mut network = Self::new("group.network", Strategy::OneForOne).holding().with_backoff(Backoff {
-            base: SimTime::from_millis(200),
-            max: SimTime::from_millis(10_000),
-            ..Backoff::default()
-        });
+        // Five of the longest pauses are 30 s.
+        let mut network = Self::new("group.network", Strategy::OneForOne)
+            .holding()
+            .with_intensity(5, SimTime::from_millis(60_000))
+            .with_backoff(Backoff {
+                base: SimTime::from_millis(200),
+                max: SimTime::from_millis(5_000),
+                reset_after: SimTime::from_millis(30_000),
+                ..Backoff::default()
+            });
         let mut recorder = Self::new("group.recorder", Strategy::OneForOne).holding();
         let mut all: Vec<ChildSpec> = children.into_iter().collect();
         // Stable: children of one class keep the order in which they were given.
@@ -258,7 +271,9 @@ impl GroupSpec {
             };
             group.children.push(Node::Child(child));
         }
-        let mut root = Self::new("root", Strategy::RestForOne);
+        // Between two times that the Model's group gives up lie six of the longest pauses, 7.2 s.
+        let mut root =
+            Self::new("root", Strategy::RestForOne).with_intensity(5, SimTime::from_millis(60_000));
         for group in [model, simulation, devices, tasks, network, recorder] {
             if !group.is_empty() {
                 root.children.push(Node::Group(group));

@@ -85,7 +85,8 @@ impl Supervisor {
     /// abandoned threads end the session.
     ///
     /// # Errors
-    /// Names that are not unique, an empty tree, a back-off that makes no sense.
+    /// Names that are not unique, an empty tree, a back-off that makes no sense, or one with which a child that
+    /// always fails would be restarted for ever.
     pub fn new(root: GroupSpec, seed: u64, zombies_max: u32) -> Result<Self, TreeError> {
         let Flat { groups, children, owner } = Flat::new(root)?;
         let children = children

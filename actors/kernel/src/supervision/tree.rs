@@ -35,7 +35,26 @@ pub enum TreeError {
         /// What would be valid.
         valid: &'static str,
     },
+    /// A child that always fails at once would be restarted for ever, because the pauses grow so long that the
+    /// group never counts too many restarts in its period.
+    #[error(
+        "supervisor tree: '{group}' would restart a child that always fails for ever: {restarts} restarts take \
+         {span}, its period is {period}; lengthen the period, allow fewer restarts, or shorten the back-off"
+    )]
+    NeverGivesUp {
+        /// The group.
+        group: String,
+        /// How many restarts it tolerates.
+        restarts: u32,
+        /// Longest time that this many restarts in a row can take.
+        span: SimTime,
+        /// Within which it counts them.
+        period: SimTime,
+    },
 }
+
+/// Most failures that [`Flat::new`] plays to see whether a tree ever gives up.
+const FAILURES_MAX: u32 = 100_000;
 
 /// Failures in a row, for the back-off.
 #[derive(Clone, Copy, Debug, Default)]
@@ -121,7 +140,56 @@ impl Flat {
         let mut flat = Self { groups: Vec::new(), children: Vec::new(), owner: Vec::new() };
         let mut names = BTreeSet::new();
         flat.add(root, None, &mut names)?;
-        if flat.children.is_empty() { Err(TreeError::Empty) } else { Ok(flat) }
+        if flat.children.is_empty() {
+            return Err(TreeError::Empty);
+        }
+        let mut groups: Vec<usize> = flat.owner.clone();
+        groups.dedup();
+        groups.into_iter().try_for_each(|group| flat.check_gives_up(group))?;
+        Ok(flat)
+    }
+
+    /// Plays a child of `group` that fails whenever it is started, with the longest pauses that jitter allows,
+    /// until it is held or the root gives up. Pauses never shrink, so a window that once loses a restart always will.
+    fn check_gives_up(&self, group: usize) -> Result<(), TreeError> {
+        let mut chain: Vec<Group> = Vec::new();
+        let mut at = Some(group);
+        while let Some(index) = at {
+            chain.push(self.groups[index].clone());
+            at = self.groups[index].parent;
+        }
+        let failures = chain.iter().try_fold(1_u32, |product, group| {
+            product.checked_mul(group.intensity.restarts.saturating_add(1)).filter(|n| *n <= FAILURES_MAX)
+        });
+        // So many restarts are meant to be no limit.
+        let Some(failures) = failures else { return Ok(()) };
+        let (mut now, mut streak) = (SimTime::ZERO, Streak::default());
+        for _ in 0..failures {
+            let mut pause = streak.pause(&chain[0].backoff, now, 1.0);
+            for level in 0..chain.len() {
+                let group = &mut chain[level];
+                let first = group.window.times.front().copied().unwrap_or(now);
+                if now.since(first) > group.intensity.period {
+                    return Err(TreeError::NeverGivesUp {
+                        group: group.id.clone(),
+                        restarts: group.intensity.restarts,
+                        span: now.since(first),
+                        period: group.intensity.period,
+                    });
+                }
+                if group.window.admit(group.intensity, now) {
+                    break;
+                }
+                if level == 0 && group.exhausted == Exhausted::Hold {
+                    return Ok(());
+                }
+                group.window.clear();
+                let Some(parent) = chain.get(level + 1).map(|parent| parent.backoff) else { return Ok(()) };
+                pause = pause.max(chain[level].streak.pause(&parent, now, 1.0));
+            }
+            now += pause;
+        }
+        Ok(())
     }
 
     fn add(

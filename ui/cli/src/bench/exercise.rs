@@ -5,9 +5,8 @@ use std::time::Duration;
 use trocar::app::App;
 use trocar::run::{RunOptions, RunOutcome};
 use trocar::summary::{BenchResult, Better};
-use trocar_kernel::bench::{BareRates, bare_rates};
+use trocar_kernel::bench::{BareRates, bare_rates, median_and_spread};
 
-use super::blocks::median;
 use crate::failure::Failure;
 
 /// What is measured.
@@ -33,7 +32,7 @@ pub fn lockstep() -> Result<Vec<BenchResult>, Failure> {
     let row = BenchResult::on_value(
         "exercise_lockstep_speed",
         "× real time",
-        median(&speeds),
+        median_and_spread(&speeds),
         Some(5.0),
         Better::Higher,
     );
@@ -66,8 +65,9 @@ pub fn live() -> Result<Vec<BenchResult>, Failure> {
         bare.push(bare_rates(2, 1_000.0, Duration::from_secs_f64(BLOCK_SECS)));
         ours.push(live_block()?);
     }
-    let of = |value: fn(&Hands) -> f64| median(&ours.iter().map(value).collect::<Vec<_>>());
-    let floor = |value: fn(&BareRates) -> f64| median(&bare.iter().map(value).collect::<Vec<_>>()).0;
+    let of = |value: fn(&Hands) -> f64| median_and_spread(&ours.iter().map(value).collect::<Vec<_>>());
+    let floor =
+        |value: fn(&BareRates) -> f64| median_and_spread(&bare.iter().map(value).collect::<Vec<_>>()).0;
     let on_time = of(|hands| hands.on_time);
     let floor_on_time = floor(|bare| bare.on_time);
     // The stricter of the two: 99 %, or half a point below the bare loop.

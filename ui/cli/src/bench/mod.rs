@@ -1,7 +1,6 @@
 //! `trocar bench`: figures beside the floors of this machine.
 
 mod allocation;
-pub mod blocks;
 pub mod counting;
 mod exercise;
 
@@ -33,22 +32,7 @@ const KERNEL: [Part; 4] = [
 
 /// What the kernel measures of itself.
 fn kernel() -> Result<Vec<BenchResult>, Failure> {
-    let rows = trocar_kernel::bench::kernel(trocar_kernel::bench::Effort::Full).map_err(Failure::internal)?;
-    Ok(rows
-        .into_iter()
-        .map(|row| BenchResult {
-            name: row.name,
-            value: row.value,
-            unit: row.unit,
-            floor: row.floor,
-            ratio: row.ratio,
-            bar: row.bar,
-            better: if row.better == "higher" { Better::Higher } else { Better::Lower },
-            // A figure without a bar is told, not judged.
-            holds: row.holds.unwrap_or(true),
-            spread: row.spread,
-        })
-        .collect())
+    trocar_kernel::bench::kernel(trocar_kernel::bench::Effort::Full).map_err(Failure::internal)
 }
 
 /// Measures a suite.

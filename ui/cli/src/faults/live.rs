@@ -16,8 +16,8 @@ use trocar_scene::{Controller, SimTime};
 
 use super::hostile::{NeverReturns, Nuisance};
 use super::lockstep::{ACTORS, FORCE_MAX, SCENARIO};
-use crate::bench::blocks::median;
 use crate::failure::Failure;
+use trocar_kernel::bench::median_and_spread as median;
 
 /// How often each fault strikes.
 const TIMES: usize = 20;

@@ -44,7 +44,9 @@ fn controller_row(row: &ControllerSummary) -> Vec<Cell> {
     let late = &row.lateness_us;
     cells.extend([late.p50, late.p99, late.p999, late.max].map(Cell::number));
     cells.extend([row.step_us.p50, row.step_us.p99, row.step_us.max].map(Cell::number));
-    cells.extend([row.missed, row.dropped, row.rejected, row.conflicts, row.restarts].map(Cell::count));
+    cells.extend(
+        [row.missed, row.dropped, row.rejected, row.conflicts, u64::from(row.restarts)].map(Cell::count),
+    );
     cells
 }
 

@@ -1,0 +1,186 @@
+//! Input that nobody meant, and an allocator that sees what it costs: what the property tests of the parsers
+//! share. Test binaries include this file by its path; each gets an allocator of its own.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::sync::Arc;
+
+use proptest::prelude::*;
+use proptest::sample::{Index, select};
+
+/// Counts the bytes that each thread holds.
+struct Counting;
+
+thread_local! {
+    static HELD: Cell<isize> = const { Cell::new(0) };
+    static PEAK: Cell<isize> = const { Cell::new(0) };
+}
+
+fn add(bytes: isize) {
+    // Threads that are being torn down no longer count.
+    let _ = HELD.try_with(|held| {
+        held.set(held.get() + bytes);
+        let _ = PEAK.try_with(|peak| peak.set(peak.get().max(held.get())));
+    });
+}
+
+// SAFETY: every call goes to the system's allocator unchanged; counting allocates nothing.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        add(layout.size() as isize);
+        // SAFETY: the caller's obligations are passed on.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        add(layout.size() as isize);
+        // SAFETY: the caller's obligations are passed on.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        add(-(layout.size() as isize));
+        // SAFETY: the caller's obligations are passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Largest number of bytes held at once while `work` runs on this thread, above what was held before.
+pub fn peak_of<R>(work: impl FnOnce() -> R) -> (R, usize) {
+    let before = HELD.get();
+    PEAK.set(before);
+    let result = work();
+    (result, (PEAK.get() - before) as usize)
+}
+
+/// Something that happens to a valid file.
+#[derive(Clone, Debug)]
+pub enum Mutation {
+    /// One bit is another.
+    Flip { at: Index, bit: u8 },
+    /// Some bytes are others.
+    Set { at: Index, bytes: Vec<u8> },
+    /// The end is missing.
+    Cut { at: Index },
+    /// A piece is missing.
+    Remove { at: Index, length: usize },
+    /// A piece comes twice.
+    Repeat { at: Index, length: usize },
+    /// A word that has a meaning somewhere stands where it should not.
+    Insert { at: Index, word: &'static str },
+    /// A run of digits becomes another number.
+    Number { at: Index, with: &'static str },
+}
+
+/// One mutation.
+pub fn mutation() -> impl Strategy<Value = Mutation> {
+    let at = any::<Index>;
+    let numbers = select(vec![
+        "-1",
+        "0",
+        "4294967295",
+        "4294967296",
+        "9223372036854775807",
+        "18446744073709551615",
+        "nan",
+        "inf",
+        "-inf",
+        "1e400",
+        "-1e-400",
+        "1e308",
+    ]);
+    let words = select(vec![
+        "\0",
+        "\n",
+        "\r\n",
+        "\t",
+        ",",
+        ";",
+        "=",
+        "\"",
+        "'",
+        "[",
+        "]",
+        "[[",
+        "{",
+        "}",
+        "#",
+        ":",
+        ".",
+        "/",
+        "..",
+        "../",
+        "%s",
+        "NaN",
+        "\u{feff}",
+        "\u{202e}",
+        "é",
+        "true",
+        "null",
+        "1e999",
+        "0x",
+        "-0",
+        "a.b.c = 1\n",
+    ]);
+    let byte = || prop_oneof![Just(0u8), Just(0xff), Just(0x7f), Just(0x80), any::<u8>()];
+    prop_oneof![
+        (at(), 0..8u8).prop_map(|(at, bit)| Mutation::Flip { at, bit }),
+        (at(), prop::collection::vec(byte(), 1..12)).prop_map(|(at, bytes)| Mutation::Set { at, bytes }),
+        at().prop_map(|at| Mutation::Cut { at }),
+        (at(), 1..64usize).prop_map(|(at, length)| Mutation::Remove { at, length }),
+        (at(), 1..64usize).prop_map(|(at, length)| Mutation::Repeat { at, length }),
+        (at(), words).prop_map(|(at, word)| Mutation::Insert { at, word }),
+        (at(), numbers).prop_map(|(at, with)| Mutation::Number { at, with }),
+    ]
+}
+
+/// Applies a mutation.
+pub fn mutate(file: &mut Vec<u8>, mutation: &Mutation) {
+    if file.is_empty() {
+        return;
+    }
+    match mutation {
+        Mutation::Flip { at, bit } => {
+            let at = at.index(file.len());
+            file[at] ^= 1 << bit;
+        }
+        Mutation::Set { at, bytes } => {
+            let at = at.index(file.len());
+            file.iter_mut().skip(at).zip(bytes).for_each(|(old, new)| *old = *new);
+        }
+        Mutation::Cut { at } => file.truncate(at.index(file.len())),
+        Mutation::Remove { at, length } => {
+            let at = at.index(file.len());
+            file.drain(at..(at + length).min(file.len()));
+        }
+        Mutation::Repeat { at, length } => {
+            let at = at.index(file.len());
+            let piece = file[at..(at + length).min(file.len())].to_vec();
+            file.splice(at..at, piece);
+        }
+        Mutation::Insert { at, word } => {
+            let at = at.index(file.len());
+            file.splice(at..at, word.bytes());
+        }
+        Mutation::Number { at, with } => {
+            let digits = |b: &u8| b.is_ascii_digit();
+            let start = at.index(file.len());
+            let Some(begin) = file[start..].iter().position(digits).map(|offset| start + offset) else {
+                return;
+            };
+            let end = begin + file[begin..].iter().position(|b| !digits(b)).unwrap_or(file.len() - begin);
+            file.splice(begin..end, with.bytes());
+        }
+    }
+}
+
+/// One of these files after up to three mutations.
+pub fn mutated(files: Vec<Vec<u8>>) -> impl Strategy<Value = Vec<u8>> {
+    let files = Arc::new(files);
+    (any::<Index>(), prop::collection::vec(mutation(), 1..4)).prop_map(move |(which, mutations)| {
+        let mut file = files[which.index(files.len())].clone();
+        mutations.iter().for_each(|m| mutate(&mut file, m));
+        file
+    })
+}
