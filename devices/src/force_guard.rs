@@ -21,9 +21,10 @@ const SLEW_STEP_MAX_NS: u64 = 2_000_000;
 /// How a [`ForceGuard`] limits what is felt.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuardConfig {
-    /// Fastest change of the force [N/s]. The default, 500 N/s, is a wall of 1,000 N/m met at 0.5 m/s.
+    /// Fastest growth and turning of the force [N/s]; it may shrink at once. The default, 2,000 N/s, is a wall of
+    /// 2,000 N/m met at 1 m/s.
     pub slew_force: f64,
-    /// Fastest change of the torque [N·m/s].
+    /// Fastest growth and turning of the torque [N·m/s].
     pub slew_torque: f64,
     /// Time over which force grows from nothing after a start, a restart or an interruption \[ns\].
     pub ramp_ns: u64,
@@ -36,7 +37,7 @@ pub struct GuardConfig {
 impl Default for GuardConfig {
     fn default() -> Self {
         Self {
-            slew_force: 500.0,
+            slew_force: 2_000.0,
             slew_torque: 25.0,
             ramp_ns: 50_000_000,
             damping: 0.2,
@@ -105,7 +106,7 @@ impl ForceGuard {
         self.clamped
     }
 
-    /// In how many steps the wrench changed more slowly than wanted.
+    /// In how many steps the wrench grew or turned more slowly than wanted.
     pub fn slew_limited(&self) -> u64 {
         self.slew_limited
     }
@@ -118,6 +119,14 @@ impl ForceGuard {
     /// Force grows from nothing again from the next step on.
     pub(crate) fn restart_ramp(&mut self) {
         self.ramp_since_ns = None;
+    }
+
+    /// Leaves `share`, at most 1, of the last step's wrench.
+    pub(crate) fn shorten(&mut self, share: f64) -> Wrench {
+        if share < 1.0 {
+            self.applied = self.applied * share.max(0.0);
+        }
+        self.applied
     }
 
     /// One step without any force: at once, whatever the slew limit, and with a ramp afterwards.
@@ -190,8 +199,11 @@ fn clamp_norm(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
     unit * (limit * (1.0 - 4.0 * f64::EPSILON))
 }
 
-/// Moves from `from` towards `to` by at most `step`.
+/// Shortens `from` as is best and then moves it towards `to` by at most `step`: what shrinks needs no limit.
 fn approach(from: Vector3<f64>, to: Vector3<f64>, step: f64) -> Vector3<f64> {
+    let length_squared = from.norm_squared();
+    let kept = if length_squared > 0.0 { (from.dot(&to) / length_squared).clamp(0.0, 1.0) } else { 0.0 };
+    let from = from * kept;
     let change = to - from;
     let distance = change.norm();
     if distance <= step { to } else { from + change * (step / distance) }

@@ -17,7 +17,13 @@ fn force_is_clamped_to_the_limits_of_the_device_and_torque_needs_motors() {
     let mut link = bench.slot.take(1).unwrap();
     for _ in 0..100 {
         let wrench = Wrench { force: Vector3::new(60.0, -80.0, 0.0), torque: Vector3::new(5.0, 0.0, 0.0) };
-        link.command(DeviceCommand { epoch: 1, time_ns: bench.now_ns + MS, wrench, intent: None });
+        link.command(DeviceCommand {
+            epoch: 1,
+            time_ns: bench.now_ns + MS,
+            wrench,
+            passivity: true,
+            intent: None,
+        });
         let sample = bench.step();
         assert!(bench.device.rendered.force.norm() <= 3.3);
         assert_eq!(bench.device.rendered.torque, Vector3::zeros());
@@ -382,7 +388,7 @@ proptest! {
                     let time_ns = bench.now_ns.saturating_add_signed(time_offset_ms * MS as i64);
                     let wrench = Wrench::from_force(Vector3::from(force));
                     let count = links.len();
-                    links[link % count].command(DeviceCommand { epoch, time_ns, wrench, intent: None });
+                    links[link % count].command(DeviceCommand { epoch, time_ns, wrench, passivity: true, intent: None });
                 }
                 Happening::Fence(epoch) => bench.slot.fence().raise(epoch),
                 Happening::Take(epoch) => {
