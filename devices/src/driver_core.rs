@@ -363,7 +363,7 @@ impl DriverCore {
                         linear_velocity: self.state.linear_velocity,
                     },
                 );
-                let share = if accepted.passivity { self.passivity.share(&wanted) } else { 1.0 };
+                let share = if accepted.passivity { self.passivity.share(now_ns, &wanted) } else { 1.0 };
                 Decision { wrench: self.guard.shorten(share), withheld: wanted * (1.0 - share) }
             }
             _ => Decision { wrench: self.guard.release(now_ns), withheld: Wrench::ZERO },

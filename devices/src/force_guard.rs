@@ -1,4 +1,4 @@
-//! What every wrench passes before it reaches motors: fade, ramp, damping, clamp, slew limit.
+//! What every wrench passes before passivity and motors: fade, ramp, damping, clamp, slew limit.
 //!
 //! The figures for age are fixed, since people rely on them: a force that is not renewed fades from 5 ms and is
 //! zero at 20 ms. The fade is linear, so that a hand that leans on the force is let down rather than dropped.
@@ -286,15 +286,27 @@ mod tests {
     }
 
     #[test]
-    fn slew_limit_bounds_every_change_even_after_a_late_step() {
-        let (mut guard, mut now) = ramped_in(GuardConfig::default(), Dofs::Three, 0.0);
+    fn slew_limit_bounds_growth_even_after_a_late_step_and_lets_go_at_once() {
+        let config = GuardConfig { slew_force: 500.0, ..GuardConfig::default() };
+        let (mut guard, mut now) = ramped_in(config, Dofs::Three, 0.0);
         now += MS;
         assert!((guard.step(now, &request(3.0)).force.x - 0.5).abs() < 1e-12);
         now += 40 * MS;
         assert!((guard.step(now, &request(3.0)).force.x - 1.5).abs() < 1e-12);
         assert_eq!(guard.slew_limited(), 2);
+        now += MS;
+        assert!((guard.step(now, &request(1.0)).force.x - 1.0).abs() < 1e-12, "letting go needs no time");
         now += 2 * MS;
-        assert!((guard.step(now, &request(-3.0)).force.x - 0.5).abs() < 1e-12);
+        assert!((guard.step(now, &request(-3.0)).force.x + 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_force_that_turns_keeps_what_points_the_same_way() {
+        let from = Vector3::new(2.0, 0.0, 0.0);
+        let turned = approach(from, Vector3::new(1.0, 3.0, 0.0), 0.5);
+        assert!((turned - Vector3::new(1.0, 0.5, 0.0)).norm() < 1e-12, "{turned:?}");
+        let grown = approach(from, Vector3::new(3.0, 0.0, 0.0), 0.5);
+        assert!((grown - Vector3::new(2.5, 0.0, 0.0)).norm() < 1e-12, "{grown:?}");
     }
 
     #[test]

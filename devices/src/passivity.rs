@@ -156,6 +156,8 @@ pub struct PassivityController {
     /// The last interval, and the one before.
     motion: [Motion; 2],
     held: Held,
+    held_at_ns: u64,
+    step_secs: f64,
 }
 
 impl PassivityController {
@@ -174,6 +176,8 @@ impl PassivityController {
             last_reading: None,
             motion: [Motion::default(); 2],
             held: Held::default(),
+            held_at_ns: 0,
+            step_secs: 0.0,
         }
     }
 
@@ -233,9 +237,9 @@ impl PassivityController {
     }
 
     /// The share of `wanted`, 0 to 1, that may be rendered over the next interval.
-    pub fn share(&mut self, wanted: &Wrench) -> f64 {
-        let secs = self.motion[0].secs.min(INTERVAL_MAX);
-        let cost = self.cost(wanted, secs);
+    pub fn share(&mut self, now_ns: u64, wanted: &Wrench) -> f64 {
+        let secs = self.step_secs;
+        let cost = self.cost(wanted, now_ns);
         let force = wanted.force.norm();
         // What a spring holds that pushes as much.
         let stored = force * force / (2.0 * self.spring);
@@ -267,11 +271,15 @@ impl PassivityController {
         self.port.available + self.config.capital * still
     }
 
-    fn cost(&self, wanted: &Wrench, secs: f64) -> Cost {
+    fn cost(&self, wanted: &Wrench, now_ns: u64) -> Cost {
         let [last, before] = &self.motion;
-        // Of the middles of the intervals; 1 when all are equally long.
-        let step =
-            if last.secs + before.secs > 0.0 { (secs + last.secs) / (last.secs + before.secs) } else { 0.0 };
+        let secs = self.step_secs;
+        // What was held since the last reading is not booked yet.
+        let read_at_ns = self.last_reading.map_or(now_ns, |(at_ns, _)| at_ns);
+        let unread_secs = (now_ns.saturating_sub(read_at_ns) as f64 * 1e-9).min(INTERVAL_MAX);
+        // From the middle of an interval to that of the next; 1 when all are equally long.
+        let (known, coming) = (last.secs + before.secs, secs + last.secs + unread_secs);
+        let step = if known > 0.0 { (coming / known).min(2.0) } else { 0.0 };
         let ahead = |last: &Vector3<f64>, before: &Vector3<f64>| last + (last - before) * step;
         let linear = ahead(&last.linear_velocity, &before.linear_velocity);
         let angular = ahead(&last.angular_velocity, &before.angular_velocity);
@@ -279,7 +287,7 @@ impl PassivityController {
         let yielding = secs * secs / self.mass;
         let power = work(wanted, &linear, &angular);
         Cost {
-            motion: power * secs + force * self.config.jolt * yielding,
+            motion: power * (secs + unread_secs) + force * self.config.jolt * yielding,
             push: 0.5 * yielding * force * force,
             pushed: 0.5 * yielding * wanted.force.dot(&before.force),
             speed_along: if force > 0.0 { wanted.force.dot(&linear) / force } else { 0.0 },
@@ -288,6 +296,10 @@ impl PassivityController {
 
     /// What the motors hold from now on, and what of it was kept back.
     pub fn hold(&mut self, now_ns: u64, applied: &Wrench, withheld: &Wrench) {
+        let elapsed_ns = now_ns.saturating_sub(self.held_at_ns);
+        self.held_at_ns = now_ns;
+        // The next step is taken to be as long as this one.
+        self.step_secs = (elapsed_ns as f64 * 1e-9).min(INTERVAL_MAX);
         self.held.count_to(now_ns);
         self.held.wrench = *applied;
         self.held.withheld = *withheld;
