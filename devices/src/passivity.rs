@@ -47,7 +47,7 @@ pub struct PassivityConfig {
     /// Time constant with which energy above `storage` is forgotten \[s\]. A wall that was met with more than the
     /// device's greatest force takes up to 0.2 J, and gives it back within a few tenths of a second.
     pub storage_secs: f64,
-    /// For how long a force must be uncovered without a break until energy is lent \[s\]; longer than a
+    /// For how long a force must be uncovered, without a break and without turning round, until energy is lent \[s\]; longer than a
     /// bounce, and than half a period of anything that a hand would call an oscillation.
     pub lend_after_secs: f64,
     /// Most power that is lent \[W\], reached after twice that time.
@@ -150,6 +150,8 @@ pub struct PassivityController {
     port: PortEnergy,
     lent: f64,
     uncovered_secs: f64,
+    /// What was wanted when that began.
+    uncovered: Wrench,
     /// Since a force was not covered: no more than a spring would push that had stored what is available.
     short: bool,
     last_reading: Option<(u64, Isometry3<f64>)>,
@@ -172,6 +174,7 @@ impl PassivityController {
             port: PortEnergy::default(),
             lent: 0.0,
             uncovered_secs: 0.0,
+            uncovered: Wrench::ZERO,
             short: false,
             last_reading: None,
             motion: [Motion::default(); 2],
@@ -245,17 +248,24 @@ impl PassivityController {
         let stored = force * force / (2.0 * self.spring);
         self.short = cost.of(1.0) > self.budget(&cost) || (self.short && stored > self.port.available);
         if !self.short {
+            self.uncovered = Wrench::ZERO;
             self.uncovered_secs = 0.0;
             return 1.0;
         }
         // Lent energy carries a small force only.
         let part = if force > self.config.lend_force { self.config.lend_force / force } else { 1.0 };
         let missing = (cost.of(part) - self.budget(&cost)).max(stored * part * part - self.port.available);
-        if missing > 0.0 {
+        // What turns round swings, and swinging is lent nothing.
+        let turned = work(&self.uncovered, &wanted.force, &wanted.torque) < 0.0;
+        if missing > 0.0 && !turned {
+            if self.uncovered_secs == 0.0 {
+                self.uncovered = *wanted;
+            }
             self.uncovered_secs += secs;
             let haste = (self.uncovered_secs / self.config.lend_after_secs.max(1e-6) - 1.0).clamp(0.0, 1.0);
             self.lend(missing.min(haste * self.config.lend_power * secs));
         } else {
+            self.uncovered = Wrench::ZERO;
             self.uncovered_secs = 0.0;
         }
         let spring = (2.0 * self.spring * self.port.available.max(0.0)).sqrt();
@@ -362,4 +372,178 @@ fn rotation_vector(to: &Isometry3<f64>, from: &Isometry3<f64>) -> Vector3<f64> {
 
 fn finite(value: f64) -> f64 {
     if value.is_finite() { value } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::{Dofs, Workspace};
+    use nalgebra::UnitQuaternion;
+
+    const MS: u64 = 1_000_000;
+
+    fn capabilities() -> Capabilities {
+        Capabilities {
+            name: "bench".into(),
+            workspace: Workspace::centred(Vector3::repeat(0.1)),
+            max_force_newtons: 3.3,
+            max_torque: 0.2,
+            max_stiffness: 1000.0,
+            input_dofs: Dofs::Six,
+            output_dofs: Dofs::Six,
+            apparent_mass: 0.045,
+        }
+    }
+
+    fn at(x: f64) -> Isometry3<f64> {
+        Isometry3::translation(x, 0.0, 0.0)
+    }
+
+    fn push(newtons: f64) -> Wrench {
+        Wrench::from_force(Vector3::new(newtons, 0.0, 0.0))
+    }
+
+    /// A port at a hand that is led along `x(ms)` whatever it feels.
+    struct Led {
+        port: PassivityController,
+        now_ns: u64,
+    }
+
+    impl Led {
+        fn new() -> Self {
+            Self { port: PassivityController::new(PassivityConfig::default(), &capabilities()), now_ns: 0 }
+        }
+        fn step(&mut self, x: f64, newtons: f64) -> f64 {
+            self.port.observe(self.now_ns, &at(x));
+            let wanted = push(newtons);
+            let share = self.port.share(self.now_ns, &wanted);
+            self.port.hold(self.now_ns, &(wanted * share), &(wanted * (1.0 - share)));
+            self.now_ns += MS;
+            newtons * share
+        }
+    }
+
+    #[test]
+    fn the_observer_books_the_work_of_what_was_held() {
+        let mut port = Led::new().port;
+        port.observe(0, &at(0.0));
+        let torque = Vector3::new(0.0, 0.0, 0.1);
+        port.hold(0, &Wrench { force: Vector3::new(2.0, 0.0, 0.0), torque }, &Wrench::ZERO);
+        let turned = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, -0.002));
+        port.observe(MS, &Isometry3::from_parts(Vector3::new(-0.001, 0.0, 0.0).into(), turned));
+        assert!((port.port().energy - 2.2e-3).abs() < 1e-9, "{:?}", port.port());
+        // Two wrenches between two readings count by their times.
+        port.hold(MS, &push(1.0), &Wrench::ZERO);
+        port.hold(2 * MS, &push(-1.0), &Wrench::ZERO);
+        port.observe(5 * MS, &Isometry3::from_parts(Vector3::new(0.003, 0.0, 0.0).into(), turned));
+        assert!((port.port().energy - 4.2e-3).abs() < 1e-9, "{:?}", port.port());
+        assert_eq!(port.port().energy_min, 0.0);
+    }
+
+    #[test]
+    fn a_force_on_a_hand_at_rest_is_left_alone() {
+        let mut led = Led::new();
+        for ms in 0..100 {
+            let wanted = 3.3 * f64::from(ms.min(50)) / 50.0;
+            assert_eq!(led.step(0.0, wanted), wanted, "{ms} ms");
+        }
+        assert_eq!(led.port.port().energy_min, 0.0);
+    }
+
+    #[test]
+    fn a_passive_wall_is_left_alone_however_it_is_pressed() {
+        let mut led = Led::new();
+        for ms in 0..4000 {
+            let phase = f64::from(ms) * 1e-3 * 8.0;
+            let (depth, speed) = (0.003 * (1.0 - phase.cos()), 0.003 * 8.0 * phase.sin());
+            let wanted = 800.0 * depth + 4.0 * speed;
+            assert!((led.step(-depth, wanted) - wanted).abs() < 1e-12, "{ms} ms: {:?}", led.port);
+        }
+        assert_eq!((led.port.port().energy_min, led.port.port().dissipated), (0.0, 0.0));
+    }
+
+    #[test]
+    fn a_force_that_follows_the_hand_is_kept_back_and_then_lent() {
+        let mut led = Led::new();
+        // A weight of 0.3 N that the hand did not lift, lowered at 0.1 m/s.
+        let felt: Vec<f64> = (0..400).map(|ms| led.step(f64::from(ms) * 1e-4, 0.3)).collect();
+        assert!(felt[10..90].iter().all(|force| *force < 1e-9), "{:?}", &felt[..20]);
+        assert!(felt[300..].iter().all(|force| (force - 0.3).abs() < 1e-9), "{:?}", &felt[90..]);
+        let port = *led.port.port();
+        // The observer forgives nothing of what was lent.
+        assert!(port.energy < -3e-3 && port.energy > -0.3 * 0.04 && port.dissipated > 2e-3, "{port:?}");
+        // At most half a newton and 50 mW are lent.
+        let mut strong = Led::new();
+        // Two steps pass until a motion is known.
+        let most = (0..2000).map(|ms| strong.step(f64::from(ms) * 1e-4, 3.0)).skip(2).fold(0.0, f64::max);
+        assert!(most <= 0.5 + 1e-9, "{most}");
+    }
+
+    #[test]
+    fn an_oscillation_is_lent_nothing() {
+        let mut led = Led::new();
+        for ms in 0..5000 {
+            // Negative damping at 10 Hz.
+            let phase = f64::from(ms) * 1e-3 * 62.8;
+            led.step(0.001 * phase.sin(), 2.0 * 0.0628 * phase.cos());
+        }
+        let port = led.port.port();
+        assert!(port.energy_min >= -PassivityConfig::default().capital, "{port:?}");
+        assert!(port.dissipated > 0.0, "{port:?}");
+    }
+
+    #[test]
+    fn old_surplus_is_forgotten_above_what_is_remembered_for_good() {
+        let mut led = Led::new();
+        for ms in 0..200 {
+            led.step(f64::from(ms) * 1e-3, -1.0);
+        }
+        assert!(led.port.port().energy > 0.1, "a deep wall gives back what it took");
+        for _ in 0..10_000 {
+            led.step(0.2, -1.0);
+        }
+        let storage = PassivityConfig::default().storage;
+        assert!((led.port.port().energy - storage).abs() < 1e-4, "{:?}", led.port.port());
+    }
+
+    #[test]
+    fn the_share_solves_what_it_costs() {
+        for (motion, push, pushed) in
+            [(1e-4, 1e-5, 0.0), (-1e-5, 4e-5, 1e-5), (2e-5, 0.0, 0.0), (-1e-4, 1e-4, 3e-4)]
+        {
+            let cost = Cost { motion, push, pushed, speed_along: 0.0 };
+            for budget in [0.0, 1e-7, 1e-5, 1e-3] {
+                let share = cost.share(budget);
+                assert!(
+                    (0.0..=1.0).contains(&share) && cost.of(share) <= budget + 1e-15,
+                    "{cost:?} {budget}"
+                );
+                assert!(
+                    share == 1.0 || cost.of(share + 1e-6) > budget,
+                    "{cost:?} {budget}: more was possible"
+                );
+            }
+            let best = cost.share(-1.0);
+            for other in 0..=100 {
+                assert!(
+                    cost.of(best) <= cost.of(f64::from(other) / 100.0) + 1e-15,
+                    "{cost:?}: {best} {other}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_that_are_none_do_not_poison_the_account() {
+        let mut led = Led::new();
+        led.step(0.0, 1.0);
+        led.step(f64::NAN, 1.0);
+        led.step(f64::INFINITY, f64::NAN);
+        led.step(0.0, 1.0);
+        let port = *led.port.port();
+        assert!(
+            port.energy.is_finite() && port.energy_min.is_finite() && port.available.is_finite(),
+            "{port:?}"
+        );
+    }
 }
