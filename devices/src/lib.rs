@@ -18,6 +18,7 @@
 mod device;
 mod driver_core;
 mod driver_thread;
+mod energy_observer;
 mod faults;
 mod force_guard;
 mod gripper;

@@ -1,35 +1,33 @@
-//! Energy observer and passivity controller of a device's port: the last word on every force.
+//! Passivity controller of a device's port: the last word on every force.
 //!
-//! The observer sums the energy that the hand put into the port, `W(n) = W(n−1) − f(n−1)·Δx(n)`, with the force
-//! that the motors held over the interval and the displacement that it saw (Hannaford and Ryu, "Time-domain
-//! passivity control of haptic interfaces", 2002). For a force that is held, that is exact (Ryu, Preusche,
-//! Hannaford and Hirzinger, "Time domain passivity control with reference energy following", 2005), but only
-//! where the force is finally decided: above the driver, limits and delays stand between the force that was asked
-//! for and the one that is felt.
-//!
-//! The controller renders no force that would give the hand more than it has paid (the energy tank of Franken,
-//! Stramigioli, Misra, Secchi and Macchelli, "Bilateral telemanipulation with time delays: a two-layer approach
-//! combining passivity and transparency", 2011). Whatever the force `F` of the next interval is, its displacement is
-//! known but for what the hand does within one step: with a constant force of the hand and mass `m`,
+//! It renders no force that would give the hand more than it has paid (the energy tank of Franken, Stramigioli,
+//! Misra, Secchi and Macchelli, "Bilateral telemanipulation with time delays: a two-layer approach combining
+//! passivity and transparency", 2011), by the account of the energy observer. Whatever the force `F`
+//! of the next step is, its displacement is known but for what the hand does meanwhile: with mass `m`,
 //!
 //! ```text
 //! Δx(n+1) = 2 Δx(n) − Δx(n−1) + T²/2m · (F(n) − F(n−2)),
 //! ```
 //!
-//! exactly. A heavier hand only makes the last term smaller. So the force is shortened until `F·Δx(n+1)`, with a
-//! reserve for what the hand may do meanwhile, is covered. It is never turned and never grows: no damper
-//! behind a delay, which would shake the hand itself.
+//! exactly, if the hand's own force stays. A heavier hand only makes the last term smaller. So the force is shortened
+//! until `F·Δx(n+1)`, with a reserve for a hand that does not stay, is covered. It is never turned and never grows.
+//!
+//! A force that was shortened once stays *short*, until the hand has paid for all of it or it has ended: it is no
+//! greater than that of a spring, of the device's greatest stiffness, that stores what is available, and of a damper
+//! against the hand's motion. A hand that leans on a wall for which it has not paid thus sinks to where it has, and
+//! rests there on a wall as stiff as ever. Without that, the force would hang on a reserve of microjoules, and chatter.
 //!
 //! Two things are lent. A hand at rest takes no energy from any force, but to know that takes a step: a small
 //! *capital* covers the reserve, and shrinks to nothing while the hand moves along with the force. And a scene may be
 //! active by intention (tissue that moves, a ring taken over from the other hand and lowered): a force that stays
-//! uncovered for a while without a break is lent a limited power. A bounce or an oscillation is over before. The
+//! uncovered for a while is lent a limited power, up to a limited force. A bounce or an oscillation is over before. The
 //! observer forgives nothing of that: what it reports is what happened.
 
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::device::{Capabilities, Wrench};
+use crate::energy_observer::{EnergyObserver, work};
 
 /// How a [`PassivityController`] decides.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,8 +45,8 @@ pub struct PassivityConfig {
     /// Time constant with which energy above `storage` is forgotten \[s\]. A wall that was met with more than the
     /// device's greatest force takes up to 0.2 J, and gives it back within a few tenths of a second.
     pub storage_secs: f64,
-    /// For how long a force must be uncovered, without a break and without turning round, until energy is lent \[s\]; longer than a
-    /// bounce, and than half a period of anything that a hand would call an oscillation.
+    /// For how long a force must be uncovered until energy is lent \[s\], without a break and without turning
+    /// round: longer than a bounce, and than half a period of anything that a hand would call an oscillation.
     pub lend_after_secs: f64,
     /// Most power that is lent \[W\], reached after twice that time.
     pub lend_power: f64,
@@ -89,55 +87,13 @@ pub struct PortEnergy {
     pub power: f64,
 }
 
-/// Longest interval \[s\] for which motion is extrapolated.
-const INTERVAL_MAX: f64 = 5e-3;
-/// Damping that a device bears, as a share of its mass per step: most of what the delay and the measured velocity
-/// leave.
+/// Damping that a device bears, as a share of its mass per step: the delay of the loop and that of the measured
+/// velocity, together about three steps, take damping times delay off the apparent mass, and half of it has to stay.
 const DAMPING_SHARE: f64 = 0.15;
+/// Shortest step \[s\] for which that is so; a faster driver measures velocities no faster.
+const DAMPING_STEP_MIN: f64 = 1e-3;
 /// Speed below which a damping would be meaningless [m/s].
 const SPEED_MIN: f64 = 1e-3;
-
-/// How the handle moved in one interval between two readings.
-#[derive(Clone, Copy, Debug, Default)]
-struct Motion {
-    secs: f64,
-    linear_velocity: Vector3<f64>,
-    angular_velocity: Vector3<f64>,
-    /// Mean of the force over it \[N\].
-    force: Vector3<f64>,
-}
-
-/// A wrench that is held, and its integral since the last reading.
-#[derive(Clone, Copy, Debug, Default)]
-struct Held {
-    wrench: Wrench,
-    /// What was wanted and not rendered.
-    withheld: Wrench,
-    /// [N·s] and [N·m·s].
-    impulse: Wrench,
-    withheld_impulse: Wrench,
-    secs: f64,
-    counted_to_ns: u64,
-}
-
-impl Held {
-    fn count_to(&mut self, now_ns: u64) {
-        let secs = now_ns.saturating_sub(self.counted_to_ns) as f64 * 1e-9;
-        add(&mut self.impulse, &self.wrench, secs);
-        add(&mut self.withheld_impulse, &self.withheld, secs);
-        self.secs += secs;
-        self.counted_to_ns = now_ns;
-    }
-}
-
-fn add(sum: &mut Wrench, wrench: &Wrench, factor: f64) {
-    sum.force += wrench.force * factor;
-    sum.torque += wrench.torque * factor;
-}
-
-fn work(wrench: &Wrench, translation: &Vector3<f64>, rotation: &Vector3<f64>) -> f64 {
-    wrench.force.dot(translation) + wrench.torque.dot(rotation)
-}
 
 /// Energy observer and passivity controller of one port; stepped with time, reads no clock. Everything in the
 /// device's frame.
@@ -145,42 +101,31 @@ fn work(wrench: &Wrench, translation: &Vector3<f64>, rotation: &Vector3<f64>) ->
 pub struct PassivityController {
     config: PassivityConfig,
     mass: f64,
-    /// Stiffness of the spring that a short force is taken to come from [N/m].
-    spring: f64,
+    stiffness: f64,
+    observer: EnergyObserver,
     port: PortEnergy,
     lent: f64,
-    uncovered_secs: f64,
-    /// What was wanted when that began.
-    uncovered: Wrench,
-    /// Since a force was not covered: no more than a spring would push that had stored what is available.
     short: bool,
-    last_reading: Option<(u64, Isometry3<f64>)>,
-    /// The last interval, and the one before.
-    motion: [Motion; 2],
-    held: Held,
-    held_at_ns: u64,
-    step_secs: f64,
+    /// For how long, and what was wanted when that began.
+    uncovered_secs: f64,
+    uncovered: Wrench,
 }
 
 impl PassivityController {
     /// Without stored energy, for a device with these capabilities.
     pub fn new(config: PassivityConfig, capabilities: &Capabilities) -> Self {
-        let mass = capabilities.apparent_mass;
+        let Capabilities { apparent_mass, max_stiffness, .. } = *capabilities;
         Self {
             config,
-            // Too light is on the safe side; a NaN is taken as very light.
-            mass: if mass > 1e-3 { mass } else { 1e-3 },
-            spring: finite(capabilities.max_stiffness).max(1.0),
+            // Too light and too soft are on the safe side; a NaN is taken as both.
+            mass: if apparent_mass > 1e-3 { apparent_mass } else { 1e-3 },
+            stiffness: if max_stiffness > 1.0 { max_stiffness.min(1e6) } else { 1.0 },
+            observer: EnergyObserver::new(config.storage, config.storage_secs),
             port: PortEnergy::default(),
             lent: 0.0,
+            short: false,
             uncovered_secs: 0.0,
             uncovered: Wrench::ZERO,
-            short: false,
-            last_reading: None,
-            motion: [Motion::default(); 2],
-            held: Held::default(),
-            held_at_ns: 0,
-            step_secs: 0.0,
         }
     }
 
@@ -191,102 +136,58 @@ impl PassivityController {
 
     /// Takes a reading: books what the wrenches since the last one gave to the hand or took from it.
     pub fn observe(&mut self, now_ns: u64, pose_in_device: &Isometry3<f64>) {
-        self.held.count_to(now_ns);
-        let secs = self.held.secs;
-        if let Some((_, before)) = &self.last_reading
-            && secs > 0.0
-        {
-            let translation = pose_in_device.translation.vector - before.translation.vector;
-            let rotation = rotation_vector(pose_in_device, before);
-            let mean =
-                |impulse: &Wrench| Wrench { force: impulse.force / secs, torque: impulse.torque / secs };
-            let (wrench, withheld) = (mean(&self.held.impulse), mean(&self.held.withheld_impulse));
-            self.book(work(&wrench, &translation, &rotation), secs);
-            self.port.dissipated += finite(work(&withheld, &translation, &rotation)).max(0.0);
-            let motion = Motion {
-                secs,
-                linear_velocity: translation / secs,
-                angular_velocity: rotation / secs,
-                force: wrench.force,
-            };
-            self.motion = [motion, self.motion[0]];
-        }
-        if secs > 0.0 || self.last_reading.is_none() {
-            let Held { wrench, withheld, counted_to_ns, .. } = self.held;
-            self.held = Held { wrench, withheld, counted_to_ns, ..Held::default() };
-            self.last_reading = Some((now_ns, *pose_in_device));
-        }
+        self.observer.observe(now_ns, pose_in_device);
+        (self.port.energy, self.port.energy_min) = self.observer.energy();
+        self.port.dissipated = self.observer.withheld_energy();
+        self.lend(0.0);
     }
 
     /// Forgets how the handle moved: there was no reading for so long that the next one continues nothing.
     pub fn interrupt(&mut self) {
-        self.last_reading = None;
-        self.motion = [Motion::default(); 2];
-        self.uncovered_secs = 0.0;
+        self.observer.interrupt();
+        self.covered();
     }
 
-    fn book(&mut self, given_to_hand: f64, secs: f64) {
-        let energy = self.port.energy - finite(given_to_hand);
-        let above = (energy - self.config.storage).max(0.0);
-        self.port.energy = energy - above * (secs / self.config.storage_secs.max(1e-6)).min(1.0);
-        self.port.energy_min = self.port.energy_min.min(self.port.energy);
-        self.lend(0.0);
+    /// What the motors hold from now on, and what was kept back of it.
+    pub fn hold(&mut self, now_ns: u64, applied: &Wrench, withheld: &Wrench) {
+        self.observer.hold(now_ns, applied, withheld);
+        let velocity = self.observer.motion()[0].linear_velocity;
+        let speed_squared = velocity.norm_squared();
+        self.port.power = withheld.force.dot(&velocity).max(0.0);
+        self.port.damping =
+            if speed_squared > SPEED_MIN * SPEED_MIN { self.port.power / speed_squared } else { 0.0 };
     }
 
-    /// Raises what is available by `joules`. What the hand pays beyond `storage` pays the loan back.
-    fn lend(&mut self, joules: f64) {
-        self.lent = (self.lent + joules).min(self.config.storage - self.port.energy).max(0.0);
-        self.port.available = self.port.energy + self.lent;
-    }
-
-    /// The share of `wanted`, 0 to 1, that may be rendered over the next interval.
+    /// The share of `wanted`, 0 to 1, that may be rendered over the next step.
     pub fn share(&mut self, now_ns: u64, wanted: &Wrench) -> f64 {
-        let secs = self.step_secs;
         let cost = self.cost(wanted, now_ns);
         let force = wanted.force.norm();
-        // What a spring holds that pushes as much.
-        let stored = force * force / (2.0 * self.spring);
+        let stored = force * force / (2.0 * self.stiffness);
         self.short = cost.of(1.0) > self.budget(&cost) || (self.short && stored > self.port.available);
         if !self.short {
-            self.uncovered = Wrench::ZERO;
-            self.uncovered_secs = 0.0;
+            self.covered();
             return 1.0;
         }
-        // Lent energy carries a small force only.
         let part = if force > self.config.lend_force { self.config.lend_force / force } else { 1.0 };
         let missing = (cost.of(part) - self.budget(&cost)).max(stored * part * part - self.port.available);
-        // What turns round swings, and swinging is lent nothing.
-        let turned = work(&self.uncovered, &wanted.force, &wanted.torque) < 0.0;
-        if missing > 0.0 && !turned {
-            if self.uncovered_secs == 0.0 {
-                self.uncovered = *wanted;
-            }
-            self.uncovered_secs += secs;
-            let haste = (self.uncovered_secs / self.config.lend_after_secs.max(1e-6) - 1.0).clamp(0.0, 1.0);
-            self.lend(missing.min(haste * self.config.lend_power * secs));
-        } else {
-            self.uncovered = Wrench::ZERO;
-            self.uncovered_secs = 0.0;
-        }
-        let spring = (2.0 * self.spring * self.port.available.max(0.0)).sqrt();
-        let damper = DAMPING_SHARE * self.mass / secs.max(1e-3) * (-cost.speed_along).max(0.0);
-        cost.share(self.budget(&cost)).min((spring + damper) / force.max(1e-9))
+        self.consider_lending(wanted, missing);
+        let spring = (2.0 * self.stiffness * self.port.available.max(0.0)).sqrt();
+        let bearable = DAMPING_SHARE * self.mass / self.observer.step_secs().max(DAMPING_STEP_MIN);
+        let damper = bearable * (-cost.speed_along).max(0.0);
+        let by_spring = if force > 0.0 { (spring + damper) / force } else { 1.0 };
+        cost.share(self.budget(&cost)).min(by_spring)
     }
 
+    /// What a force may give to the hand \[J\].
     fn budget(&self, cost: &Cost) -> f64 {
-        if self.short {
-            return self.port.available;
-        }
         let still = (1.0 - cost.speed_along / self.config.capital_speed.max(1e-9)).clamp(0.0, 1.0);
-        self.port.available + self.config.capital * still
+        self.port.available + if self.short { 0.0 } else { self.config.capital * still }
     }
 
     fn cost(&self, wanted: &Wrench, now_ns: u64) -> Cost {
-        let [last, before] = &self.motion;
-        let secs = self.step_secs;
-        // What was held since the last reading is not booked yet.
-        let read_at_ns = self.last_reading.map_or(now_ns, |(at_ns, _)| at_ns);
-        let unread_secs = (now_ns.saturating_sub(read_at_ns) as f64 * 1e-9).min(INTERVAL_MAX);
+        let [last, before] = self.observer.motion();
+        let secs = self.observer.step_secs();
+        let unread_secs = self.observer.unread_secs(now_ns);
         // From the middle of an interval to that of the next; 1 when all are equally long.
         let (known, coming) = (last.secs + before.secs, secs + last.secs + unread_secs);
         let step = if known > 0.0 { (coming / known).min(2.0) } else { 0.0 };
@@ -295,29 +196,39 @@ impl PassivityController {
         let angular = ahead(&last.angular_velocity, &before.angular_velocity);
         let force = wanted.force.norm();
         let yielding = secs * secs / self.mass;
-        let power = work(wanted, &linear, &angular);
         Cost {
-            motion: power * (secs + unread_secs) + force * self.config.jolt * yielding,
+            motion: work(wanted, &linear, &angular) * (secs + unread_secs)
+                + force * self.config.jolt * yielding,
             push: 0.5 * yielding * force * force,
             pushed: 0.5 * yielding * wanted.force.dot(&before.force),
             speed_along: if force > 0.0 { wanted.force.dot(&linear) / force } else { 0.0 },
         }
     }
 
-    /// What the motors hold from now on, and what of it was kept back.
-    pub fn hold(&mut self, now_ns: u64, applied: &Wrench, withheld: &Wrench) {
-        let elapsed_ns = now_ns.saturating_sub(self.held_at_ns);
-        self.held_at_ns = now_ns;
-        // The next step is taken to be as long as this one.
-        self.step_secs = (elapsed_ns as f64 * 1e-9).min(INTERVAL_MAX);
-        self.held.count_to(now_ns);
-        self.held.wrench = *applied;
-        self.held.withheld = *withheld;
-        let [Motion { linear_velocity, .. }, _] = &self.motion;
-        let power = withheld.force.dot(linear_velocity).max(0.0);
-        let speed_squared = linear_velocity.norm_squared();
-        self.port.power = power;
-        self.port.damping = if speed_squared > SPEED_MIN * SPEED_MIN { power / speed_squared } else { 0.0 };
+    /// Raises what is available by `joules`. What the hand pays beyond `storage` pays the loan back.
+    fn lend(&mut self, joules: f64) {
+        self.lent = (self.lent + joules).min(self.config.storage - self.port.energy).max(0.0);
+        self.port.available = self.port.energy + self.lent;
+    }
+
+    /// Lends of what is `missing` \[J\], if it has been missing for long enough.
+    fn consider_lending(&mut self, wanted: &Wrench, missing: f64) {
+        // What turns round swings, and swinging is lent nothing.
+        if missing <= 0.0 || work(&self.uncovered, &wanted.force, &wanted.torque) < 0.0 {
+            return self.covered();
+        }
+        if self.uncovered_secs == 0.0 {
+            self.uncovered = *wanted;
+        }
+        let secs = self.observer.step_secs();
+        self.uncovered_secs += secs;
+        let haste = (self.uncovered_secs / self.config.lend_after_secs.max(1e-6) - 1.0).clamp(0.0, 1.0);
+        self.lend(missing.min(haste * self.config.lend_power * secs));
+    }
+
+    fn covered(&mut self) {
+        self.uncovered = Wrench::ZERO;
+        self.uncovered_secs = 0.0;
     }
 }
 
@@ -364,21 +275,10 @@ impl Cost {
     }
 }
 
-/// Vector of the rotation between two poses \[rad\], for angles as small as one step's.
-fn rotation_vector(to: &Isometry3<f64>, from: &Isometry3<f64>) -> Vector3<f64> {
-    let turn = to.rotation.into_inner() * from.rotation.into_inner().conjugate();
-    turn.imag() * if turn.w < 0.0 { -2.0 } else { 2.0 }
-}
-
-fn finite(value: f64) -> f64 {
-    if value.is_finite() { value } else { 0.0 }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::device::{Dofs, Workspace};
-    use nalgebra::UnitQuaternion;
 
     const MS: u64 = 1_000_000;
 
@@ -421,23 +321,6 @@ mod tests {
             self.now_ns += MS;
             newtons * share
         }
-    }
-
-    #[test]
-    fn the_observer_books_the_work_of_what_was_held() {
-        let mut port = Led::new().port;
-        port.observe(0, &at(0.0));
-        let torque = Vector3::new(0.0, 0.0, 0.1);
-        port.hold(0, &Wrench { force: Vector3::new(2.0, 0.0, 0.0), torque }, &Wrench::ZERO);
-        let turned = UnitQuaternion::from_scaled_axis(Vector3::new(0.0, 0.0, -0.002));
-        port.observe(MS, &Isometry3::from_parts(Vector3::new(-0.001, 0.0, 0.0).into(), turned));
-        assert!((port.port().energy - 2.2e-3).abs() < 1e-9, "{:?}", port.port());
-        // Two wrenches between two readings count by their times.
-        port.hold(MS, &push(1.0), &Wrench::ZERO);
-        port.hold(2 * MS, &push(-1.0), &Wrench::ZERO);
-        port.observe(5 * MS, &Isometry3::from_parts(Vector3::new(0.003, 0.0, 0.0).into(), turned));
-        assert!((port.port().energy - 4.2e-3).abs() < 1e-9, "{:?}", port.port());
-        assert_eq!(port.port().energy_min, 0.0);
     }
 
     #[test]
