@@ -271,7 +271,7 @@ impl Cost {
             by_motion.min(by_push)
         };
         // `clamp` would keep a NaN.
-        share.max(0.0).min(1.0)
+        if share > 0.0 { share.min(1.0) } else { 0.0 }
     }
 }
 
