@@ -14,6 +14,8 @@
 //! `read` and `write` run up to 10,000 times a second at the highest priority: no allocation, no lock, no log,
 //! no waiting. A device never reads a clock: time is given to it.
 
+use std::ops::Mul;
+
 use nalgebra::{Isometry3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -39,6 +41,13 @@ impl Wrench {
     /// Whether no number is NaN or infinite.
     pub fn is_finite(&self) -> bool {
         is_finite(&self.force) && is_finite(&self.torque)
+    }
+}
+
+impl Mul<f64> for Wrench {
+    type Output = Self;
+    fn mul(self, factor: f64) -> Self {
+        Self { force: self.force * factor, torque: self.torque * factor }
     }
 }
 

@@ -11,6 +11,8 @@
 //! - a force that is not renewed fades from 5 ms and is zero at 20 ms; so does every force while the device
 //!   gives no valid reading;
 //! - force ramps in after a start, a restart, an interruption and a re-plug;
+//! - no force gives the hand energy that the hand has not paid, but for what [`PassivityConfig`] lends (unless the
+//!   controller waives that: what goes through the port is observed either way);
 //! - an unplugged device is rendered nothing, and is opened again when it comes back;
 //! - after [`Fence::zero_all_forces`] the next step renders nothing, and so does every later one.
 
@@ -18,6 +20,7 @@ use crate::device::{DeviceError, DeviceState, HapticDevice, Wrench};
 use crate::faults::DeviceFaults;
 use crate::force_guard::{DECAY_END_NS, DECAY_START_NS, ForceGuard, GuardConfig, Request};
 use crate::link::{DeviceCommand, DeviceSample, DriverEnd, DriverStatistics, Fence};
+use crate::passivity::{PassivityConfig, PassivityController};
 
 /// Time without a valid reading after which a device counts as unplugged \[ns\].
 const LOST_AFTER_NS: u64 = 200_000_000;
@@ -30,13 +33,19 @@ const DELAY_LINE: usize = 1024;
 pub struct DriverConfig {
     /// Limits of what is felt.
     pub guard: GuardConfig,
+    /// How forces are kept passive.
+    pub passivity: PassivityConfig,
     /// Time between two attempts to open a device that is not there \[ns\].
     pub reopen_period_ns: u64,
 }
 
 impl Default for DriverConfig {
     fn default() -> Self {
-        Self { guard: GuardConfig::default(), reopen_period_ns: 100_000_000 }
+        Self {
+            guard: GuardConfig::default(),
+            passivity: PassivityConfig::default(),
+            reopen_period_ns: 100_000_000,
+        }
     }
 }
 
@@ -56,6 +65,13 @@ struct Accepted {
     // When it was computed; moved back when its epoch is fenced, so that the fade starts at once.
     fresh_at_ns: u64,
     wrench: Wrench,
+    passivity: bool,
+}
+
+/// What a step renders, and what passivity keeps of it.
+struct Decision {
+    wrench: Wrench,
+    withheld: Wrench,
 }
 
 /// Readings of the recent past, so that they can be delivered late.
@@ -99,6 +115,7 @@ pub struct DriverCore {
     end: DriverEnd,
     faults: DeviceFaults,
     guard: ForceGuard,
+    passivity: PassivityController,
     connection: Connection,
     state: DeviceState,
     sampled_at_ns: u64,
@@ -124,6 +141,7 @@ impl DriverCore {
             end,
             faults,
             guard: ForceGuard::new(config.guard, device.capabilities()),
+            passivity: PassivityController::new(config.passivity, device.capabilities()),
             connection: Connection::Absent { retry_at_ns: 0 },
             state: DeviceState::unknown(),
             sampled_at_ns: 0,
@@ -147,8 +165,9 @@ impl DriverCore {
             device.set_intent(now_ns, intent);
         }
         self.release_fenced(now_ns);
-        let wrench = self.decide(now_ns);
+        let Decision { wrench, withheld } = self.decide(now_ns);
         self.actuate(now_ns, device, &wrench);
+        self.passivity.hold(now_ns, self.guard.applied(), &withheld);
         self.publish(now_ns);
     }
 
@@ -252,6 +271,7 @@ impl DriverCore {
             self.sampled_at_ns = at_ns;
             self.state = late;
         }
+        self.passivity.observe(now_ns, &self.state.pose_in_device);
     }
 
     fn reconnected(&mut self, now_ns: u64) {
@@ -276,6 +296,7 @@ impl DriverCore {
             Connection::Absent { retry_at_ns: now_ns.saturating_add(self.config.reopen_period_ns) };
         self.state = self.state.unplugged();
         self.accepted = None;
+        self.passivity.interrupt();
     }
 
     fn count(&mut self, error: DeviceError) {
@@ -312,6 +333,7 @@ impl DriverCore {
             epoch: command.epoch,
             fresh_at_ns: command.time_ns.min(now_ns),
             wrench: command.wrench,
+            passivity: command.passivity,
         });
         self.statistics.accepted += 1;
         Some(command)
@@ -329,10 +351,10 @@ impl DriverCore {
         }
     }
 
-    fn decide(&mut self, now_ns: u64) -> Wrench {
+    fn decide(&mut self, now_ns: u64) -> Decision {
         match &self.accepted {
             Some(accepted) if self.state.connected && self.connection == Connection::Present => {
-                self.guard.step(
+                let wanted = self.guard.step(
                     now_ns,
                     &Request {
                         wrench: accepted.wrench,
@@ -340,9 +362,11 @@ impl DriverCore {
                         reading_age_ns: now_ns.saturating_sub(self.last_reading_ns),
                         linear_velocity: self.state.linear_velocity,
                     },
-                )
+                );
+                let share = if accepted.passivity { self.passivity.share(now_ns, &wanted) } else { 1.0 };
+                Decision { wrench: self.guard.shorten(share), withheld: wanted * (1.0 - share) }
             }
-            _ => self.guard.release(now_ns),
+            _ => Decision { wrench: self.guard.release(now_ns), withheld: Wrench::ZERO },
         }
     }
 
@@ -374,6 +398,7 @@ impl DriverCore {
         self.end.publish(&DeviceSample {
             state: self.state,
             applied: *self.guard.applied(),
+            energy: *self.passivity.port(),
             sampled_at_ns: self.sampled_at_ns,
             published_at_ns: now_ns,
             epoch: self.epoch,

@@ -1,4 +1,4 @@
-//! What every wrench passes before it reaches motors: fade, ramp, damping, clamp, slew limit.
+//! What every wrench passes before passivity and motors: fade, ramp, damping, clamp, slew limit.
 //!
 //! The figures for age are fixed, since people rely on them: a force that is not renewed fades from 5 ms and is
 //! zero at 20 ms. The fade is linear, so that a hand that leans on the force is let down rather than dropped.
@@ -21,9 +21,10 @@ const SLEW_STEP_MAX_NS: u64 = 2_000_000;
 /// How a [`ForceGuard`] limits what is felt.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GuardConfig {
-    /// Fastest change of the force [N/s]. The default, 500 N/s, is a wall of 1,000 N/m met at 0.5 m/s.
+    /// Fastest growth and turning of the force [N/s]; it may shrink at once. The default, 2,000 N/s, is a wall of
+    /// 2,000 N/m met at 1 m/s.
     pub slew_force: f64,
-    /// Fastest change of the torque [N·m/s].
+    /// Fastest growth and turning of the torque [N·m/s].
     pub slew_torque: f64,
     /// Time over which force grows from nothing after a start, a restart or an interruption \[ns\].
     pub ramp_ns: u64,
@@ -36,7 +37,7 @@ pub struct GuardConfig {
 impl Default for GuardConfig {
     fn default() -> Self {
         Self {
-            slew_force: 500.0,
+            slew_force: 2_000.0,
             slew_torque: 25.0,
             ramp_ns: 50_000_000,
             damping: 0.2,
@@ -105,7 +106,7 @@ impl ForceGuard {
         self.clamped
     }
 
-    /// In how many steps the wrench changed more slowly than wanted.
+    /// In how many steps the wrench grew or turned more slowly than wanted.
     pub fn slew_limited(&self) -> u64 {
         self.slew_limited
     }
@@ -118,6 +119,14 @@ impl ForceGuard {
     /// Force grows from nothing again from the next step on.
     pub(crate) fn restart_ramp(&mut self) {
         self.ramp_since_ns = None;
+    }
+
+    /// Leaves `share`, at most 1, of the last step's wrench.
+    pub(crate) fn shorten(&mut self, share: f64) -> Wrench {
+        if share < 1.0 {
+            self.applied = self.applied * share.max(0.0);
+        }
+        self.applied
     }
 
     /// One step without any force: at once, whatever the slew limit, and with a ramp afterwards.
@@ -190,8 +199,11 @@ fn clamp_norm(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
     unit * (limit * (1.0 - 4.0 * f64::EPSILON))
 }
 
-/// Moves from `from` towards `to` by at most `step`.
+/// Shortens `from` as is best and then moves it towards `to` by at most `step`: what shrinks needs no limit.
 fn approach(from: Vector3<f64>, to: Vector3<f64>, step: f64) -> Vector3<f64> {
+    let length_squared = from.norm_squared();
+    let kept = if length_squared > 0.0 { (from.dot(&to) / length_squared).clamp(0.0, 1.0) } else { 0.0 };
+    let from = from * kept;
     let change = to - from;
     let distance = change.norm();
     if distance <= step { to } else { from + change * (step / distance) }
@@ -274,15 +286,27 @@ mod tests {
     }
 
     #[test]
-    fn slew_limit_bounds_every_change_even_after_a_late_step() {
-        let (mut guard, mut now) = ramped_in(GuardConfig::default(), Dofs::Three, 0.0);
+    fn slew_limit_bounds_growth_even_after_a_late_step_and_lets_go_at_once() {
+        let config = GuardConfig { slew_force: 500.0, ..GuardConfig::default() };
+        let (mut guard, mut now) = ramped_in(config, Dofs::Three, 0.0);
         now += MS;
         assert!((guard.step(now, &request(3.0)).force.x - 0.5).abs() < 1e-12);
         now += 40 * MS;
         assert!((guard.step(now, &request(3.0)).force.x - 1.5).abs() < 1e-12);
         assert_eq!(guard.slew_limited(), 2);
+        now += MS;
+        assert!((guard.step(now, &request(1.0)).force.x - 1.0).abs() < 1e-12, "letting go needs no time");
         now += 2 * MS;
-        assert!((guard.step(now, &request(-3.0)).force.x - 0.5).abs() < 1e-12);
+        assert!((guard.step(now, &request(-3.0)).force.x + 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_force_that_turns_keeps_what_points_the_same_way() {
+        let from = Vector3::new(2.0, 0.0, 0.0);
+        let turned = approach(from, Vector3::new(1.0, 3.0, 0.0), 0.5);
+        assert!((turned - Vector3::new(1.0, 0.5, 0.0)).norm() < 1e-12, "{turned:?}");
+        let grown = approach(from, Vector3::new(3.0, 0.0, 0.0), 0.5);
+        assert!((grown - Vector3::new(2.5, 0.0, 0.0)).norm() < 1e-12, "{grown:?}");
     }
 
     #[test]

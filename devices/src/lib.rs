@@ -4,7 +4,7 @@
 //!
 //! - [`HapticDevice`], the contract of a device driver (with an annotated template for a new one);
 //! - [`DriverCore`], the safety that lies below every actor: clamp, slew limit, damping, watchdog, epoch
-//!   fence, ramp-in, unplugging; a sans-IO state machine that is stepped with nanoseconds;
+//!   fence, ramp-in, passivity, unplugging; a sans-IO state machine that is stepped with nanoseconds;
 //! - [`DriverThread`], which steps a core live on an OS thread of its own;
 //! - the link between a driver and its controller: [`DeviceSlot`], [`DeviceLink`], [`Fence`],
 //!   [`DeviceMonitor`], [`DeviceFaults`];
@@ -18,6 +18,7 @@
 mod device;
 mod driver_core;
 mod driver_thread;
+mod energy_observer;
 mod faults;
 mod force_guard;
 mod gripper;
@@ -26,6 +27,7 @@ mod hand_csv;
 mod jigsaws;
 mod link;
 mod oscillator;
+mod passivity;
 mod reader;
 mod replay_hand;
 mod sched;
@@ -47,6 +49,7 @@ pub use link::{
     LANES, LinkError, link, pair,
 };
 pub use oscillator::Oscillator;
+pub use passivity::{PassivityConfig, PassivityController, PortEnergy};
 pub use reader::{MAX_FILE_BYTES, MAX_ROWS, ReadError, RowProblem, StartTime};
 pub use replay_hand::ReplayHand;
 pub use spec::{BuildError, DeviceSpec, SpecError};

@@ -16,6 +16,7 @@ use thiserror::Error;
 use triple_buffer::{Input, Output, triple_buffer};
 
 use crate::device::{DeviceState, HandIntent, Wrench};
+use crate::passivity::PortEnergy;
 
 /// How many generations of controllers can hold a link to one device at the same time.
 pub const LANES: usize = 8;
@@ -29,6 +30,9 @@ pub struct DeviceCommand {
     pub time_ns: u64,
     /// Wrench to render, in the device's frame.
     pub wrench: Wrench,
+    /// Whether the driver shortens the wrench so that it gives the hand no energy that the hand has not paid.
+    /// Without, the energy is only observed.
+    pub passivity: bool,
     /// Where the human wants the handle to be, if the controller knows; for virtual hands.
     pub intent: Option<HandIntent>,
 }
@@ -79,6 +83,8 @@ pub struct DeviceSample {
     pub state: DeviceState,
     /// Wrench that is rendered, after every limit.
     pub applied: Wrench,
+    /// What went through the port up to `state`.
+    pub energy: PortEnergy,
     /// When `state` was measured (session time, ns); older than `published_at_ns` when readings fail.
     pub sampled_at_ns: u64,
     /// When the sample was published (session time, ns).
@@ -95,6 +101,7 @@ impl DeviceSample {
         Self {
             state: DeviceState::unknown(),
             applied: Wrench::ZERO,
+            energy: PortEnergy::default(),
             sampled_at_ns: 0,
             published_at_ns: 0,
             epoch: 0,
@@ -399,6 +406,7 @@ mod tests {
             epoch,
             time_ns: 1,
             wrench: Wrench::from_force(Vector3::new(newtons, 0.0, 0.0)),
+            passivity: true,
             intent: None,
         }
     }

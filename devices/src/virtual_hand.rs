@@ -92,6 +92,12 @@ impl VirtualHand {
         self.transition = self.oscillator.transition(self.transition_secs);
     }
 
+    /// Lets the human push with another constant force \[N\], in the device's frame. One that is not finite counts as
+    /// none.
+    pub fn set_push(&mut self, push: Vector3<f64>) {
+        self.config.push = if crate::device::is_finite(&push) { push } else { Vector3::zeros() };
+    }
+
     /// Puts the hand somewhere, at rest and aiming there; for the start of a replay.
     pub(crate) fn place(&mut self, at: &HandIntent) {
         self.aim = *at;

@@ -75,6 +75,7 @@ fn calls_while_stepping(mut device: impl HapticDevice) -> u64 {
             epoch: 1,
             time_ns: now_ns,
             wrench: Wrench::from_force(force),
+            passivity: true,
             intent: Some(intent),
         };
         controller.command(command);

@@ -17,7 +17,13 @@ fn force_is_clamped_to_the_limits_of_the_device_and_torque_needs_motors() {
     let mut link = bench.slot.take(1).unwrap();
     for _ in 0..100 {
         let wrench = Wrench { force: Vector3::new(60.0, -80.0, 0.0), torque: Vector3::new(5.0, 0.0, 0.0) };
-        link.command(DeviceCommand { epoch: 1, time_ns: bench.now_ns + MS, wrench, intent: None });
+        link.command(DeviceCommand {
+            epoch: 1,
+            time_ns: bench.now_ns + MS,
+            wrench,
+            passivity: true,
+            intent: None,
+        });
         let sample = bench.step();
         assert!(bench.device.rendered.force.norm() <= 3.3);
         assert_eq!(bench.device.rendered.torque, Vector3::zeros());
@@ -30,16 +36,20 @@ fn force_is_clamped_to_the_limits_of_the_device_and_torque_needs_motors() {
 }
 
 #[test]
-fn force_changes_by_at_most_half_a_newton_per_millisecond() {
+fn force_lets_go_at_once_and_grows_by_at_most_two_newtons_per_millisecond() {
     let mut bench = bench();
     let mut link = bench.slot.take(1).unwrap();
     bench.push(&mut link, 3.0, 100 * MS);
-    let mut before = bench.device.rendered.force.x;
-    assert!((before - 3.0).abs() < 1e-12);
-    for _ in 0..12 {
-        bench.push(&mut link, -3.0, MS);
-        let now = bench.device.rendered.force.x;
-        assert!((before - now - 0.5).abs() < 1e-9, "{before} N to {now} N");
+    assert!((bench.device.rendered.force.x - 3.0).abs() < 1e-12);
+    bench.push(&mut link, 1.0, MS);
+    assert!((bench.device.rendered.force.x - 1.0).abs() < 1e-12);
+    let mut before = 0.0;
+    for _ in 0..2 {
+        let mut command = force(1, bench.now_ns + MS, -3.0);
+        command.passivity = false;
+        link.command(command);
+        let now = bench.step().applied.force.x;
+        assert!((before - now - 2.0).abs() < 1e-9 || (now + 3.0).abs() < 1e-9, "{before} N to {now} N");
         before = now;
     }
     assert!((before + 3.0).abs() < 1e-9);
@@ -382,7 +392,7 @@ proptest! {
                     let time_ns = bench.now_ns.saturating_add_signed(time_offset_ms * MS as i64);
                     let wrench = Wrench::from_force(Vector3::from(force));
                     let count = links.len();
-                    links[link % count].command(DeviceCommand { epoch, time_ns, wrench, intent: None });
+                    links[link % count].command(DeviceCommand { epoch, time_ns, wrench, passivity: true, intent: None });
                 }
                 Happening::Fence(epoch) => bench.slot.fence().raise(epoch),
                 Happening::Take(epoch) => {
@@ -399,9 +409,11 @@ proptest! {
             bench.core.step(bench.now_ns, &mut bench.device);
             let now = bench.device.rendered;
             prop_assert!(now.is_finite() && now.force.norm() <= 3.3 && now.torque == Vector3::zeros());
-            let change = (now.force - before.force).norm();
-            let allowed = 500.0 * step_ns.min(2 * MS) as f64 * 1e-9 + 1e-12;
-            prop_assert!(change <= allowed || now == Wrench::ZERO, "{} N in {} ns", change, step_ns);
+            // What is left of a force may be any part of it; from there it grows and turns slowly.
+            let along = before.force.dot(&now.force) / before.force.norm_squared().max(1e-300);
+            let change = (now.force - before.force * along.clamp(0.0, 1.0)).norm();
+            let allowed = 2_000.0 * step_ns.min(2 * MS) as f64 * 1e-9 + 1e-12;
+            prop_assert!(change <= allowed, "{} N in {} ns", change, step_ns);
             let sample = bench.monitor.sample();
             prop_assert!(sample.state.is_valid());
         }

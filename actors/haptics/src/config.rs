@@ -13,7 +13,7 @@ use crate::renderer::RendererConfig;
 pub struct HapticsConfig {
     /// Which renderer, with its parameters.
     pub renderer: RendererConfig,
-    /// Whether the passivity controller may add damping; the energy observer runs either way.
+    /// Whether the driver keeps the force passive; its energy observer runs either way.
     pub passivity: bool,
     /// Time constant with which the felt stiffness is estimated \[s\].
     pub felt_window_secs: f64,

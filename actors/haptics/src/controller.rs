@@ -1,14 +1,14 @@
-//! The controller that serves one hand: device link → registration → port → renderer → passivity → device.
+//! The controller that serves one hand: device link → registration → port → renderer → device.
 //!
 //! A thin schedule of the algorithms beside it. It holds nothing that the scene does not hold as well, apart
 //! from transients of a few milliseconds (blends, the sample before): a rebuilt one continues with the
-//! energy, the buttons and the shaft direction of its predecessor, and the driver ramps its force in.
+//! buttons and the shaft direction of its predecessor, and the driver, which keeps the energy, ramps its force in.
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_devices::{Capabilities, DeviceCommand, DeviceLink, DeviceSample, Dofs, HandIntent};
 use trocar_scene::kinematics::coupling::{InstrumentCoupling, Transmission};
 use trocar_scene::kinematics::hand_rig::HandRig;
-use trocar_scene::kinematics::spatial::{Twist, Wrench, small_rotation_vector};
+use trocar_scene::kinematics::spatial::{Twist, Wrench};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, DeviceForce, DeviceState, Entity, EntitySet,
     Hand, HandTarget, HapticStatus, Instrument, InstrumentForce, InstrumentTarget, LocalContactModel, Port,
@@ -16,7 +16,6 @@ use trocar_scene::{
 };
 
 use crate::config::{HapticsConfig, HapticsError};
-use crate::energy::{Passivated, PassivityConfig, PassivityController};
 use crate::felt_stiffness::FeltStiffness;
 use crate::renderer::{ForceRenderer, RenderInput, SimulatedInstrument};
 
@@ -41,7 +40,7 @@ pub struct HapticsController {
     link: DeviceLink,
     capabilities: Capabilities,
     renderer: Box<dyn ForceRenderer>,
-    passivity: PassivityController,
+    passivity: bool,
     felt: FeltStiffness,
     status_period: SimTime,
 
@@ -74,18 +73,6 @@ impl HapticsController {
         let target = scene.get::<InstrumentTarget>(rig.instrument).copied();
         let tip = target
             .map_or_else(|| scene.world_pose(rig.instrument).rotation, |target| target.tip_in_world.rotation);
-        let passivity_config = PassivityConfig {
-            enabled: config.passivity,
-            damping_max: DAMPING_SHARE * capabilities.apparent_mass / PERIOD_NOMINAL,
-            apparent_mass: capabilities.apparent_mass.max(1e-3),
-            ..PassivityConfig::default()
-        };
-        let passivity = PassivityController::resumed(
-            passivity_config,
-            status.energy,
-            status.energy_min,
-            status.dissipated,
-        );
         Ok(Self {
             hand,
             rig,
@@ -93,7 +80,7 @@ impl HapticsController {
             link,
             capabilities,
             renderer: config.renderer.build(),
-            passivity,
+            passivity: config.passivity,
             felt: FeltStiffness::new(config.felt_window_secs),
             status_period: SimTime::from_secs_f64(config.status_period_secs),
             shaft_axis: tip * Vector3::z(),
@@ -132,20 +119,6 @@ impl HapticsController {
         }
     }
 
-    /// Books the energy of the interval between two samples: the driver held one wrench over it.
-    fn observe_energy(&mut self, sample: &DeviceSample) {
-        if let Some(before) = self.before.filter(|before| before.state.connected && sample.state.connected) {
-            let (from, to) = (&before.state.pose_in_device, &sample.state.pose_in_device);
-            let turned = match self.capabilities.output_dofs {
-                Dofs::Six => small_rotation_vector(&(to.rotation * from.rotation.inverse())),
-                Dofs::Zero | Dofs::Three => Vector3::zeros(),
-            };
-            let displacement = Twist::new(to.translation.vector - from.translation.vector, turned);
-            let applied = Wrench::new(before.applied.force, before.applied.torque);
-            self.passivity.observe(&applied, &displacement);
-        }
-    }
-
     fn press_buttons(&mut self, buttons: u32, out: &mut Commands) {
         let mut changed = buttons ^ self.buttons;
         while changed != 0 {
@@ -178,13 +151,14 @@ impl HapticsController {
         })
     }
 
-    /// Wrench on the hand in the device's frame, before passivity.
+    /// Wrench on the hand in the device's frame, before what the driver makes of it.
     fn render(
         &mut self,
         tick: &Tick<'_>,
         scene: &Snapshot,
         transmission: &Transmission,
         handle_twist: &Twist,
+        energy_available: f64,
     ) -> Wrench {
         let dt = tick.period.as_secs_f64().max(1e-6);
         // A spring at the tip is felt at the handle through the square of the lever and of the scale.
@@ -202,7 +176,7 @@ impl HapticsController {
             stiffness_max: self.capabilities.max_stiffness / gain,
             damping_max: damping_max / gain,
             apparent_mass: self.capabilities.apparent_mass / gain,
-            energy_available: self.passivity.available(),
+            energy_available,
             instrument: self.simulated_instrument(scene, tick.time),
             instrument_force: scene.get::<InstrumentForce>(self.rig.instrument),
             contact_model: scene.get::<LocalContactModel>(self.rig.instrument),
@@ -219,7 +193,7 @@ impl HapticsController {
         }
         let size = wrench.force.norm();
         if size > self.capabilities.max_force_newtons {
-            // The driver clamps as well; here it keeps observer and passivity honest about what is felt.
+            // The driver clamps as well; here it keeps what is asked for within what can be felt.
             wrench.force *= self.capabilities.max_force_newtons / size;
         }
         wrench
@@ -251,23 +225,19 @@ impl HapticsController {
         self.target = Some(target);
         out.put(self.rig.instrument, target);
 
-        let mut wrench = self.render(tick, scene, &transmission, &handle_twist);
-        let dt = tick.period.as_secs_f64();
-        let Passivated { force, damping, power } =
-            self.passivity.passivate(&wrench.force, &state.linear_velocity, dt);
-        wrench.force = force;
-        self.felt.update(&state.pose_in_device.translation.vector, &state.linear_velocity, &force, dt);
-        self.status.injected_damping = damping;
-        self.status.damping_power = power;
-        wrench
+        self.felt.update(
+            &state.pose_in_device.translation.vector,
+            &state.linear_velocity,
+            &sample.applied.force,
+            tick.period.as_secs_f64(),
+        );
+        self.render(tick, scene, &transmission, &handle_twist, sample.energy.available)
     }
 
     /// The hand is gone: the instrument stays where it is.
     fn freeze(&mut self, out: &mut Commands) {
         self.renderer.reset();
         self.felt.clear();
-        self.status.injected_damping = 0.0;
-        self.status.damping_power = 0.0;
         if let Some(target) = &mut self.target
             && target.velocity_in_world != Velocity::default()
         {
@@ -307,11 +277,7 @@ impl Controller for HapticsController {
         self.refresh_rig(scene, out);
         let sample = *self.link.sample();
         let fresh = self.before.is_none_or(|before| before.published_at_ns != sample.published_at_ns);
-        if fresh {
-            self.observe_energy(&sample);
-        } else {
-            self.status.stale_samples += 1;
-        }
+        self.status.stale_samples += u64::from(!fresh);
         let connected = sample.state.connected;
         self.press_buttons(if connected { sample.state.buttons } else { 0 }, out);
 
@@ -326,6 +292,7 @@ impl Controller for HapticsController {
             epoch: self.link.epoch(),
             time_ns: tick.time.as_nanos(),
             wrench: trocar_devices::Wrench { force: wrench.force, torque: wrench.torque },
+            passivity: self.passivity,
             intent,
         });
 
@@ -335,10 +302,11 @@ impl Controller for HapticsController {
         out.put(self.hand, DeviceForce { force: wrench.force, torque: wrench.torque, at: tick.time });
         self.status.force_max = self.status.force_max.max(wrench.force.norm());
         if tick.time >= self.status_due {
-            let observer = self.passivity.observer();
-            self.status.energy = observer.energy;
-            self.status.energy_min = observer.energy_min;
-            self.status.dissipated = self.passivity.dissipated();
+            self.status.energy = sample.energy.energy;
+            self.status.energy_min = sample.energy.energy_min;
+            self.status.dissipated = sample.energy.dissipated;
+            self.status.injected_damping = sample.energy.damping;
+            self.status.damping_power = sample.energy.power;
             self.status.felt_stiffness = self.felt.value().unwrap_or(0.0);
             out.put(self.hand, self.status);
             self.status_due = tick.time + self.status_period;

@@ -4,7 +4,6 @@
 //!
 //! - [`renderer`]: what the hand feels of a simulation that is slower than the hand ([`renderer::Held`],
 //!   [`renderer::VirtualCoupling`], [`renderer::Proxy`]);
-//! - [`energy`]: energy observer and time-domain passivity controller;
 //! - [`felt_stiffness`]: the stiffness that the hand feels, estimated while it is felt;
 //! - the kinematics (registration, fulcrum, wrenches) live in [`trocar_scene::kinematics`], so that virtual
 //!   trainees share them.
@@ -16,7 +15,6 @@
 
 pub mod config;
 pub mod controller;
-pub mod energy;
 pub mod felt_stiffness;
 pub mod renderer;
 

@@ -56,6 +56,22 @@ struct Press {
 /// A hand 2 mm off a wall across the device's x axis leans on it with `newtons`: with its arm (500 N/m) aiming
 /// behind the wall, or with a constant push of an arm without impedance.
 fn press(case: Case, newtons: f64) -> Press {
+    let mut bench = hand_at_a_wall(case, newtons);
+    bench.run(2000);
+    let speed_rms = bench.speed_rms(500);
+    let (position, force) = bench.felt();
+    let status = bench.status();
+    Press {
+        position: position.x,
+        force: force.x,
+        speed_rms,
+        energy: status.energy,
+        energy_min: status.energy_min,
+        dissipated: status.dissipated,
+    }
+}
+
+fn hand_at_a_wall(case: Case, newtons: f64) -> Bench {
     // Sideways through a port the tip goes the other way.
     let away = if case.mount == Mount::Free { Vector3::x() } else { -Vector3::x() };
     let hand = VirtualHandConfig {
@@ -73,18 +89,22 @@ fn press(case: Case, newtons: f64) -> Press {
     if case.impedance {
         bench.aim(Vector3::new(-newtons / 500.0, 0.0, 0.0));
     }
+    bench
+}
+
+/// Stiffness that a hand feels which leans on the wall with `light` and then with `firm`, without leaving it [N/m].
+fn lean(case: Case, light: f64, firm: f64) -> f64 {
+    let mut bench = hand_at_a_wall(case, light);
     bench.run(2000);
-    let speed_rms = bench.speed_rms(500);
-    let (position, force) = bench.felt();
-    let status = bench.status();
-    Press {
-        position: position.x,
-        force: force.x,
-        speed_rms,
-        energy: status.energy,
-        energy_min: status.energy_min,
-        dissipated: status.dissipated,
+    let (before, lightly) = bench.felt();
+    if case.impedance {
+        bench.aim(Vector3::new(-firm / 500.0, 0.0, 0.0));
+    } else {
+        bench.device.set_push(Vector3::new(-firm, 0.0, 0.0));
     }
+    bench.run(2000);
+    let (after, firmly) = bench.felt();
+    -(firmly.x - lightly.x) / (after.x - before.x)
 }
 
 /// Stiffness at the hand between a light and a firm press [N/m].
@@ -140,10 +160,8 @@ fn a_wall_that_slow_physics_notices_late_is_still_passive() {
             let (light, firm) = (press(case, 0.6), press(case, 1.2));
             assert!(light.force > 0.1 && firm.force > 0.3, "{case:?}: {light:?} {firm:?}");
             for press in [light, firm] {
-                // With an arm none (but rounding); an impact of the bare device at 0.3 m/s is beyond the driver's
-                // slew limit, and the guard bounds what that costs.
-                let deficit = if impedance { 1e-12 } else { 5e-3 };
-                assert!(press.energy_min > -deficit, "{case:?}: {press:?}");
+                // But for rounding: the wall creeps out as far as it is paid.
+                assert!(press.energy_min > -1e-12, "{case:?}: {press:?}");
                 // A wall that the hand was deep in when it appeared may creep back to its place.
                 assert!(press.speed_rms < 2e-3, "{case:?} oscillates: {press:?}");
             }
@@ -207,20 +225,20 @@ fn a_held_force_at_10_hz_is_active_and_the_guard_pays_for_it() {
     assert!(unguarded.energy_min < -0.05, "the paper's way must be active here: {unguarded:?}");
     assert!(unguarded.speed_rms > 0.02, "and shake the hand: {unguarded:?}");
     let guarded = press(held, 1.2);
-    assert!(guarded.energy_min > 0.2 * unguarded.energy_min, "{guarded:?}");
+    assert!(guarded.energy_min > 0.01 * unguarded.energy_min, "{guarded:?}");
     assert!(guarded.speed_rms < 0.1 * unguarded.speed_rms, "{guarded:?}");
     assert!(guarded.dissipated > 0.0, "the cost must be visible: {guarded:?}");
 }
 
 #[test]
 fn an_impact_beyond_the_device_comes_to_rest_on_the_wall() {
-    // 1.8 N from 2 mm: the wall would need 5 N, the device has 3.3 N and 500 N/s of slew.
+    // 1.8 N from 2 mm: the wall would need 5 N, the device has 3.3 N.
     for friction in [0.0, 0.26] {
         let case = Case { friction, ..Case::proxy(100, false, Mount::Free) };
         let press = press(case, 1.8);
         assert!(press.speed_rms < 1e-3, "{press:?}");
         assert!(press.position > -0.01, "the hand fell through the wall: {press:?}");
-        assert!(press.dissipated > 0.0, "{press:?}");
+        assert!(press.energy_min >= 0.0, "{press:?}");
     }
 }
 
@@ -229,12 +247,12 @@ fn virtual_coupling_is_fit_for_fast_physics() {
     let renderer = RendererConfig::VirtualCoupling(VirtualCouplingConfig::default());
     for impedance in [true, false] {
         let case = Case { renderer, ..Case::proxy(500, impedance, Mount::Free) };
-        let (light, firm) = (press(case, 0.6), press(case, 1.2));
-        let felt = stiffness(&light, &firm);
+        let firm = press(case, 1.2);
+        assert!(firm.speed_rms < 1e-4 && firm.energy_min >= 0.0, "{case:?}: {firm:?}");
+        // Without an arm the 2 ms of the physics make the impact active; passivity takes up to a millimetre of wall
+        // for that. So the stiffness is felt by a hand that has arrived.
+        let felt = lean(case, 0.6, 1.2);
         assert!((500.0..1100.0).contains(&felt), "{case:?}: {felt} N/m");
-        // Without an arm the 2 ms of the physics cost up to 1 mJ on impact, which the proxy does not.
-        let deficit = if impedance { 0.0 } else { 2e-3 };
-        assert!(firm.speed_rms < 1e-4 && firm.energy_min >= -deficit, "{case:?}: {firm:?}");
     }
 }
 

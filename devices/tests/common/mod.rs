@@ -119,6 +119,7 @@ pub fn force(epoch: u32, time_ns: u64, newtons: f64) -> DeviceCommand {
         epoch,
         time_ns,
         wrench: Wrench::from_force(Vector3::new(newtons, 0.0, 0.0)),
+        passivity: true,
         intent: None,
     }
 }

@@ -161,15 +161,15 @@ impl Component for HandTarget {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct HapticStatus {
-    /// Energy observed at the device port since the start \[J\]; passive while not negative.
+    /// Energy that the driver observed at the device's port since the start \[J\]; passive while not negative.
     pub energy: f64,
     /// Smallest value that `energy` ever had \[J\].
     pub energy_min: f64,
-    /// Energy that the passivity controller took out \[J\].
+    /// Energy that passivity kept from the hand \[J\].
     pub dissipated: f64,
-    /// Damping that the passivity controller injects now \[N·s/m\].
+    /// Damping to which the force amounts that passivity keeps back now \[N·s/m\].
     pub injected_damping: f64,
-    /// Power that it takes out now \[W\]: what passivity costs.
+    /// Power that it keeps back now \[W\]: what passivity costs.
     pub damping_power: f64,
     /// Stiffness that the hand feels \[N/m\]; 0 out of contact and while it hardly moves in one.
     pub felt_stiffness: f64,
