@@ -209,7 +209,7 @@ impl GroupSpec {
     }
 
     /// The default tree: root (rest-for-one) → model; simulation (rest-for-one: collision before physics);
-    /// devices (one-for-one); tasks (one-for-one); network (one-for-one, patient back-off); recorder.
+    /// devices (one-for-one); tasks (one-for-one); network and recorder (one-for-one, patient back-off).
     ///
     /// The Model stands in a group of its own: it resumes from the last published snapshot, which its
     /// clients already have, so that they need not restart with it unless it keeps failing.
@@ -218,12 +218,14 @@ impl GroupSpec {
         let mut simulation = Self::new("group.simulation", Strategy::RestForOne);
         let mut devices = Self::new("group.devices", Strategy::OneForOne);
         let mut tasks = Self::new("group.tasks", Strategy::OneForOne);
-        let mut network = Self::new("group.network", Strategy::OneForOne).with_backoff(Backoff {
+        let patient = Backoff {
             base: SimTime::from_millis(200),
             max: SimTime::from_millis(10_000),
             ..Backoff::default()
-        });
-        let mut recorder = Self::new("group.recorder", Strategy::OneForOne);
+        };
+        let mut network = Self::new("group.network", Strategy::OneForOne).with_backoff(patient);
+        // A disk that hangs may hang for long, and is no reason to end the session.
+        let mut recorder = Self::new("group.recorder", Strategy::OneForOne).with_backoff(patient);
         let mut all: Vec<ChildSpec> = children.into_iter().collect();
         // Stable: children of one class keep the order in which they were given.
         all.sort_by_key(|child| child.class);

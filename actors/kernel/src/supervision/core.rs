@@ -8,7 +8,7 @@ use trocar_scene::SimTime;
 
 use super::child::{ChildSpec, GroupSpec, Restart, RuntimeClass};
 use super::event::{Action, Cause, ChildId, Event, Incident};
-use super::tree::{Flat, Group, Streak, TreeError};
+use super::tree::{Flat, Group, Jitter, Streak, TreeError};
 
 /// Exit code when the root gives up.
 pub const EXIT_GAVE_UP: i32 = 70;
@@ -52,6 +52,7 @@ pub(super) struct Child {
     pub(super) held: bool,
     pub(super) stalled: bool,
     streak: Streak,
+    jitter: Jitter,
     incident: Option<usize>,
 }
 
@@ -75,7 +76,6 @@ pub struct Supervisor {
     pub(super) incidents: Vec<Incident>,
     pub(super) incidents_lost: u64,
     pub(super) reason: Option<String>,
-    random: u64,
 }
 
 impl Supervisor {
@@ -85,11 +85,12 @@ impl Supervisor {
     /// # Errors
     /// Names that are not unique, an empty tree, a back-off that makes no sense.
     pub fn new(root: GroupSpec, seed: u64, zombies_max: u32) -> Result<Self, TreeError> {
-        let Flat { groups, children, owner } = Flat::new(root)?;
+        let Flat { groups, children, owner } = Flat::new(root, seed)?;
         let children = children
             .into_iter()
             .zip(owner)
             .map(|(spec, group)| Child {
+                jitter: Jitter::new(seed, &spec.id),
                 spec,
                 group,
                 phase: Phase::Waiting(SimTime::ZERO),
@@ -114,7 +115,6 @@ impl Supervisor {
             incidents: Vec::new(),
             incidents_lost: 0,
             reason: None,
-            random: seed,
         })
     }
 
@@ -301,7 +301,7 @@ impl Supervisor {
     ) {
         let mut member: Range<usize> = i..i + 1;
         let mut at = self.children[i].group;
-        let unit = self.unit();
+        let unit = self.children[i].jitter.unit();
         let mut pause = self.children[i].streak.pause(&self.groups[at].backoff, now, unit);
         loop {
             let group = &mut self.groups[at];
@@ -327,7 +327,7 @@ impl Supervisor {
             };
             member = group.leaves.clone();
             let mut streak = group.streak;
-            let unit = self.unit();
+            let unit = self.groups[at].jitter.unit();
             pause = pause.max(streak.pause(&self.groups[parent].backoff, now, unit));
             self.groups[at].streak = streak;
             at = parent;
@@ -469,14 +469,5 @@ impl Supervisor {
             out.push(Action::CloseRecording);
             out.push(Action::Exit(code));
         }
-    }
-
-    /// Uniform in [0, 1), from the seed (SplitMix64, Steele et al. 2014).
-    fn unit(&mut self) -> f64 {
-        self.random = self.random.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.random;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
     }
 }
