@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use trocar::run::RunOptions;
+use trocar_kernel::faults::{FaultPlan, secs};
 use trocar_kernel::recorder::{Recording, Replay};
 use trocar_tests::{app, finish, lockstep, peg_transfer};
 
@@ -61,4 +62,18 @@ fn a_replay_of_the_batches_and_a_rerun_of_the_recorded_hands_end_in_the_same_has
     assert_eq!(hash_of(&rerun, &[]), hash, "simulating the recorded hands again");
     let other = hash_of(&rerun, &[("jaw_force_max = 1.0", "jaw_force_max = 1.1")]);
     assert_ne!(other, hash, "with other physics");
+}
+
+#[test]
+fn recording_changes_nothing_whatever_becomes_of_the_recorder() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let alone = hash_of(&short(11), &[]);
+    let plain = FaultPlan::new(1);
+    let killed = FaultPlan::new(1).at(secs(1.2)).kill("recorder").at(secs(5.01)).kill("recorder");
+    let stalled = FaultPlan::new(1).at(secs(3.0)).stall("recorder");
+    let full = FaultPlan::new(1).at(secs(2.0)).lasting(secs(3.0)).disk_full();
+    for (name, plan) in [("plain", plain), ("killed", killed), ("stalled", stalled), ("full", full)] {
+        let options = RunOptions { record: Some(folder.path().join(name)), faults: Some(plan), ..short(11) };
+        assert_eq!(hash_of(&options, &[]), alone, "{name}");
+    }
 }

@@ -327,10 +327,17 @@ impl ModelCore {
 
     /// Ends the lives of a writer before `epoch`: their batches are refused from now on and its contributions
     /// leave the scene. Does nothing and says `false` when the writer is unknown or in that epoch already.
+    ///
+    /// A writer that declared nothing has nothing in the scene: its fence is no commit, so that the chain does
+    /// not depend on who merely looks on (a recorder).
     pub fn fence(&mut self, id: WriterId, epoch: u32, now: SimTime) -> bool {
         let Some(at) = self.position(id).filter(|at| self.writers[*at].epoch < epoch) else { return false };
         let writer = &mut self.writers[at];
         writer.epoch = epoch;
+        let Access { reads: _, writes, contributes, spawns } = &writer.access;
+        if writes.is_empty() && contributes.is_empty() && !spawns {
+            return true;
+        }
         let revision = self.store.remove_contributions(&writer.rules);
         // The epoch stands where a batch has its tick.
         let provenance =

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::sync::Arc;
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::{BuildContext, Controller, ControllerError, Registry, SimTime, Snapshot, Store};
@@ -111,21 +112,16 @@ pub struct StopWhen {
 /// Called before anything else when a session ends, however it ends: sets a device's force to zero.
 pub type ZeroForces = Arc<dyn Fn() + Send + Sync>;
 
-/// Takes what the Model commits: a recorder.
+/// Takes what the Model commits: the way to a recorder.
 ///
-/// Called on the Model's thread right after each publication: it must not wait and leaves what is slow to a
-/// thread of its own. What it cannot take it counts and declares as a gap.
+/// Called on the Model's thread right after each publication: it must not wait, and leaves what is slow to
+/// somebody else. What it cannot take it counts and declares as a gap.
 pub trait CommitSink: Send {
     /// Takes the commits up to `snapshot` and gives an emptied buffer back for the next ones.
     fn committed(&mut self, snapshot: &Arc<Snapshot>, commits: CommitBuffer) -> CommitBuffer;
-    /// Writes out what is left and closes, within a second; `true` when nothing is missing in the recording.
-    fn close(&mut self) -> bool;
-    /// A disk fault begins or ends.
-    fn fault(&mut self, _order: &FaultOrder) {}
-    /// Whether everything can be written right now; `None`: it cannot tell.
-    fn is_sound(&self) -> Option<bool> {
-        None
-    }
+    /// Writes out what is left and closes, when the last controller and the Model have ended; gives up after
+    /// `limit`. `true` when nothing is missing in the recording.
+    fn close(&mut self, limit: Duration) -> bool;
 }
 
 /// A session: the scene at the start and everyone who acts on it.
@@ -148,8 +144,8 @@ pub struct SessionSpec {
     pub fault_sinks: Vec<(String, Arc<dyn FaultSink>)>,
     /// What shall go wrong.
     pub faults: FaultPlan,
-    /// Takes the commits.
-    pub recorder: Option<Box<dyn CommitSink>>,
+    /// Takes the commits; [`Recorder::install`](crate::recorder::Recorder::install) sets it.
+    pub commit_sink: Option<Box<dyn CommitSink>>,
     /// Supervisor tree; [`GroupSpec::default_tree`] of the children when absent.
     pub tree: Option<GroupSpec>,
     /// Most abandoned threads before the session gives up.
@@ -180,7 +176,7 @@ impl SessionSpec {
             peers: Vec::new(),
             fault_sinks: Vec::new(),
             faults: FaultPlan::new(seed),
-            recorder: None,
+            commit_sink: None,
             tree: None,
             zombies_max: 4,
             zero_forces: Vec::new(),
@@ -246,7 +242,7 @@ pub struct SessionOutcome {
 /// Name under which the Model stands in the supervisor tree and in fault files.
 pub const MODEL: &str = "model";
 
-/// Name under which the recorder stands in fault files.
+/// Name under which the recorder stands in the supervisor tree and in fault files.
 pub const RECORDER: &str = "recorder";
 
 /// The kinds of fault that a fault file may hold (design §5).

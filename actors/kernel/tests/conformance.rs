@@ -43,7 +43,7 @@ impl CommitSink for Log {
         commits.clear();
         commits
     }
-    fn close(&mut self) -> bool {
+    fn close(&mut self, _: Duration) -> bool {
         true
     }
 }
@@ -71,7 +71,7 @@ fn run_live(spec: SessionSpec) -> SessionOutcome {
 fn a_live_log_gives_the_same_revisions_and_hash_in_lock_step() {
     let log = Log::default();
     let mut spec = two_toys();
-    spec.recorder = Some(Box::new(log.clone()));
+    spec.commit_sink = Some(Box::new(log.clone()));
     let outcome = run_live(spec);
 
     let mut core = ModelCore::new(Store::new(registry()), 0).expect("encodes");
@@ -119,8 +119,8 @@ fn a_live_recording_replays_to_the_hash_of_the_session() {
     let file = folder.path().join("live.mcap");
     let mut spec = two_toys();
     let head = RecordingHead { scenario: "toys".into(), mode: "live".into(), ..RecordingHead::default() };
-    let recorder = Recorder::threaded(&file, &head, spec.scene.view(), RecorderOptions::default());
-    spec.recorder = Some(Box::new(recorder.expect("begins")));
+    let recorder = Recorder::create(&file, &head, spec.scene.view(), RecorderOptions::default());
+    recorder.expect("begins").install(&mut spec);
     let outcome = run_live(spec);
     assert_eq!(outcome.recording_complete, Some(true));
     let recording = Recording::open(&file).expect("opens");
@@ -155,8 +155,8 @@ fn a_recording_goes_on_when_a_model_that_hangs_is_replaced() {
     let (spec, wish) = toy("fast", 1, 1_000.0);
     let mut spec = session(vec![spec]);
     let head = RecordingHead::default();
-    let recorder = Recorder::threaded(&file, &head, spec.scene.view(), RecorderOptions::default());
-    spec.recorder = Some(Box::new(recorder.expect("begins")));
+    let recorder = Recorder::create(&file, &head, spec.scene.view(), RecorderOptions::default());
+    recorder.expect("begins").install(&mut spec);
     let session = LiveSession::start(spec).expect("starts");
     eventually("it counts", || count(&session.snapshot(), 1) > 50);
     wish.trap.store(2, Ordering::Relaxed);

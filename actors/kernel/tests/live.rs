@@ -411,7 +411,7 @@ fn the_recorder_gets_every_commit_in_order_and_is_closed() {
             commits.clear();
             commits
         }
-        fn close(&mut self) -> bool {
+        fn close(&mut self, _: Duration) -> bool {
             self.0.lock().expect("not poisoned").closed = true;
             true
         }
@@ -419,7 +419,7 @@ fn the_recorder_gets_every_commit_in_order_and_is_closed() {
     let tape = Arc::new(Mutex::new(Tape::default()));
     let (a, wish) = toy("a", 1, 500.0);
     let mut spec = session(vec![a, toy("b", 2, 300.0).0]);
-    spec.recorder = Some(Box::new(Recorder(tape.clone())));
+    spec.commit_sink = Some(Box::new(Recorder(tape.clone())));
     let live = LiveSession::start(spec).expect("starts");
     eventually("it counts", || count(&live.snapshot(), 1) > 50);
     wish.trap.store(1, Ordering::Relaxed);

@@ -1,53 +1,19 @@
 //! A warmed tick allocates nothing and frees nothing on its thread: not in the controller, not in the ring,
 //! not in the host around them.
 
+mod counting;
 mod toys;
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use counting::touches;
 use toys::{Count, session};
 use trocar_kernel::live::LiveSession;
 use trocar_kernel::spec::ControllerSpec;
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{Access, Commands, Controller, ControllerError, EntitySet, Snapshot, Tick};
-
-/// Counts what each thread allocates and frees.
-struct Counting;
-
-thread_local! {
-    static TOUCHES: Cell<u64> = const { Cell::new(0) };
-}
-
-fn touch() {
-    // A thread that is being torn down no longer counts.
-    let _ = TOUCHES.try_with(|touches| touches.set(touches.get() + 1));
-}
-
-// SAFETY: everything is passed on to the system's allocator unchanged; counting touches no memory of it.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        touch();
-        // SAFETY: the caller's promises are those that the system's allocator asks for.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, place: *mut u8, layout: Layout) {
-        touch();
-        // SAFETY: as above.
-        unsafe { System.dealloc(place, layout) }
-    }
-    unsafe fn realloc(&self, place: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        touch();
-        // SAFETY: as above.
-        unsafe { System.realloc(place, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 /// Notes its thread's count at the beginning of every tick, in room that is there already.
 struct Scale {
@@ -63,7 +29,7 @@ impl Controller for Scale {
         if let Ok(mut seen) = self.seen.try_lock()
             && seen.len() < seen.capacity()
         {
-            seen.push(TOUCHES.get());
+            seen.push(touches());
         }
         if self.waste.load(Ordering::Relaxed) {
             std::hint::black_box(Box::new(tick.number));

@@ -10,9 +10,9 @@ use trocar_devices::DriverThreadError;
 use trocar_kernel::SessionError;
 use trocar_kernel::faults::{FaultPlan, Measured};
 use trocar_kernel::live::LiveError;
-use trocar_kernel::recorder::{Recorder, RecorderError, RecorderOptions, RecordingHead};
+use trocar_kernel::recorder::{self, Recorder, RecorderError, RecorderOptions, RecordingHead};
 use trocar_kernel::runtime::ControllerReport;
-use trocar_kernel::spec::SessionOutcome;
+use trocar_kernel::spec::{MODEL, RECORDER, SessionOutcome};
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState};
 
@@ -132,8 +132,7 @@ pub fn start(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Ses
             extra: std::collections::BTreeMap::new(),
         };
         let scene = assembly.spec.scene.view();
-        let record = if options.lockstep { Recorder::inline } else { Recorder::threaded };
-        assembly.spec.recorder = Some(Box::new(record(file, &head, scene, RecorderOptions::default())?));
+        Recorder::create(file, &head, scene, RecorderOptions::default())?.install(&mut assembly.spec);
     }
     let started = if options.lockstep { Session::lockstep(assembly) } else { Session::live(assembly) };
     if let (Err(_), Some(file)) = (&started, &options.record) {
@@ -183,6 +182,9 @@ pub fn run(
         &scenario.name,
         accesses.iter().map(|(name, hz, access)| (name.as_str(), *hz, access)),
     );
+    if options.record.is_some() {
+        graph.flow(MODEL, RECORDER, vec!["commits".to_owned()], Some(recorder::RATE_HZ));
+    }
     for report in &finished.outcome.controllers {
         graph.achieved(&report.name, report.achieved_hz);
     }

@@ -3,7 +3,7 @@
 use trocar_scene::SimTime;
 
 use super::plan::{Expect, FaultPlan};
-use crate::spec::{FaultKind, FaultRecord};
+use crate::spec::{FaultKind, FaultRecord, RECORDER};
 
 /// The life of one fault, in session time.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,8 +124,12 @@ impl FaultLog {
     }
 
     /// How a target that nobody restarts (a device, a disk) says that it is. When it is well again after a
-    /// fault that strikes once, that fault has ended by itself.
+    /// fault that strikes once, that fault has ended by itself. The recorder's disk speaks only for itself.
     pub fn looked_at(&mut self, target: &str, sound: bool, now: SimTime) {
+        if target == RECORDER {
+            self.disk_looked_at(sound, now);
+            return;
+        }
         if !sound {
             self.detected(target, now);
             return;
@@ -134,6 +138,18 @@ impl FaultLog {
             row.healed.get_or_insert(now);
         }
         self.resumed(target, now);
+    }
+
+    fn disk_looked_at(&mut self, sound: bool, now: SimTime) {
+        let rows = self.rows.iter_mut().filter(|row| row.begun() && row.kind == FaultKind::DiskFull);
+        for row in rows.filter(|row| row.target == RECORDER) {
+            if !sound {
+                row.detected.get_or_insert(now);
+            } else if row.healed.is_some() {
+                row.resumed = Some(now);
+                self.open -= 1;
+            }
+        }
     }
 
     /// Something is seen to be wrong with the target.
@@ -168,8 +184,11 @@ impl FaultLog {
         &self.rows
     }
 
+    /// What the target itself suffers from: a disk that is full is not mended by restarting who writes to it.
     fn begun(&mut self, target: &str) -> impl Iterator<Item = &mut FaultRow> {
-        self.rows.iter_mut().filter(move |row| row.begun() && row.target == target)
+        self.rows
+            .iter_mut()
+            .filter(move |row| row.begun() && row.target == target && row.kind != FaultKind::DiskFull)
     }
 }
 
@@ -304,6 +323,27 @@ mod tests {
         log.healed(1, secs(3.0));
         log.looked_at("device.left", true, secs(3.01));
         assert_eq!(log.rows()[1].resumed, Some(secs(3.01)));
+    }
+
+    #[test]
+    fn a_recorder_that_is_killed_on_a_full_disk_has_two_faults_of_their_own() {
+        let plan =
+            FaultPlan::new(7).at(secs(1.0)).lasting(secs(2.0)).disk_full().at(secs(2.0)).kill(RECORDER);
+        let mut log = FaultLog::new(&plan);
+        log.injected(0, secs(1.0));
+        log.looked_at(RECORDER, false, secs(1.5));
+        log.injected(1, secs(2.0));
+        log.looked_at(RECORDER, true, secs(2.0));
+        assert_eq!((log.rows()[0].resumed, log.rows()[1].healed), (None, None), "full, and not yet dead");
+        log.detected(RECORDER, secs(2.02));
+        log.restarted(RECORDER, secs(2.02));
+        log.resumed(RECORDER, secs(2.04));
+        assert_eq!((log.rows()[0].restarted, log.rows()[0].resumed), (None, None), "still full");
+        assert_eq!(log.rows()[1].resumed, Some(secs(2.04)));
+        log.healed(0, secs(3.0));
+        log.looked_at(RECORDER, true, secs(3.5));
+        assert_eq!(log.rows()[0].recovery(), Some(secs(0.5)));
+        assert!(!log.is_open());
     }
 
     #[test]

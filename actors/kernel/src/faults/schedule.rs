@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use trocar_scene::{SimTime, Snapshot};
 
 use super::plan::{During, FaultPlan, FaultPlanError, FaultSpec, seed_of};
-use crate::spec::{FaultKind, FaultOrder, MODEL};
+use crate::spec::{FaultKind, FaultOrder, MODEL, RECORDER};
 
 /// What a target is, and so how it can fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,10 +34,10 @@ impl TargetClass {
         }
     }
 
-    /// What a target that is no controller is, by its name: `recorder`, `network.…`, or else a device.
+    /// What a target that takes faults itself is, by its name: `recorder`, `network.…`, or else a device.
     pub fn of_sink(name: &str) -> Self {
         match name {
-            "recorder" => Self::Recorder,
+            RECORDER => Self::Recorder,
             name if name.starts_with("network.") => Self::Link,
             _ => Self::Device,
         }
@@ -50,7 +50,7 @@ impl TargetClass {
             Self::Controller => &[K::Kill, K::Stall, K::Slow, K::QueueFull, K::Nan],
             Self::Device => &[K::Kill, K::Stall, K::Unplug, K::Nan],
             Self::Model => &[K::Kill],
-            Self::Recorder => &[K::DiskFull],
+            Self::Recorder => &[K::Kill, K::Stall, K::Slow, K::DiskFull],
             Self::Link => &[K::Drop, K::Delay, K::Duplicate, K::Reorder, K::Corrupt, K::Partition],
         }
     }
@@ -290,5 +290,7 @@ mod tests {
         assert!(message.contains("controller") && message.contains("queue_full"), "{message}");
         let message = error(FaultPlan::new(1).at(secs(1.0)).fault(FaultKind::Drop, "device.left"));
         assert!(message.contains("unplug"), "{message}");
+        let message = error(FaultPlan::new(1).at(secs(1.0)).nan("recorder"));
+        assert!(message.contains("kill, stall, slow, disk_full"), "{message}");
     }
 }

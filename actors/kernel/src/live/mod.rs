@@ -134,9 +134,6 @@ impl LiveSession {
         for (name, _) in &spec.fault_sinks {
             targets = targets.with(name, TargetClass::of_sink(name));
         }
-        if spec.recorder.is_some() {
-            targets = targets.with("recorder", TargetClass::Recorder);
-        }
         let schedule = FaultSchedule::new(&spec.faults, &targets)?;
         let faults = FaultLog::new(&spec.faults);
         let core = ModelCore::new(Store::from_snapshot(spec.scene.view()), spec.station)?;
@@ -146,7 +143,7 @@ impl LiveSession {
             &spec.scene,
             (clock, spec.station, spec.seed),
             spec.controllers,
-            spec.recorder,
+            spec.commit_sink,
             &tree,
             reports,
         )?;
@@ -400,7 +397,7 @@ fn share(
     scene: &Store,
     (clock, station, seed): (Clock, u16, u64),
     controllers: Vec<ControllerSpec>,
-    recorder: Option<Box<dyn crate::spec::CommitSink>>,
+    commit_sink: Option<Box<dyn crate::spec::CommitSink>>,
     tree: &Supervisor,
     reports: SyncSender<Report>,
 ) -> Result<Arc<Shared>, LiveError> {
@@ -457,8 +454,8 @@ fn share(
         declares: Mutex::new(Vec::new()),
         declares_waiting: AtomicBool::new(false),
         fences_waiting: AtomicBool::new(false),
-        has_sink: recorder.is_some(),
-        sink: Mutex::new(recorder),
+        has_sink: commit_sink.is_some(),
+        sink: Mutex::new(commit_sink),
         published_hash: Mutex::new(None),
         final_hash: Mutex::new(None),
         batches: AtomicU64::new(0),

@@ -8,7 +8,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
 use actix::prelude::*;
-use trocar_scene::SimTime;
+use trocar_scene::{Access, SimTime};
 
 use super::host::{self, HostActor};
 use super::model::{self, ModelActor};
@@ -16,13 +16,15 @@ use super::shared::{Life, Report, Shared, Writer, lock};
 use crate::faults::{FaultLog, FaultRow, FaultSchedule};
 use crate::model_core::ModelCore;
 use crate::runtime::{Permission, guarded, sched};
-use crate::spec::{FaultKind, FaultOrder, FaultSink, MODEL, RECORDER, StopWhen, ZeroForces};
+use crate::spec::{FaultKind, FaultOrder, FaultSink, MODEL, StopWhen, ZeroForces};
 use crate::supervision::{Action, Cause, ChildId, Event, Health, Incident, RuntimeClass, Supervisor as Tree};
 
 /// Longest pause between two looks at anything.
 const PAUSE_MAX: SimTime = SimTime::from_millis(500);
 /// Between two looks at a fault that has begun and is not over.
 const FAULT_PAUSE: SimTime = SimTime::from_millis(2);
+/// Longest wait for a recording to be closed.
+const CLOSE_MAX: Duration = Duration::from_millis(900);
 /// Ticks at which a session's last words are waited for.
 const SINK_TRIES: u32 = 60;
 
@@ -58,7 +60,8 @@ pub(super) struct Board {
 /// The plan's counters of one target when its fault began.
 #[derive(Clone, Copy, Default)]
 struct Counters {
-    applied: u64,
+    /// Batches applied, or ticks of one that commits nothing.
+    good: u64,
     dropped: u64,
     rejected: u64,
     slow: u64,
@@ -91,6 +94,7 @@ struct Run {
     next_check: SimTime,
     begun: BTreeMap<String, Counters>,
     incidents_told: usize,
+    faults_shown_open: bool,
     recording_complete: Option<bool>,
 }
 
@@ -104,6 +108,7 @@ impl Crew {
             next_check: SimTime::ZERO,
             begun: BTreeMap::new(),
             incidents_told: 0,
+            faults_shown_open: false,
             recording_complete: None,
         };
         self.note_permission(permission);
@@ -297,8 +302,11 @@ impl Crew {
             }
             self.inject(&order);
         }
-        if self.faults.is_open() {
+        let open = self.faults.is_open();
+        if open || run.faults_shown_open {
             self.look_at_faults(run, now);
+            // Once more after the last one is over, or nobody would see that it is.
+            run.faults_shown_open = open;
             lock(&self.board.status).faults = self.faults.rows().to_vec();
         }
         let mut shut = self.until.is_some_and(|until| now >= until);
@@ -326,11 +334,9 @@ impl Crew {
             if order.kind == FaultKind::QueueFull {
                 writer.lane.set_queue_full(order.begins);
             }
-        } else if let Some((_, sink)) = self.sinks.iter().find(|(name, _)| *name == order.target) {
-            sink.fault(order);
-        } else if order.kind == FaultKind::DiskFull
-            && let Some(sink) = lock(&self.shared.sink).as_mut()
-        {
+        }
+        // The recorder is both: a controller, and the disk behind it.
+        for (_, sink) in self.sinks.iter().filter(|(name, _)| *name == order.target) {
             sink.fault(order);
         }
     }
@@ -362,7 +368,7 @@ impl Crew {
             if writer.seat.seam.take_stall_ended() {
                 self.faults.stall_ended(&target, now);
             }
-            if healed && is.applied > then.applied {
+            if healed && is.good > then.good {
                 self.faults.resumed(&target, now);
             }
         }
@@ -370,12 +376,6 @@ impl Crew {
             if let Some(sound) = sink.is_sound() {
                 self.faults.looked_at(name, sound, now);
             }
-        }
-        // A sink that is busy is looked at the next time.
-        if let Ok(sink) = self.shared.sink.try_lock()
-            && let Some(sound) = sink.as_ref().and_then(|sink| sink.is_sound())
-        {
-            self.faults.looked_at(RECORDER, sound, now);
         }
     }
 
@@ -387,7 +387,7 @@ impl Crew {
         for _ in 0..SINK_TRIES {
             if let Ok(mut sink) = self.shared.sink.try_lock() {
                 return Some(match sink.as_mut() {
-                    Some(sink) => guarded(|| sink.close()).unwrap_or(false),
+                    Some(sink) => guarded(|| sink.close(CLOSE_MAX)).unwrap_or(false),
                     None => false,
                 });
             }
@@ -447,8 +447,10 @@ impl Crew {
 
 fn count(writer: &Writer) -> Counters {
     let row = &writer.seat.stats;
+    let silent = lock(&writer.declared).as_ref().is_some_and(|access| *access == Access::new());
+    let applied = writer.applied.load(Ordering::Relaxed);
     Counters {
-        applied: writer.applied.load(Ordering::Relaxed),
+        good: if silent { row.ticks() } else { applied },
         dropped: writer.lane.dropped(),
         rejected: row.rejections(),
         slow: row.ticks_missed() + row.ticks_late(),

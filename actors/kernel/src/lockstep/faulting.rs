@@ -6,7 +6,7 @@ use trocar_scene::SimTime;
 
 use super::session::LockstepSession;
 use crate::faults::{FaultLog, TargetClass, Targets};
-use crate::spec::{FaultKind, FaultOrder, MODEL, RECORDER};
+use crate::spec::{FaultKind, FaultOrder, MODEL};
 
 impl LockstepSession {
     /// Everything that faults can be aimed at in this session.
@@ -17,9 +17,6 @@ impl LockstepSession {
         }
         for (name, _) in &self.fault_sinks {
             targets = targets.with(name, TargetClass::of_sink(name));
-        }
-        if self.recorder.is_some() {
-            targets = targets.with(RECORDER, TargetClass::Recorder);
         }
         targets
     }
@@ -55,16 +52,9 @@ impl LockstepSession {
                 FaultKind::Slow => ailments.slow = if order.begins { order.span } else { SimTime::ZERO },
                 FaultKind::QueueFull => ailments.queue_full = order.begins,
                 FaultKind::Nan => ailments.nan = order.begins,
-                // Refused for controllers when the plan was read.
+                // Refused for controllers when the plan was read, or of the recorder's disk.
                 _ => {}
             }
-            return;
-        }
-        if order.target == RECORDER
-            && let Some(recorder) = &mut self.recorder
-        {
-            recorder.fault(order);
-            return;
         }
         let sinks = self.fault_sinks.iter().filter(|(name, _)| *name == order.target);
         let sinks: Vec<_> = sinks.map(|(_, sink)| Arc::clone(sink)).collect();
@@ -73,12 +63,10 @@ impl LockstepSession {
         }
     }
 
-    /// Asks the targets that are not controllers how they are.
+    /// Asks the targets that take faults themselves how they are.
     pub(super) fn look_at_sinks(&mut self) {
-        let recorder = self.recorder.as_ref().map(|recorder| (RECORDER, recorder.is_sound()));
-        let sinks = self.fault_sinks.iter().map(|(name, sink)| (name.as_str(), sink.is_sound()));
-        for (name, sound) in sinks.chain(recorder) {
-            if let Some(sound) = sound {
+        for (name, sink) in &self.fault_sinks {
+            if let Some(sound) = sink.is_sound() {
                 self.fault_log.looked_at(name, sound, self.now);
             }
         }

@@ -1,7 +1,7 @@
 //! The session: its parts, its clock, its order.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use thiserror::Error;
 use trocar_scene::{Batch, ComponentError, Controller, Registry, SimTime, Snapshot};
@@ -19,7 +19,12 @@ use crate::spec::{
 use crate::supervision::{Action, ChildId, Event, GroupSpec, Supervisor, TreeError};
 
 /// How often the Model publishes when nobody asks: what a fall-back after a panic can cost at most.
+/// On a grid of its own, as looking for the goal is: neither depends on who else is due when, so that somebody
+/// who only looks on (a recorder) changes nothing.
 const PUBLISH_EVERY: SimTime = SimTime::from_millis(10);
+
+/// Longest wait for a recording to be closed: nobody waits for the end of a session in virtual time.
+const CLOSE_MAX: Duration = Duration::from_secs(60);
 
 /// Why a session cannot begin.
 #[derive(Debug, Error)]
@@ -90,7 +95,7 @@ pub struct LockstepSession {
     until: SimTime,
     pub(super) exit: Option<i32>,
     actions: Vec<Action>,
-    pub(super) recorder: Option<Box<dyn CommitSink>>,
+    commit_sink: Option<Box<dyn CommitSink>>,
     recording_complete: Option<bool>,
     spare_commits: CommitBuffer,
     pub(super) model_stats: TickStats,
@@ -105,7 +110,7 @@ impl LockstepSession {
     pub fn new(mut spec: SessionSpec) -> Result<Self, SessionError> {
         let children = spec.children();
         let mut core = ModelCore::new(spec.scene, spec.station)?;
-        core.keep_commits(spec.recorder.is_some());
+        core.keep_commits(spec.commit_sink.is_some());
         for controller in &spec.controllers {
             if !(controller.rate_hz > 0.0 && controller.rate_hz <= 1e6) {
                 let (name, rate_hz) = (controller.name.clone(), controller.rate_hz);
@@ -153,7 +158,7 @@ impl LockstepSession {
             until: spec.until.unwrap_or(NEVER),
             exit: None,
             actions: Vec::new(),
-            recorder: spec.recorder,
+            commit_sink: spec.commit_sink,
             recording_complete: None,
             spare_commits: CommitBuffer::new(),
             model_stats: TickStats::new(MODEL, 0.0),
@@ -268,7 +273,10 @@ impl LockstepSession {
 
     /// When anything is due next.
     fn next_instant(&self) -> SimTime {
-        let mut at = self.deadline;
+        let mut at = self.deadline.min(self.next_publish);
+        if self.stop_when.is_some() {
+            at = at.min(self.next_stop_check);
+        }
         for slot in &self.slots {
             at = at.min(slot.wakes_at());
         }
@@ -413,6 +421,9 @@ impl LockstepSession {
 
     /// A batch of a life that is over: the Model refuses it by its epoch.
     pub(super) fn apply_stale(&mut self, index: usize, mut batch: Box<Batch>) {
+        if batch.commands.is_empty() {
+            return;
+        }
         batch.commands.seal();
         if let Ok(Outcome::Rejected(_)) = self.decide(&mut batch) {
             self.slots[index].stats.rejected();
@@ -439,17 +450,17 @@ impl LockstepSession {
     fn publish(&mut self) {
         self.next_publish = self.now + PUBLISH_EVERY;
         self.core.publish();
-        if let Some(recorder) = &mut self.recorder {
+        if let Some(sink) = &mut self.commit_sink {
             let commits = self.core.swap_commits(std::mem::take(&mut self.spare_commits));
-            self.spare_commits = recorder.committed(self.core.published(), commits);
+            self.spare_commits = sink.committed(self.core.published(), commits);
             self.spare_commits.clear();
         }
     }
 
     pub(super) fn close(&mut self) {
         self.publish();
-        if let Some(mut recorder) = self.recorder.take() {
-            self.recording_complete = Some(recorder.close());
+        if let Some(mut sink) = self.commit_sink.take() {
+            self.recording_complete = Some(sink.close(CLOSE_MAX));
         }
         self.core.keep_commits(false);
     }

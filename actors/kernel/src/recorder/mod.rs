@@ -1,18 +1,32 @@
 //! The recorder: the log of commits as an MCAP file, and what can be done with one afterwards.
+//!
+//! ```text
+//! Model ─▶ tap ═ queue ═▶ desk { journal: open chunk ─▶ spool } ─▶ disk
+//!                          ▲ one life of the recorder after the other
+//! ```
+//! The recorder is a supervised controller. What has to outlive it lies on the desk as plain data.
 
 mod bytes;
+mod container;
+mod controller;
+mod desk;
 mod format;
+mod gate;
+mod journal;
+mod mcap_records;
+mod options;
 mod reader;
 mod replay;
 mod side;
-mod sink;
 mod spool;
 #[cfg(test)]
+mod supervised_tests;
+mod tap;
+#[cfg(test)]
 mod tests;
-mod writer;
 
+pub use controller::{RATE_HZ, Recorder};
 pub use format::{Gap, Group, PROFILE, SCHEMA};
+pub use options::{RecorderError, RecorderOptions, RecordingHead};
 pub use reader::{Item, Keyframe, Recording, RecordingEnd, RecordingError, RecordingMetadata};
 pub use replay::Replay;
-pub use sink::Recorder;
-pub use writer::{RecorderError, RecorderOptions, RecordingHead};

@@ -17,20 +17,13 @@ use super::format::{
     COMMITS, COMPONENT, GAPS, Gap, Group, KEYFRAMES, META, META_DEVICES, META_END, SCENARIO, SCHEMA,
     decode_keyframe_header,
 };
+use super::mcap_records::{MAGIC, op};
 use crate::chain::StateHash;
 
-const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// Longest chunk that is read into memory; ours are about 1 MiB unless one keyframe is larger.
 const CHUNK_MAX: u64 = 1 << 30;
 /// Longest other record that is looked into.
 const RECORD_MAX: u64 = 64 << 20;
-const OP_FOOTER: u8 = 0x02;
-const OP_CHANNEL: u8 = 0x04;
-const OP_MESSAGE: u8 = 0x05;
-const OP_CHUNK: u8 = 0x06;
-const OP_ATTACHMENT: u8 = 0x09;
-const OP_METADATA: u8 = 0x0c;
-
 /// A file that cannot be used as a recording.
 #[derive(Debug, Error)]
 pub enum RecordingError {
@@ -236,12 +229,12 @@ impl Recording {
                 break;
             }
             match head[0] {
-                OP_FOOTER => footer = true,
-                OP_CHUNK => recording.note_chunk(&mut file, offset, length)?,
-                OP_METADATA | OP_ATTACHMENT if length <= RECORD_MAX => {
+                op::FOOTER => footer = true,
+                op::CHUNK => recording.note_chunk(&mut file, offset, length)?,
+                op::METADATA | op::ATTACHMENT if length <= RECORD_MAX => {
                     let mut body = vec![0; length as usize];
                     file.read_exact(&mut body).map_err(io_error)?;
-                    let noted = if head[0] == OP_METADATA {
+                    let noted = if head[0] == op::METADATA {
                         recording.note_metadata(&body, &mut schema)
                     } else {
                         recording.note_attachment(&body)
@@ -536,7 +529,7 @@ fn parse_topics(body: &[u8]) -> Result<BTreeMap<u16, String>, String> {
         let opcode = records.u8()?;
         let length = records.u64()?;
         let mut record = Bytes(records.take(length)?);
-        if opcode == OP_CHANNEL {
+        if opcode == op::CHANNEL {
             let id = record.u16()?;
             let _schema = record.u16()?;
             topics.insert(id, record.text()?);
@@ -552,7 +545,7 @@ fn parse_chunk(body: &[u8], topics: &BTreeMap<u16, String>, offset: u64) -> Resu
         let opcode = records.u8()?;
         let length = records.u64()?;
         let mut record = Bytes(records.take(length)?);
-        if opcode == OP_MESSAGE {
+        if opcode == op::MESSAGE {
             let channel = record.u16()?;
             let _sequence = record.u32()?;
             let time = SimTime(record.u64()?);

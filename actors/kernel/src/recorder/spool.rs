@@ -1,10 +1,11 @@
 //! Bytes on their way to the disk: kept until it takes them, so that a disk that is full for a while costs
-//! memory and not data.
+//! memory and not data. Outlives whoever fills it.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::gate::Pass;
 
 /// Where a recording goes.
 pub(super) trait Disk: Send {
@@ -12,6 +13,8 @@ pub(super) trait Disk: Send {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize>;
     /// Makes sure that they survive the end of the process and of the power supply.
     fn sync(&mut self) -> io::Result<()>;
+    /// Forgets everything behind the first `length` bytes.
+    fn rewind(&mut self, length: u64) -> io::Result<()>;
 }
 
 impl Disk for File {
@@ -21,6 +24,10 @@ impl Disk for File {
     fn sync(&mut self) -> io::Result<()> {
         self.sync_data()
     }
+    fn rewind(&mut self, length: u64) -> io::Result<()> {
+        self.set_len(length)?;
+        self.seek(SeekFrom::Start(length)).map(drop)
+    }
 }
 
 /// What waits for the disk; appending to it never fails.
@@ -28,10 +35,11 @@ pub(super) struct Spool {
     waiting: Vec<u8>,
     /// Bytes at the front of `waiting` that the disk has.
     done: usize,
-    position: u64,
+    /// Bytes that the disk has altogether.
+    written: u64,
+    /// The disk was asked to write and has not answered; still set when that call panicked.
+    asked: bool,
     disk: Box<dyn Disk>,
-    /// Fault hook: the disk takes nothing.
-    pub(super) full: bool,
     /// What the disk said last, if it refused.
     pub(super) refusal: Option<io::Error>,
 }
@@ -42,7 +50,7 @@ impl Spool {
     }
 
     pub(super) fn new(disk: Box<dyn Disk>) -> Self {
-        Self { waiting: Vec::new(), done: 0, position: 0, disk, full: false, refusal: None }
+        Self { waiting: Vec::new(), done: 0, written: 0, asked: false, disk, refusal: None }
     }
 
     /// Bytes that the disk has not taken yet.
@@ -50,21 +58,38 @@ impl Spool {
         self.waiting.len() - self.done
     }
 
-    /// Gives the disk what it takes; `true` when nothing is left.
-    pub(super) fn drain(&mut self) -> bool {
+    pub(super) fn append(&mut self, bytes: &[u8]) {
+        if self.done > 0 && self.waiting.len() + bytes.len() > self.waiting.capacity() {
+            self.waiting.drain(..self.done);
+            self.done = 0;
+        }
+        self.waiting.extend_from_slice(bytes);
+    }
+
+    /// Gives the disk what it takes; `true` when nothing is left. Who was fenced meanwhile stops.
+    pub(super) fn drain(&mut self, pass: Pass<'_>) -> bool {
         self.refusal = None;
         while self.done < self.waiting.len() {
-            let written = if self.full {
+            if !pass.is_valid() {
+                return false;
+            }
+            let written = if pass.is_disk_full() {
                 Err(io::Error::new(io::ErrorKind::StorageFull, "no space left on device (injected fault)"))
             } else {
-                self.disk.write(&self.waiting[self.done..])
+                self.asked = true;
+                let answer = self.disk.write(&self.waiting[self.done..]);
+                self.asked = false;
+                answer
             };
             match written {
                 Ok(0) => {
                     self.refusal = Some(io::ErrorKind::WriteZero.into());
                     return false;
                 }
-                Ok(count) => self.done += count,
+                Ok(count) => {
+                    self.done += count;
+                    self.written += count as u64;
+                }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => {
                     self.refusal = Some(error);
@@ -77,51 +102,17 @@ impl Spool {
         true
     }
 
-    pub(super) fn sync(&mut self) -> io::Result<()> {
-        self.disk.sync()
-    }
-
-    fn append(&mut self, bytes: &[u8]) {
-        if self.done > 0 && self.waiting.len() + bytes.len() > self.waiting.capacity() {
-            self.waiting.drain(..self.done);
-            self.done = 0;
+    /// After a failure: when nobody knows how much of a write reached the disk, the file goes back to what is
+    /// known, and that write is done again.
+    pub(super) fn resume(&mut self) -> io::Result<()> {
+        if self.asked {
+            self.disk.rewind(self.written)?;
+            self.asked = false;
         }
-        self.waiting.extend_from_slice(bytes);
-        self.position += bytes.len() as u64;
-    }
-}
-
-/// A shared spool: one end belongs to the MCAP writer, which does not lend it, the other one to us. Both
-/// are used by the same thread, so the lock is never contended.
-#[derive(Clone)]
-pub(super) struct SpoolEnd(Arc<Mutex<Spool>>);
-
-impl SpoolEnd {
-    pub(super) fn new(spool: Spool) -> Self {
-        Self(Arc::new(Mutex::new(spool)))
-    }
-    pub(super) fn lock(&self) -> MutexGuard<'_, Spool> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Write for SpoolEnd {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.lock().append(bytes);
-        Ok(bytes.len())
-    }
-    fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }
-}
 
-impl Seek for SpoolEnd {
-    fn seek(&mut self, target: SeekFrom) -> io::Result<u64> {
-        let position = self.lock().position;
-        match target {
-            SeekFrom::Current(0) | SeekFrom::End(0) => Ok(position),
-            SeekFrom::Start(at) if at == position => Ok(at),
-            _ => Err(io::Error::new(io::ErrorKind::Unsupported, "a recording is only appended to")),
-        }
+    pub(super) fn sync(&mut self) -> io::Result<()> {
+        self.disk.sync()
     }
 }

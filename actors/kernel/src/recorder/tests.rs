@@ -19,10 +19,10 @@ use crate::spec::{CommitSink, ControllerSpec, SessionOutcome, SessionSpec};
 use crate::supervision::RuntimeClass;
 use crate::testing::{Count, Pairs, Shadow};
 
-const RING: Entity = Entity::new(0, 0, 1);
+pub(super) const RING: Entity = Entity::new(0, 0, 1);
 const STEP: SimTime = SimTime::from_millis(1);
 
-fn registry() -> Arc<Registry> {
+pub(super) fn registry() -> Arc<Registry> {
     let mut builder = RegistryBuilder::new();
     builder.register::<Count>().expect("new");
     builder.register::<Pairs>().expect("new");
@@ -32,7 +32,7 @@ fn registry() -> Arc<Registry> {
     builder.build()
 }
 
-fn scene() -> Store {
+pub(super) fn scene() -> Store {
     let registry = registry();
     let mut scene = Store::new(registry.clone());
     let mut commands = Commands::new(registry, EntityAllocator::new(0, 0));
@@ -44,7 +44,7 @@ fn scene() -> Store {
 }
 
 /// Moves a ring, counts, and says something now and then.
-struct Mover;
+pub(super) struct Mover;
 impl Controller for Mover {
     fn access(&self) -> Access {
         Access::new()
@@ -68,7 +68,7 @@ impl Controller for Mover {
     }
 }
 
-fn head() -> RecordingHead {
+pub(super) fn head() -> RecordingHead {
     RecordingHead {
         scenario: "toy".into(),
         scenario_text: "schema = 1\nname = \"toy\"\n".into(),
@@ -83,10 +83,10 @@ fn head() -> RecordingHead {
 fn session(path: &Path, options: RecorderOptions, plan: FaultPlan) -> LockstepSession {
     let scene = scene();
     let recorder =
-        Recorder::inline(path, &head(), scene.view(), options).expect("the folder can be written to");
+        Recorder::create(path, &head(), scene.view(), options).expect("the folder can be written to");
     let mover = ControllerSpec::new("mover", 1, RuntimeClass::Simulation, 1_000.0, |_| Ok(Box::new(Mover)));
     let mut spec = SessionSpec::new("toy", 42, scene, vec![mover]);
-    spec.recorder = Some(Box::new(recorder));
+    recorder.install(&mut spec);
     spec.faults = plan;
     LockstepSession::new(spec).expect("starts")
 }
@@ -97,12 +97,12 @@ fn record(path: &Path, until: f64, options: RecorderOptions, plan: FaultPlan) ->
     session.finish()
 }
 
-struct Folder(tempfile::TempDir);
+pub(super) struct Folder(tempfile::TempDir);
 impl Folder {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         Self(tempfile::tempdir().expect("a folder for temporary files"))
     }
-    fn file(&self, name: &str) -> PathBuf {
+    pub(super) fn file(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 }
@@ -222,14 +222,15 @@ fn a_disk_that_is_full_for_a_while_costs_nothing_and_longer_a_declared_gap() {
 }
 
 #[test]
-fn a_live_recorder_never_keeps_the_model_waiting() {
+fn a_flood_never_keeps_the_model_waiting_and_is_a_declared_gap() {
     let folder = Folder::new();
     let file = folder.file("a.mcap");
     let mut core = crate::ModelCore::new(scene(), 0).expect("encodes");
     core.keep_commits(true);
     core.declare("mover", trocar_scene::WriterId(1), &Mover.access()).expect("fits");
     let options = RecorderOptions { queue_max: 4, ..RecorderOptions::default() };
-    let mut recorder = Recorder::threaded(&file, &head(), core.view(), options).expect("begins");
+    // Nobody ticks the recorder: as if it were stalled.
+    let mut tap = Recorder::create(&file, &head(), core.view(), options).expect("begins").into_tap();
     let mut buffer = CommitBuffer::new();
     let mut longest = Duration::ZERO;
     for tick in 0..5_000u64 {
@@ -248,18 +249,19 @@ fn a_live_recorder_never_keeps_the_model_waiting() {
         let snapshot = core.publish();
         let commits = core.swap_commits(buffer);
         let begun = Instant::now();
-        buffer = recorder.committed(&snapshot, commits);
+        buffer = tap.committed(&snapshot, commits);
         longest = longest.max(begun.elapsed());
         assert!(buffer.is_empty());
     }
-    let complete = recorder.close();
     assert!(longest < Duration::from_millis(200), "waited {longest:?}");
+    assert!(!tap.close(Duration::from_secs(10)), "something is missing");
     let recording = Recording::open(&file).expect("opens");
-    assert_eq!(recording.is_complete(), complete);
+    assert!(recording.truncation().is_none() && !recording.is_complete());
     let mut replay = Replay::new(&recording, &registry()).expect("has a keyframe");
-    let hash = replay.run_to_end().expect("agrees");
-    // A queue of four cannot hold a flood: either it all came through, or the gap is declared.
-    assert_eq!(replay.gaps().is_empty() && hash == core.hash(), complete);
+    assert_eq!(replay.run_to_end().expect("agrees"), core.hash(), "a keyframe ends the gap");
+    let [gap] = replay.gaps() else { panic!("one gap: {:?}", replay.gaps()) };
+    assert_eq!((gap.until, gap.until.0 - gap.after.0), (core.view().revision(), 5_000 - 4));
+    assert!(gap.reason.contains("queue was full"), "{gap:?}");
 }
 
 #[test]
@@ -316,7 +318,23 @@ fn the_mcap_library_reads_it_too() {
     record(&file, 2.0, RecorderOptions::default(), FaultPlan::new(1));
     let bytes = std::fs::read(&file).expect("written");
     let summary = mcap::Summary::read(&bytes).expect("sound").expect("has a summary");
-    assert!(summary.stats.expect("has statistics").message_count > 200);
+    let statistics = summary.stats.as_ref().expect("has statistics");
+    assert!(statistics.message_count > 200);
+    let indexed: usize = summary
+        .chunk_indexes
+        .iter()
+        .map(|index| summary.stream_chunk(&bytes, index).expect("stands there").filter(Result::is_ok).count())
+        .sum();
+    assert_eq!(indexed as u64, statistics.message_count, "by the index");
+    let [attachment] = &summary.attachment_indexes[..] else { panic!("one attachment") };
+    let attachment = mcap::read::attachment(&bytes, attachment).expect("stands there");
+    assert_eq!((&*attachment.name, &*attachment.data), ("scenario.toml", head().scenario_text.as_bytes()));
+    let names: Vec<String> = summary
+        .metadata_indexes
+        .iter()
+        .map(|index| mcap::read::metadata(&bytes, index).expect("stands there").name)
+        .collect();
+    assert_eq!(names, ["trocar", "trocar.devices", "trocar.end"]);
     let (mut frames, mut events) = (0, 0);
     for message in mcap::MessageStream::new(&bytes).expect("sound") {
         let message = message.expect("sound");

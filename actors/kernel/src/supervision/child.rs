@@ -232,9 +232,9 @@ impl GroupSpec {
     }
 
     /// The default tree: root (rest-for-one) → model; simulation (rest-for-one: collision before physics);
-    /// devices (one-for-one); tasks (one-for-one); network (one-for-one, patient back-off); recorder.
+    /// devices (one-for-one); tasks (one-for-one); network and recorder (one-for-one, patient back-off).
     ///
-    /// A child that always fails at once is held within 8 s (a link: within 40 s): each period holds a round of the
+    /// A child that always fails at once is held within 8 s (a link or the recorder: within 40 s): each period holds a round of the
     /// longest pauses. The Model's group gives up instead, and after six times of that the root does, within 60 s.
     /// A child that fails once a minute is restarted for ever.
     ///
@@ -246,17 +246,20 @@ impl GroupSpec {
         let mut simulation = Self::new("group.simulation", Strategy::RestForOne).holding();
         let mut devices = Self::new("group.devices", Strategy::OneForOne).holding();
         let mut tasks = Self::new("group.tasks", Strategy::OneForOne).holding();
-        // Five of the longest pauses are 30 s.
-        let mut network = Self::new("group.network", Strategy::OneForOne)
-            .holding()
-            .with_intensity(5, SimTime::from_millis(60_000))
-            .with_backoff(Backoff {
-                base: SimTime::from_millis(200),
-                max: SimTime::from_millis(5_000),
-                reset_after: SimTime::from_millis(30_000),
-                ..Backoff::default()
-            });
-        let mut recorder = Self::new("group.recorder", Strategy::OneForOne).holding();
+        // A link or a disk that hangs may hang for long: five of the longest pauses are 30 s.
+        let patient = |name: &str| {
+            Self::new(name, Strategy::OneForOne)
+                .holding()
+                .with_intensity(5, SimTime::from_millis(60_000))
+                .with_backoff(Backoff {
+                    base: SimTime::from_millis(200),
+                    max: SimTime::from_millis(5_000),
+                    reset_after: SimTime::from_millis(30_000),
+                    ..Backoff::default()
+                })
+        };
+        let mut network = patient("group.network");
+        let mut recorder = patient("group.recorder");
         let mut all: Vec<ChildSpec> = children.into_iter().collect();
         // Stable: children of one class keep the order in which they were given.
         all.sort_by_key(|child| child.class);

@@ -8,7 +8,7 @@ use trocar_scene::SimTime;
 
 use super::child::{ChildSpec, Exhausted, GroupSpec, Restart, RuntimeClass};
 use super::event::{Action, Cause, ChildId, Event, Incident};
-use super::tree::{Flat, Group, Streak, TreeError};
+use super::tree::{Flat, Group, Jitter, Streak, TreeError};
 
 /// Exit code when the root gives up.
 pub const EXIT_GAVE_UP: i32 = 70;
@@ -52,6 +52,7 @@ pub(super) struct Child {
     pub(super) held: bool,
     pub(super) stalled: bool,
     streak: Streak,
+    jitter: Jitter,
     incident: Option<usize>,
 }
 
@@ -77,7 +78,6 @@ pub struct Supervisor {
     pub(super) reason: Option<String>,
     /// Children that are held for having failed too often, and why.
     pub(super) given_up: Vec<(ChildId, String)>,
-    random: u64,
 }
 
 impl Supervisor {
@@ -88,11 +88,12 @@ impl Supervisor {
     /// Names that are not unique, an empty tree, a back-off that makes no sense, or one with which a child that
     /// always fails would be restarted for ever.
     pub fn new(root: GroupSpec, seed: u64, zombies_max: u32) -> Result<Self, TreeError> {
-        let Flat { groups, children, owner } = Flat::new(root)?;
+        let Flat { groups, children, owner } = Flat::new(root, seed)?;
         let children = children
             .into_iter()
             .zip(owner)
             .map(|(spec, group)| Child {
+                jitter: Jitter::new(seed, &spec.id),
                 spec,
                 group,
                 phase: Phase::Waiting(SimTime::ZERO),
@@ -118,7 +119,6 @@ impl Supervisor {
             incidents_lost: 0,
             reason: None,
             given_up: Vec::new(),
-            random: seed,
         })
     }
 
@@ -310,7 +310,7 @@ impl Supervisor {
     ) {
         let mut member: Range<usize> = i..i + 1;
         let mut at = self.children[i].group;
-        let unit = self.unit();
+        let unit = self.children[i].jitter.unit();
         let mut pause = self.children[i].streak.pause(&self.groups[at].backoff, now, unit);
         loop {
             let group = &mut self.groups[at];
@@ -345,7 +345,7 @@ impl Supervisor {
             };
             member = group.leaves.clone();
             let mut streak = group.streak;
-            let unit = self.unit();
+            let unit = self.groups[at].jitter.unit();
             pause = pause.max(streak.pause(&self.groups[parent].backoff, now, unit));
             self.groups[at].streak = streak;
             at = parent;
@@ -498,14 +498,5 @@ impl Supervisor {
             out.push(Action::CloseRecording);
             out.push(Action::Exit(code));
         }
-    }
-
-    /// Uniform in [0, 1), from the seed (SplitMix64, Steele et al. 2014).
-    fn unit(&mut self) -> f64 {
-        self.random = self.random.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.random;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
     }
 }

@@ -81,6 +81,30 @@ impl Streak {
     }
 }
 
+/// What spreads the pauses of one node (SplitMix64, Steele et al. 2014). Everybody has a stream of their own:
+/// a failure here must not change the pause after a failure there.
+#[derive(Clone, Debug)]
+pub(super) struct Jitter(u64);
+
+impl Jitter {
+    /// The stream of node `id`.
+    pub(super) fn new(seed: u64, id: &str) -> Self {
+        // FNV-1a keeps the names apart.
+        let name = id.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+        });
+        Self(seed ^ name)
+    }
+    /// Uniform in [0, 1).
+    pub(super) fn unit(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+}
+
 /// Restarts within the sliding window of a group.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Window {
@@ -115,6 +139,7 @@ pub(super) struct Group {
     pub(super) leaves: Range<usize>,
     pub(super) window: Window,
     pub(super) streak: Streak,
+    pub(super) jitter: Jitter,
 }
 
 impl Group {
@@ -136,10 +161,10 @@ pub(super) struct Flat {
 }
 
 impl Flat {
-    pub(super) fn new(root: GroupSpec) -> Result<Self, TreeError> {
+    pub(super) fn new(root: GroupSpec, seed: u64) -> Result<Self, TreeError> {
         let mut flat = Self { groups: Vec::new(), children: Vec::new(), owner: Vec::new() };
         let mut names = BTreeSet::new();
-        flat.add(root, None, &mut names)?;
+        flat.add(root, None, seed, &mut names)?;
         if flat.children.is_empty() {
             return Err(TreeError::Empty);
         }
@@ -196,6 +221,7 @@ impl Flat {
         &mut self,
         spec: GroupSpec,
         parent: Option<usize>,
+        seed: u64,
         names: &mut BTreeSet<String>,
     ) -> Result<(), TreeError> {
         let GroupSpec { id, strategy, intensity, backoff, exhausted, children } = spec;
@@ -204,6 +230,7 @@ impl Flat {
         let me = self.groups.len();
         let first = self.children.len();
         self.groups.push(Group {
+            jitter: Jitter::new(seed, &id),
             id,
             parent,
             strategy,
@@ -221,7 +248,7 @@ impl Flat {
                     self.children.push(child);
                     self.owner.push(me);
                 }
-                Node::Group(group) => self.add(group, Some(me), names)?,
+                Node::Group(group) => self.add(group, Some(me), seed, names)?,
             }
         }
         self.groups[me].leaves.end = self.children.len();

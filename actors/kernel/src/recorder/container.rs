@@ -1,0 +1,188 @@
+//! The MCAP file as far as it has been written: its length, its checksum and its index. Plain data, so that
+//! whoever goes on writing after a failure needs nothing from who wrote before.
+
+use std::collections::BTreeMap;
+
+use super::mcap_records::{
+    self as records, AttachmentEntry, Channel, ChunkEntry, MAGIC, MetadataEntry, Schema, Statistics, op,
+};
+
+/// Messages on their way into a chunk, as records, with what the chunk's index needs.
+#[derive(Default)]
+pub(super) struct OpenChunk {
+    records: Vec<u8>,
+    /// Channel, time \[ns\] and place in `records` of each message.
+    messages: Vec<(u16, u64, u64)>,
+}
+
+/// A place in an open chunk to go back to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Mark {
+    bytes: usize,
+    messages: usize,
+}
+
+impl OpenChunk {
+    pub(super) fn message(&mut self, channel: u16, sequence: u32, time: u64, data: &[u8]) {
+        self.messages.push((channel, time, self.records.len() as u64));
+        records::message(channel, sequence, time, data, &mut self.records);
+    }
+    pub(super) fn len(&self) -> usize {
+        self.records.len()
+    }
+    pub(super) fn mark(&self) -> Mark {
+        Mark { bytes: self.records.len(), messages: self.messages.len() }
+    }
+    /// Forgets everything since `mark`, also what is there only in part.
+    pub(super) fn roll_back(&mut self, mark: Mark) {
+        self.records.truncate(mark.bytes);
+        self.messages.truncate(mark.messages);
+    }
+}
+
+/// A file's length, checksum and index.
+pub(super) struct Container {
+    schemas: Vec<Schema>,
+    channels: Vec<Channel>,
+    position: u64,
+    crc: crc32fast::Hasher,
+    chunks: Vec<ChunkEntry>,
+    attachments: Vec<AttachmentEntry>,
+    metadata: Vec<MetadataEntry>,
+    counts: BTreeMap<u16, u64>,
+    bounds: Option<(u64, u64)>,
+}
+
+impl Container {
+    /// A new file; appends its first bytes to `out`, and schemas and channels to the first chunk.
+    pub(super) fn begin(
+        (profile, library): (&str, &str),
+        schemas: Vec<Schema>,
+        channels: Vec<Channel>,
+        chunk: &mut OpenChunk,
+        out: &mut Vec<u8>,
+    ) -> Self {
+        schemas.iter().for_each(|schema| records::schema(schema, &mut chunk.records));
+        channels.iter().for_each(|channel| records::channel(channel, &mut chunk.records));
+        let mut container = Self {
+            schemas,
+            channels,
+            position: 0,
+            crc: crc32fast::Hasher::new(),
+            chunks: Vec::new(),
+            attachments: Vec::new(),
+            metadata: Vec::new(),
+            counts: BTreeMap::new(),
+            bounds: None,
+        };
+        container.append(out, |out| {
+            out.extend_from_slice(MAGIC);
+            records::header(profile, library, out);
+        });
+        container
+    }
+
+    /// Lets `body` append to the data section; gives place and length of what it appended.
+    fn append(&mut self, out: &mut Vec<u8>, body: impl FnOnce(&mut Vec<u8>)) -> (u64, u64) {
+        let from = out.len();
+        body(out);
+        let (offset, length) = (self.position, (out.len() - from) as u64);
+        self.crc.update(&out[from..]);
+        self.position += length;
+        (offset, length)
+    }
+
+    pub(super) fn metadata(&mut self, name: &str, pairs: &BTreeMap<String, String>, out: &mut Vec<u8>) {
+        let (offset, length) = self.append(out, |out| records::metadata(name, pairs, out));
+        self.metadata.push(MetadataEntry { offset, length, name: name.to_owned() });
+    }
+
+    pub(super) fn attachment(&mut self, name: &str, media_type: &str, data: &[u8], out: &mut Vec<u8>) {
+        let (offset, length) = self.append(out, |out| records::attachment(name, media_type, data, out));
+        self.attachments.push(AttachmentEntry {
+            offset,
+            length,
+            size: data.len() as u64,
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+        });
+    }
+
+    /// Closes a chunk: appends it with its message indexes to `out` and leaves it empty.
+    pub(super) fn seal(&mut self, chunk: &mut OpenChunk, out: &mut Vec<u8>) {
+        if chunk.records.is_empty() {
+            return;
+        }
+        let times = || chunk.messages.iter().map(|(_, time, _)| *time);
+        let bounds = (times().min().unwrap_or(0), times().max().unwrap_or(0));
+        let mut by_channel = BTreeMap::<u16, Vec<(u64, u64)>>::new();
+        for (channel, time, offset) in &chunk.messages {
+            by_channel.entry(*channel).or_default().push((*time, *offset));
+        }
+        let (offset, length) = self.append(out, |out| records::chunk(bounds, &chunk.records, out));
+        let mut indexes = BTreeMap::new();
+        for (channel, entries) in &by_channel {
+            let (at, _) = self.append(out, |out| records::message_index(*channel, entries, out));
+            indexes.insert(*channel, at);
+            *self.counts.entry(*channel).or_default() += entries.len() as u64;
+        }
+        if !chunk.messages.is_empty() {
+            let (first, last) = self.bounds.unwrap_or(bounds);
+            self.bounds = Some((first.min(bounds.0), last.max(bounds.1)));
+        }
+        self.chunks.push(ChunkEntry {
+            start: bounds.0,
+            end: bounds.1,
+            offset,
+            length,
+            indexes_length: self.position - offset - length,
+            indexes,
+            size: chunk.records.len() as u64,
+        });
+        chunk.roll_back(Mark::default());
+    }
+
+    /// Appends the end of the file: the summary and the footer.
+    pub(super) fn finish(self, out: &mut Vec<u8>) {
+        records::data_end(self.crc.clone().finalize(), out);
+        let (from, summary_start) = (out.len(), self.position + DATA_END_LENGTH);
+        let place = |out: &Vec<u8>| summary_start + (out.len() - from) as u64;
+        let mut offsets: Vec<(u8, u64, u64)> = Vec::new();
+        let mut group = |opcode: u8, out: &mut Vec<u8>, body: &dyn Fn(&mut Vec<u8>)| {
+            let start = place(out);
+            body(out);
+            if place(out) > start {
+                offsets.push((opcode, start, place(out) - start));
+            }
+        };
+        group(op::SCHEMA, out, &|out| self.schemas.iter().for_each(|each| records::schema(each, out)));
+        group(op::CHANNEL, out, &|out| self.channels.iter().for_each(|each| records::channel(each, out)));
+        let statistics = Statistics {
+            schemas: self.schemas.len() as u16,
+            channels: self.channels.len() as u32,
+            attachments: self.attachments.len() as u32,
+            metadata: self.metadata.len() as u32,
+            chunks: self.chunks.len() as u32,
+            bounds: self.bounds.unwrap_or((0, 0)),
+            messages: &self.counts,
+        };
+        group(op::STATISTICS, out, &|out| records::statistics(&statistics, out));
+        group(op::CHUNK_INDEX, out, &|out| {
+            self.chunks.iter().for_each(|each| records::chunk_index(each, out));
+        });
+        group(op::ATTACHMENT_INDEX, out, &|out| {
+            self.attachments.iter().for_each(|each| records::attachment_index(each, out));
+        });
+        group(op::METADATA_INDEX, out, &|out| {
+            self.metadata.iter().for_each(|each| records::metadata_index(each, out));
+        });
+        let offsets_start = place(out);
+        for (opcode, start, length) in offsets {
+            records::summary_offset(opcode, start, length, out);
+        }
+        records::footer(from, summary_start, offsets_start, out);
+    }
+}
+
+/// A DataEnd record: opcode, length, checksum.
+const DATA_END_LENGTH: u64 = 1 + 8 + 4;

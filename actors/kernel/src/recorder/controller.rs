@@ -1,0 +1,115 @@
+//! The recorder as the supervisor sees it: a controller that writes nothing into the scene.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use rtrb::RingBuffer;
+use trocar_scene::{Access, Commands, Controller, ControllerError, SimTime, Snapshot, Tick};
+
+use super::desk::Desk;
+use super::gate::Gate;
+use super::journal::{Journal, Pen};
+use super::options::{RecorderError, RecorderOptions, RecordingHead};
+use super::spool::Spool;
+use super::tap::Tap;
+use crate::chain::Chain;
+use crate::spec::{ControllerSpec, RECORDER, SessionSpec};
+use crate::supervision::{Node, RuntimeClass};
+
+/// Ticks per second: often enough that what waits is short, and twice a second falls on a tick.
+pub const RATE_HZ: f64 = 50.0;
+/// Longest tick. A disk may be slow, but what the Model publishes meanwhile has to fit into the queue.
+const HEARTBEAT_LIMIT: SimTime = SimTime::from_millis(1_000);
+/// Its number among the writers: the last one, so that nobody else's depends on whether there is a recording.
+const WRITER: u16 = u16::MAX;
+/// Emptied buffers that wait to be used again: those of the publications between two ticks.
+const BUFFERS: usize = 256;
+/// The epoch in which a recording is begun, before its first life.
+const FIRST_EPOCH: u32 = 0;
+
+/// A recording that has begun, to be installed into a session.
+///
+/// The file grows in whole chunks, at least twice a second: whatever kills the process, what was flushed can
+/// be read. Whatever kills the recorder, its next life goes on with the same file and nothing is missing, as
+/// long as the queue that it left behind does not overflow.
+pub struct Recorder {
+    tap: Tap,
+    desk: Arc<Desk>,
+}
+
+impl Recorder {
+    /// Creates the file and writes its head and the scene at the start.
+    ///
+    /// # Errors
+    /// [`RecorderError`] when the file or its head cannot be written.
+    pub fn create(
+        path: &Path,
+        head: &RecordingHead,
+        scene: &Snapshot,
+        options: RecorderOptions,
+    ) -> Result<Self, RecorderError> {
+        let spool =
+            Spool::create(path).map_err(|source| RecorderError::Create { file: path.to_owned(), source })?;
+        Self::begin(spool, head, scene, options)
+            .map_err(|message| RecorderError::Head { file: path.to_owned(), message })
+    }
+
+    pub(super) fn begin(
+        spool: Spool,
+        head: &RecordingHead,
+        scene: &Snapshot,
+        options: RecorderOptions,
+    ) -> Result<Self, String> {
+        let hash = Chain::begin(scene).map_err(|error| error.to_string())?.head();
+        let gate = Gate::new();
+        let journal = Journal::begin(spool, head, scene, hash, options, gate.pass(FIRST_EPOCH))?;
+        let (queue, published) = RingBuffer::new(options.queue_max.max(1));
+        let (give_back, emptied) = RingBuffer::new(BUFFERS);
+        let desk = Arc::new(Desk::new(gate, journal, published, give_back));
+        Ok(Self { tap: Tap::new(queue, emptied, desk.clone(), hash), desk })
+    }
+
+    /// Makes it part of a session: takes the Model's commits, and adds the controller [`RECORDER`], which is
+    /// supervised like any other, as well as the fault target of that name.
+    pub fn install(self, session: &mut SessionSpec) {
+        let desk = self.desk.clone();
+        let mut spec =
+            ControllerSpec::new(RECORDER, WRITER, RuntimeClass::Recorder, RATE_HZ, move |context| {
+                desk.take_over(context.epoch)?;
+                let life = Life { desk: desk.clone(), epoch: context.epoch, pen: Pen::default() };
+                Ok(Box::new(life) as Box<dyn Controller>)
+            });
+        spec.child = spec.child.with_heartbeat_limit(HEARTBEAT_LIMIT);
+        spec.fences.push(self.desk.clone());
+        // It sends nothing.
+        spec.ring_capacity = 1;
+        if let Some(tree) = &mut session.tree {
+            tree.children.push(Node::Child(spec.child.clone()));
+        }
+        session.controllers.push(spec);
+        session.fault_sinks.push((RECORDER.to_owned(), self.desk));
+        session.commit_sink = Some(Box::new(self.tap));
+    }
+
+    /// The Model's end alone, for tests that drive it by hand.
+    #[cfg(test)]
+    pub(super) fn into_tap(self) -> Tap {
+        self.tap
+    }
+}
+
+/// One life of the recorder.
+struct Life {
+    desk: Arc<Desk>,
+    epoch: u32,
+    pen: Pen,
+}
+
+impl Controller for Life {
+    fn access(&self) -> Access {
+        Access::new()
+    }
+    fn tick(&mut self, tick: &Tick<'_>, _: &Snapshot, _: &mut Commands) -> Result<(), ControllerError> {
+        self.desk.work(self.epoch, tick.time, &mut self.pen)
+    }
+}

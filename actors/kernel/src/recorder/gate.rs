@@ -1,0 +1,50 @@
+//! Who may write to the disk: looked at before every write, so that an abandoned recorder writes no more.
+
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+
+/// The fence of a recording and the state of its disk, for threads that must not wait.
+pub(super) struct Gate {
+    /// The lowest epoch that may still write.
+    fence: AtomicU32,
+    /// Fault hook: the disk takes nothing.
+    full: AtomicBool,
+    /// Everything that should be written could be, the last time that anybody tried.
+    sound: AtomicBool,
+}
+
+/// The right of one life of the recorder to write; it ends when the fence is raised.
+#[derive(Clone, Copy)]
+pub(super) struct Pass<'a> {
+    gate: &'a Gate,
+    epoch: u32,
+}
+
+impl Gate {
+    pub(super) fn new() -> Self {
+        Self { fence: AtomicU32::new(0), full: AtomicBool::new(false), sound: AtomicBool::new(true) }
+    }
+    pub(super) fn raise(&self, epoch: u32) {
+        self.fence.fetch_max(epoch, Ordering::AcqRel);
+    }
+    pub(super) fn pass(&self, epoch: u32) -> Pass<'_> {
+        Pass { gate: self, epoch }
+    }
+    pub(super) fn set_disk_full(&self, full: bool) {
+        self.full.store(full, Ordering::Relaxed);
+    }
+    pub(super) fn set_sound(&self, sound: bool) {
+        self.sound.store(sound, Ordering::Relaxed);
+    }
+    pub(super) fn is_sound(&self) -> bool {
+        self.sound.load(Ordering::Relaxed)
+    }
+}
+
+impl Pass<'_> {
+    pub(super) fn is_valid(self) -> bool {
+        self.epoch >= self.gate.fence.load(Ordering::Acquire)
+    }
+    pub(super) fn is_disk_full(self) -> bool {
+        self.gate.full.load(Ordering::Relaxed)
+    }
+}

@@ -1,0 +1,331 @@
+//! What of a recording outlives a life of the recorder: plain data, from which the next life goes on.
+//!
+//! Messages wait in an open chunk, closed chunks wait in the spool, and what the disk has is only counted. A
+//! life that dies between two publications therefore takes nothing with it; one that dies inside of one costs
+//! that publication, which becomes a declared gap.
+
+use std::collections::BTreeMap;
+use std::io;
+
+use serde_json::Value;
+use trocar_scene::{ComponentError, RecordPolicy, Revision, SimTime, Snapshot};
+
+use super::container::{Container, Mark, OpenChunk};
+use super::format::{
+    COMMITS, COMPONENT, EVENTS, GAPS, Gap, KEYFRAMES, META, META_DEVICES, META_END, PROFILE, SCENARIO,
+    SCHEMA, TF, encode_group, encode_keyframe_header,
+};
+use super::gate::Pass;
+use super::mcap_records::{Channel, Schema};
+use super::options::{RecorderOptions, RecordingHead};
+use super::side::{self, EVENT_SCHEMA, Frames, TF_SCHEMA};
+use super::spool::Spool;
+use crate::chain::StateHash;
+use crate::commit::CommitBuffer;
+
+/// An open chunk of this size is closed.
+const CHUNK_BYTES: usize = 1 << 20;
+/// Why there is a gap after a life that ended inside of a publication.
+const TORN: &str = "the recorder panicked while it took a publication";
+
+mod channel {
+    pub(super) const COMMITS: u16 = 1;
+    pub(super) const KEYFRAMES: u16 = 2;
+    pub(super) const GAPS: u16 = 3;
+    pub(super) const TF: u16 = 4;
+    pub(super) const EVENTS: u16 = 5;
+}
+
+/// What one life has for itself: buffers, and names looked up before. A corpse's are not used again.
+#[derive(Default)]
+pub(super) struct Pen {
+    scratch: Vec<u8>,
+    frames: Frames,
+}
+
+/// A recording in the making.
+pub(super) struct Journal {
+    container: Container,
+    chunk: OpenChunk,
+    spool: Spool,
+    /// Room in which a chunk is put together.
+    sealed: Vec<u8>,
+    sequence: u32,
+    options: RecorderOptions,
+    revision: Revision,
+    hash: StateHash,
+    time: SimTime,
+    event_cursor: u64,
+    tf_revision: Revision,
+    next_keyframe: SimTime,
+    next_tf: SimTime,
+    next_flush: SimTime,
+    /// Nothing could be written since `revision`, and why.
+    gap: Option<String>,
+    complete: bool,
+    /// A publication is being taken, from here on; still set after a panic in the middle of it.
+    taking: Option<Mark>,
+}
+
+impl Journal {
+    /// Writes the head and the first keyframe.
+    pub(super) fn begin(
+        spool: Spool,
+        head: &RecordingHead,
+        scene: &Snapshot,
+        hash: StateHash,
+        options: RecorderOptions,
+        pass: Pass<'_>,
+    ) -> Result<Self, String> {
+        let (mut chunk, mut bytes) = (OpenChunk::default(), Vec::new());
+        let library = concat!("trocar ", env!("CARGO_PKG_VERSION"));
+        let mut container =
+            Container::begin((PROFILE, library), schemas(), channels(), &mut chunk, &mut bytes);
+        write_head(&mut container, head, scene, &mut bytes);
+        let mut journal = Self {
+            container,
+            chunk,
+            spool,
+            sealed: Vec::new(),
+            sequence: 0,
+            options,
+            revision: scene.revision(),
+            hash,
+            time: SimTime::ZERO,
+            event_cursor: scene.events().next(),
+            tf_revision: Revision::ZERO,
+            next_keyframe: SimTime::ZERO,
+            next_tf: SimTime::ZERO,
+            next_flush: options.flush_period,
+            gap: None,
+            complete: true,
+            taking: None,
+        };
+        journal.spool.append(&bytes);
+        journal.keyframe(&mut Pen::default(), scene, hash).map_err(|error| error.to_string())?;
+        journal.flush(pass);
+        journal.spool.refusal.take().map_or(Ok(journal), |error| Err(error.to_string()))
+    }
+
+    /// A new life takes over from one that failed, wherever it was.
+    ///
+    /// # Errors
+    /// When the file cannot be brought back to what is known of it.
+    pub(super) fn resume(&mut self) -> io::Result<()> {
+        if let Some(mark) = self.taking.take() {
+            self.chunk.roll_back(mark);
+            self.begin_gap(TORN.to_owned());
+        }
+        self.spool.resume()
+    }
+
+    /// One publication. What cannot be taken becomes part of a gap.
+    pub(super) fn committed(
+        &mut self,
+        pen: &mut Pen,
+        snapshot: &Snapshot,
+        commits: &CommitBuffer,
+        hash: StateHash,
+        pass: Pass<'_>,
+    ) {
+        self.time = self.time.max(snapshot.time());
+        if self.gap.is_none() && self.spool.backlog() > self.options.backlog_max {
+            let reason = self.spool.refusal.as_ref().map(ToString::to_string);
+            self.begin_gap(reason.unwrap_or_else(|| "the disk is too slow".to_owned()));
+        }
+        if self.gap.is_some() {
+            self.spool.drain(pass);
+            if self.spool.backlog() <= self.options.backlog_max / 2 {
+                self.end_gap(pen, snapshot, hash);
+            }
+        } else if !commits.is_empty() {
+            self.take(snapshot, hash, |journal| journal.write_commits(pen, snapshot, commits, hash));
+        }
+        if self.chunk.len() >= CHUNK_BYTES {
+            self.seal();
+        }
+    }
+
+    /// Lets `write` write what belongs to one revision: as a whole or, when it fails or panics, not at all.
+    fn take(
+        &mut self,
+        snapshot: &Snapshot,
+        hash: StateHash,
+        write: impl FnOnce(&mut Self) -> Result<(), ComponentError>,
+    ) {
+        let mark = self.chunk.mark();
+        self.taking = Some(mark);
+        let written = write(self);
+        self.taking = None;
+        match written {
+            Ok(()) => {
+                self.revision = snapshot.revision();
+                self.hash = hash;
+            }
+            Err(error) => {
+                self.chunk.roll_back(mark);
+                self.begin_gap(error.to_string());
+            }
+        }
+    }
+
+    fn write_commits(
+        &mut self,
+        pen: &mut Pen,
+        snapshot: &Snapshot,
+        commits: &CommitBuffer,
+        hash: StateHash,
+    ) -> Result<(), ComponentError> {
+        pen.scratch.clear();
+        encode_group(commits, hash, &mut pen.scratch);
+        self.message(channel::COMMITS, &pen.scratch);
+        self.side_channels(pen, snapshot);
+        if self.time >= self.next_keyframe { self.keyframe(pen, snapshot, hash) } else { Ok(()) }
+    }
+
+    /// From here on commits are missing, until [`Self::end_gap`].
+    pub(super) fn begin_gap(&mut self, reason: String) {
+        self.complete = false;
+        self.gap.get_or_insert(reason);
+    }
+
+    fn end_gap(&mut self, pen: &mut Pen, snapshot: &Snapshot, hash: StateHash) {
+        let Some(reason) = self.gap.take() else { return };
+        let gap = Gap { after: self.revision, until: snapshot.revision(), time: self.time, reason };
+        self.take(snapshot, hash, |journal| {
+            journal.message(channel::GAPS, &serde_json::to_vec(&gap).unwrap_or_default());
+            journal.event_cursor = snapshot.events().next();
+            journal.keyframe(pen, snapshot, hash)
+        });
+    }
+
+    fn keyframe(&mut self, pen: &mut Pen, scene: &Snapshot, hash: StateHash) -> Result<(), ComponentError> {
+        pen.scratch.clear();
+        encode_keyframe_header(hash, &mut pen.scratch);
+        scene.encode(&mut pen.scratch)?;
+        self.message(channel::KEYFRAMES, &pen.scratch);
+        self.next_keyframe = self.time + self.options.keyframe_period;
+        // A viewer that begins here gets all frames.
+        self.tf_revision = Revision::ZERO;
+        Ok(())
+    }
+
+    fn side_channels(&mut self, pen: &mut Pen, scene: &Snapshot) {
+        let events: Vec<Value> =
+            scene.events().since(self.event_cursor).map(|(_, event)| side::event(scene, event)).collect();
+        self.event_cursor = scene.events().next();
+        for event in events {
+            self.message(channel::EVENTS, event.to_string().as_bytes());
+        }
+        if self.time >= self.next_tf {
+            // From the due time, so that publications between two of them do not slow the rate down.
+            let next = self.next_tf + self.options.tf_period;
+            self.next_tf = if next < self.time { self.time + self.options.tf_period } else { next };
+            if let Some(transforms) = pen.frames.transforms(scene, self.tf_revision, self.time) {
+                self.message(channel::TF, transforms.to_string().as_bytes());
+            }
+            self.tf_revision = scene.revision();
+        }
+    }
+
+    fn message(&mut self, channel: u16, data: &[u8]) {
+        self.sequence = self.sequence.wrapping_add(1);
+        self.chunk.message(channel, self.sequence, self.time.as_nanos(), data);
+    }
+
+    /// Time has passed: closes the chunk when it has waited long enough, and gives the disk what it takes.
+    pub(super) fn passed(&mut self, now: SimTime, pass: Pass<'_>) {
+        if now >= self.next_flush {
+            let next = self.next_flush + self.options.flush_period;
+            self.next_flush = if next <= now { now + self.options.flush_period } else { next };
+            self.seal();
+        }
+        if self.spool.backlog() > 0 {
+            self.spool.drain(pass);
+        }
+    }
+
+    fn flush(&mut self, pass: Pass<'_>) {
+        self.seal();
+        self.spool.drain(pass);
+    }
+
+    /// From the open chunk to the spool.
+    fn seal(&mut self) {
+        self.sealed.clear();
+        self.container.seal(&mut self.chunk, &mut self.sealed);
+        self.spool.append(&self.sealed);
+    }
+
+    /// Whether everything is written that should be.
+    pub(super) fn is_sound(&self) -> bool {
+        self.gap.is_none() && self.spool.refusal.is_none()
+    }
+
+    /// Writes the end; `last` is what was published last, for a gap that is still open. `true` when nothing
+    /// is missing in the file.
+    pub(super) fn close(mut self, last: Option<(&Snapshot, StateHash)>, pass: Pass<'_>) -> bool {
+        if self.gap.is_some()
+            && let Some((snapshot, hash)) = last
+        {
+            self.committed(&mut Pen::default(), snapshot, &CommitBuffer::new(), hash, pass);
+        }
+        let complete = self.complete && self.gap.is_none();
+        let end = BTreeMap::from([
+            ("revision".to_owned(), self.revision.0.to_string()),
+            ("hash".to_owned(), self.hash.to_string()),
+            ("time_ns".to_owned(), self.time.as_nanos().to_string()),
+            ("complete".to_owned(), complete.to_string()),
+        ]);
+        self.seal();
+        self.sealed.clear();
+        self.container.metadata(META_END, &end, &mut self.sealed);
+        self.container.finish(&mut self.sealed);
+        self.spool.append(&self.sealed);
+        self.spool.drain(pass) && self.spool.sync().is_ok() && complete
+    }
+}
+
+fn write_head(container: &mut Container, head: &RecordingHead, scene: &Snapshot, out: &mut Vec<u8>) {
+    let mut meta = head.extra.clone();
+    meta.extend([
+        ("schema".to_owned(), SCHEMA.to_owned()),
+        ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+        ("scenario".to_owned(), head.scenario.clone()),
+        ("seed".to_owned(), head.seed.to_string()),
+        ("station".to_owned(), head.station.to_string()),
+        ("mode".to_owned(), head.mode.clone()),
+    ]);
+    for (_, entry) in scene.registry().iter() {
+        let policy = match entry.record {
+            RecordPolicy::Full => "full",
+            RecordPolicy::Derived => "derived",
+        };
+        meta.insert(format!("{COMPONENT}{}", entry.name), format!("{:08x} {policy}", entry.key));
+    }
+    container.metadata(META, &meta, out);
+    let devices = head.devices.iter().map(|(name, device)| (name.clone(), device.to_string())).collect();
+    container.metadata(META_DEVICES, &devices, out);
+    container.attachment(SCENARIO, "application/toml", head.scenario_text.as_bytes(), out);
+}
+
+fn schemas() -> Vec<Schema> {
+    let schema = |id, name, text: Value| Schema {
+        id,
+        name,
+        encoding: "jsonschema",
+        data: text.to_string().into_bytes(),
+    };
+    vec![schema(1, TF_SCHEMA, side::tf_schema()), schema(2, EVENT_SCHEMA, side::event_schema())]
+}
+
+fn channels() -> Vec<Channel> {
+    let channel = |id, schema, topic, encoding| Channel { id, schema, topic, encoding };
+    vec![
+        channel(channel::COMMITS, 0, COMMITS, "trocar-postcard"),
+        channel(channel::KEYFRAMES, 0, KEYFRAMES, "trocar-postcard"),
+        channel(channel::GAPS, 0, GAPS, "json"),
+        channel(channel::TF, 1, TF, "json"),
+        channel(channel::EVENTS, 2, EVENTS, "json"),
+    ]
+}

@@ -1,0 +1,291 @@
+//! MCAP's records as bytes (<https://mcap.dev/spec>), without compression, for a file that is only appended to.
+//!
+//! Written here and not by the `mcap` crate's writer, because that one keeps the index of the file to itself
+//! and finishes the file when it is dropped: a recorder that died could not be continued without trusting its
+//! corpse. Here a record is a function of plain data. The tests hold the result against the crate's reader.
+
+use std::collections::BTreeMap;
+
+/// First and last bytes of every file.
+pub(super) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+
+/// Opcodes of the records that are used here.
+pub(super) mod op {
+    pub(crate) const HEADER: u8 = 0x01;
+    pub(crate) const FOOTER: u8 = 0x02;
+    pub(crate) const SCHEMA: u8 = 0x03;
+    pub(crate) const CHANNEL: u8 = 0x04;
+    pub(crate) const MESSAGE: u8 = 0x05;
+    pub(crate) const CHUNK: u8 = 0x06;
+    pub(crate) const MESSAGE_INDEX: u8 = 0x07;
+    pub(crate) const CHUNK_INDEX: u8 = 0x08;
+    pub(crate) const ATTACHMENT: u8 = 0x09;
+    pub(crate) const ATTACHMENT_INDEX: u8 = 0x0a;
+    pub(crate) const STATISTICS: u8 = 0x0b;
+    pub(crate) const METADATA: u8 = 0x0c;
+    pub(crate) const METADATA_INDEX: u8 = 0x0d;
+    pub(crate) const SUMMARY_OFFSET: u8 = 0x0e;
+    pub(crate) const DATA_END: u8 = 0x0f;
+}
+
+/// A schema of messages.
+pub(super) struct Schema {
+    pub(super) id: u16,
+    pub(super) name: &'static str,
+    pub(super) encoding: &'static str,
+    pub(super) data: Vec<u8>,
+}
+
+/// A topic; schema 0 is none.
+pub(super) struct Channel {
+    pub(super) id: u16,
+    pub(super) schema: u16,
+    pub(super) topic: &'static str,
+    pub(super) encoding: &'static str,
+}
+
+/// Where a chunk stands and what it holds.
+pub(super) struct ChunkEntry {
+    pub(super) start: u64,
+    pub(super) end: u64,
+    pub(super) offset: u64,
+    pub(super) length: u64,
+    /// Bytes of the message indexes behind it, and where that of each channel stands.
+    pub(super) indexes_length: u64,
+    pub(super) indexes: BTreeMap<u16, u64>,
+    pub(super) size: u64,
+}
+
+/// Where an attachment stands.
+pub(super) struct AttachmentEntry {
+    pub(super) offset: u64,
+    pub(super) length: u64,
+    pub(super) size: u64,
+    pub(super) name: String,
+    pub(super) media_type: String,
+}
+
+/// Where a piece of metadata stands.
+pub(super) struct MetadataEntry {
+    pub(super) offset: u64,
+    pub(super) length: u64,
+    pub(super) name: String,
+}
+
+/// Appends one record: its opcode, its length and what `body` appends.
+fn record(opcode: u8, out: &mut Vec<u8>, body: impl FnOnce(&mut Vec<u8>)) {
+    out.push(opcode);
+    let at = out.len();
+    u64(0, out);
+    body(out);
+    let length = (out.len() - at - 8) as u64;
+    out[at..at + 8].copy_from_slice(&length.to_le_bytes());
+}
+
+/// Appends what `body` appends, with its length in 32 bits before it.
+fn prefixed(out: &mut Vec<u8>, body: impl FnOnce(&mut Vec<u8>)) {
+    let at = out.len();
+    u32(0, out);
+    body(out);
+    let length = (out.len() - at - 4) as u32;
+    out[at..at + 4].copy_from_slice(&length.to_le_bytes());
+}
+
+fn u16(value: u16, out: &mut Vec<u8>) {
+    out.extend_from_slice(&value.to_le_bytes());
+}
+fn u32(value: u32, out: &mut Vec<u8>) {
+    out.extend_from_slice(&value.to_le_bytes());
+}
+fn u64(value: u64, out: &mut Vec<u8>) {
+    out.extend_from_slice(&value.to_le_bytes());
+}
+fn text(value: &str, out: &mut Vec<u8>) {
+    prefixed(out, |out| out.extend_from_slice(value.as_bytes()));
+}
+
+pub(super) fn header(profile: &str, library: &str, out: &mut Vec<u8>) {
+    record(op::HEADER, out, |out| {
+        text(profile, out);
+        text(library, out);
+    });
+}
+
+pub(super) fn schema(schema: &Schema, out: &mut Vec<u8>) {
+    record(op::SCHEMA, out, |out| {
+        u16(schema.id, out);
+        text(schema.name, out);
+        text(schema.encoding, out);
+        prefixed(out, |out| out.extend_from_slice(&schema.data));
+    });
+}
+
+pub(super) fn channel(channel: &Channel, out: &mut Vec<u8>) {
+    record(op::CHANNEL, out, |out| {
+        u16(channel.id, out);
+        u16(channel.schema, out);
+        text(channel.topic, out);
+        text(channel.encoding, out);
+        prefixed(out, |_| {});
+    });
+}
+
+/// `time` \[ns\] is both that of the log and that of the publication.
+pub(super) fn message(channel: u16, sequence: u32, time: u64, data: &[u8], out: &mut Vec<u8>) {
+    record(op::MESSAGE, out, |out| {
+        u16(channel, out);
+        u32(sequence, out);
+        u64(time, out);
+        u64(time, out);
+        out.extend_from_slice(data);
+    });
+}
+
+pub(super) fn metadata(name: &str, pairs: &BTreeMap<String, String>, out: &mut Vec<u8>) {
+    record(op::METADATA, out, |out| {
+        text(name, out);
+        prefixed(out, |out| {
+            for (key, value) in pairs {
+                text(key, out);
+                text(value, out);
+            }
+        });
+    });
+}
+
+pub(super) fn attachment(name: &str, media_type: &str, data: &[u8], out: &mut Vec<u8>) {
+    record(op::ATTACHMENT, out, |out| {
+        let begin = out.len();
+        // Logged and created at the beginning of the session.
+        u64(0, out);
+        u64(0, out);
+        text(name, out);
+        text(media_type, out);
+        u64(data.len() as u64, out);
+        out.extend_from_slice(data);
+        u32(crc32fast::hash(&out[begin..]), out);
+    });
+}
+
+/// A chunk with these records in it, the times of whose messages \[ns\] lie between `start` and `end`.
+pub(super) fn chunk((start, end): (u64, u64), records: &[u8], out: &mut Vec<u8>) {
+    record(op::CHUNK, out, |out| {
+        u64(start, out);
+        u64(end, out);
+        u64(records.len() as u64, out);
+        u32(crc32fast::hash(records), out);
+        text("", out);
+        u64(records.len() as u64, out);
+        out.extend_from_slice(records);
+    });
+}
+
+/// Time \[ns\] and offset in its chunk of each message of a channel.
+pub(super) fn message_index(channel: u16, entries: &[(u64, u64)], out: &mut Vec<u8>) {
+    record(op::MESSAGE_INDEX, out, |out| {
+        u16(channel, out);
+        prefixed(out, |out| {
+            for (time, offset) in entries {
+                u64(*time, out);
+                u64(*offset, out);
+            }
+        });
+    });
+}
+
+pub(super) fn chunk_index(entry: &ChunkEntry, out: &mut Vec<u8>) {
+    record(op::CHUNK_INDEX, out, |out| {
+        u64(entry.start, out);
+        u64(entry.end, out);
+        u64(entry.offset, out);
+        u64(entry.length, out);
+        prefixed(out, |out| {
+            for (channel, offset) in &entry.indexes {
+                u16(*channel, out);
+                u64(*offset, out);
+            }
+        });
+        u64(entry.indexes_length, out);
+        text("", out);
+        u64(entry.size, out);
+        u64(entry.size, out);
+    });
+}
+
+pub(super) fn attachment_index(entry: &AttachmentEntry, out: &mut Vec<u8>) {
+    record(op::ATTACHMENT_INDEX, out, |out| {
+        u64(entry.offset, out);
+        u64(entry.length, out);
+        u64(0, out);
+        u64(0, out);
+        u64(entry.size, out);
+        text(&entry.name, out);
+        text(&entry.media_type, out);
+    });
+}
+
+pub(super) fn metadata_index(entry: &MetadataEntry, out: &mut Vec<u8>) {
+    record(op::METADATA_INDEX, out, |out| {
+        u64(entry.offset, out);
+        u64(entry.length, out);
+        text(&entry.name, out);
+    });
+}
+
+/// How many there are of everything.
+pub(super) struct Statistics<'a> {
+    pub(super) schemas: u16,
+    pub(super) channels: u32,
+    pub(super) attachments: u32,
+    pub(super) metadata: u32,
+    pub(super) chunks: u32,
+    /// Of the first and the last message \[ns\].
+    pub(super) bounds: (u64, u64),
+    pub(super) messages: &'a BTreeMap<u16, u64>,
+}
+
+pub(super) fn statistics(counts: &Statistics<'_>, out: &mut Vec<u8>) {
+    record(op::STATISTICS, out, |out| {
+        u64(counts.messages.values().sum(), out);
+        u16(counts.schemas, out);
+        u32(counts.channels, out);
+        u32(counts.attachments, out);
+        u32(counts.metadata, out);
+        u32(counts.chunks, out);
+        u64(counts.bounds.0, out);
+        u64(counts.bounds.1, out);
+        prefixed(out, |out| {
+            for (channel, count) in counts.messages {
+                u16(*channel, out);
+                u64(*count, out);
+            }
+        });
+    });
+}
+
+pub(super) fn data_end(crc: u32, out: &mut Vec<u8>) {
+    record(op::DATA_END, out, |out| u32(crc, out));
+}
+
+pub(super) fn summary_offset(opcode: u8, start: u64, length: u64, out: &mut Vec<u8>) {
+    record(op::SUMMARY_OFFSET, out, |out| {
+        out.push(opcode);
+        u64(start, out);
+        u64(length, out);
+    });
+}
+
+/// The footer and the closing magic. `summary` is where in `out` the summary begins: the footer's checksum
+/// goes over everything from there.
+pub(super) fn footer(summary: usize, summary_start: u64, offsets_start: u64, out: &mut Vec<u8>) {
+    record(op::FOOTER, out, |out| {
+        u64(summary_start, out);
+        u64(offsets_start, out);
+        u32(0, out);
+    });
+    let at = out.len() - 4;
+    // The checksum includes the record's length, which stands there by now.
+    let crc = crc32fast::hash(&out[summary..at]);
+    out[at..].copy_from_slice(&crc.to_le_bytes());
+    out.extend_from_slice(MAGIC);
+}

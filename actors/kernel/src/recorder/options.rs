@@ -1,0 +1,75 @@
+//! What a recording is made of and how: what the caller says.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde_json::Value;
+use thiserror::Error;
+use trocar_scene::SimTime;
+
+/// What stands at the head of a recording.
+#[derive(Clone, Debug, Default)]
+pub struct RecordingHead {
+    /// Name of the scenario.
+    pub scenario: String,
+    /// Its text, as it was run.
+    pub scenario_text: String,
+    /// The session's seed.
+    pub seed: u64,
+    /// This station's number.
+    pub station: u16,
+    /// How it was run: `live` or `lockstep`.
+    pub mode: String,
+    /// Capabilities of each device by name.
+    pub devices: BTreeMap<String, Value>,
+    /// Whatever else a reader may want to know.
+    pub extra: BTreeMap<String, String>,
+}
+
+/// How a recording is written.
+#[derive(Clone, Copy, Debug)]
+pub struct RecorderOptions {
+    /// Time from one keyframe to the next.
+    pub keyframe_period: SimTime,
+    /// Time from one set of poses on `/tf` to the next.
+    pub tf_period: SimTime,
+    /// Longest time for which something stays in memory only.
+    pub flush_period: SimTime,
+    /// Most bytes that may wait for the disk; what comes on top is a gap.
+    pub backlog_max: usize,
+    /// Most publications that may wait for the recorder's thread; what comes on top is a gap.
+    pub queue_max: usize,
+}
+
+impl Default for RecorderOptions {
+    fn default() -> Self {
+        Self {
+            keyframe_period: SimTime::from_millis(5_000),
+            tf_period: SimTime(33_333_333),
+            flush_period: SimTime::from_millis(500),
+            backlog_max: 64 << 20,
+            queue_max: 4_096,
+        }
+    }
+}
+
+/// A recording that cannot begin.
+#[derive(Debug, Error)]
+pub enum RecorderError {
+    /// The file cannot be created.
+    #[error("recording '{}': {source}", file.display())]
+    Create {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The head cannot be written.
+    #[error("recording '{}': {message}", file.display())]
+    Head {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        message: String,
+    },
+}

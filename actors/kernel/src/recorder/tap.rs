@@ -1,0 +1,76 @@
+//! The recorder as the Model sees it: takes what is published without waiting for anybody.
+
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+
+use rtrb::{Consumer, Producer, PushError};
+use trocar_scene::Snapshot;
+
+use super::desk::{Desk, Lost, Publication};
+use crate::chain::StateHash;
+use crate::commit::CommitBuffer;
+use crate::runtime::guarded;
+use crate::spec::CommitSink;
+
+/// Why there is a gap after a flood.
+const QUEUE_FULL: &str = "the recorder's queue was full";
+
+/// The Model's end of the queue. A full queue is a gap, which is declared when there is room again.
+pub(super) struct Tap {
+    queue: Producer<Publication>,
+    emptied: Consumer<CommitBuffer>,
+    desk: Arc<Desk>,
+    hash: StateHash,
+    lost: Option<Lost>,
+}
+
+impl Tap {
+    pub(super) fn new(
+        queue: Producer<Publication>,
+        emptied: Consumer<CommitBuffer>,
+        desk: Arc<Desk>,
+        hash: StateHash,
+    ) -> Self {
+        Self { queue, emptied, desk, hash, lost: None }
+    }
+}
+
+impl CommitSink for Tap {
+    fn committed(&mut self, snapshot: &Arc<Snapshot>, commits: CommitBuffer) -> CommitBuffer {
+        if let Some(last) = commits.last_hash() {
+            self.hash = last;
+        }
+        if commits.is_empty() && self.lost.is_none() {
+            return commits;
+        }
+        let publication = Publication {
+            snapshot: snapshot.clone(),
+            commits,
+            hash: self.hash,
+            lost: self.lost.as_ref().map(|lost| lost.reason),
+        };
+        match self.queue.push(publication) {
+            Ok(()) => {
+                self.lost = None;
+                self.emptied.pop().unwrap_or_default()
+            }
+            Err(PushError::Full(Publication { snapshot, mut commits, hash, .. })) => {
+                self.lost = Some(Lost { reason: QUEUE_FULL, snapshot, hash });
+                commits.clear();
+                commits
+            }
+        }
+    }
+
+    fn close(&mut self, limit: Duration) -> bool {
+        let (desk, lost) = (self.desk.clone(), self.lost.take());
+        let (done, answer) = sync_channel(1);
+        // On a thread of its own: a disk that hangs must not keep the session from ending.
+        let closing = std::thread::Builder::new().name("trocar-closing".into()).spawn(move || {
+            let complete = guarded(|| desk.close(lost, limit)).unwrap_or(false);
+            let _ = done.try_send(complete);
+        });
+        closing.is_ok() && answer.recv_timeout(limit).unwrap_or(false)
+    }
+}
