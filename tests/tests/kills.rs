@@ -75,7 +75,7 @@ fn completes(options: RunOptions) {
     }
     for fault in plan.faults.iter().filter(|fault| !fault.target.starts_with("device.")) {
         let restarts = match fault.target.as_str() {
-            "model" => u64::from(outcome.kernel.model.restarts),
+            "model" => outcome.kernel.model.restarts,
             name => summary.controllers.iter().find(|row| row.name == name).expect("its row").restarts,
         };
         assert!(restarts >= 1, "{} was not restarted", fault.target);

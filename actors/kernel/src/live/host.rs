@@ -199,12 +199,14 @@ impl Body<'_> {
             }
             let step = self.shared.clock.now().since(begun);
             let lateness = begun.since(due.at);
+            if let Err(cause) = outcome {
+                // The next life begins with the tick that this one died in, rather than wait for another.
+                self.writer.next_tick.store(due.number, Ordering::Relaxed);
+                return cause;
+            }
             self.writer.next_tick.store(due.number + 1, Ordering::Relaxed);
             stats.ran(due.at, lateness, step);
             self.judge_lateness(due.missed + u64::from(lateness.0 >= self.writer.spec.period().0));
-            if let Err(cause) = outcome {
-                return cause;
-            }
             if !self.resumed {
                 self.resumed = true;
                 let (child, incarnation) = (self.writer.seat.child, self.life.incarnation);

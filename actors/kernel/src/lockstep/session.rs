@@ -337,16 +337,24 @@ impl LockstepSession {
     fn run_tick(&mut self, index: usize) {
         let slot = &mut self.slots[index];
         let number = slot.advance();
-        if !slot.is_alive() || slot.pending.is_some() || slot.stopping {
+        if !slot.is_free() {
             self.missed_tick(index);
             return;
         }
+        // A life that could begin at once takes the tick that its predecessor died in, as it does live.
+        if !self.attempt(index, number) && !(self.slots[index].is_free() && self.attempt(index, number)) {
+            self.slots[index].stats.missed(1);
+        }
+    }
+
+    /// One step of slot `index`; whether it lived through it.
+    fn attempt(&mut self, index: usize, number: u64) -> bool {
+        let slot = &mut self.slots[index];
         let begun = Instant::now();
         let ticked = slot.tick(number, self.now, self.core.view(), &self.registry);
-        if !matches!(ticked, Ticked::Died(_)) {
+        let lived = !matches!(ticked, Ticked::Died(_));
+        if lived {
             slot.stats.ran(self.now, SimTime::ZERO, SimTime::from(begun.elapsed()));
-        } else {
-            slot.stats.missed(1);
         }
         if slot.late && !matches!(ticked, Ticked::Busy) {
             slot.late = false;
@@ -354,6 +362,7 @@ impl LockstepSession {
             self.tell(Event::Late { child, late: false });
         }
         self.finish_tick(index, ticked);
+        lived
     }
 
     fn missed_tick(&mut self, index: usize) {

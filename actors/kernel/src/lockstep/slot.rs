@@ -132,6 +132,11 @@ impl Slot {
         self.controller.is_some()
     }
 
+    /// Whether it can take a step now.
+    pub(super) fn is_free(&self) -> bool {
+        self.is_alive() && self.pending.is_none() && !self.stopping
+    }
+
     /// Ends this life. A controller whose own destructor panics harms nobody.
     pub(super) fn end(&mut self) {
         let controller = self.controller.take();

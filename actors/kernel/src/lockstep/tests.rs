@@ -190,12 +190,12 @@ fn a_killed_controller_is_rebuilt_from_the_scene_and_goes_on_counting() {
     let plan = FaultPlan::new(1).at(secs(0.5)).kill("engine");
     let report = run(two_counters(), &plan, 1.0);
     let engine = &report.controllers[1];
-    assert_eq!((engine.restarts, engine.missed, engine.scheduled), (1, 1, 500));
+    assert_eq!((engine.restarts, engine.missed, engine.scheduled), (1, 0, 500));
     let row = &report.faults[0];
     assert_eq!(row.injected, Some(secs(0.5)));
     assert_eq!(row.detected, Some(secs(0.5)));
     assert_eq!(row.restarted, Some(secs(0.5)), "no pause before the first restart");
-    assert_eq!(row.resumed, Some(secs(0.502)));
+    assert_eq!(row.resumed, Some(secs(0.5)), "the new life takes the tick that the old one died in");
     assert!(matches!(&report.incidents[0].cause, Cause::Panic(text) if text.contains("fault")));
     assert_eq!(report.controllers[0].restarts, 0, "the hand is in another group");
 }
@@ -226,8 +226,12 @@ fn a_panic_in_a_tick_ends_that_life_only_and_its_contribution_leaves_the_scene()
     session.step_until(secs(0.3001));
     assert_eq!(session.view().iter::<Pairs>().count(), 1, "fenced at once");
     session.step_until(secs(1.0));
-    assert_eq!(session.view().get::<Pairs>(Entity::of_writer(0, 1)), Some(&Pairs(vec![2])));
-    assert_eq!(lives.load(Ordering::Relaxed), 2);
+    assert_eq!(session.view().get::<Pairs>(Entity::of_writer(0, 1)), Some(&Pairs(vec![3])));
+    assert_eq!(
+        lives.load(Ordering::Relaxed),
+        3,
+        "the second life died of the same tick, the third passed it over"
+    );
     let report = session.finish();
     assert!(matches!(&report.incidents[0].cause, Cause::Panic(text) if text.starts_with("a bug")));
 }
