@@ -197,6 +197,20 @@ fn every_crate_lies_in_its_room_and_takes_the_lints_of_the_workspace() {
 }
 
 #[test]
+fn the_readmes_program_is_the_example_that_the_tests_build() {
+    let read = |name: &str| std::fs::read_to_string(root().join(name)).expect("a readable file");
+    let (readme, example) = (read("README.md"), read("ui/cli/examples/haste.rs"));
+    let (_, shown) = readme.split_once("```rust\n").expect("the README shows a program");
+    let (shown, _) = shown.split_once("\n```").expect("which ends");
+    assert!(
+        example.ends_with(&format!("{shown}\n")),
+        "the README shows something else than examples/haste.rs"
+    );
+    let counts = |line: &&str| !line.trim().is_empty() && !line.trim_start().starts_with("//");
+    assert!(shown.lines().filter(counts).count() <= 25, "a new behaviour takes 25 lines at most");
+}
+
+#[test]
 fn no_file_is_longer_than_a_newcomer_can_follow() {
     let folders = ["scene", "devices", "actors", "ui", "tests"];
     let long: Vec<String> = folders

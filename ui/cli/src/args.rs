@@ -6,7 +6,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 
 /// Surgical simulation by actors: one Model, many controllers, each at a rate of its own.
 #[derive(Debug, Parser)]
-#[command(name = "trocar", version, about, max_term_width = 100, arg_required_else_help = true)]
+#[command(name = "trocar", version, max_term_width = 100, arg_required_else_help = true)]
 #[command(
     after_help = "Exit codes: 0 ok, 1 an expectation failed or the exercise was not completed, 2 usage, \
     3 a device is missing, 4 a scenario or file cannot be used, 70 internal error.\n\

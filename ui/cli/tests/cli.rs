@@ -42,6 +42,38 @@ fn assert_valid(of: &str, object: &Value) {
     assert!(errors.is_empty(), "{errors:?}");
 }
 
+/// A program of one's own, built beside this test as an example.
+#[test]
+fn a_program_with_a_controller_of_its_own_has_the_whole_command_line() {
+    let program = Path::new(env!("CARGO_BIN_EXE_trocar")).with_file_name("examples").join("haste");
+    let folder = here();
+    let run = |arguments: &[&str]| {
+        let output = Command::new(&program).args(arguments).current_dir(folder.path()).output();
+        output.unwrap_or_else(|error| panic!("{}: {error}", program.display()))
+    };
+    let output =
+        run(&["run", "peg-transfer", "--lockstep", "--seconds", "8", "--no-record", "--no-report", "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let summary = object(&output);
+    let rows = summary["controllers"].as_array().expect("rows");
+    let row = rows.iter().find(|row| row["name"] == "watcher").expect("the program's own controller");
+    assert_eq!((row["scheduled"].as_u64(), row["rejected"].as_u64()), (Some(800), Some(0)));
+    assert!(stdout(&run(&["list", "components"])).contains("haste"));
+    assert!(stdout(&run(&["graph", "wall"])).contains("watcher"));
+    assert!(stdout(&run(&["--help"])).contains("Usage: haste"));
+}
+
+#[test]
+fn the_fault_table_can_be_asked_for_and_ready_plans_are_known_by_name() {
+    let folder = here();
+    assert!(stdout(&trocar(folder.path(), &["faults", "verify", "--help"])).contains("--lockstep"));
+    assert!(stdout(&trocar(folder.path(), &["list", "plans"])).contains("bad-day"));
+    let wrong =
+        trocar(folder.path(), &["run", "peg-transfer", "--lockstep", "--faults", "bad-dya", "--no-record"]);
+    assert_eq!(wrong.status.code(), Some(4));
+    assert!(stderr(&wrong).contains("did you mean 'bad-day'"), "{}", stderr(&wrong));
+}
+
 #[test]
 fn a_run_prints_one_object_that_keeps_the_contract_and_leaves_its_files() {
     let folder = here();

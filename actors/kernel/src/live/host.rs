@@ -176,8 +176,9 @@ impl Body<'_> {
                 Ok(Some(due)) => due,
                 Ok(None) => {
                     // Slow, not stalled.
-                    self.life.bump();
-                    self.life.bump();
+                    let now = self.shared.clock.now();
+                    self.life.bump(now);
+                    self.life.bump(now);
                     continue;
                 }
                 Err(error) => return Cause::Error(format!("timer: {error}")),
@@ -187,17 +188,18 @@ impl Body<'_> {
                 stats.missed(due.missed);
             }
             let begun = self.shared.clock.now();
-            self.life.bump();
+            self.life.bump(begun);
             let outcome = if self.writer.seat.seam.is_held() {
                 Ok(())
             } else {
                 guarded(|| self.step(due)).unwrap_or_else(|panic| Err(Cause::Panic(panic)))
             };
-            self.life.bump();
+            let ended = self.shared.clock.now();
+            self.life.bump(ended);
             if self.life.is_abandoned() {
                 return Cause::Stop;
             }
-            let step = self.shared.clock.now().since(begun);
+            let step = ended.since(begun);
             let lateness = begun.since(due.at);
             if let Err(cause) = outcome {
                 // The next life begins with the tick that this one died in, rather than wait for another.

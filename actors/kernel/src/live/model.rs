@@ -170,9 +170,9 @@ impl ModelActor {
             }
             shared.batches.fetch_add(1, Ordering::Relaxed);
             desk.lanes.give_back(lane, batch);
-            life.bump();
-            life.bump();
             now = shared.clock.now();
+            life.bump(now);
+            life.bump(now);
             if desk.core.is_publish_due(now, false) {
                 desk.publish(shared);
             }
@@ -186,10 +186,10 @@ impl ModelActor {
     fn rung(&mut self, ctx: &mut Context<Self>) {
         let Some(life) = self.life.clone() else { return };
         let begun = self.shared.clock.now();
-        life.bump();
+        life.bump(begun);
         let outcome = guarded(|| self.pass(&life));
-        life.bump();
         let ended = self.shared.clock.now();
+        life.bump(ended);
         if life.is_abandoned() {
             self.shared.report(Event::ZombieEnded);
             return self.leave(ctx);

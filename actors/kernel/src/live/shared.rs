@@ -21,6 +21,8 @@ pub(crate) struct Life {
     pub(crate) incarnation: u32,
     /// Odd while a step is running.
     pub(crate) beat: AtomicU64,
+    /// When it beat last \[ns of the session\].
+    pub(crate) beat_at: AtomicU64,
     /// Thread number; 0 before it runs.
     pub(crate) tid: AtomicU32,
     /// Constructed: the watchdog may look.
@@ -44,7 +46,8 @@ impl Life {
         self.abandoned.load(Ordering::Acquire)
     }
     /// A step begins or ends.
-    pub(crate) fn bump(&self) {
+    pub(crate) fn bump(&self, now: SimTime) {
+        self.beat_at.store(now.0, Ordering::Relaxed);
         self.beat.fetch_add(1, Ordering::Release);
     }
 }

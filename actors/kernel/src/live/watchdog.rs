@@ -11,9 +11,11 @@ use super::shared::{Life, Report, Seat, Shared};
 use crate::runtime::sched;
 use crate::supervision::{Event, RuntimeClass};
 
-/// Bounds of the pause between two looks.
+/// Bounds of the pause between two looks; towards the end of somebody's limit it is shorter.
 const PAUSE_MIN: SimTime = SimTime::from_millis(1);
 const PAUSE_MAX: SimTime = SimTime::from_millis(10);
+/// Shortest pause: what a sleep is late anyway.
+const PAUSE_LAST: SimTime = SimTime::from_micros(50);
 /// Limits after which even a thread that is only kept waiting is replaced.
 const STARVED_MAX: u64 = 20;
 
@@ -46,17 +48,23 @@ fn watch(shared: &Shared) {
     let now = shared.clock.now();
     let mut watches: Vec<Watch> = shared.seats().map(|seat| Watch::new(seat.life.load_full(), now)).collect();
     let mut last = now;
+    let mut next = now + pause;
     while !shared.over.load(Ordering::Relaxed) {
-        std::thread::sleep(Duration::from_nanos(pause.0));
+        std::thread::sleep(Duration::from_nanos(next.since(last).max(PAUSE_LAST).0));
         let now = shared.clock.now();
         // When this thread itself was kept waiting, the others may have been as well: count anew.
         let blind = now.since(last).0 > 4 * pause.0;
         last = now;
+        next = now + pause;
         for (seat, watch) in shared.seats().zip(&mut watches) {
             if !Arc::ptr_eq(&watch.life, &seat.life.load()) {
                 *watch = Watch::new(seat.life.load_full(), now);
             }
             look(shared, seat, watch, now, blind);
+            let limit = watch.since + seat.heartbeat_limit;
+            if !watch.told && limit > now {
+                next = next.min(limit);
+            }
         }
     }
 }
@@ -76,7 +84,8 @@ fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bo
     let resting = !seat.ticks && beat.is_multiple_of(2);
     if beat != watch.beat || resting || blind {
         watch.beat = beat;
-        watch.since = now;
+        let beat_at = SimTime(watch.life.beat_at.load(Ordering::Relaxed));
+        watch.since = if resting || blind { now } else { beat_at.min(now) };
         watch.cpu = cpu_of(&watch.life);
         return;
     }

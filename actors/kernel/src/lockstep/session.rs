@@ -342,7 +342,9 @@ impl LockstepSession {
             return;
         }
         // A life that could begin at once takes the tick that its predecessor died in, as it does live.
-        if !self.attempt(index, number) && !(self.slots[index].is_free() && self.attempt(index, number)) {
+        let lived =
+            self.attempt(index, number) || (self.slots[index].is_free() && self.attempt(index, number));
+        if !lived {
             self.slots[index].stats.missed(1);
         }
     }

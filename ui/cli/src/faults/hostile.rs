@@ -76,8 +76,10 @@ impl Controller for NeverReturns {
         access()
     }
     fn tick(&mut self, tick: &Tick<'_>, _: &Snapshot, _: &mut Commands) -> Result<(), ControllerError> {
-        while tick.epoch == 1 && tick.number >= 100 {
-            std::hint::spin_loop();
+        if tick.epoch == 1 && tick.number >= 100 {
+            loop {
+                std::hint::spin_loop();
+            }
         }
         Ok(())
     }

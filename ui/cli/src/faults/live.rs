@@ -1,7 +1,7 @@
 //! The fault table in real time: medians of at least twenty, beside what a bare thread needs.
 
 use std::sync::Arc;
-use std::sync::mpsc::channel;
+use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
 
 use trocar::app::{App, Blueprint};
@@ -44,8 +44,8 @@ pub fn rows(tell: &mut dyn FnMut(&str)) -> Result<Vec<BenchResult>, Failure> {
 /// What a bare thread needs from its panic until a replacement runs \[ms\].
 fn bare_restarts() -> Vec<f64> {
     let once = || {
-        let (died, inbox) = channel();
-        let (up, answer) = channel();
+        let (died, inbox) = sync_channel(1);
+        let (up, answer) = sync_channel(1);
         let first = std::thread::spawn(move || {
             let begun = Instant::now();
             // No message: the hook would print it, and printing is not what is measured.
@@ -67,7 +67,9 @@ fn kills() -> Result<Vec<BenchResult>, Failure> {
     let mut plan = FaultPlan::new(1);
     for time in 0..TIMES {
         for (index, (actor, _, _)) in ACTORS.iter().enumerate() {
-            plan = plan.at(secs(WARM + gap * (time * ACTORS.len() + index) as f64)).kill(actor);
+            let from = WARM + gap * (time * ACTORS.len() + index) as f64;
+            // Anywhere within its slot: a fault that keeps step with its target's ticks would always wait longest.
+            plan = plan.between(secs(from), secs(from + 0.5 * gap)).kill(actor);
         }
     }
     let seconds = WARM + gap * (TIMES * ACTORS.len()) as f64 + 1.0;
@@ -92,7 +94,7 @@ fn stalls() -> Result<Vec<BenchResult>, Failure> {
         for (index, (actor, _, _)) in stalled().enumerate() {
             // All of them within one gap: threads that hang do not keep each other from being seen.
             let at = WARM + gap * time as f64 + 0.02 * index as f64;
-            plan = plan.at(secs(at)).lasting(secs(span)).stall(actor);
+            plan = plan.between(secs(at), secs(at + 0.02)).lasting(secs(span)).stall(actor);
         }
     }
     let finished = run(&App::new(), plan, WARM + gap * TIMES as f64 + 1.0)?;
