@@ -40,6 +40,8 @@ pub enum Command {
         #[command(subcommand)]
         command: FaultsCommand,
     },
+    /// Run random fault plans in virtual time, on all cores, and check what must hold whatever they do
+    Soak(SoakArgs),
     /// Look at this machine: what limits the rates, and how to mend it
     Doctor(DoctorArgs),
     /// Print a JSON schema
@@ -201,6 +203,26 @@ pub struct VerifyArgs {
     #[arg(long)]
     pub live: bool,
     /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `trocar soak`.
+#[derive(Debug, Args)]
+pub struct SoakArgs {
+    /// Name of a scenario, or a TOML file
+    #[arg(default_value = "peg-transfer", value_hint = ValueHint::FilePath)]
+    pub scenario: String,
+    /// How many plans
+    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    pub plans: u64,
+    /// Seed of the first plan; the others follow
+    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    pub from: u64,
+    /// End each run after this much time of the session \[s\]; otherwise when the exercise is over
+    #[arg(long, value_parser = positive)]
+    pub seconds: Option<f64>,
+    /// Print exactly one JSON object on stdout
     #[arg(long)]
     pub json: bool,
 }

@@ -25,6 +25,7 @@ mod output;
 mod replay;
 mod report;
 mod run;
+mod soak;
 
 pub use bench::counting::CountingAllocator;
 
@@ -75,6 +76,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Graph(args) => graph::graph(app, &args),
         Command::Bench(args) => bench::bench(&args),
         Command::Faults { command } => faults::faults(&command),
+        Command::Soak(args) => soak::run(app, &args),
         Command::Doctor(args) => doctor::doctor(&args),
         Command::Schema(args) => {
             let schema = match args.of {

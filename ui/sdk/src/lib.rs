@@ -12,5 +12,6 @@ pub mod prelude;
 pub mod recorded_hand;
 pub mod run;
 pub mod session;
+pub mod soak;
 pub mod summary;
 pub mod trace;
