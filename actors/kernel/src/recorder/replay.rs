@@ -4,15 +4,12 @@
 use std::iter::Peekable;
 use std::sync::Arc;
 
-use trocar_scene::{Commands, ComponentError, Entity, EntityAllocator, Registry, SimTime, Snapshot};
+use trocar_scene::{Commands, ComponentError, EntityAllocator, Registry, SimTime, Snapshot};
 
 use super::format::{Gap, Group};
 use super::reader::{Item, Keyframe, Recording, RecordingError};
 use crate::chain::StateHash;
 use crate::model_core::ModelCore;
-
-/// Highest entity number that a recording may make the scene reserve room for.
-const COUNTER_MAX: u32 = 1 << 24;
 
 type Items<'a> = Box<dyn Iterator<Item = Result<Item, RecordingError>> + 'a>;
 
@@ -171,7 +168,6 @@ impl<'a> Replay<'a> {
             if !rest.is_empty() {
                 return Err(wrong(&ComponentError::Malformed(format!("{} bytes too many", rest.len()))));
             }
-            check_entities(&self.commands).map_err(|error| wrong(&error))?;
             self.commands.seal();
             self.core
                 .replay(commit.kind, commit.writer, commit.provenance, &mut self.commands)
@@ -204,14 +200,4 @@ fn load(
     let store = keyframe.load(registry).map_err(wrong)?;
     let core = ModelCore::new(store, recording.metadata().station).map_err(wrong)?;
     Ok(core.with_chain(keyframe.hash))
-}
-
-/// Columns are dense in entity numbers: an absurd one would reserve absurd room.
-fn check_entities(commands: &Commands) -> Result<(), ComponentError> {
-    let puts = commands.puts().flat_map(|(_, puts)| (0..puts.len()).map(move |index| puts.entity(index)));
-    let absurd = |entity: &Entity| entity.counter() > COUNTER_MAX;
-    match puts.chain(commands.spawns().iter().copied()).find(absurd) {
-        Some(entity) => Err(ComponentError::Malformed(format!("entity {entity} is beyond {COUNTER_MAX}"))),
-        None => Ok(()),
-    }
 }
