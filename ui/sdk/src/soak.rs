@@ -22,7 +22,7 @@ const WINDOW: (f64, f64) = (1.0, 40.0);
 /// Longest random fault that ends by itself \[s\].
 const LASTING_MAX: f64 = 0.6;
 /// Greatest force that any of the exercise's devices may render \[N\].
-const FORCE_MAX: f64 = 3.3;
+pub const FORCE_MAX: f64 = 3.3;
 
 /// What became of one seed.
 #[derive(Clone, Debug)]
@@ -116,7 +116,8 @@ fn look(progress: &Progress<'_>, violations: &mut Vec<String>) {
     }
 }
 
-fn is_finite(scene: &Snapshot) -> bool {
+/// Whether every pose, velocity and force in a scene is a number.
+pub fn is_finite(scene: &Snapshot) -> bool {
     scene.iter::<Pose>().all(|(_, pose)| pose.translation.iter().all(|x| x.is_finite()))
         && scene.iter::<Velocity>().all(|(_, velocity)| velocity.linear.iter().all(|x| x.is_finite()))
         && scene.iter::<DeviceForce>().all(|(_, force)| force.force.iter().all(|x| x.is_finite()))

@@ -8,6 +8,7 @@ use trocar::app::{App, Blueprint};
 use trocar::assembly::Assembly;
 use trocar::run::{RunError, RunOptions};
 use trocar::session::{Finished, Session};
+use trocar::soak::FORCE_MAX;
 use trocar::summary::{BenchResult, Better};
 use trocar_kernel::faults::{FaultPlan, FaultRow, secs};
 use trocar_kernel::spec::{MODEL, SessionSpec};
@@ -15,7 +16,7 @@ use trocar_kernel::supervision::{Backoff, ChildSpec, GroupSpec, Intensity, Node,
 use trocar_scene::{Controller, SimTime};
 
 use super::hostile::{NeverReturns, Nuisance};
-use super::lockstep::{ACTORS, FORCE_MAX, SCENARIO};
+use super::lockstep::{ACTORS, SCENARIO};
 use crate::failure::Failure;
 use trocar_kernel::bench::median_and_spread as median;
 

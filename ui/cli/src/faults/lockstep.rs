@@ -4,11 +4,12 @@ use std::path::Path;
 
 use trocar::app::App;
 use trocar::run::{RunOptions, RunOutcome};
+use trocar::soak::{FORCE_MAX, is_finite};
 use trocar::summary::{BenchResult, Better};
 use trocar_kernel::faults::{During, Expect, FaultAt, FaultPlan, FaultRow, secs};
 use trocar_kernel::spec::MODEL;
 use trocar_kernel::supervision::{ChildSpec, RuntimeClass};
-use trocar_scene::{DeviceForce, Pose, SimTime, Snapshot, Velocity};
+use trocar_scene::SimTime;
 
 use super::hostile::{AlwaysFails, Floods, Nuisance, WritesNan};
 use crate::failure::Failure;
@@ -21,8 +22,6 @@ const WINDOW: (f64, f64) = (3.0, 12.0);
 const RUN_SECS: f64 = 20.0;
 /// Seeds of each row; the worst one counts.
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
-/// Force limit of the exercise's hands \[N\].
-pub const FORCE_MAX: f64 = 3.3;
 /// Longest way back from a death \[ms\].
 const RESUME_MS_MAX: f64 = 10.0;
 /// Length of an injected stall.
@@ -92,7 +91,7 @@ pub fn rows(folder: &Path, tell: &mut dyn FnMut(&str)) -> Result<Vec<BenchResult
                 let row = row_of(&outcome)?;
                 wrong.check(row.detected.is_some(), "nobody noticed");
                 wrong.check(row.resumed.is_some(), "it never worked again");
-                wrong.check(all_finite(&outcome.kernel.snapshot), "a number that is none is in the scene");
+                wrong.check(is_finite(&outcome.kernel.snapshot), "a number that is none is in the scene");
                 Ok(())
             })
         })?;
@@ -199,12 +198,6 @@ fn millis(from: Option<SimTime>, to: Option<SimTime>) -> f64 {
         (Some(from), Some(to)) => to.since(from).as_secs_f64() * 1e3,
         _ => f64::INFINITY,
     }
-}
-
-fn all_finite(scene: &Snapshot) -> bool {
-    scene.iter::<Pose>().all(|(_, pose)| pose.translation.iter().all(|x| x.is_finite()))
-        && scene.iter::<Velocity>().all(|(_, velocity)| velocity.linear.iter().all(|x| x.is_finite()))
-        && scene.iter::<DeviceForce>().all(|(_, force)| force.force.iter().all(|x| x.is_finite()))
 }
 
 /// The largest figure over the seeds, held against a bar.
