@@ -19,7 +19,7 @@ use crate::grasp_planner::{GraspPlan, GraspWish, comfortable_opening, plan_grasp
 use crate::motor_model::{HandMotor, MotorParameters, TipCommand, TipGoal};
 use crate::noise::Noise;
 use crate::strategy::{Step, Strategy};
-use crate::trainee_view::{BenchSeen, MomentSeen, RingSeen, tip_for_point, tip_pose};
+use crate::trainee_view::{BenchSeen, MomentSeen, tip_for_point, tip_pose};
 
 /// One hand's mind.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -327,16 +327,8 @@ impl Autopilot {
     /// shares with rings that came later and lie on top of it.
     fn is_done(&self, scene: &Scene<'_>, ring: usize) -> bool {
         let held = scene.moment.hands.iter().any(|hand| hand.held == Some(ring));
-        let seen = &scene.moment.rings[ring];
-        let Some(peg) = scene.bench.peg_inside(seen) else { return false };
-        let height = scene.bench.height(&seen.center());
-        let below = |(other, lower): (usize, &RingSeen)| {
-            other != ring
-                && scene.bench.height(&lower.center()) < height
-                && scene.bench.peg_inside(lower) == Some(peg)
-        };
-        let stacked = scene.moment.rings.iter().enumerate().any(below);
-        !held && !stacked && scene.bench.pegs[peg].board == self.target_board(scene)
+        let peg = scene.bench.peg_of(&scene.moment.rings, ring);
+        !held && peg.is_some_and(|peg| scene.bench.pegs[peg].board == self.target_board(scene))
     }
 
     /// The nearest free peg of the target board.

@@ -108,6 +108,16 @@ impl BenchSeen {
     pub fn drop_below_center(&self, ring: &RingSeen) -> f64 {
         self.ring_radius * ring.normal(&self.up()).cross(&self.up()).norm() + self.tube_radius
     }
+    /// The peg that a ring has taken: it goes through the ring's hole, and no other ring is lower on it.
+    pub fn peg_of(&self, rings: &[RingSeen], ring: usize) -> Option<usize> {
+        let seen = rings.get(ring)?;
+        let peg = self.peg_inside(seen)?;
+        let height = self.height(&seen.center());
+        let stacked = rings.iter().enumerate().any(|(other, lower)| {
+            other != ring && self.height(&lower.center()) < height && self.peg_inside(lower) == Some(peg)
+        });
+        (!stacked).then_some(peg)
+    }
     /// The peg that goes through the ring's hole, as far as one can see.
     pub fn peg_inside(&self, ring: &RingSeen) -> Option<usize> {
         self.pegs.iter().position(|peg| {
@@ -176,6 +186,31 @@ mod tests {
         // A closing direction along the shaft is impossible; the pose is valid all the same.
         let awkward = tip_pose(&position, &apex, &z);
         assert!(awkward.rotation.coords.iter().all(|v| v.is_finite()));
+    }
+
+    #[test]
+    fn of_two_rings_on_a_peg_only_the_lower_one_has_taken_it() {
+        let foot = Vector3::new(0.04, 0.0, 0.0);
+        let peg = PegSeen { board: 0, foot, up: Vector3::z(), height: 0.02, radius: 0.001 };
+        let grasper = GrasperSeen {
+            jaw_length: 0.018,
+            jaw_width: 0.003,
+            jaw_thickness: 0.0015,
+            jaw_angle_max: 0.9,
+            shaft_radius: 0.0025,
+            apex: Vector3::new(0.1, -0.09, 0.17),
+        };
+        let bench = BenchSeen {
+            pegs: vec![peg],
+            ring_radius: 0.008,
+            tube_radius: 0.0015,
+            graspers: [grasper, grasper],
+            first_board: 0,
+        };
+        let ring = |x: f64, z: f64| RingSeen { pose: Isometry3::translation(x, 0.0, z), speed: 0.0 };
+        let rings = [ring(0.041, 0.0045), ring(0.04, 0.0015), ring(0.08, 0.0015)];
+        let taken = [0, 1, 2, 3].map(|index| bench.peg_of(&rings, index));
+        assert_eq!(taken, [None, Some(0), None, None], "stacked, lowest, elsewhere, no such ring");
     }
 
     #[test]
