@@ -79,6 +79,11 @@ pub struct RunSummary {
     pub faults: Vec<FaultSummary>,
     /// Largest force at any driver, after its clamp \[N\].
     pub force_newtons_max: f64,
+    /// Greatest age of the last accepted command while a driver still held a force \[µs\]: the promise is 20,000,
+    /// and on a machine that keeps drivers waiting that wait comes on top.
+    pub force_age_max_us: f64,
+    /// Commands that drivers refused because whoever sent them was dead or abandoned.
+    pub commands_refused: u64,
     /// Deepest penetration of two bodies \[m\].
     pub penetration_max: f64,
     /// File of the recording.
@@ -107,6 +112,8 @@ impl RunSummary {
             controllers: Vec::new(),
             faults: Vec::new(),
             force_newtons_max: 0.0,
+            force_age_max_us: 0.0,
+            commands_refused: 0,
             penetration_max: 0.0,
             recording: None,
             recording_complete: false,

@@ -24,7 +24,9 @@ use trocar_scene::{Access, ComponentError, Entity, EntityAllocator, SimTime, Sna
 
 use crate::chain::StateHash;
 use crate::faults::{FaultLog, FaultPlanError, FaultRow, FaultSchedule, TargetClass, Targets};
-use crate::handle::{Intake, LaneStatus, WriterHandle};
+use crate::flow::FlowLimit;
+use crate::handle::{LaneStatus, WriterHandle};
+use crate::intake::Intake;
 use crate::model_core::ModelCore;
 use crate::runtime::{Clock, ControllerReport, Permission, TickStats};
 use crate::spec::{ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, SessionSpec};
@@ -199,7 +201,7 @@ impl LiveSession {
     /// One row per controller, in the order of the session, as it is now.
     pub fn stats(&self) -> Vec<ControllerReport> {
         let elapsed = self.elapsed();
-        self.order.iter().map(|index| self.shared.writers[*index].seat.stats.report(elapsed)).collect()
+        self.order.iter().map(|index| self.shared.writers[*index].report(elapsed)).collect()
     }
     /// What every controller has declared to the Model, with its rate \[Hz\], in the order of the session.
     pub fn accesses(&self) -> Vec<(String, f64, Access)> {
@@ -275,7 +277,7 @@ impl LiveSession {
     }
 
     /// A way to the Model for somebody who is no controller: a console, a viewer, a measurement. It is
-    /// neither ticked nor supervised, and lasts until the session ends or a Model had to be left behind.
+    /// neither ticked nor supervised, has no flow limit but its ring, and lasts until the session ends.
     ///
     /// # Errors
     /// When the name or number is taken, the access overlaps with others', or the Model does not answer.
@@ -300,7 +302,8 @@ impl LiveSession {
         }
         let allocator = EntityAllocator::new(self.shared.station, id.0);
         allocator.skip_to(first_free(&self.snapshot(), self.shared.station, id.0));
-        Ok(self.shared.intake.open(id, 1, capacity, allocator, Arc::default()))
+        let bounds = (capacity, FlowLimit::UNLIMITED);
+        Ok(self.shared.intake.open(id, 1, bounds, allocator, Arc::default()))
     }
 
     /// Ends the session within two seconds, whatever hangs: forces to zero first, controllers, Model,
@@ -323,11 +326,7 @@ impl LiveSession {
             wall: SimTime::from(self.begun.elapsed()),
             hash: hash.unwrap_or(StateHash([0; 32])),
             snapshot,
-            controllers: self
-                .order
-                .iter()
-                .map(|index| self.shared.writers[*index].seat.stats.report(sim))
-                .collect(),
+            controllers: self.order.iter().map(|index| self.shared.writers[*index].report(sim)).collect(),
             model: self.shared.model.stats.report(sim),
             faults: status.faults.clone(),
             incidents: status.incidents.clone(),
@@ -431,6 +430,8 @@ fn share(
             lane: Arc::<LaneStatus>::default(),
             epoch: AtomicU32::new(1),
             applied: AtomicU64::new(0),
+            taken: AtomicU64::new(0),
+            unpublished: AtomicU64::new(0),
             next_tick: AtomicU64::new(0),
             events_seen: AtomicU64::new(0),
             declared: Mutex::new(None),
@@ -445,13 +446,13 @@ fn share(
         seed,
         station,
         published: Arc::new(ArcSwap::from_pointee(scene.snapshot())),
-        intake: Intake::new(scene.view().registry().clone(), Arc::new(move || ring.notify_one())),
+        intake: Intake::new(scene.view().registry().clone(), clock, Arc::new(move || ring.notify_one())),
         bell,
-        generation: AtomicU32::new(0),
         model,
         writers,
         reports,
         declares: Mutex::new(Vec::new()),
+        guests: Mutex::new(Vec::new()),
         declares_waiting: AtomicBool::new(false),
         fences_waiting: AtomicBool::new(false),
         has_sink: commit_sink.is_some(),

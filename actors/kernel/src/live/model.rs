@@ -10,9 +10,9 @@ use tokio::sync::Notify;
 use tokio::sync::futures::OwnedNotified;
 use trocar_scene::{SimTime, Snapshot, Store, WriterId};
 
-use super::shared::{Life, Shared, lock};
+use super::shared::{Declare, Guest, Life, Shared, lock};
 use crate::commit::CommitBuffer;
-use crate::handle::Lanes;
+use crate::intake::{Arrival, Lanes};
 use crate::model_core::{ModelCore, Outcome};
 use crate::retire::Retired;
 use crate::runtime::{guarded, sched};
@@ -82,10 +82,15 @@ impl ModelActor {
         self.shared.model.stats.enter_thread(tid);
         if let Some(desk) = &mut self.desk {
             let culprit = self.culprit.take();
-            desk.core.recover(culprit);
+            let fell_back = desk.core.recover(culprit);
             if let Some(index) = culprit.and_then(|id| self.shared.writer_index(id)) {
                 // The batch that killed it is not tried again.
-                self.shared.writers[index].seat.stats.rejected();
+                let writer = &self.shared.writers[index];
+                writer.seat.stats.rejected();
+                writer.taken.store(0, Ordering::Relaxed);
+            }
+            if fell_back {
+                self.shared.writers.iter().for_each(|writer| writer.lose_unpublished());
             }
             return Ok(());
         }
@@ -123,9 +128,12 @@ impl ModelActor {
             if let Some(access) = &*lock(&writer.declared) {
                 core.declare(&writer.seat.name, writer.id, access).map_err(|error| error.to_string())?;
             }
+            // What waits in the rings is ours now; what the old Model had taken out of them went with it.
+            writer.lose_unpublished();
         }
-        // The rings went with the old Model: everybody opens new ones.
-        self.shared.generation.fetch_add(1, Ordering::Release);
+        for Guest { name, id, access } in &*lock(&self.shared.guests) {
+            core.declare(name, *id, access).map_err(|error| error.to_string())?;
+        }
         self.shared.fences_waiting.store(true, Ordering::Release);
         Ok(core)
     }
@@ -139,6 +147,9 @@ impl ModelActor {
         }
         if let Some(span) = shared.model.seam.take_stall() {
             super::host::stall(shared, span);
+            if life.is_abandoned() {
+                return;
+            }
             shared.model.seam.end_stall();
         }
         if shared.declares_waiting.swap(false, Ordering::AcqRel) {
@@ -151,10 +162,14 @@ impl ModelActor {
         if shared.fences_waiting.swap(false, Ordering::AcqRel) {
             desk.raise_fences(shared, now);
         }
-        while let Some((lane, mut batch)) = desk.lanes.next() {
+        while let Some(Arrival { lane, sealed_at, mut batch }) = desk.lanes.pop(now) {
             let id = batch.provenance.writer;
             self.culprit = Some(id);
             let writer = shared.writer_index(id).map(|index| &shared.writers[index]);
+            if let Some(writer) = writer {
+                writer.taken.store(1, Ordering::Relaxed);
+                writer.seat.stats.waited(now.since(sealed_at));
+            }
             // Raised between the pass's beginning and this batch: it must not slip through.
             if writer.is_some_and(|w| w.epoch.load(Ordering::Acquire) > batch.provenance.epoch) {
                 desk.raise_fences(shared, now);
@@ -163,10 +178,14 @@ impl ModelActor {
             // Guests have no row in the report.
             if let Some(writer) = writer {
                 match outcome {
-                    Outcome::Applied { .. } => drop(writer.applied.fetch_add(1, Ordering::Relaxed)),
+                    Outcome::Applied { .. } => {
+                        writer.applied.fetch_add(1, Ordering::Relaxed);
+                        writer.unpublished.fetch_add(1, Ordering::Relaxed);
+                    }
                     Outcome::Rejected(_) => writer.seat.stats.rejected(),
                     Outcome::Conflict(_) => writer.seat.stats.conflict(),
                 }
+                writer.taken.store(0, Ordering::Relaxed);
             }
             shared.batches.fetch_add(1, Ordering::Relaxed);
             desk.lanes.give_back(lane, batch);
@@ -230,10 +249,15 @@ impl Desk {
     fn hear_declarations(&mut self, shared: &Shared) {
         for declare in std::mem::take(&mut *lock(&shared.declares)) {
             let answer = self.core.declare(&declare.name, declare.id, &declare.access);
-            if answer.is_ok()
-                && let Some(index) = shared.writer_index(declare.id)
-            {
-                *lock(&shared.writers[index].declared) = Some(declare.access);
+            if answer.is_ok() {
+                match shared.writer_index(declare.id) {
+                    Some(index) => *lock(&shared.writers[index].declared) = Some(declare.access),
+                    None => {
+                        let Declare { name, id, access, .. } = &declare;
+                        let guest = Guest { name: name.clone(), id: *id, access: access.clone() };
+                        lock(&shared.guests).push(guest);
+                    }
+                }
             }
             let _ = declare.reply.send(answer.map(|_| ()).map_err(|error| error.to_string()));
         }
@@ -258,6 +282,9 @@ impl Desk {
             return;
         }
         drop(before);
+        for writer in &shared.writers {
+            writer.unpublished.store(0, Ordering::Relaxed);
+        }
         *lock(&shared.published_hash) = Some(self.core.hash());
         self.retired.retire(std::mem::replace(&mut self.last, snapshot));
         if shared.has_sink
