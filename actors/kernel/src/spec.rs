@@ -378,6 +378,8 @@ pub struct FaultRecord {
     pub kind: FaultKind,
     /// When it struck.
     pub injected_secs: Option<f64>,
+    /// When it ended by itself.
+    pub healed_secs: Option<f64>,
     /// When the supervisor or the Model noticed.
     pub detected_secs: Option<f64>,
     /// When the replacement was built.

@@ -228,6 +228,7 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
                 target: record.target,
                 kind: record.kind.name().to_owned(),
                 injected_secs: record.injected_secs,
+                healed_secs: record.healed_secs,
                 detected_secs: record.detected_secs,
                 restarted_secs: record.restarted_secs,
                 resumed_secs: record.resumed_secs,

@@ -172,12 +172,25 @@ pub struct FaultSummary {
     pub kind: String,
     /// When it struck \[s\].
     pub injected_secs: Option<f64>,
+    /// When it ended by itself \[s\].
+    pub healed_secs: Option<f64>,
     /// When somebody noticed \[s\].
     pub detected_secs: Option<f64>,
     /// When the replacement was built \[s\].
     pub restarted_secs: Option<f64>,
     /// When the target did good work again \[s\].
     pub resumed_secs: Option<f64>,
+}
+
+impl FaultSummary {
+    /// From the moment at which nothing but recovery was left to do, to the first good work \[s\].
+    pub fn recovery_secs(&self) -> Option<f64> {
+        let from = match (self.restarted_secs, self.healed_secs) {
+            (None, Some(healed)) => healed,
+            _ => self.injected_secs?,
+        };
+        Some(self.resumed_secs? - from)
+    }
 }
 
 /// Measured figures beside their floors and bars.

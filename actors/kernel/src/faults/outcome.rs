@@ -44,6 +44,7 @@ impl FaultRow {
             target: self.target.clone(),
             kind: self.kind,
             injected_secs: secs(self.injected),
+            healed_secs: secs(self.healed),
             detected_secs: secs(self.detected),
             restarted_secs: secs(self.restarted),
             resumed_secs: secs(self.resumed),

@@ -14,7 +14,7 @@ use crate::failure::Failure;
 /// What may wait for the disk [bytes]: little, so that something has to be given up.
 const BACKLOG_MAX: usize = 100_000;
 /// What the slow disk takes [bytes/s].
-const SLOW: f64 = 20_000.0;
+const SLOW: f64 = 200_000.0;
 /// How long it is full or slow \[s\].
 const LASTING: f64 = 6.0;
 

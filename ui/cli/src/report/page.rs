@@ -103,6 +103,10 @@ fn tiles(out: &mut String, report: &Report) {
         (format!("{} mm", short(summary.penetration_max * 1e3)), "deepest penetration".to_owned()),
         (format!("{:.1} / {:.1} s", summary.sim_secs, summary.wall_secs), "simulated / wall time".to_owned()),
     ];
+    if !summary.faults.is_empty() {
+        let held = format!("{} ms", short(summary.force_age_max_us * 1e-3));
+        tiles.push((held, "longest force without a fresh command".to_owned()));
+    }
     if let (Some(worst), Mode::Live) = (worst, summary.mode) {
         tiles.push((format!("{:.2} %", 100.0 * worst.on_time), format!("least on time: {}", worst.name)));
     }
