@@ -27,6 +27,8 @@ mod field;
 mod sets;
 mod tuner;
 
+use std::path::Path;
+
 use serde_json::Value;
 use thiserror::Error;
 use trocar_scene::Snapshot;
@@ -76,25 +78,40 @@ pub fn tuned_scenario(
     app.scenario_from(&scenario.file, &text).map_err(ScenarioTuneError::Invalid)
 }
 
-/// The text of a scenario with the values of `changed` written into it. The text may have been edited by others since
-/// the session began: only the tuned values change.
+/// What [`save`] made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Saved {
+    /// The text of the scenario.
+    pub text: String,
+    /// What no scenario can hold, in words: entities and components that came while the session ran.
+    pub left_out: Vec<String>,
+}
+
+/// The text of a scenario with these values ([`Tuner::values`]) written into it. The text may have been edited by
+/// others since the session began: only the tuned values change.
 ///
 /// # Errors
-/// When something was tuned that no scenario has, or the text would no longer be a scenario.
+/// When the text is no scenario, or would be none with these values.
 pub fn save(
     app: &App,
-    file: &std::path::Path,
+    file: &Path,
     text: &str,
-    changed: &[Tuned],
-) -> Result<String, ScenarioTuneError> {
+    values: &[(String, Value)],
+) -> Result<Saved, ScenarioTuneError> {
     let scenario = app.scenario_from(file, text).map_err(ScenarioTuneError::Invalid)?;
     // Entities are known by name: somebody may have put others before them in the file.
-    let values: Vec<(String, Value)> =
-        changed.iter().map(|tuned| (tuned.field.to_string(), tuned.after.clone())).collect();
     let scene = scenario.spawn(app.registry()).map_err(|error| ScenarioTuneError::Invalid(error.into()))?;
-    let tuned = tuned_text(&scene.snapshot(), text, &values)?;
-    app.scenario_from(file, &tuned).map_err(ScenarioTuneError::Invalid)?;
-    Ok(tuned)
+    let scene = scene.snapshot();
+    let mut saved = Saved { text: text.to_owned(), left_out: Vec::new() };
+    for value in values {
+        match tuned_text(&scene, &saved.text, std::slice::from_ref(value)) {
+            Ok(text) => saved.text = text,
+            Err(ScenarioTuneError::Invalid(error)) => return Err(ScenarioTuneError::Invalid(error)),
+            Err(error) => saved.left_out.push(error.to_string()),
+        }
+    }
+    app.scenario_from(file, &saved.text).map_err(ScenarioTuneError::Invalid)?;
+    Ok(saved)
 }
 
 fn tuned_text(scene: &Snapshot, text: &str, values: &[(String, Value)]) -> Result<String, ScenarioTuneError> {
@@ -125,7 +142,6 @@ fn tuned_text(scene: &Snapshot, text: &str, values: &[(String, Value)]) -> Resul
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::Path;
     use trocar_scene::{Pose, RigidBody};
 
     fn peg_transfer(values: &[&str]) -> Result<Scenario, ScenarioTuneError> {
@@ -193,8 +209,8 @@ mod tests {
         let app = App::new();
         let scenario = app.scenario("peg-transfer").unwrap();
         let scene = scenario.spawn(app.registry()).unwrap().snapshot();
-        let field = find(&scene, "ring.6.rigid_body.mass").unwrap().remove(0);
-        let tuned = Tuned { field, before: 0.005.into(), after: 0.05.into() };
+        assert!(scene.find("ring.6").is_some());
+        let tuned = [("ring.6.rigid_body.mass".to_owned(), 0.05.into())];
         // Another entity before all others shifts their numbers.
         let edited = scenario.text().replacen(
             "[[entity]]\nname = \"board.left\"",
@@ -202,14 +218,18 @@ mod tests {
             1,
         );
         assert_ne!(edited, scenario.text());
-        let saved = save(&app, Path::new("p.toml"), &edited, std::slice::from_ref(&tuned)).unwrap();
-        let scene = app.scenario_from(Path::new("p.toml"), &saved).unwrap();
+        let saved = save(&app, Path::new("p.toml"), &edited, &tuned).unwrap();
+        assert!(saved.left_out.is_empty());
+        let scene = app.scenario_from(Path::new("p.toml"), &saved.text).unwrap();
         let scene = scene.spawn(app.registry()).unwrap().snapshot();
         assert_eq!(scene.get::<RigidBody>(scene.find("ring.6").unwrap()).unwrap().mass, 0.05);
         assert_eq!(scene.get::<RigidBody>(scene.find("ring.5").unwrap()).unwrap().mass, 0.005);
         assert!(scene.find("lamp").is_some());
 
         let gone = edited.replace("name = \"ring.6\"", "name = \"ring.7\"");
-        assert!(save(&app, Path::new("p.toml"), &gone, &[tuned]).unwrap_err().to_string().contains("ring.6"));
+        let saved = save(&app, Path::new("p.toml"), &gone, &tuned).unwrap();
+        assert!(saved.text == gone && saved.left_out[0].contains("ring.6"), "{:?}", saved.left_out);
+        let wrong = [("ring.6.rigid_body.mass".to_owned(), (-1.0).into())];
+        assert!(save(&app, Path::new("p.toml"), &edited, &wrong).is_err());
     }
 }

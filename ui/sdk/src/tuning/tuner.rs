@@ -100,6 +100,8 @@ impl Change {
 pub struct Tuner {
     /// What every tuned field was before anybody tuned it.
     base: BTreeMap<Field, Value>,
+    /// What was set before the session and is in no component: gravity, rates, parameters.
+    keys: Vec<(String, Value)>,
     sets: TuningSets,
     in_use: Option<String>,
 }
@@ -107,7 +109,37 @@ pub struct Tuner {
 impl Tuner {
     /// With these sets to choose from.
     pub fn new(sets: TuningSets) -> Self {
-        Self { base: BTreeMap::new(), sets, in_use: None }
+        Self { sets, ..Self::default() }
+    }
+
+    /// Remembers values that were set before the session began, by [`tuned_scenario`](super::tuned_scenario): `scene`
+    /// is what the scenario would have spawned without them, and `set` the set that they were.
+    ///
+    /// # Errors
+    /// When there are too many.
+    pub fn began_with(
+        &mut self,
+        scene: &Snapshot,
+        values: &[(String, Value)],
+        set: Option<&str>,
+    ) -> Result<(), TuneError> {
+        for (name, value) in values {
+            // What names no field has named something else of the scenario, or there would be no session.
+            let Ok(fields) = field::find(scene, name) else {
+                self.keys.retain(|(known, _)| known != name);
+                self.keys.push((name.clone(), value.clone()));
+                continue;
+            };
+            for field in fields {
+                let before = field::read(scene, &field)?;
+                self.base.entry(field).or_insert(before);
+            }
+        }
+        if self.base.len() + self.keys.len() > VALUES_MAX {
+            return Err(TuneError::TooMany);
+        }
+        self.in_use = set.map(str::to_owned);
+        Ok(())
     }
 
     /// The sets.
@@ -169,6 +201,12 @@ impl Tuner {
             .filter(|(_, before, after)| *before != after)
             .map(|(field, before, after)| Tuned { field: field.clone(), before: before.clone(), after })
             .collect()
+    }
+
+    /// What [`save`](super::save) writes: everything that is not as in the scenario, by name.
+    pub fn values(&self, scene: &Snapshot) -> Vec<(String, Value)> {
+        let changed = self.changed(scene).into_iter().map(|tuned| (tuned.field.to_string(), tuned.after));
+        self.keys.iter().cloned().chain(changed).collect()
     }
 
     /// Remembers a change that the Model has applied.
@@ -306,6 +344,22 @@ mod tests {
         assert_eq!(bench.body("ring.3"), bench.body("ring.1"));
         bench.switch("c").unwrap();
         assert_eq!((bench.body("ring.3").mass, bench.body("ring.3").friction), (0.25, 0.1));
+    }
+
+    #[test]
+    fn what_was_set_before_the_session_can_be_left_and_saved_too() {
+        let app = App::new();
+        let scenario = app.scenario("peg-transfer").unwrap();
+        let untuned = scenario.spawn(app.registry()).unwrap().snapshot();
+        let values = [("gravity.2".to_owned(), (-1.0).into()), ("ring.1.rigid_body.mass".to_owned(), 0.5.into())];
+        let tuned = crate::tuning::tuned_scenario(&app, &scenario, &values).unwrap();
+        let mut bench = Bench::new(SETS);
+        bench.0 = tuned.spawn(app.registry()).unwrap();
+        bench.1.began_with(&untuned, &values, None).unwrap();
+        assert_eq!(bench.1.values(&bench.0.snapshot()), values);
+        bench.switch(BASE).unwrap();
+        assert_eq!(bench.body("ring.1"), bench.body("ring.2"));
+        assert_eq!(bench.1.values(&bench.0.snapshot()), values[..1]);
     }
 
     #[test]
