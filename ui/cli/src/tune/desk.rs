@@ -94,11 +94,11 @@ impl<'a> Desk<'a> {
             Request::Set { values } => {
                 let values = values.iter().map(|(name, value)| (name.as_str(), value));
                 let change = self.tuner.set(&scene, values).map_err(words)?;
-                fields = self.apply(session, &scene, change)?;
+                fields = self.apply(session, change)?;
             }
             Request::Use { set } => {
                 let change = self.tuner.switch(&scene, set).map_err(words)?;
-                fields = self.apply(session, &scene, change)?;
+                fields = self.apply(session, change)?;
             }
             Request::Keep { set } => {
                 self.tuner.keep(&scene, set).map_err(words)?;
@@ -118,18 +118,10 @@ impl<'a> Desk<'a> {
     fn apply(
         &mut self,
         session: &mut Session,
-        scene: &Snapshot,
         change: Change,
     ) -> Result<Vec<FieldRow>, String> {
-        let rows: Vec<FieldRow> =
-            change.fields.iter().filter(|tuned| tuned.before != tuned.after).cloned().map(row).collect();
-        if !change.is_empty() {
-            let mut commands = session.commands();
-            change.write(scene, &mut commands).map_err(|error| error.to_string())?;
-            session.apply(commands).map_err(|error| error.to_string())?;
-        }
-        self.tuner.accept(change);
-        Ok(rows)
+        let tuned = self.tuner.apply(session, change).map_err(|error| error.to_string())?;
+        Ok(tuned.into_iter().map(row).collect())
     }
 
     /// Writes what is tuned into the scenario's own file, or a new one.

@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 use thiserror::Error;
+use trocar_kernel::OperatorError;
 use trocar_scene::{Commands, ComponentError, Name, Snapshot, with_entity_names};
 
 use super::field::{self, Field, FieldError};
 use super::sets::{BASE, SetsError, TuningSet, TuningSets, VALUES_MAX};
+use crate::session::Session;
 
 /// Why a value cannot be set.
 #[derive(Debug, Error)]
@@ -26,6 +28,9 @@ pub enum TuneError {
         /// Why.
         source: ComponentError,
     },
+    /// The session did not take it.
+    #[error(transparent)]
+    Session(#[from] OperatorError),
     /// Too many fields at a time.
     #[error("at most {VALUES_MAX} fields can be tuned")]
     TooMany,
@@ -94,8 +99,8 @@ impl Change {
 
 /// Knows what was tuned, from what, and the sets of values to choose from.
 ///
-/// It never touches a session itself: a [`Change`] is made from a snapshot, written to commands, and
-/// [accepted](Tuner::accept) when the Model has applied them.
+/// A [`Change`] is made from a snapshot and [applied](Tuner::apply) to the session; whoever has no [`Session`] writes it
+/// to commands and [accepts](Tuner::accept) it when the Model has applied them.
 #[derive(Clone, Debug, Default)]
 pub struct Tuner {
     /// What every tuned field was before anybody tuned it.
@@ -207,6 +212,29 @@ impl Tuner {
     pub fn values(&self, scene: &Snapshot) -> Vec<(String, Value)> {
         let changed = self.changed(scene).into_iter().map(|tuned| (tuned.field.to_string(), tuned.after));
         self.keys.iter().cloned().chain(changed).collect()
+    }
+
+    /// Writes a change into a running session and returns what is different now.
+    ///
+    /// # Errors
+    /// When a component refuses its value, or the Model does not answer; nothing has changed then.
+    pub fn apply(&mut self, session: &mut Session, change: Change) -> Result<Vec<Tuned>, TuneError> {
+        let mut refused = None;
+        if !change.is_empty() {
+            let scene = session.snapshot();
+            let applied = session.apply(|out| {
+                if let Err(error) = change.write(&scene, out) {
+                    // What was put before it must not be applied without it.
+                    out.clear();
+                    refused = Some(error);
+                }
+            });
+            refused.map_or(Ok(()), Err)?;
+            applied?;
+        }
+        let tuned = change.fields.iter().filter(|tuned| tuned.before != tuned.after).cloned().collect();
+        self.accept(change);
+        Ok(tuned)
     }
 
     /// Remembers a change that the Model has applied.
@@ -374,6 +402,25 @@ mod tests {
         assert!(bench.switch("d").unwrap_err().to_string().contains("base, a, b"));
         assert_eq!(bench.0.snapshot().revision(), before);
         assert_eq!(bench.1.in_use(), Some(BASE));
+    }
+
+    #[test]
+    fn a_session_in_virtual_time_is_tuned_between_its_steps() {
+        let app = App::new();
+        let options = crate::run::RunOptions { lockstep: true, ..Default::default() };
+        let mut session = crate::run::start(&app, &app.scenario("peg-transfer").unwrap(), &options).unwrap();
+        session.run_until(SimTime::from_millis(50));
+        let mut tuner = Tuner::new(TuningSets::parse(SETS, "sets.toml").unwrap());
+        let change = tuner.switch(&session.snapshot(), "a").unwrap();
+        assert_eq!(tuner.apply(&mut session, change).unwrap().len(), 6);
+        session.run_until(SimTime::from_millis(100));
+        let scene = session.snapshot();
+        assert_eq!(scene.get::<RigidBody>(scene.find("ring.2").unwrap()).unwrap().mass, 0.03);
+        let revision = scene.revision();
+        let negative = Value::from(-1.0);
+        let change = tuner.set(&scene, [("ring.1.rigid_body.mass", &negative)]).unwrap();
+        assert!(tuner.apply(&mut session, change).unwrap_err().to_string().contains("out of range"));
+        assert_eq!((session.snapshot().revision(), tuner.in_use()), (revision, Some("a")));
     }
 
     #[test]
