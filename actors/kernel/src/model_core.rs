@@ -195,6 +195,7 @@ impl ModelCore {
             rules: WriterRules::unrestricted(Entity::of_writer(station, OPERATOR.0)),
             epoch: OPERATOR_EPOCH,
             counts: WriterCounts::default(),
+            unpublished: 0,
             last_rejection: None,
         };
         Ok(Self {

@@ -10,7 +10,11 @@ const PROGRAM: &str = env!("CARGO_BIN_EXE_trocar");
 
 fn trocar(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::new(PROGRAM);
-    command.args(arguments).current_dir(folder).env("NO_COLOR", "1").env("TROCAR_RUNTIME_DIR", folder.join("run"));
+    command
+        .args(arguments)
+        .current_dir(folder)
+        .env("NO_COLOR", "1")
+        .env("TROCAR_RUNTIME_DIR", folder.join("run"));
     command.output().expect("the program starts")
 }
 
@@ -27,7 +31,8 @@ fn said(output: &Output) -> String {
 fn values_are_set_before_a_run() {
     let folder = tempfile::tempdir().unwrap();
     let run = |more: &[&str]| {
-        let base = ["run", "peg-transfer", "--lockstep", "--seconds", "0.5", "--no-report", "--no-record", "--json"];
+        let base =
+            ["run", "peg-transfer", "--lockstep", "--seconds", "0.5", "--no-report", "--no-record", "--json"];
         trocar(folder.path(), &[&base[..], more].concat())
     };
     let hash = |output: &Output| {
@@ -81,7 +86,16 @@ impl Session {
                     [sets.b]\n\"grasper.*.instrument.jaw_friction\" = 0.3\n";
         std::fs::write(folder.path().join("sets.toml"), sets).unwrap();
         let mut command = Command::new(PROGRAM);
-        command.args(["run", "mine.toml", "--tuning", "sets.toml", "--headless", "--no-report", "--record", "r.mcap"]);
+        command.args([
+            "run",
+            "mine.toml",
+            "--tuning",
+            "sets.toml",
+            "--headless",
+            "--no-report",
+            "--record",
+            "r.mcap",
+        ]);
         command.current_dir(folder.path()).env("TROCAR_RUNTIME_DIR", folder.path().join("run"));
         command.stdout(Stdio::null()).stderr(Stdio::null());
         let session = Self { process: Running(command.spawn().unwrap()), folder };
@@ -126,7 +140,8 @@ fn a_running_session_is_tuned_from_another_terminal() {
     assert_eq!(object(&session.tune(&["status"]))["in_use"], "base");
 
     // One field, several fields, all or none.
-    let set = object(&session.tune(&["set", "ring.6.rigid_body.mass=0.25", "ring.6.rigid_body.friction=0.75"]));
+    let set =
+        object(&session.tune(&["set", "ring.6.rigid_body.mass=0.25", "ring.6.rigid_body.friction=0.75"]));
     assert_eq!(set["fields"].as_array().unwrap().len(), 2);
     assert_eq!((mass("6"), mass("5")), (0.25.into(), 0.005.into()));
     let refused = session.refused(&["set", "ring.5.rigid_body.mass=0.5", "ring.6.rigid_body.mass=-1"]);
@@ -139,7 +154,10 @@ fn a_running_session_is_tuned_from_another_terminal() {
     assert_eq!(object(&session.tune(&["use", "a"]))["in_use"], "a");
     assert_eq!((mass("6"), mass("5")), (0.02.into(), 0.02.into()));
     session.tune(&["use", "b"]);
-    assert_eq!((mass("6"), session.value("grasper.left.instrument.jaw_friction")), (0.005.into(), 0.3.into()));
+    assert_eq!(
+        (mass("6"), session.value("grasper.left.instrument.jaw_friction")),
+        (0.005.into(), 0.3.into())
+    );
     assert!(session.refused(&["use", "d"]).contains("base, a, b, c"));
 
     // The engine takes it: a ring that is put into the air falls.

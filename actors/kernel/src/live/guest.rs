@@ -16,8 +16,8 @@ use trocar_scene::{
     Access, CommandError, Commands, Entity, EntityAllocator, Event, SimTime, Snapshot, WriterId,
 };
 
-use super::shared::Shared;
 use super::LiveError;
+use super::shared::Shared;
 use crate::handle::{LaneStatus, Submitted, WriterHandle};
 
 /// Longest wait for the Model's answer to somebody who introduces himself.

@@ -115,11 +115,7 @@ impl<'a> Desk<'a> {
     }
 
     /// Lets the Model apply a change and says what became of it.
-    fn apply(
-        &mut self,
-        session: &mut Session,
-        change: Change,
-    ) -> Result<Vec<FieldRow>, String> {
+    fn apply(&mut self, session: &mut Session, change: Change) -> Result<Vec<FieldRow>, String> {
         let tuned = self.tuner.apply(session, change).map_err(|error| error.to_string())?;
         Ok(tuned.into_iter().map(row).collect())
     }

@@ -82,12 +82,14 @@ fn session(wanted: Option<u32>) -> Result<PathBuf, Failure> {
     match (wanted, sessions.as_slice()) {
         (_, []) => Err(Failure::invalid("no session of yours is running; `trocar run SCENARIO` starts one")),
         (None, [(_, only)]) => Ok(only.clone()),
-        (None, _) => Err(Failure::invalid(format!("several sessions are running: say --session {}", known()))),
+        (None, _) => {
+            Err(Failure::invalid(format!("several sessions are running: say --session {}", known())))
+        }
         (Some(pid), _) => {
             let found = sessions.iter().find(|(running, _)| *running == pid);
-            found
-                .map(|(_, socket)| socket.clone())
-                .ok_or_else(|| Failure::invalid(format!("no session has process {pid}; there are: {}", known())))
+            found.map(|(_, socket)| socket.clone()).ok_or_else(|| {
+                Failure::invalid(format!("no session has process {pid}; there are: {}", known()))
+            })
         }
     }
 }

@@ -35,7 +35,8 @@ pub fn folder() -> io::Result<PathBuf> {
     // Not followed: a link that somebody else has put there is no folder of ours.
     let found = std::fs::symlink_metadata(&folder)?;
     if !found.is_dir() || found.uid() != uid || found.mode() & 0o022 != 0 {
-        let reason = format!("{}: it must be a folder of this user that others cannot write to", folder.display());
+        let reason =
+            format!("{}: it must be a folder of this user that others cannot write to", folder.display());
         return Err(io::Error::new(io::ErrorKind::PermissionDenied, reason));
     }
     Ok(folder)

@@ -379,7 +379,8 @@ mod tests {
         let app = App::new();
         let scenario = app.scenario("peg-transfer").unwrap();
         let untuned = scenario.spawn(app.registry()).unwrap().snapshot();
-        let values = [("gravity.2".to_owned(), (-1.0).into()), ("ring.1.rigid_body.mass".to_owned(), 0.5.into())];
+        let values =
+            [("gravity.2".to_owned(), (-1.0).into()), ("ring.1.rigid_body.mass".to_owned(), 0.5.into())];
         let tuned = crate::tuning::tuned_scenario(&app, &scenario, &values).unwrap();
         let mut bench = Bench::new(SETS);
         bench.0 = tuned.spawn(app.registry()).unwrap();
