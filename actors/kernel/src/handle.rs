@@ -13,6 +13,7 @@ use trocar_scene::{Batch, Commands, EntityAllocator, Provenance, Registry, Revis
 
 use crate::faults::LinkCounts;
 use crate::flow::{FlowLimit, TokenBucket, count};
+use crate::model_core::Outcome;
 use crate::runtime::Clock;
 
 /// Buffers that a handle has from the beginning: enough for a Model that is late now and then, so that
@@ -225,4 +226,13 @@ impl Bell {
     pub(crate) fn silence(&self) {
         self.rung.swap(false, Ordering::AcqRel);
     }
+}
+
+/// What became of a batch, for a writer that waits for an answer.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Receipt {
+    /// Number of the batch's tick.
+    pub tick: u64,
+    /// What the Model decided; `None` when the batch made it panic, and nothing of it is in the scene.
+    pub outcome: Option<Outcome>,
 }

@@ -12,7 +12,7 @@ use trocar_scene::{Batch, EntityAllocator, Registry, SimTime, WriterId};
 
 use crate::faults::{FaultOrder, LinkCounts, LinkFaults, Parcel};
 use crate::flow::FlowLimit;
-use crate::handle::{Bell, Doorbell, Ends, LaneStatus, Sealed, WriterHandle};
+use crate::handle::{Bell, Doorbell, Ends, LaneStatus, Receipt, Sealed, WriterHandle};
 use crate::runtime::Clock;
 
 /// The Model's end of one writer's rings.
@@ -20,6 +20,7 @@ struct Lane {
     writer: WriterId,
     batches: Consumer<Sealed>,
     returns: Producer<Box<Batch>>,
+    receipts: Option<Producer<Receipt>>,
 }
 
 impl Lane {
@@ -104,11 +105,38 @@ impl Intake {
         allocator: EntityAllocator,
         status: Arc<LaneStatus>,
     ) -> WriterHandle {
+        self.open_lane(writer, epoch, (capacity, flow), allocator, status, None)
+    }
+
+    /// The same without a flow limit, for a writer that is told what became of its batches, once they are published.
+    /// It must have taken the receipts of all but `capacity` of them when it sends another; more are lost.
+    pub(crate) fn open_with_receipts(
+        &self,
+        writer: WriterId,
+        epoch: u32,
+        capacity: usize,
+        allocator: EntityAllocator,
+        status: Arc<LaneStatus>,
+    ) -> (WriterHandle, Consumer<Receipt>) {
+        let (receipts, answers) = RingBuffer::new(2 * capacity.max(1));
+        let bounds = (capacity, FlowLimit::UNLIMITED);
+        (self.open_lane(writer, epoch, bounds, allocator, status, Some(receipts)), answers)
+    }
+
+    fn open_lane(
+        &self,
+        writer: WriterId,
+        epoch: u32,
+        (capacity, flow): (usize, FlowLimit),
+        allocator: EntityAllocator,
+        status: Arc<LaneStatus>,
+        receipts: Option<Producer<Receipt>>,
+    ) -> WriterHandle {
         let capacity = capacity.max(1);
         let (batches, from_writer) = RingBuffer::new(capacity);
         // Everything that can be in flight fits into the way back.
         let (to_writer, returns) = RingBuffer::new(capacity + 2);
-        let lane = Lane { writer, batches: from_writer, returns: to_writer };
+        let lane = Lane { writer, batches: from_writer, returns: to_writer, receipts };
         unpoisoned(&self.arrivals).lanes.push(lane);
         self.arrived.store(true, Ordering::Release);
         let (bell, clock, registry) = (self.bell.clone(), self.clock, self.registry.clone());
@@ -256,6 +284,24 @@ impl Lanes {
     /// drains the lanes.
     pub fn pop(&mut self, now: SimTime) -> Option<Arrival> {
         self.active()?.pop(now, &self.intake.registry)
+    }
+
+    /// Whether the writer of this lane waits for answers.
+    pub(crate) fn wants_receipt(&self, lane: LaneIndex) -> bool {
+        let waits = |active: MutexGuard<'_, Active>| {
+            active.lanes.get(lane.0).is_some_and(|lane| lane.receipts.is_some())
+        };
+        self.active().is_some_and(waits)
+    }
+
+    /// Tells the writer what became of a batch, if it wants to know. Valid until the next
+    /// [`Self::begin_pass`].
+    pub(crate) fn answer(&mut self, lane: LaneIndex, receipt: Receipt) {
+        let Some(mut active) = self.active() else { return };
+        if let Some(receipts) = active.lanes.get_mut(lane.0).and_then(|lane| lane.receipts.as_mut()) {
+            // Full only when nobody reads it any more.
+            let _ = receipts.push(receipt);
+        }
     }
 
     /// Returns an applied or refused batch's buffers to its writer. Clears them here, so that values are

@@ -12,6 +12,9 @@ pub mod lockstep;
 pub mod model_core;
 #[cfg(test)]
 mod model_core_tests;
+pub mod operator;
+#[cfg(test)]
+mod operator_tests;
 pub mod publish;
 pub mod recorder;
 pub mod retire;
@@ -21,6 +24,8 @@ pub mod supervision;
 #[cfg(test)]
 mod testing;
 
+/// actix, in the version that [`live::LiveSession::actor`] takes.
+pub use actix;
 pub use chain::{CommitKind, StateHash};
 pub use commit::{Commit, CommitBuffer};
 pub use flow::FlowLimit;
@@ -28,3 +33,4 @@ pub use handle::{Doorbell, LaneStatus, Submitted, WriterHandle};
 pub use intake::{Arrival, Intake, LaneIndex, Lanes};
 pub use lockstep::{LockstepSession, SessionError};
 pub use model_core::{DeclareError, ModelCore, Outcome, Rejection, WriterCounts};
+pub use operator::{OPERATOR, OPERATOR_NAME, OperatorError};

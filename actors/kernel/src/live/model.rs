@@ -10,9 +10,10 @@ use tokio::sync::Notify;
 use tokio::sync::futures::OwnedNotified;
 use trocar_scene::{SimTime, Snapshot, Store, WriterId};
 
-use super::shared::{Declare, Guest, Life, Shared, lock};
+use super::shared::{Declare, Life, Shared, Visitor, lock};
 use crate::commit::CommitBuffer;
-use crate::intake::{Arrival, Lanes};
+use crate::handle::Receipt;
+use crate::intake::{Arrival, LaneIndex, Lanes};
 use crate::model_core::{ModelCore, Outcome};
 use crate::retire::Retired;
 use crate::runtime::{guarded, sched};
@@ -65,8 +66,8 @@ pub(super) struct ModelActor {
     desk: Option<Desk>,
     /// The core of a new Model, made before its thread.
     first: Option<ModelCore>,
-    /// Whose batch is being applied.
-    culprit: Option<WriterId>,
+    /// Whose batch is being applied, where it came in, and its tick.
+    culprit: Option<(WriterId, LaneIndex, u64)>,
     resumed: bool,
 }
 
@@ -82,8 +83,11 @@ impl ModelActor {
         self.shared.model.stats.enter_thread(tid);
         if let Some(desk) = &mut self.desk {
             let culprit = self.culprit.take();
-            let fell_back = desk.core.recover(culprit);
-            if let Some(index) = culprit.and_then(|id| self.shared.writer_index(id)) {
+            let fell_back = desk.core.recover(culprit.map(|(id, ..)| id));
+            if let Some((_, lane, tick)) = culprit {
+                desk.lanes.answer(lane, Receipt { tick, outcome: None });
+            }
+            if let Some(index) = culprit.and_then(|(id, ..)| self.shared.writer_index(id)) {
                 // The batch that killed it is not tried again.
                 let writer = &self.shared.writers[index];
                 writer.seat.stats.rejected();
@@ -131,7 +135,7 @@ impl ModelActor {
             // What waits in the rings is ours now; what the old Model had taken out of them went with it.
             writer.lose_unpublished();
         }
-        for Guest { name, id, access } in &*lock(&self.shared.guests) {
+        for Visitor { name, id, access } in &*lock(&self.shared.guests) {
             core.declare(name, *id, access).map_err(|error| error.to_string())?;
         }
         self.shared.fences_waiting.store(true, Ordering::Release);
@@ -152,19 +156,22 @@ impl ModelActor {
             }
             shared.model.seam.end_stall();
         }
+        let mut now = shared.clock.now();
         if shared.declares_waiting.swap(false, Ordering::AcqRel) {
+            // A new life that declares something else must not keep its predecessor's contributions alive.
+            desk.raise_fences(shared, now);
             desk.hear_declarations(shared);
             // Who is new to the Model may have been fenced before.
             shared.fences_waiting.store(true, Ordering::Release);
         }
         desk.lanes.begin_pass();
-        let mut now = shared.clock.now();
         if shared.fences_waiting.swap(false, Ordering::AcqRel) {
             desk.raise_fences(shared, now);
         }
         while let Some(Arrival { lane, sealed_at, mut batch }) = desk.lanes.pop(now) {
             let id = batch.provenance.writer;
-            self.culprit = Some(id);
+            let tick = batch.provenance.tick;
+            self.culprit = Some((id, lane, tick));
             let writer = shared.writer_index(id).map(|index| &shared.writers[index]);
             if let Some(writer) = writer {
                 writer.taken.store(1, Ordering::Relaxed);
@@ -177,7 +184,7 @@ impl ModelActor {
             let outcome = desk.core.apply(&mut batch, now);
             // Guests have no row in the report.
             if let Some(writer) = writer {
-                match outcome {
+                match &outcome {
                     Outcome::Applied { .. } => {
                         writer.applied.fetch_add(1, Ordering::Relaxed);
                         writer.unpublished.fetch_add(1, Ordering::Relaxed);
@@ -186,6 +193,10 @@ impl ModelActor {
                     Outcome::Conflict(_) => writer.seat.stats.conflict(),
                 }
                 writer.taken.store(0, Ordering::Relaxed);
+            }
+            // Whoever waits for an answer may read the scene when it has it, and what it was told must stand.
+            if desk.lanes.wants_receipt(lane) && desk.publish(shared) {
+                desk.lanes.answer(lane, Receipt { tick, outcome: Some(outcome) });
             }
             shared.batches.fetch_add(1, Ordering::Relaxed);
             desk.lanes.give_back(lane, batch);
@@ -254,8 +265,10 @@ impl Desk {
                     Some(index) => *lock(&shared.writers[index].declared) = Some(declare.access),
                     None => {
                         let Declare { name, id, access, .. } = &declare;
-                        let guest = Guest { name: name.clone(), id: *id, access: access.clone() };
-                        lock(&shared.guests).push(guest);
+                        let guest = Visitor { name: name.clone(), id: *id, access: access.clone() };
+                        let mut guests = lock(&shared.guests);
+                        guests.retain(|known| known.id != guest.id);
+                        guests.push(guest);
                     }
                 }
             }
@@ -273,13 +286,13 @@ impl Desk {
         }
     }
 
-    /// Publish is commit: readers first, then who records.
-    fn publish(&mut self, shared: &Shared) {
+    /// Publish is commit: readers first, then who records. `false` when another Model has taken over.
+    fn publish(&mut self, shared: &Shared) -> bool {
         let snapshot = self.core.publish();
         let before = shared.published.compare_and_swap(&self.last, snapshot.clone());
         if !Arc::ptr_eq(&before, &self.last) {
-            // Another Model has taken over; what this one thinks no longer counts.
-            return;
+            // What this one thinks no longer counts.
+            return false;
         }
         drop(before);
         for writer in &shared.writers {
@@ -293,6 +306,7 @@ impl Desk {
             let commits = self.core.swap_commits(std::mem::take(&mut self.spare));
             self.spare = sink.committed(&self.last, commits);
         }
+        true
     }
 }
 

@@ -164,10 +164,25 @@ impl Writer {
 
 /// Somebody who writes without being a controller, for a Model that takes over from one out of reach.
 #[derive(Clone)]
-pub(crate) struct Guest {
+pub(crate) struct Visitor {
     pub(crate) name: String,
     pub(crate) id: WriterId,
     pub(crate) access: Access,
+}
+
+/// What all handles of the operator share.
+pub(crate) struct OperatorSeat {
+    pub(crate) allocator: EntityAllocator,
+    /// Number of its next batch.
+    pub(crate) tick: AtomicU64,
+    /// How many handles there are.
+    pub(crate) handles: AtomicU32,
+}
+
+impl OperatorSeat {
+    pub(crate) fn new(allocator: EntityAllocator) -> Self {
+        Self { allocator, tick: AtomicU64::new(0), handles: AtomicU32::new(0) }
+    }
 }
 
 /// A writer that introduces itself to the Model.
@@ -202,7 +217,7 @@ pub(crate) struct Shared {
     pub(crate) writers: Vec<Arc<Writer>>,
     pub(crate) reports: SyncSender<Report>,
     pub(crate) declares: Mutex<Vec<Declare>>,
-    pub(crate) guests: Mutex<Vec<Guest>>,
+    pub(crate) guests: Mutex<Vec<Visitor>>,
     pub(crate) declares_waiting: AtomicBool,
     /// A fence was raised that the Model has not looked at.
     pub(crate) fences_waiting: AtomicBool,
@@ -213,6 +228,7 @@ pub(crate) struct Shared {
     /// Left behind by the Model when it ends.
     pub(crate) final_hash: Mutex<Option<StateHash>>,
     pub(crate) batches: AtomicU64,
+    pub(crate) operator: OperatorSeat,
     /// The session has ended: injected stalls let go.
     pub(crate) over: AtomicBool,
 }

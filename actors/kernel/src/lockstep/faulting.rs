@@ -155,7 +155,7 @@ impl LockstepSession {
 
     fn arrive(&mut self, index: usize, batch: Box<Batch>) {
         if self.model_up {
-            self.apply(index, batch);
+            self.commit(index, batch);
         } else {
             self.queued = true;
             self.slots[index].enqueue(batch);

@@ -1,6 +1,6 @@
 //! What the supervisor orders and what it is told.
 
-use trocar_scene::{BuildContext, Controller, ControllerError, SimTime};
+use trocar_scene::{BuildContext, Controller, ControllerError, SimTime, WriterId};
 
 use super::session::LockstepSession;
 use crate::runtime::panics::guarded;
@@ -181,8 +181,8 @@ impl LockstepSession {
     }
 
     /// A batch, or a fault, made the Model panic.
-    pub(super) fn model_died(&mut self, culprit: Option<usize>, text: String) {
-        if self.core.recover(culprit.map(|index| self.slots[index].writer)) {
+    pub(super) fn model_died(&mut self, culprit: Option<WriterId>, text: String) {
+        if self.core.recover(culprit) {
             for slot in &mut self.slots {
                 slot.applied -= slot.unpublished;
                 slot.forgotten += std::mem::take(&mut slot.unpublished);
@@ -215,7 +215,7 @@ impl LockstepSession {
                     && let Some(batch) = self.slots[index].queue.pop_front()
                 {
                     waiting = true;
-                    self.apply(index, batch);
+                    self.commit(index, batch);
                 }
             }
         }
