@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use trocar::summary::Mode;
 
 use super::scale::short;
-use super::{Report, histogram, paths, series, tables, timeline};
+use super::{Report, histogram, paths, series, stages, tables, timeline};
 use crate::escape::{escape, escape_json};
 
 const STYLE: &str = include_str!("style.css");
@@ -53,7 +53,8 @@ pub fn html(report: &Report) -> String {
         section(&mut out, "Tuned: what was not as in the scenario at the end", "", &tables::tuned(report));
     }
     if !report.summary.faults.is_empty() {
-        section(&mut out, "Faults", "", &tables::faults(report));
+        let body = stages::stages(report) + &tables::faults(report);
+        section(&mut out, "Faults", stages::KEY, &body);
     }
     if !report.health.is_empty() {
         section(&mut out, "Supervisor", "", &tables::health(report));

@@ -91,7 +91,9 @@ fn fault_track(chart: &mut Chart, report: &Report, (top, bottom): (f64, f64)) {
         let stages: String = stages.into_iter().filter_map(|(what, secs)| stage(what, secs)).collect();
         let tip = format!("{}: {} {} at {injected:.3} s{stages}", fault.id, fault.kind, fault.target);
         let class = if fault.resumed_secs.is_some() { "fault" } else { "fault open" };
-        chart.rect(class, (chart.x.pixel(injected), top + 3.0), (chart.x.pixel(over), bottom - 3.0), &tip);
+        // However short it was, it can be pointed at.
+        let to = chart.x.pixel(over).max(chart.x.pixel(injected) + 3.0);
+        chart.rect(class, (chart.x.pixel(injected), top + 3.0), (to, bottom - 3.0), &tip);
         chart.cross("bad", (chart.x.pixel(injected), middle), &tip);
     }
     for incident in report.incidents {
