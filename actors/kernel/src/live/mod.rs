@@ -337,6 +337,7 @@ impl LiveSession {
     /// recording. `code` is the exit code unless the supervisor has given up before.
     pub fn stop(mut self, code: i32) -> SessionOutcome {
         self.end(code);
+        self.shared.lose_rest();
         let status = lock(&self.board.status);
         let ended = status.ended.clone();
         let sim = ended.as_ref().map_or_else(|| self.shared.clock.now(), |ended| ended.at);

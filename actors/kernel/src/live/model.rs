@@ -4,6 +4,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::task::{Context as TaskContext, Poll};
+use std::time::Duration;
 
 use actix::prelude::*;
 use tokio::sync::Notify;
@@ -11,6 +12,7 @@ use tokio::sync::futures::OwnedNotified;
 use trocar_scene::{SimTime, Snapshot, Store, WriterId};
 
 use super::shared::{Declare, Life, Shared, Visitor, lock};
+use crate::chain::StateHash;
 use crate::commit::CommitBuffer;
 use crate::handle::Receipt;
 use crate::intake::{Arrival, LaneIndex, Lanes};
@@ -21,6 +23,9 @@ use crate::supervision::{Cause, Event};
 
 /// Retired snapshots kept for their readers before the reaper gets them.
 const RETIRED_MAX: usize = 64;
+/// How often, and after which pause, a published scene is looked at for its hash.
+const HASH_TRIES: u32 = 200;
+const HASH_PAUSE: Duration = Duration::from_micros(100);
 
 /// Somebody rang.
 pub(super) struct Rung;
@@ -98,33 +103,39 @@ impl ModelActor {
             }
             return Ok(());
         }
-        let core = match self.first.take() {
-            Some(core) => core,
-            None => self.rebuild()?,
-        };
+        // A predecessor that was left behind takes no batch any more.
+        let lanes = self.shared.intake.take();
         let retired = Retired::new(RETIRED_MAX).map_err(|error| error.to_string())?;
-        let mut desk = Desk {
-            core,
-            lanes: self.shared.intake.take(),
-            retired,
-            spare: CommitBuffer::new(),
-            last: self.shared.published.load_full(),
+        let (mut core, mut from) = match self.first.take() {
+            Some(core) => (core, self.shared.published.load_full()),
+            None => {
+                // What waits in the rings is ours now; what it had taken out of them and not published is gone.
+                self.shared.writers.iter().for_each(|writer| writer.lose_unpublished());
+                self.rebuild()?
+            }
+        };
+        let mut desk = loop {
+            // Takes the place of what an abandoned Model published, so that it can publish nothing any more.
+            let snapshot = core.publish();
+            let before = self.shared.published.compare_and_swap(&from, snapshot.clone());
+            if Arc::ptr_eq(&before, &from) {
+                break Desk { core, lanes, retired, spare: CommitBuffer::new(), last: snapshot };
+            }
+            // Its last words came while we were reading the ones before.
+            (core, from) = self.rebuild()?;
         };
         desk.core.keep_commits(self.shared.has_sink);
-        // Takes the place of what an abandoned Model published, so that it can publish nothing any more.
-        let snapshot = desk.core.publish();
-        let before = self.shared.published.swap(snapshot.clone());
-        desk.retired.retire(before);
-        desk.last = snapshot;
+        desk.retired.retire(from);
         self.desk = Some(desk);
         Ok(())
     }
 
-    /// A core for a Model whose predecessor is out of reach, from what everybody can see.
-    fn rebuild(&self) -> Result<ModelCore, String> {
-        let store = Store::from_snapshot(&self.shared.published.load());
-        let mut core = ModelCore::new(store, self.shared.station).map_err(|error| error.to_string())?;
-        if let Some(head) = *lock(&self.shared.published_hash) {
+    /// A core for a Model whose predecessor is out of reach, from what everybody can see; and what that is.
+    fn rebuild(&self) -> Result<(ModelCore, Arc<Snapshot>), String> {
+        let (scene, head) = self.published()?;
+        let mut core = ModelCore::new(Store::from_snapshot(&scene), self.shared.station)
+            .map_err(|error| error.to_string())?;
+        if let Some(head) = head {
             // The log goes on, and so does the chain over it.
             core = core.with_chain(head);
         }
@@ -132,14 +143,26 @@ impl ModelActor {
             if let Some(access) = &*lock(&writer.declared) {
                 core.declare(&writer.seat.name, writer.id, access).map_err(|error| error.to_string())?;
             }
-            // What waits in the rings is ours now; what the old Model had taken out of them went with it.
-            writer.lose_unpublished();
         }
         for Visitor { name, id, access } in &*lock(&self.shared.guests) {
             core.declare(name, *id, access).map_err(|error| error.to_string())?;
         }
         self.shared.fences_waiting.store(true, Ordering::Release);
-        Ok(core)
+        Ok((core, scene))
+    }
+
+    /// The published scene with its own hash; a predecessor may be just about to tell the hash.
+    fn published(&self) -> Result<(Arc<Snapshot>, Option<StateHash>), String> {
+        for _ in 0..HASH_TRIES {
+            let scene = self.shared.published.load_full();
+            match *lock(&self.shared.published_hash) {
+                None => return Ok((scene, None)),
+                Some((revision, hash)) if revision == scene.revision() => return Ok((scene, Some(hash))),
+                Some(_) => {}
+            }
+            std::thread::sleep(HASH_PAUSE);
+        }
+        Err("a Model that was left behind published a scene and not its hash".to_owned())
     }
 
     /// One pass: everything that waits, published in between as the rule says.
@@ -182,8 +205,8 @@ impl ModelActor {
                 desk.raise_fences(shared, now);
             }
             let outcome = desk.core.apply(&mut batch, now);
-            // Guests have no row in the report.
-            if let Some(writer) = writer {
+            // Guests have no row in the report, and a Model that was left behind counts no more.
+            if let Some(writer) = writer.filter(|_| desk.lanes.is_current()) {
                 match &outcome {
                     Outcome::Applied { .. } => {
                         writer.applied.fetch_add(1, Ordering::Relaxed);
@@ -298,7 +321,7 @@ impl Desk {
         for writer in &shared.writers {
             writer.unpublished.store(0, Ordering::Relaxed);
         }
-        *lock(&shared.published_hash) = Some(self.core.hash());
+        *lock(&shared.published_hash) = Some((snapshot.revision(), self.core.hash()));
         self.retired.retire(std::mem::replace(&mut self.last, snapshot));
         if shared.has_sink
             && let Some(sink) = lock(&shared.sink).as_mut()

@@ -7,11 +7,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use arc_swap::ArcSwap;
 use tokio::sync::oneshot;
-use trocar_scene::{Access, EntityAllocator, SimTime, Snapshot, WriterId};
+use trocar_scene::{Access, EntityAllocator, Revision, SimTime, Snapshot, WriterId};
 
 use crate::chain::StateHash;
 use crate::handle::{LaneStatus, WriterHandle};
-use crate::intake::Intake;
+use crate::intake::{Arrival, Intake};
 use crate::runtime::{Account, Clock, ControllerReport, Permission, TickStats, guarded};
 use crate::spec::{CommitSink, ControllerSpec, FaultKind, FaultOrder};
 use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
@@ -224,7 +224,7 @@ pub(crate) struct Shared {
     pub(crate) sink: Mutex<Option<Box<dyn CommitSink>>>,
     pub(crate) has_sink: bool,
     /// The state hash of what is published, for a Model that takes over from one out of reach.
-    pub(crate) published_hash: Mutex<Option<StateHash>>,
+    pub(crate) published_hash: Mutex<Option<(Revision, StateHash)>>,
     /// Left behind by the Model when it ends.
     pub(crate) final_hash: Mutex<Option<StateHash>>,
     pub(crate) batches: AtomicU64,
@@ -275,6 +275,17 @@ impl Shared {
     }
     pub(crate) fn died(&self, seat: &Seat, life: &Life, cause: Cause) {
         self.report(Event::Died { child: seat.child, incarnation: life.incarnation, cause });
+    }
+
+    /// The session is over: what nobody has taken by now nobody will.
+    pub(crate) fn lose_rest(&self) {
+        let mut lanes = self.intake.take();
+        lanes.begin_pass();
+        while let Some(Arrival { batch, .. }) = lanes.pop(SimTime(u64::MAX)) {
+            if let Some(index) = self.writer_index(batch.provenance.writer) {
+                self.writers[index].lane.lose(1);
+            }
+        }
     }
 
     /// A new ring for this life of the writer.

@@ -25,7 +25,7 @@ const KINDS: [FaultKind; 6] = [
     FaultKind::Partition,
 ];
 /// Whose link is bad.
-const WHO: &str = "engine";
+const WHO: &str = "haptics.left";
 /// Share of its batches that suffers.
 const SHARE: f64 = 0.5;
 /// How late they are, and how much that varies.
@@ -64,8 +64,8 @@ pub fn lockstep(plan: &mut Plan<'_>) {
         plan.row(format!("lockstep_link_{kind}_resumed"), move |name| {
             lockstep::worst(name, "ms", bar(kind), |seed| {
                 let outcome = run(&App::new(), seed, of_kind(kind, struck(seed).lasting(secs(0.3))))?;
-                let (engine, others) = split(&outcome.reports, WHO);
-                let told = touched(kind, &engine) > 0 && row_of(&outcome)?.detected.is_some();
+                let (hand, others) = split(&outcome.reports, WHO);
+                let told = touched(kind, &hand) > 0 && row_of(&outcome)?.detected.is_some();
                 let apart = others.iter().all(|row| row.lost + row.delayed + row.duplicated == 0);
                 let whole = outcome.reports.iter().all(|row| row.unaccounted() == 0);
                 let well = told && apart && whole && is_finite(&outcome.kernel.snapshot);
@@ -123,7 +123,7 @@ pub fn live(plan: &mut Plan<'_>) {
         let scenario = app.scenario(lockstep::SCENARIO)?;
         let seconds = WARM + gap * (TIMES * KINDS.len()) as f64 + 1.0;
         let outcome = watched(&app, &scenario, plan, seconds)?.finished.outcome;
-        let (engine, others) = split(&outcome.controllers, WHO);
+        let (hand, others) = split(&outcome.controllers, WHO);
         let apart = others.iter().all(|row| row.lost + row.delayed + row.duplicated == 0);
         let mut rows = Vec::new();
         for kind in KINDS {
@@ -132,7 +132,7 @@ pub fn live(plan: &mut Plan<'_>) {
                 outcome.faults.iter().filter(struck).map(|row| recovery(row).min(1e4)).collect();
             let name = format!("live_link_{kind}_resumed_p50");
             let mut row = BenchResult::on_value(name, "ms", median(&figures), Some(bar(kind)), Better::Lower);
-            row.holds &= apart && touched(kind, &engine) > 0;
+            row.holds &= apart && touched(kind, &hand) > 0;
             rows.push(row);
         }
         let unaccounted: u64 = outcome.controllers.iter().map(ControllerReport::unaccounted).sum();
