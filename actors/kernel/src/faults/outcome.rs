@@ -381,11 +381,19 @@ mod tests {
         let log = FaultLog::new(&plan());
         let json = serde_json::to_value(log.rows()[0].record()).expect("serialises");
         let keys: Vec<&str> = json.as_object().expect("object").keys().map(String::as_str).collect();
-        for key in
-            ["id", "target", "kind", "injected_secs", "detected_secs", "restarted_secs", "resumed_secs"]
-        {
+        let promised = [
+            "id",
+            "target",
+            "kind",
+            "injected_secs",
+            "healed_secs",
+            "detected_secs",
+            "restarted_secs",
+            "resumed_secs",
+        ];
+        for key in promised {
             assert!(keys.contains(&key), "{key}");
         }
-        assert_eq!(keys.len(), 7);
+        assert_eq!(keys.len(), promised.len());
     }
 }
