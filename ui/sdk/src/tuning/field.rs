@@ -177,8 +177,38 @@ pub(super) fn read_row(field: &Field, row: &Value) -> Result<Value, FieldError> 
 /// When the entity or the component has gone.
 pub fn row(scene: &Snapshot, field: &Field) -> Result<Value, FieldError> {
     let id = scene.registry().by_name(field.component).ok();
-    id.and_then(|id| scene.erased_column(id).row_json(field.entity))
-        .ok_or_else(|| no_component(scene, &field.to_string(), field.entity, field.component))
+    let mut row = id
+        .and_then(|id| scene.erased_column(id).row_json(field.entity))
+        .ok_or_else(|| no_component(scene, &field.to_string(), field.entity, field.component))?;
+    name_entities(scene, &mut row);
+    Ok(row)
+}
+
+/// Entities as people write them, by name: their numbers are others after the next edit of the scenario.
+fn name_entities(scene: &Snapshot, value: &mut Value) {
+    match value {
+        Value::String(text) => {
+            let name = text.parse().ok().and_then(|entity| Some((entity, scene.get::<Name>(entity)?)));
+            if let Some((entity, name)) = name
+                && scene.find(&name.0) == Some(entity)
+            {
+                text.clone_from(&name.0);
+            }
+        }
+        Value::Array(items) => items.iter_mut().for_each(|item| name_entities(scene, item)),
+        Value::Object(map) => map.values_mut().for_each(|item| name_entities(scene, item)),
+        _ => {}
+    }
+}
+
+/// What [`name_entities`] calls entities, for [`with_entity_names`](trocar_scene::with_entity_names): of several with
+/// one name the first.
+pub(super) fn names(scene: &Snapshot) -> BTreeMap<String, Entity> {
+    let mut names = BTreeMap::new();
+    for (entity, name) in scene.iter::<Name>() {
+        names.entry(name.0.clone()).or_insert(entity);
+    }
+    names
 }
 
 /// Puts `value` at the field of a whole component and returns what was there.
@@ -387,6 +417,9 @@ mod tests {
         assert_eq!(read(&scene, nested).unwrap(), 0.0);
         // The entity `hand.left` has a component `hand`.
         assert_eq!(find(&scene, "hand.left.hand.scale").unwrap()[0].entity_name, "hand.left");
+        // References are by name.
+        let port = find(&scene, "grasper.left.instrument.port").unwrap().remove(0);
+        assert_eq!(read(&scene, &port).unwrap(), "port.left");
     }
 
     #[test]
