@@ -1,5 +1,7 @@
 //! Who may write what: declared by a controller, checked at the start and at every batch.
 
+use std::borrow::Cow;
+
 use thiserror::Error;
 
 use crate::component::Component;
@@ -182,7 +184,7 @@ impl WriterRules {
         }
         self.writes.iter().filter(|(id, _)| *id == component).any(|(_, set)| match set {
             EntitySet::All => true,
-            EntitySet::Own => self.owns(entity) || entity == self.me,
+            EntitySet::Own => self.is_own(entity),
             EntitySet::Of(list) => list.binary_search(&entity).is_ok(),
         })
     }
@@ -193,6 +195,11 @@ impl WriterRules {
             self.granted.push((component, entity));
         }
     }
+    /// Forgets what was handed over of an entity that is gone.
+    pub fn forget(&mut self, entity: Entity) {
+        self.granted.retain(|(_, of)| *of != entity);
+        self.revoked.retain(|(_, of)| *of != entity);
+    }
     /// Takes the right to a row away.
     pub fn revoke(&mut self, component: ComponentId, entity: Entity) {
         self.granted.retain(|row| *row != (component, entity));
@@ -202,9 +209,9 @@ impl WriterRules {
     }
     /// A component and the entities that both may write, if there are any.
     pub fn overlap(&self, other: &Self) -> Option<(ComponentId, String)> {
-        for (component, mine) in &self.writes {
-            for (_, theirs) in other.writes.iter().filter(|(id, _)| id == component) {
-                let shared = match (mine, theirs) {
+        for (component, mine) in self.claims() {
+            for (_, theirs) in other.claims().filter(|(id, _)| *id == component) {
+                let shared = match (&*mine, &*theirs) {
                     (EntitySet::All, EntitySet::All) => Some("all entities".to_owned()),
                     (EntitySet::All, EntitySet::Of(list)) | (EntitySet::Of(list), EntitySet::All) => {
                         list.first().map(|entity| format!("entity {entity}"))
@@ -215,18 +222,29 @@ impl WriterRules {
                     (EntitySet::All, EntitySet::Own) => Some("what the second one spawns".to_owned()),
                     (EntitySet::Own, EntitySet::All) => Some("what the first one spawns".to_owned()),
                     (EntitySet::Own, EntitySet::Of(list)) => {
-                        list.iter().find(|e| self.owns(**e)).map(|entity| format!("entity {entity}"))
+                        list.iter().find(|e| self.is_own(**e)).map(|entity| format!("entity {entity}"))
                     }
                     (EntitySet::Of(list), EntitySet::Own) => {
-                        list.iter().find(|e| other.owns(**e)).map(|entity| format!("entity {entity}"))
+                        list.iter().find(|e| other.is_own(**e)).map(|entity| format!("entity {entity}"))
                     }
                     (EntitySet::Own, EntitySet::Own) => None,
                 };
                 if let Some(shared) = shared {
-                    return Some((*component, shared));
+                    return Some((component, shared));
                 }
             }
         }
         None
+    }
+
+    /// What it writes; a contribution is a row on its own entity.
+    fn claims(&self) -> impl Iterator<Item = (ComponentId, Cow<'_, EntitySet>)> {
+        let contributed = || Cow::Owned(EntitySet::Of(vec![self.me]));
+        let writes = self.writes.iter().map(|(id, set)| (*id, Cow::Borrowed(set)));
+        writes.chain(self.contributes.iter().map(move |id| (*id, contributed())))
+    }
+
+    fn is_own(&self, entity: Entity) -> bool {
+        self.owns(entity) || entity == self.me
     }
 }

@@ -22,6 +22,8 @@ pub mod supervision;
 #[cfg(test)]
 mod testing;
 
+/// actix, in the version that [`live::LiveSession::actor`] takes.
+pub use actix;
 pub use chain::{CommitKind, StateHash};
 pub use commit::{Commit, CommitBuffer};
 pub use handle::{Doorbell, Intake, LaneStatus, Lanes, Submitted, WriterHandle};

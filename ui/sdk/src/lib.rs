@@ -18,3 +18,4 @@ mod session_plan;
 pub mod soak;
 pub mod summary;
 pub mod trace;
+pub mod tuning;

@@ -4,6 +4,8 @@
 //! controller reads the latest snapshot, pushes its batch into its ring and goes on; the Model drains the
 //! rings and publishes; a watchdog sees who hangs; the supervisor replaces who fails.
 
+mod actors;
+mod guest;
 mod host;
 mod model;
 mod operator;
@@ -16,16 +18,15 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use actix::prelude::System;
+use actix::prelude::{Actor, Context, System};
 use arc_swap::ArcSwap;
 use thiserror::Error;
 use tokio::sync::Notify;
-use tokio::sync::oneshot::error::TryRecvError;
 use trocar_scene::{Access, ComponentError, EntityAllocator, SimTime, Snapshot, Store, WriterId};
 
 use crate::chain::StateHash;
 use crate::faults::{FaultLog, FaultPlanError, FaultRow, FaultSchedule, TargetClass, Targets};
-use crate::handle::{Intake, LaneStatus, WriterHandle};
+use crate::handle::{Intake, LaneStatus};
 use crate::model_core::ModelCore;
 use crate::operator::{OPERATOR, OperatorError};
 use crate::runtime::{Clock, ControllerReport, Permission, TickStats};
@@ -33,12 +34,18 @@ use crate::spec::{ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, Sessi
 use crate::supervision::{
     ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Incident, Supervisor, TreeError,
 };
-pub use operator::{OPERATORS_MAX, Operator};
+use guest::Invitation;
 use shared::{Life, OperatorSeat, Report, Seam, Seat, Shared, Writer, lock};
 use supervise::{Board, Crew};
 
+pub use actors::HostedActor;
+pub use guest::Guest;
+pub use operator::{OPERATORS_MAX, Operator};
+
 /// Longest wait for a session to end; beyond it the forces are set to zero from here and it is left behind.
 pub const STOP_MAX: Duration = Duration::from_millis(1_900);
+/// Batches of an actor that may wait for the Model.
+const ACTOR_CAPACITY: usize = 64;
 /// Reports that wait for the supervisor.
 const REPORTS_MAX: usize = 4_096;
 /// Messages that wait to be printed.
@@ -277,8 +284,8 @@ impl LiveSession {
         true
     }
 
-    /// A way to the Model for somebody who is no controller: a console, a viewer, a measurement. It is
-    /// neither ticked nor supervised, and lasts until the session ends or a Model had to be left behind.
+    /// Lets somebody take part who is no controller: a console, a viewer, a measurement. A guest is neither
+    /// ticked nor supervised. `capacity` is how many of its batches may wait for the Model.
     ///
     /// # Errors
     /// When the name or number is taken, the access overlaps with others', or the Model does not answer.
@@ -288,22 +295,31 @@ impl LiveSession {
         id: WriterId,
         access: &Access,
         capacity: usize,
-    ) -> Result<WriterHandle, LiveError> {
-        let refused = |reason: String| LiveError::Controller { name: name.to_owned(), reason };
-        let mut answer = self.shared.introduce(name, id, access);
-        let until = Instant::now() + Duration::from_secs(1);
-        loop {
-            match answer.try_recv() {
-                Ok(answer) => break answer.map_err(refused)?,
-                Err(TryRecvError::Empty) if Instant::now() < until => {
-                    std::thread::sleep(Duration::from_millis(1));
-                }
-                Err(_) => return Err(refused("the Model did not answer".to_owned())),
-            }
-        }
-        let allocator = EntityAllocator::new(self.shared.station, id.0);
-        allocator.skip_to(self.snapshot().first_free(self.shared.station, id.0));
-        Ok(self.shared.intake.open(id, 1, capacity, allocator, Arc::default()))
+    ) -> Result<Guest, LiveError> {
+        self.invitation(name, id, access, capacity).accept()
+    }
+
+    /// Lets a plain actix actor take part, on a thread and in an actix system of its own. `build` makes it from
+    /// the guest that it acts through, at the start and whenever it has died; it ends with the session.
+    ///
+    /// # Errors
+    /// As [`Self::guest`], and when the system gives no thread.
+    pub fn actor<A>(
+        &self,
+        name: &str,
+        id: WriterId,
+        access: &Access,
+        build: impl Fn(Guest) -> A + Send + 'static,
+    ) -> Result<HostedActor, LiveError>
+    where
+        A: Actor<Context = Context<A>>,
+    {
+        HostedActor::start(self.invitation(name, id, access, ACTOR_CAPACITY), build)
+    }
+
+    fn invitation(&self, name: &str, id: WriterId, access: &Access, capacity: usize) -> Invitation {
+        let (shared, name, access) = (self.shared.clone(), name.to_owned(), access.clone());
+        Invitation { shared, name, id, access, capacity }
     }
 
     /// A way to write whatever one likes into the running session, from any thread: for a researcher's

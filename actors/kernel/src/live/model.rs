@@ -144,13 +144,15 @@ impl ModelActor {
             super::host::stall(shared, span);
             shared.model.seam.end_stall();
         }
+        let mut now = shared.clock.now();
         if shared.declares_waiting.swap(false, Ordering::AcqRel) {
+            // A new life that declares something else must not keep its predecessor's contributions alive.
+            desk.raise_fences(shared, now);
             desk.hear_declarations(shared);
             // Who is new to the Model may have been fenced before.
             shared.fences_waiting.store(true, Ordering::Release);
         }
         desk.lanes.begin_pass();
-        let mut now = shared.clock.now();
         if shared.fences_waiting.swap(false, Ordering::AcqRel) {
             desk.raise_fences(shared, now);
         }
