@@ -27,6 +27,6 @@ pub use actix;
 pub use chain::{CommitKind, StateHash};
 pub use commit::{Commit, CommitBuffer};
 pub use handle::{Doorbell, Intake, LaneStatus, Lanes, Submitted, WriterHandle};
-pub use lockstep::{LockstepSession, SessionError};
+pub use lockstep::{BranchError, LockstepSession, Moment, SessionError};
 pub use model_core::{DeclareError, ModelCore, Outcome, Rejection, WriterCounts};
 pub use operator::{OPERATOR, OPERATOR_NAME, OperatorError};

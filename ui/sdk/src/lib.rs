@@ -2,16 +2,19 @@
 
 pub mod app;
 pub mod assembly;
+pub mod branching;
 pub mod decimate;
 pub mod graph;
 pub mod hands;
 mod kinds;
+pub mod open;
 pub mod outline;
 pub mod plans;
 pub mod prelude;
 pub mod recorded_hand;
 pub mod run;
 pub mod session;
+mod session_plan;
 pub mod soak;
 pub mod summary;
 pub mod trace;

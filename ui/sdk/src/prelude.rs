@@ -8,5 +8,7 @@ pub use trocar_scene::{
 };
 
 pub use crate::app::App;
+pub use crate::branching::BranchError;
+pub use crate::open::{OpenError, SessionBuilder};
 pub use crate::run::{RunOptions, run};
 pub use crate::session::Session;

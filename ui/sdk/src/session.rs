@@ -14,6 +14,7 @@ use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot};
 
 use crate::assembly::Assembly;
+use crate::branching::Origin;
 use crate::hands::{HandPort, OpenedHand};
 use crate::run::RunError;
 
@@ -22,13 +23,15 @@ const ANSWER_MAX: Duration = Duration::from_secs(1);
 
 /// A session that runs.
 pub struct Session {
-    running: Running,
-    hands: Vec<HandPort>,
+    pub(crate) running: Running,
+    pub(crate) hands: Vec<HandPort>,
     drivers: Vec<DriverThread>,
-    fences_raised: bool,
+    pub(crate) fences_raised: bool,
+    /// In virtual time, what others can be made from.
+    pub(crate) origin: Option<Origin>,
 }
 
-enum Running {
+pub(crate) enum Running {
     Lockstep(Box<LockstepSession>),
     /// With the operator of [`Session::apply`], made when it is first needed.
     Live(LiveSession, Option<Box<Operator>>),
@@ -53,10 +56,15 @@ impl Session {
     /// When the session's specification is contradictory or a controller cannot be built.
     pub fn lockstep(assembly: Assembly) -> Result<Self, RunError> {
         let hands = assembly.hands.iter().map(|hand| hand.port().clone()).collect();
+        let origin = Origin {
+            plan: assembly.plan,
+            prototypes: assembly.hands.iter().map(OpenedHand::prototype).collect(),
+            seed: assembly.spec.seed,
+        };
         let mut spec = assembly.spec;
         spec.peers.extend(assembly.hands.into_iter().map(OpenedHand::into_peer));
         let running = Running::Lockstep(Box::new(LockstepSession::new(spec)?));
-        Ok(Self { running, hands, drivers: Vec::new(), fences_raised: false })
+        Ok(Self::new(running, hands, Vec::new(), Some(origin)))
     }
 
     /// Starts a session in real time: drivers first, so that the first haptic tick finds a sample.
@@ -73,7 +81,16 @@ impl Session {
             drivers.push(hand.into_thread(start, priority)?);
         }
         let running = Running::Live(LiveSession::start_at(assembly.spec, start)?, None);
-        Ok(Self { running, hands, drivers, fences_raised: false })
+        Ok(Self::new(running, hands, drivers, None))
+    }
+
+    pub(crate) fn new(
+        running: Running,
+        hands: Vec<HandPort>,
+        drivers: Vec<DriverThread>,
+        origin: Option<Origin>,
+    ) -> Self {
+        Self { running, hands, drivers, fences_raised: false, origin }
     }
 
     /// The hands.

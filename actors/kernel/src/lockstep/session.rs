@@ -1,11 +1,13 @@
 //! The session: its parts, its clock, its order.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
 use trocar_scene::{Batch, ComponentError, Controller, EntityAllocator, Registry, SimTime, Snapshot};
 
+use super::branching::{Given, Moment};
 use super::operating::OperatorDesk;
 use super::slot::{NEVER, Pending, Slot, Ticked};
 use crate::chain::StateHash;
@@ -60,8 +62,8 @@ pub enum SessionError {
 }
 
 pub(super) struct PeerSlot {
-    peer: Box<dyn Peer>,
-    next: SimTime,
+    pub(super) peer: Box<dyn Peer>,
+    pub(super) next: SimTime,
 }
 
 /// A life that was abandoned in the middle of a step.
@@ -79,7 +81,7 @@ pub struct LockstepSession {
     pub(super) core: ModelCore,
     pub(super) slots: Vec<Slot>,
     pub(super) operator: OperatorDesk,
-    peers: Vec<PeerSlot>,
+    pub(super) peers: Vec<PeerSlot>,
     pub(super) supervisor: Supervisor,
     pub(super) model: ChildId,
     pub(super) model_up: bool,
@@ -88,14 +90,18 @@ pub struct LockstepSession {
     pub(super) queued: bool,
     pub(super) zombies: Vec<Zombie>,
     deadline: SimTime,
-    next_publish: SimTime,
+    pub(super) next_publish: SimTime,
     pub(super) fault_sinks: Vec<(String, Arc<dyn FaultSink>)>,
     pub(super) faults: FaultSchedule,
     pub(super) fault_log: FaultLog,
     pub(super) zero_forces: Vec<ZeroForces>,
-    stop_when: Option<StopWhen>,
-    next_stop_check: SimTime,
-    until: SimTime,
+    pub(super) stop_when: Option<StopWhen>,
+    pub(super) next_stop_check: SimTime,
+    pub(super) until: SimTime,
+    /// While the first lives of a session that goes on from a moment are built.
+    pub(super) resuming: bool,
+    /// The latest snapshots that were given out, oldest first.
+    pub(super) given: VecDeque<Given>,
     pub(super) exit: Option<i32>,
     actions: Vec<Action>,
     commit_sink: Option<Box<dyn CommitSink>>,
@@ -110,9 +116,17 @@ impl LockstepSession {
     ///
     /// # Errors
     /// [`SessionError`]; a controller whose first construction fails ends the session as it would live.
-    pub fn new(mut spec: SessionSpec) -> Result<Self, SessionError> {
+    pub fn new(spec: SessionSpec) -> Result<Self, SessionError> {
+        Self::begin(spec, None)
+    }
+
+    /// Starts everybody at time zero, or at the moment that another session had come to.
+    pub(super) fn begin(mut spec: SessionSpec, moment: Option<Moment>) -> Result<Self, SessionError> {
         let children = spec.children();
-        let mut core = ModelCore::new(spec.scene, spec.station)?;
+        let mut core = match &moment {
+            Some(moment) => moment.core(spec.scene, spec.station),
+            None => ModelCore::new(spec.scene, spec.station)?,
+        };
         core.keep_commits(spec.commit_sink.is_some());
         for controller in &spec.controllers {
             if !(controller.rate_hz > 0.0 && controller.rate_hz <= 1e6) {
@@ -162,6 +176,8 @@ impl LockstepSession {
             stop_when: spec.stop_when,
             next_stop_check: SimTime::ZERO,
             until: spec.until.unwrap_or(NEVER),
+            resuming: false,
+            given: VecDeque::new(),
             exit: None,
             actions: Vec::new(),
             commit_sink: spec.commit_sink,
@@ -171,7 +187,11 @@ impl LockstepSession {
             begun: Instant::now(),
         };
         session.faults = FaultSchedule::new(&spec.faults, &session.fault_targets())?;
+        if let Some(moment) = moment {
+            session.go_on_from(moment);
+        }
         session.tell(Event::Tick);
+        session.resuming = false;
         match session.exit {
             Some(_) => {
                 let reason = session.supervisor.reason().unwrap_or("the session did not start");
@@ -215,6 +235,7 @@ impl LockstepSession {
     /// The scene as it is now, to keep.
     pub fn snapshot(&mut self) -> Arc<Snapshot> {
         self.publish();
+        self.remember();
         self.core.published().clone()
     }
 
