@@ -56,6 +56,11 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     options.faults = args.faults.as_deref().map(plan).transpose()?;
     options.record = record;
 
+    if options.lockstep && app.actors().next().is_some() {
+        let names = app.actors().collect::<Vec<_>>().join(", ");
+        tracing::warn!("in lock-step there is no real time, so these actors are left out: {names}");
+    }
+
     let mut display = Display::new(&scenario, &options, args.headless || args.json);
     let outcome = trocar::run::run(app, &scenario, &options, &mut |progress| display.update(progress));
     display.clear();

@@ -4,15 +4,16 @@ use std::path::{Component, Path};
 use std::sync::Arc;
 
 use thiserror::Error;
-use trocar_devices::{BuildError, DeviceSpec, HapticDevice, ReplayHand, SpecError};
+use trocar_devices::{BuildError, SpecError};
 use trocar_kernel::spec::{ControllerSpec, SessionSpec, StopWhen, ZeroForces};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::{Scenario, ScenarioError};
 use trocar_scene::{Commands, EntityAllocator, SCENARIO_SPAWNER, SimTime, TaskState};
 
+use crate::actors::ActorKind;
 use crate::app::{App, KindContext};
 use crate::hands::{HandFaults, HandPort, OpenedHand};
-use crate::recorded_hand::{self, RecordedHandError};
+use crate::recorded_hand::RecordedHandError;
 use crate::run::RunOptions;
 
 /// How often a session asks whether its exercise is over.
@@ -40,6 +41,26 @@ pub enum AssemblyError {
         /// Why.
         source: SpecError,
     },
+    /// A device that there is not.
+    #[error("hand {hand}: unknown device '{kind}'; there are: {known}")]
+    UnknownDevice {
+        /// The hand.
+        hand: String,
+        /// What was asked for.
+        kind: String,
+        /// What there is.
+        known: String,
+    },
+    /// A device of the program's own that cannot be named like that.
+    #[error("hand {hand}: {usage}: {reason}")]
+    OwnDevice {
+        /// The hand.
+        hand: String,
+        /// How it is written.
+        usage: String,
+        /// What is wrong.
+        reason: String,
+    },
     /// A device that could not be made.
     #[error("hand {hand}: {source}")]
     Device {
@@ -64,6 +85,8 @@ pub struct Assembly {
     pub spec: SessionSpec,
     /// The opened hands.
     pub hands: Vec<OpenedHand>,
+    /// Who joins when it runs live.
+    pub(crate) actors: Vec<ActorKind>,
 }
 
 impl Assembly {
@@ -120,7 +143,7 @@ impl Assembly {
             spec.zero_forces.push(zero);
             spec.fault_sinks.push((port.fault_target(), HandFaults::sink(port)));
         }
-        Ok(Self { spec, hands })
+        Ok(Self { spec, hands, actors: app.actors.clone() })
     }
 }
 
@@ -156,21 +179,7 @@ fn open_hands(
                 "device: a file named in a scenario must lie below its folder; use --hand for others";
             return Err(scenario.error_at("hand", index, reason).into());
         }
-        let device: Box<dyn HapticDevice> = match text.strip_prefix("recording:") {
-            Some(file) => {
-                let (points, capabilities) = recorded_hand::read(app, Path::new(file), hand.entity)
-                    .map_err(|source| AssemblyError::Recording { hand: hand.name.clone(), source })?;
-                let replay = ReplayHand::from_recording(points).map_err(|error| {
-                    AssemblyError::Recording { hand: hand.name.clone(), source: error.into() }
-                })?;
-                Box::new(replay.with_capabilities(capabilities))
-            }
-            None => {
-                let spec: DeviceSpec =
-                    text.parse().map_err(|source| AssemblyError::Spec { hand: hand.name.clone(), source })?;
-                spec.build().map_err(|source| AssemblyError::Device { hand: hand.name.clone(), source })?
-            }
-        };
+        let device = app.make_device(&hand.name, hand.entity, text)?;
         opened.push(OpenedHand::new(&hand.name, hand.entity, device));
     }
     Ok(opened)
