@@ -1,5 +1,7 @@
 //! Who may write what: declared by a controller, checked at the start and at every batch.
 
+use std::borrow::Cow;
+
 use thiserror::Error;
 
 use crate::component::Component;
@@ -80,6 +82,9 @@ pub struct AccessOverlap {
 pub struct WriterRules {
     me: Entity,
     spawns: bool,
+    unrestricted: bool,
+    /// Own entities of other writers, sorted: they exist without having been spawned.
+    known: Vec<Entity>,
     contributes: Vec<ComponentId>,
     /// Sorted by component; entity lists sorted.
     writes: Vec<(ComponentId, EntitySet)>,
@@ -109,7 +114,26 @@ impl WriterRules {
         for name in &access.contributes {
             contributes.push(registry.by_name(name)?);
         }
-        Ok(Self { me, spawns: access.spawns, contributes, writes, granted: Vec::new(), revoked: Vec::new() })
+        Ok(Self { contributes, writes, spawns: access.spawns, ..Self::none(me) })
+    }
+
+    /// May write every component of every entity, create entities, and remove those that it has created: for
+    /// somebody outside who steers a session. It claims no rows, so it overlaps with nobody.
+    pub fn unrestricted(me: Entity) -> Self {
+        Self { spawns: true, unrestricted: true, ..Self::none(me) }
+    }
+
+    fn none(me: Entity) -> Self {
+        Self {
+            me,
+            spawns: false,
+            unrestricted: false,
+            known: Vec::new(),
+            contributes: Vec::new(),
+            writes: Vec::new(),
+            granted: Vec::new(),
+            revoked: Vec::new(),
+        }
     }
 
     /// The writer's own entity.
@@ -128,8 +152,27 @@ impl WriterRules {
     pub fn owns(&self, entity: Entity) -> bool {
         entity.station() == self.me.station() && entity.spawner() == self.me.spawner() && entity != self.me
     }
+    /// Lets somebody who may write everything also write on another writer's own entity.
+    pub fn acquaint(&mut self, writer: Entity) {
+        if let Err(at) = self.known.binary_search(&writer)
+            && self.unrestricted
+        {
+            self.known.insert(at, writer);
+        }
+    }
+    /// Whether this is its own entity, or one of the writers' with which it was acquainted.
+    pub fn knows(&self, entity: Entity) -> bool {
+        entity == self.me || self.known.binary_search(&entity).is_ok()
+    }
+    /// Whether it may write everything.
+    pub fn is_unrestricted(&self) -> bool {
+        self.unrestricted
+    }
     /// Whether it may write this row now.
     pub fn may_write(&self, component: ComponentId, entity: Entity) -> bool {
+        if self.unrestricted {
+            return true;
+        }
         if entity == self.me && self.contributes.contains(&component) {
             return true;
         }
@@ -141,7 +184,7 @@ impl WriterRules {
         }
         self.writes.iter().filter(|(id, _)| *id == component).any(|(_, set)| match set {
             EntitySet::All => true,
-            EntitySet::Own => self.owns(entity) || entity == self.me,
+            EntitySet::Own => self.is_own(entity),
             EntitySet::Of(list) => list.binary_search(&entity).is_ok(),
         })
     }
@@ -152,6 +195,11 @@ impl WriterRules {
             self.granted.push((component, entity));
         }
     }
+    /// Forgets what was handed over of an entity that is gone.
+    pub fn forget(&mut self, entity: Entity) {
+        self.granted.retain(|(_, of)| *of != entity);
+        self.revoked.retain(|(_, of)| *of != entity);
+    }
     /// Takes the right to a row away.
     pub fn revoke(&mut self, component: ComponentId, entity: Entity) {
         self.granted.retain(|row| *row != (component, entity));
@@ -161,9 +209,9 @@ impl WriterRules {
     }
     /// A component and the entities that both may write, if there are any.
     pub fn overlap(&self, other: &Self) -> Option<(ComponentId, String)> {
-        for (component, mine) in &self.writes {
-            for (_, theirs) in other.writes.iter().filter(|(id, _)| id == component) {
-                let shared = match (mine, theirs) {
+        for (component, mine) in self.claims() {
+            for (_, theirs) in other.claims().filter(|(id, _)| *id == component) {
+                let shared = match (&*mine, &*theirs) {
                     (EntitySet::All, EntitySet::All) => Some("all entities".to_owned()),
                     (EntitySet::All, EntitySet::Of(list)) | (EntitySet::Of(list), EntitySet::All) => {
                         list.first().map(|entity| format!("entity {entity}"))
@@ -174,18 +222,29 @@ impl WriterRules {
                     (EntitySet::All, EntitySet::Own) => Some("what the second one spawns".to_owned()),
                     (EntitySet::Own, EntitySet::All) => Some("what the first one spawns".to_owned()),
                     (EntitySet::Own, EntitySet::Of(list)) => {
-                        list.iter().find(|e| self.owns(**e)).map(|entity| format!("entity {entity}"))
+                        list.iter().find(|e| self.is_own(**e)).map(|entity| format!("entity {entity}"))
                     }
                     (EntitySet::Of(list), EntitySet::Own) => {
-                        list.iter().find(|e| other.owns(**e)).map(|entity| format!("entity {entity}"))
+                        list.iter().find(|e| other.is_own(**e)).map(|entity| format!("entity {entity}"))
                     }
                     (EntitySet::Own, EntitySet::Own) => None,
                 };
                 if let Some(shared) = shared {
-                    return Some((*component, shared));
+                    return Some((component, shared));
                 }
             }
         }
         None
+    }
+
+    /// What it writes; a contribution is a row on its own entity.
+    fn claims(&self) -> impl Iterator<Item = (ComponentId, Cow<'_, EntitySet>)> {
+        let contributed = || Cow::Owned(EntitySet::Of(vec![self.me]));
+        let writes = self.writes.iter().map(|(id, set)| (*id, Cow::Borrowed(set)));
+        writes.chain(self.contributes.iter().map(move |id| (*id, contributed())))
+    }
+
+    fn is_own(&self, entity: Entity) -> bool {
+        self.owns(entity) || entity == self.me
     }
 }

@@ -10,6 +10,9 @@ pub mod lockstep;
 pub mod model_core;
 #[cfg(test)]
 mod model_core_tests;
+pub mod operator;
+#[cfg(test)]
+mod operator_tests;
 pub mod publish;
 pub mod recorder;
 pub mod retire;
@@ -26,3 +29,4 @@ pub use commit::{Commit, CommitBuffer};
 pub use handle::{Doorbell, Intake, LaneStatus, Lanes, Submitted, WriterHandle};
 pub use lockstep::{LockstepSession, SessionError};
 pub use model_core::{DeclareError, ModelCore, Outcome, Rejection, WriterCounts};
+pub use operator::{OPERATOR, OPERATOR_NAME, OperatorError};

@@ -14,6 +14,7 @@ use trocar_scene::{
 
 use crate::chain::{Chain, CommitKind, StateHash};
 use crate::commit::CommitBuffer;
+use crate::operator::{OPERATOR, OPERATOR_EPOCH, OPERATOR_NAME, OPERATOR_WRITES_MAX};
 use crate::publish::{PublishClock, PublishRule};
 
 /// Most rows whose ownership has moved from one writer to another.
@@ -50,12 +51,23 @@ pub enum Rejection {
     /// A row handed over to nobody.
     #[error("a row is handed over to writer {0}, which has not declared itself")]
     UnknownHeir(u16),
+    /// A row of a writer's own entity handed over: its contributions would outlive it.
+    #[error("{component} of {entity} stands on a writer's own entity and cannot be handed over")]
+    OwnEntity {
+        /// Name of the component.
+        component: &'static str,
+        /// The writer's entity.
+        entity: Entity,
+    },
     /// Too many rows handed over.
     #[error("more than {TRANSFERS_MAX} rows have been handed over")]
     TooManyTransfers,
     /// It cannot be encoded, so it could be neither hashed nor recorded.
     #[error("the batch cannot be encoded: {0}")]
     Unencodable(ComponentError),
+    /// More in one batch than an operator may ask for: the Model would keep everybody waiting.
+    #[error("{0} writes in one batch; valid: up to {OPERATOR_WRITES_MAX}")]
+    TooManyWrites(usize),
     /// It broke a rule of the scene.
     #[error(transparent)]
     Refused(Refusal),
@@ -64,6 +76,14 @@ pub enum Rejection {
 /// A writer that the Model does not take.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum DeclareError {
+    /// The operator's name or number.
+    #[error("'{name}' cannot be writer {id}: '{OPERATOR_NAME}', writer {}, is whoever writes from outside", OPERATOR.0)]
+    Reserved {
+        /// The writer.
+        name: String,
+        /// Its number.
+        id: u16,
+    },
     /// Two writers of one name.
     #[error("two writers are named '{0}'")]
     NameTaken(String),
@@ -101,6 +121,8 @@ pub struct WriterCounts {
     pub conflicts: u64,
     /// Batches that made the Model panic.
     pub quarantined: u64,
+    /// Applied batches that were undone before anybody saw them, because a later one made the Model panic.
+    pub undone: u64,
 }
 
 struct Writer {
@@ -110,6 +132,8 @@ struct Writer {
     rules: WriterRules,
     epoch: u32,
     counts: WriterCounts,
+    /// Batches applied and not published.
+    unpublished: u64,
     last_rejection: Option<Rejection>,
 }
 
@@ -122,6 +146,14 @@ struct Committed {
     chain: Chain,
     transfers: Arc<Transfers>,
     commits: usize,
+}
+
+/// A fence that readers have not seen: it outlives a fall-back, or what a dead writer contributed came back.
+struct UnseenFence {
+    writer: WriterId,
+    epoch: u32,
+    now: SimTime,
+    rules: WriterRules,
 }
 
 /// The Model's state machine.
@@ -137,6 +169,7 @@ pub struct ModelCore {
     keep_commits: bool,
     scratch: Vec<u8>,
     committed: Committed,
+    unseen_fences: Vec<UnseenFence>,
     /// Whether a batch is being moved into the scene; still set after a panic in the middle of it.
     half_applied: bool,
 }
@@ -155,17 +188,28 @@ impl ModelCore {
             transfers: transfers.clone(),
             commits: 0,
         };
+        let operator = Writer {
+            name: OPERATOR_NAME.into(),
+            id: OPERATOR,
+            access: Access::new(),
+            rules: WriterRules::unrestricted(Entity::of_writer(station, OPERATOR.0)),
+            epoch: OPERATOR_EPOCH,
+            counts: WriterCounts::default(),
+            unpublished: 0,
+            last_rejection: None,
+        };
         Ok(Self {
             station,
             store,
             chain,
-            writers: Vec::new(),
+            writers: vec![operator],
             transfers,
             clock: PublishClock::new(PublishRule::default()),
             commits: CommitBuffer::new(),
             keep_commits: false,
             scratch: Vec::new(),
             committed,
+            unseen_fences: Vec::new(),
             half_applied: false,
         })
     }
@@ -193,9 +237,15 @@ impl ModelCore {
     /// Takes a writer, or a new life of one: what it writes must not overlap with what others write. Rows
     /// that were handed over stay where they are. Returns its epoch, which is 1 in its first life.
     ///
+    /// A writer that declares something else than in the life before must have been fenced: a later fence takes
+    /// away only what it contributes now.
+    ///
     /// # Errors
     /// [`DeclareError`]; the writers that were declared before are not affected.
     pub fn declare(&mut self, name: &str, id: WriterId, access: &Access) -> Result<u32, DeclareError> {
+        if name == OPERATOR_NAME || id == OPERATOR {
+            return Err(DeclareError::Reserved { name: name.to_owned(), id: id.0 });
+        }
         for other in &self.writers {
             if *other.name == *name && other.id != id {
                 return Err(DeclareError::NameTaken(name.to_owned()));
@@ -236,9 +286,13 @@ impl ModelCore {
                     rules,
                     epoch: 1,
                     counts: WriterCounts::default(),
+                    unpublished: 0,
                     last_rejection: None,
                 };
                 self.writers.insert(at, writer);
+                if let Some(operator) = self.position(OPERATOR) {
+                    self.writers[operator].rules.acquaint(me);
+                }
                 Ok(1)
             }
         }
@@ -269,11 +323,12 @@ impl ModelCore {
             };
         }
         self.half_applied = true;
-        self.move_ownership(at, batch);
+        self.move_ownership(batch);
         let revision = self.store.apply(&mut batch.commands, time);
         self.half_applied = false;
         let writer = &mut self.writers[at];
         writer.counts.applied += 1;
+        writer.unpublished += 1;
         self.chain.append(CommitKind::Batch, &writer.name, tick, time, &self.scratch);
         if self.keep_commits {
             let head = self.chain.head();
@@ -296,10 +351,18 @@ impl ModelCore {
         if epoch != writer.epoch {
             return Err(Rejection::StaleEpoch { found: epoch, current: writer.epoch });
         }
+        if writer.rules.is_unrestricted() && batch.commands.len() > OPERATOR_WRITES_MAX {
+            return Err(Rejection::TooManyWrites(batch.commands.len()));
+        }
         self.store.validate(&batch.commands, &writer.rules).map_err(Rejection::Refused)?;
         for transfer in batch.commands.transfers() {
             if self.position(transfer.to).is_none() {
                 return Err(Rejection::UnknownHeir(transfer.to.0));
+            }
+            let entity = transfer.entity;
+            if entity == Entity::of_writer(entity.station(), entity.spawner()) {
+                let component = self.store.view().registry().entry(transfer.component).name;
+                return Err(Rejection::OwnEntity { component, entity });
             }
         }
         if self.transfers.len() + batch.commands.transfers().len() > TRANSFERS_MAX {
@@ -309,12 +372,16 @@ impl ModelCore {
         batch.commands.encode(&mut self.scratch).map_err(Rejection::Unencodable)
     }
 
-    fn move_ownership(&mut self, from: usize, batch: &Batch) {
+    fn move_ownership(&mut self, batch: &Batch) {
         for transfer in batch.commands.transfers() {
             let row = (transfer.component, transfer.entity);
-            self.writers[from].rules.revoke(row.0, row.1);
-            if let Some(heir) = self.position(transfer.to) {
-                self.writers[heir].rules.grant(row.0, row.1);
+            // Of everybody else, not only of the sender: of two heirs of one row in a batch the later one has it.
+            for writer in &mut self.writers {
+                if writer.id == transfer.to {
+                    writer.rules.grant(row.0, row.1);
+                } else {
+                    writer.rules.revoke(row.0, row.1);
+                }
             }
             Arc::make_mut(&mut self.transfers).insert(row, transfer.to);
         }
@@ -322,6 +389,9 @@ impl ModelCore {
         if !self.transfers.is_empty() && !batch.commands.despawns().is_empty() {
             Arc::make_mut(&mut self.transfers)
                 .retain(|(_, entity), _| !batch.commands.despawns().contains(entity));
+            for writer in &mut self.writers {
+                batch.commands.despawns().iter().for_each(|entity| writer.rules.forget(*entity));
+            }
         }
     }
 
@@ -338,19 +408,29 @@ impl ModelCore {
         if writes.is_empty() && contributes.is_empty() && !spawns {
             return true;
         }
-        let revision = self.store.remove_contributions(&writer.rules);
+        let fence = UnseenFence { writer: id, epoch, now, rules: writer.rules.clone() };
+        self.end_lives(&fence);
+        self.unseen_fences.push(fence);
+        true
+    }
+
+    /// Takes a fenced writer's contributions out of the scene, as a commit.
+    fn end_lives(&mut self, fence: &UnseenFence) {
+        let UnseenFence { writer, epoch, now, ref rules } = *fence;
+        let Some(at) = self.position(writer) else { return };
+        let writer = &self.writers[at];
+        let revision = self.store.remove_contributions(rules);
         // The epoch stands where a batch has its tick.
         let provenance =
-            Provenance { writer: id, epoch, tick: u64::from(epoch), time: now, based_on: revision };
+            Provenance { writer: writer.id, epoch, tick: u64::from(epoch), time: now, based_on: revision };
         self.scratch.clear();
-        encode_fence(self.store.view().registry(), &writer.rules, &mut self.scratch);
+        encode_fence(self.store.view().registry(), rules, &mut self.scratch);
         self.chain.append(CommitKind::Fence, &writer.name, provenance.tick, now, &self.scratch);
         if self.keep_commits {
             let head = self.chain.head();
             self.commits.push(CommitKind::Fence, revision, &writer.name, provenance, head, &self.scratch);
         }
         self.clock.applied(now);
-        true
     }
 
     /// Applies a recorded commit again, without asking what its writer may do: that was decided when it was
@@ -389,6 +469,8 @@ impl ModelCore {
             transfers: self.transfers.clone(),
             commits: self.commits.len(),
         };
+        self.unseen_fences.clear();
+        self.writers.iter_mut().for_each(|writer| writer.unpublished = 0);
         self.clock.published();
         snapshot
     }
@@ -406,7 +488,7 @@ impl ModelCore {
         std::mem::take(&mut self.half_applied)
     }
 
-    /// Forgets everything since the last publication.
+    /// Forgets everything since the last publication, except who was fenced.
     fn fall_back(&mut self) {
         let committed = self.committed.clone();
         self.store = Store::from_snapshot(&committed.snapshot);
@@ -415,15 +497,22 @@ impl ModelCore {
         self.commits.truncate(committed.commits);
         self.clock.published();
         for at in 0..self.writers.len() {
-            let writer = &self.writers[at];
+            let writer = &mut self.writers[at];
+            writer.counts.undone += std::mem::take(&mut writer.unpublished);
+            if writer.rules.is_unrestricted() {
+                continue;
+            }
             // Compiled before, so it compiles again.
             if let Ok(mut rules) =
                 WriterRules::compile(&writer.access, self.store.view().registry(), writer.rules.me())
             {
                 restore_transfers(&self.transfers, writer.id, &mut rules);
-                self.writers[at].rules = rules;
+                writer.rules = rules;
             }
         }
+        let fences = std::mem::take(&mut self.unseen_fences);
+        fences.iter().for_each(|fence| self.end_lives(fence));
+        self.unseen_fences = fences;
     }
 
     /// Takes the commits since the last call, published or not, and leaves `empty` for the next ones.
@@ -461,9 +550,10 @@ impl ModelCore {
     pub fn name(&self, id: WriterId) -> Option<&Arc<str>> {
         self.position(id).map(|at| &self.writers[at].name)
     }
-    /// What every writer declared, ordered by id.
+    /// What every writer declared, ordered by id. The operator declares nothing.
     pub fn writers(&self) -> impl Iterator<Item = (WriterId, &str, &Access)> {
-        self.writers.iter().map(|writer| (writer.id, &*writer.name, &writer.access))
+        let declared = self.writers.iter().filter(|writer| !writer.rules.is_unrestricted());
+        declared.map(|writer| (writer.id, &*writer.name, &writer.access))
     }
 
     fn position(&self, id: WriterId) -> Option<usize> {

@@ -1,8 +1,5 @@
-//! What the Model promises, one test per promise, and a property test against a naive model.
+//! What the Model promises, one test per promise. `tests/model_sequences.rs` plays random sessions.
 
-use std::collections::{BTreeMap, BTreeSet};
-
-use proptest::prelude::*;
 use trocar_scene::{
     Access, Batch, CommandError, Commands, Entity, EntityAllocator, EntitySet, Provenance, Refusal, Revision,
     SimTime, Store, WriterId,
@@ -286,218 +283,48 @@ fn commits_replayed_into_a_fresh_core_give_the_same_scene_and_hash() {
     assert_eq!(scene_of(&again), scene_of(&core));
 }
 
-/// One step of a random session.
-#[derive(Clone, Debug)]
-enum Step {
-    Batch { writer: u16, stale: bool, writes: Vec<Write> },
-    Fence { writer: u16 },
-    Publish,
-    Recover,
+#[test]
+fn of_two_heirs_of_one_row_in_a_batch_the_later_one_has_it() {
+    let mut core = core();
+    let (guest, none) = (WriterId(3), Access::new().contributes::<Shadow>());
+    core.declare("guest", guest, &Access::new()).expect("fits");
+    assert!(
+        core.declare("shadow", WriterId(4), &none).is_ok(),
+        "everybody contributes on an entity of its own"
+    );
+    submit(&mut core, ENGINE, 1, |out| {
+        out.transfer::<Count>(RING, PILOT);
+        out.transfer::<Count>(RING, guest);
+    });
+    let put = |out: &mut Commands| out.put(RING, Count(1));
+    assert!(matches!(submit(&mut core, PILOT, 1, put), Outcome::Rejected(_)));
+    assert!(matches!(submit(&mut core, guest, 1, put), Outcome::Applied { .. }));
 }
 
-#[derive(Clone, Debug)]
-enum Write {
-    Put { entity: Entity, value: u64 },
-    Remove { entity: Entity },
-    Spawn { counter: u32 },
-    Despawn { entity: Entity },
-    Contribute { value: u32 },
-    Nan { entity: Entity },
-    Require { entity: Entity, since: u64 },
+#[test]
+fn a_fence_outlives_the_fall_back_of_a_panic() {
+    let mut core = core();
+    core.keep_commits(true);
+    let me = Entity::of_writer(0, PILOT.0);
+    submit(&mut core, PILOT, 1, |out| out.contribute(Pairs(vec![1])));
+    submit(&mut core, ENGINE, 1, |out| out.put(RING, Bomb::new(14)));
+    core.publish();
+    assert!(core.fence(PILOT, 2, SimTime::from_millis(3)));
+    submit(&mut core, ENGINE, 1, |out| out.put(PEG, Level(1.0)));
+    assert!(blow_up(&mut core, Bomb::new(0)));
+    assert_eq!(core.view().get::<Pairs>(me), None, "a dead writer's contact does not come back");
+    assert_eq!(core.view().get::<Level>(PEG), None);
+    assert_eq!(core.counts(ENGINE).expect("declared").undone, 1);
+    let last = core.swap_commits(CommitBuffer::new());
+    assert_eq!(last.iter().last().map(|commit| commit.kind), Some(CommitKind::Fence), "and is in the log");
 }
 
-fn entity() -> impl Strategy<Value = Entity> {
-    (0u16..3, 0u32..4).prop_map(|(spawner, counter)| Entity::new(0, spawner, counter))
-}
-
-fn write() -> impl Strategy<Value = Write> {
-    prop_oneof![
-        6 => (entity(), any::<u64>()).prop_map(|(entity, value)| Write::Put { entity, value }),
-        2 => entity().prop_map(|entity| Write::Remove { entity }),
-        3 => (1u32..4).prop_map(|counter| Write::Spawn { counter }),
-        2 => entity().prop_map(|entity| Write::Despawn { entity }),
-        2 => any::<u32>().prop_map(|value| Write::Contribute { value }),
-        1 => entity().prop_map(|entity| Write::Nan { entity }),
-        1 => (entity(), 0u64..30).prop_map(|(entity, since)| Write::Require { entity, since }),
-    ]
-}
-
-fn step() -> impl Strategy<Value = Step> {
-    prop_oneof![
-        12 => (1u16..4, prop::bool::weighted(0.1), prop::collection::vec(write(), 0..5))
-            .prop_map(|(writer, stale, writes)| Step::Batch { writer, stale, writes }),
-        1 => (1u16..4).prop_map(|writer| Step::Fence { writer }),
-        2 => Just(Step::Publish),
-        1 => Just(Step::Recover),
-    ]
-}
-
-/// The same rules over plain maps, in the most obvious way.
-#[derive(Clone, Default)]
-struct Naive {
-    revision: u64,
-    alive: BTreeSet<Entity>,
-    counts: BTreeMap<Entity, (u64, u64)>,
-    pairs: BTreeMap<Entity, u32>,
-}
-
-impl Naive {
-    fn may_write(writer: u16, entity: Entity) -> bool {
-        match writer {
-            1 => entity == RING || entity.spawner() == 1,
-            2 => entity == PEG,
-            _ => false,
-        }
-    }
-
-    fn batch(&mut self, writer: u16, writes: &[Write]) -> bool {
-        let spawned: Vec<Entity> = writes
-            .iter()
-            .filter_map(|write| match write {
-                Write::Spawn { counter } => Some(Entity::new(0, writer, *counter)),
-                _ => None,
-            })
-            .collect();
-        let me = Entity::new(0, writer, 0);
-        let mine = |entity: Entity| writer == 1 && entity.spawner() == 1 && entity != me;
-        let exists = |alive: &BTreeSet<Entity>, entity| {
-            entity == me || alive.contains(&entity) || spawned.contains(&entity)
-        };
-        let fine = |write: &Write| match write {
-            Write::Put { entity, .. } | Write::Remove { entity } => {
-                Self::may_write(writer, *entity) && exists(&self.alive, *entity)
-            }
-            Write::Spawn { counter } => {
-                let entity = Entity::new(0, writer, *counter);
-                mine(entity) && !self.alive.contains(&entity)
-            }
-            Write::Despawn { entity } => mine(*entity) && self.alive.contains(entity),
-            Write::Contribute { .. } => writer < 3,
-            Write::Nan { .. } => false,
-            Write::Require { entity, since } => {
-                self.counts.get(entity).is_none_or(|(_, revision)| revision <= since)
-            }
-        };
-        if writer > 2 || !writes.iter().all(fine) {
-            return false;
-        }
-        self.revision += 1;
-        let each = |wanted: fn(&Write) -> bool| writes.iter().filter(move |write| wanted(write));
-        self.alive.extend(spawned);
-        for write in each(|write| matches!(write, Write::Put { .. } | Write::Contribute { .. })) {
-            match write {
-                Write::Put { entity, value } => {
-                    self.counts.insert(*entity, (*value, self.revision));
-                }
-                Write::Contribute { value } => {
-                    self.pairs.insert(me, *value);
-                }
-                _ => {}
-            }
-        }
-        for write in each(|write| matches!(write, Write::Remove { .. })) {
-            if let Write::Remove { entity } = write {
-                self.counts.remove(entity);
-            }
-        }
-        for write in each(|write| matches!(write, Write::Despawn { .. })) {
-            if let Write::Despawn { entity } = write {
-                self.alive.remove(entity);
-                self.counts.remove(entity);
-                self.pairs.remove(entity);
-            }
-        }
-        true
-    }
-}
-
-fn random_batch(core: &ModelCore, writer: u16, epoch: u32, writes: &[Write]) -> Batch {
-    batch(core, WriterId(writer), epoch, |out| {
-        for write in writes {
-            match write {
-                Write::Put { entity, value } => out.put(*entity, Count(*value)),
-                Write::Remove { entity } => out.remove::<Count>(*entity),
-                Write::Spawn { counter } => {
-                    spawn_from(out, Entity::new(0, writer, *counter));
-                }
-                Write::Despawn { entity } => out.despawn(*entity),
-                Write::Contribute { value } => out.contribute(Pairs(vec![*value])),
-                Write::Nan { entity } => out.put(*entity, Level(f64::NAN)),
-                Write::Require { entity, since } => {
-                    out.require_unchanged::<Count>(*entity, Revision(*since));
-                }
-            }
-        }
-    })
-}
-
-/// Spawns an entity of a given number, also one that exists already, as only bytes from outside can.
-fn spawn_from(out: &mut Commands, entity: Entity) {
-    let mut bytes = postcard::to_allocvec(&vec![entity]).expect("encodes");
-    bytes.extend([0; 5]);
-    assert!(out.decode(&bytes).expect("well-formed").is_empty());
-}
-
-fn compare(core: &ModelCore, naive: &Naive) -> Result<(), TestCaseError> {
-    prop_assert_eq!(core.view().revision(), Revision(naive.revision));
-    let alive: BTreeSet<Entity> = core.view().entities().collect();
-    prop_assert_eq!(&alive, &naive.alive);
-    let counts: BTreeMap<Entity, (u64, u64)> = core
-        .view()
-        .iter::<Count>()
-        .map(|(entity, count)| {
-            (entity, (count.0, core.view().changed::<Count>(entity).unwrap_or_default().0))
-        })
-        .collect();
-    prop_assert_eq!(&counts, &naive.counts);
-    let pairs: BTreeMap<Entity, u32> =
-        core.view().iter::<Pairs>().map(|(entity, pairs)| (entity, pairs.0[0])).collect();
-    prop_assert_eq!(&pairs, &naive.pairs);
-    Ok(())
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2_000))]
-    #[test]
-    fn any_sequence_agrees_with_a_naive_model(steps in prop::collection::vec(step(), 1..40)) {
-        let mut core = ModelCore::new(scene(), 0).expect("encodes");
-        let engine = Access::new()
-            .writes::<Count>(EntitySet::Of(vec![RING]))
-            .writes::<Count>(EntitySet::Own)
-            .contributes::<Pairs>()
-            .spawns();
-        let pilot = Access::new().writes::<Count>(EntitySet::Of(vec![PEG])).contributes::<Pairs>();
-        core.declare("engine", ENGINE, &engine).expect("fits");
-        core.declare("pilot", PILOT, &pilot).expect("fits");
-        let mut naive = Naive {
-            revision: 1,
-            alive: BTreeSet::from([RING, PEG]),
-            counts: BTreeMap::from([(RING, (0, 1))]),
-            pairs: BTreeMap::new(),
-        };
-        for step in &steps {
-            match step {
-                Step::Batch { writer, stale, writes } => {
-                    let epoch = core.epoch(WriterId(*writer)).unwrap_or(1) - u32::from(*stale);
-                    let mut batch = random_batch(&core, *writer, epoch, writes);
-                    let applied = matches!(core.apply(&mut batch, SimTime::ZERO), Outcome::Applied { .. });
-                    prop_assert_eq!(applied, !stale && naive.batch(*writer, writes), "{:?}", step);
-                }
-                Step::Fence { writer } => {
-                    let epoch = core.epoch(WriterId(*writer)).unwrap_or(1) + 1;
-                    if core.fence(WriterId(*writer), epoch, SimTime::ZERO) {
-                        naive.revision += 1;
-                        naive.pairs.remove(&Entity::new(0, *writer, 0));
-                    }
-                }
-                Step::Publish => {
-                    core.publish();
-                }
-                Step::Recover => {
-                    prop_assert!(!core.recover(None), "nothing was half applied");
-                }
-            }
-            compare(&core, &naive)?;
-        }
-    }
+#[test]
+fn what_stands_on_a_writers_own_entity_is_nobody_elses() {
+    let mut core = core();
+    let me = Entity::of_writer(0, PILOT.0);
+    let all = Access::new().writes::<Pairs>(EntitySet::All);
+    assert!(matches!(core.declare("rogue", WriterId(3), &all), Err(DeclareError::Overlap(_))));
+    let heir = rejection(submit(&mut core, PILOT, 1, |out| out.transfer::<Pairs>(me, ENGINE)));
+    assert_eq!(heir, Rejection::OwnEntity { component: "test_pairs", entity: me });
 }

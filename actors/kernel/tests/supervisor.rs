@@ -1,221 +1,14 @@
-//! The guarantees of the supervisor tree, one test each, named for what OTP promises and for what a
-//! shared address space adds.
+//! What the supervisor tree does beyond Erlang/OTP, one test per promise: pauses between restarts, children that
+//! are held, and what a shared address space adds (stalls, fences, zombies). `otp.rs` holds it against OTP itself.
 
 mod rig;
 
-use rig::{Rig, ms};
+use rig::{A, B, C, Rig, ms, position, spec, stops, three};
 use trocar_kernel::supervision::{
-    Action, Backoff, Cause, ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Restart,
-    RuntimeClass, Strategy, Supervisor, TreeError,
+    Action, Backoff, Cause, ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, RuntimeClass,
+    Strategy, Supervisor, TreeError,
 };
 use trocar_scene::SimTime;
-
-const A: ChildId = ChildId(0);
-const B: ChildId = ChildId(1);
-const C: ChildId = ChildId(2);
-
-fn spec(id: &str) -> ChildSpec {
-    ChildSpec::new(id, RuntimeClass::Haptics, 1000.0)
-}
-
-/// No pauses, so that a test's times are exact.
-fn prompt() -> Backoff {
-    Backoff { base: SimTime::ZERO, factor: 1.0, max: SimTime::ZERO, jitter: 0.0, reset_after: ms(1_000) }
-}
-
-fn three(strategy: Strategy) -> GroupSpec {
-    GroupSpec::new("root", strategy).with_backoff(prompt()).child(spec("a")).child(spec("b")).child(spec("c"))
-}
-
-impl Rig {
-    fn died(&mut self, millis: u64, child: ChildId, cause: Cause) {
-        let incarnation = self.tree.incarnation(child);
-        self.at(millis, Event::Died { child, incarnation, cause });
-    }
-    fn panics(&mut self, millis: u64, child: ChildId) {
-        self.died(millis, child, Cause::Panic("boom".to_owned()));
-    }
-    fn stalls(&mut self, millis: u64, child: ChildId) {
-        let incarnation = self.tree.incarnation(child);
-        self.at(millis, Event::Stalled { child, incarnation });
-    }
-    fn take(&mut self) -> Vec<Action> {
-        std::mem::take(&mut self.log)
-    }
-    fn lives(&self) -> [u32; 3] {
-        [self.tree.incarnation(A), self.tree.incarnation(B), self.tree.incarnation(C)]
-    }
-    fn health(&self, child: ChildId) -> Health {
-        self.tree.health(child).expect("a child")
-    }
-}
-
-fn starts(log: &[Action]) -> Vec<u16> {
-    log.iter()
-        .filter_map(|a| if let Action::Start { child, .. } = a { Some(child.0) } else { None })
-        .collect()
-}
-fn stops(log: &[Action]) -> Vec<u16> {
-    log.iter().filter_map(|a| if let Action::Stop { child } = a { Some(child.0) } else { None }).collect()
-}
-fn position(log: &[Action], wanted: impl Fn(&Action) -> bool) -> usize {
-    log.iter().position(wanted).unwrap_or_else(|| panic!("not ordered: {log:?}"))
-}
-
-#[test]
-fn children_start_in_order_each_after_the_one_before_is_up() {
-    let mut rig = Rig::with(three(Strategy::OneForOne), 2, &[], &[B]);
-    assert_eq!(starts(&rig.take()), [0, 1]);
-    assert_eq!(rig.health(C), Health::Starting);
-    rig.at(3, Event::Started { child: B, incarnation: 1 });
-    assert_eq!(starts(&rig.take()), [2]);
-    assert!(rig.tree.is_up());
-}
-
-#[test]
-fn one_for_one_restarts_only_the_one_that_died() {
-    let mut rig = Rig::new(three(Strategy::OneForOne));
-    rig.panics(10, B);
-    assert_eq!(rig.lives(), [1, 2, 1]);
-}
-
-#[test]
-fn rest_for_one_restarts_only_later_siblings() {
-    let mut rig = Rig::new(three(Strategy::RestForOne));
-    rig.take();
-    rig.panics(10, B);
-    let log = rig.take();
-    assert_eq!(rig.lives(), [1, 2, 2]);
-    assert_eq!(stops(&log), [2]);
-    assert_eq!(starts(&log), [1, 2]);
-}
-
-#[test]
-fn one_for_all_stops_in_reverse_and_starts_in_order() {
-    let mut rig = Rig::new(three(Strategy::OneForAll));
-    rig.take();
-    rig.panics(10, B);
-    let log = rig.take();
-    assert_eq!(rig.lives(), [2, 2, 2]);
-    assert_eq!(stops(&log), [2, 0]);
-    assert_eq!(starts(&log), [0, 1, 2]);
-}
-
-#[test]
-fn nothing_of_a_cohort_starts_before_all_that_had_to_stop_have_stopped() {
-    let mut rig = Rig::with(three(Strategy::RestForOne), 2, &[C], &[]);
-    rig.take();
-    rig.panics(10, B);
-    assert!(starts(&rig.take()).is_empty(), "c is still stopping");
-    rig.died(12, C, Cause::Stop);
-    assert_eq!(starts(&rig.take()), [1, 2]);
-}
-
-#[test]
-fn permanent_restarts_after_a_normal_end() {
-    let mut rig = Rig::new(three(Strategy::OneForOne));
-    rig.died(10, A, Cause::Stop);
-    assert_eq!(rig.lives(), [2, 1, 1]);
-    assert!(rig.tree.incidents().is_empty(), "an end by itself is no incident");
-}
-
-#[test]
-fn transient_restarts_only_after_an_abnormal_end() {
-    let root = GroupSpec::new("root", Strategy::OneForOne)
-        .with_backoff(prompt())
-        .child(spec("a").with_restart(Restart::Transient))
-        .child(spec("b").with_restart(Restart::Transient))
-        .child(spec("c"));
-    let mut rig = Rig::new(root);
-    rig.died(10, A, Cause::Stop);
-    rig.died(11, B, Cause::Error("disk".to_owned()));
-    assert_eq!(rig.lives(), [1, 2, 1]);
-    assert_eq!(rig.health(A), Health::Stopped);
-}
-
-#[test]
-fn temporary_is_never_restarted_not_even_with_its_siblings() {
-    let root = GroupSpec::new("root", Strategy::OneForAll)
-        .with_backoff(prompt())
-        .child(spec("a").with_restart(Restart::Temporary))
-        .child(spec("b").with_restart(Restart::Temporary))
-        .child(spec("c"));
-    let mut rig = Rig::new(root);
-    rig.panics(10, A);
-    assert_eq!(rig.lives(), [1, 1, 1], "its own end restarts nobody");
-    assert_eq!(rig.health(A), Health::Failed);
-    rig.panics(11, C);
-    assert_eq!(rig.lives(), [1, 1, 2]);
-    assert_eq!(rig.health(B), Health::Stopped);
-}
-
-#[test]
-fn exceeding_the_intensity_makes_the_root_give_up_with_forces_zero_first() {
-    let mut rig = Rig::new(three(Strategy::OneForOne).with_intensity(2, ms(1_000)));
-    rig.panics(10, A);
-    rig.panics(20, A);
-    rig.take();
-    rig.panics(30, A);
-    let log = rig.take();
-    let zero = position(&log, |a| *a == Action::ZeroForces);
-    let stop = position(&log, |a| matches!(a, Action::Stop { .. }));
-    let close = position(&log, |a| *a == Action::CloseRecording);
-    assert!(zero < stop && stop < close);
-    assert_eq!(log.last(), Some(&Action::Exit(EXIT_GAVE_UP)));
-    assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP));
-    assert!(rig.tree.reason().is_some_and(|r| r.contains("root") && r.contains("boom")));
-}
-
-#[test]
-fn restart_count_resets_after_window() {
-    let mut rig = Rig::new(three(Strategy::OneForOne).with_intensity(2, ms(1_000)));
-    for n in 0..20 {
-        rig.panics(600 * (n + 1), A);
-    }
-    assert_eq!(rig.tree.restarts(A), 20);
-    assert_eq!(rig.tree.exit_code(), None);
-}
-
-#[test]
-fn a_group_that_gives_up_is_restarted_by_its_parent() {
-    let inner = GroupSpec::new("devices", Strategy::OneForOne)
-        .with_backoff(prompt())
-        .with_intensity(1, ms(1_000))
-        .child(spec("a"))
-        .child(spec("b"));
-    let root =
-        GroupSpec::new("root", Strategy::OneForOne).with_backoff(prompt()).group(inner).child(spec("c"));
-    let mut rig = Rig::new(root);
-    rig.panics(10, A);
-    assert_eq!(rig.lives(), [2, 1, 1]);
-    rig.panics(20, A);
-    assert_eq!(rig.lives(), [3, 2, 1], "the whole group, not its sibling");
-    // The restarted group begins with a clean sheet: one more is tolerated by itself.
-    rig.panics(30, A);
-    assert_eq!(rig.lives(), [4, 2, 1]);
-    assert_eq!(rig.tree.exit_code(), None);
-}
-
-#[test]
-fn escalation_reaches_the_root_when_every_level_is_exhausted() {
-    let inner = GroupSpec::new("devices", Strategy::OneForOne)
-        .with_backoff(prompt())
-        .with_intensity(1, ms(10_000))
-        .child(spec("a"));
-    let root = GroupSpec::new("root", Strategy::OneForOne)
-        .with_backoff(prompt())
-        .with_intensity(1, ms(10_000))
-        .group(inner)
-        .child(spec("b"))
-        .child(spec("c"));
-    let mut rig = Rig::new(root);
-    for n in 1..=3 {
-        rig.panics(10 * n, A);
-        assert_eq!(rig.tree.exit_code(), None, "after {n}");
-    }
-    rig.panics(40, A);
-    assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP));
-}
 
 #[test]
 fn a_child_that_fails_too_often_is_held_and_the_others_run_on() {
@@ -360,18 +153,6 @@ fn a_panic_is_fenced_first_and_rebuilt_in_place() {
 }
 
 #[test]
-fn words_of_a_corpse_are_ignored() {
-    let mut rig = Rig::new(three(Strategy::OneForOne));
-    rig.stalls(100, B);
-    rig.take();
-    rig.at(101, Event::Died { child: B, incarnation: 1, cause: Cause::Panic("late".to_owned()) });
-    rig.at(102, Event::Stalled { child: B, incarnation: 1 });
-    rig.at(103, Event::Started { child: B, incarnation: 1 });
-    assert!(rig.take().is_empty());
-    assert_eq!(rig.lives(), [1, 2, 1]);
-}
-
-#[test]
 fn too_many_zombies_escalate_to_the_process() {
     let mut rig = Rig::with(three(Strategy::OneForOne), 1, &[], &[]);
     rig.stalls(100, A);
@@ -406,39 +187,6 @@ fn starting_has_a_limit_of_its_own() {
     assert_eq!(rig.lives(), [3, 1, 1]);
     assert_eq!(rig.tree.zombies(), 1);
     assert!(rig.tree.incidents().iter().any(|i| i.cause == Cause::StartTimeout));
-}
-
-#[test]
-fn a_tree_whose_first_start_fails_does_not_come_up() {
-    let mut rig = Rig::with(three(Strategy::OneForOne), 2, &[], &[B]);
-    rig.died(1, B, Cause::Error("no such component".to_owned()));
-    assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP));
-    assert!(rig.tree.reason().is_some_and(|r| r.contains("no such component")), "{:?}", rig.tree.reason());
-    assert_eq!(rig.health(C), Health::Stopped);
-}
-
-#[test]
-fn a_failed_restart_counts_and_is_tried_again() {
-    let mut rig = Rig::new(three(Strategy::OneForOne).with_intensity(3, ms(1_000)));
-    rig.slow_starters.push(A);
-    rig.panics(10, A);
-    rig.died(11, A, Cause::Error("device busy".to_owned()));
-    assert_eq!(rig.tree.incarnation(A), 3);
-    rig.died(12, A, Cause::Error("device busy".to_owned()));
-    rig.died(13, A, Cause::Error("device busy".to_owned()));
-    assert_eq!(rig.tree.exit_code(), Some(EXIT_GAVE_UP));
-}
-
-#[test]
-fn a_sibling_that_does_not_stop_is_abandoned_at_its_limit_and_replaced() {
-    let mut rig = Rig::with(three(Strategy::RestForOne), 2, &[C], &[]);
-    rig.panics(10, B);
-    rig.take();
-    rig.at(211, Event::Tick);
-    let log = rig.take();
-    assert!(log.contains(&Action::Abandon { child: C, incarnation: 1 }));
-    assert!(log.contains(&Action::Start { child: C, incarnation: 2, fresh: true }));
-    assert_eq!(rig.tree.zombies(), 1);
 }
 
 #[test]

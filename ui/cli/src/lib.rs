@@ -27,6 +27,7 @@ mod replay;
 mod report;
 mod run;
 mod soak;
+mod tune;
 
 pub use bench::counting::CountingAllocator;
 
@@ -76,6 +77,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Replay(args) => replay::replay(app, &args),
         Command::Graph(args) => graph::graph(app, &args),
         Command::Bench(args) => bench::bench(&args),
+        Command::Tune(args) => tune::tune(&args),
         Command::Faults { command } => faults::faults(&command),
         Command::Soak(args) => soak::run(app, &args),
         Command::New(args) => new::new(&args),

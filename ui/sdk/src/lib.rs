@@ -91,6 +91,7 @@ pub mod soak;
 pub mod summary;
 pub mod templates;
 pub mod trace;
+pub mod tuning;
 
 pub use nalgebra;
 #[doc(no_inline)]

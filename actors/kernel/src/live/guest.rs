@@ -16,8 +16,8 @@ use trocar_scene::{
     Access, CommandError, Commands, Entity, EntityAllocator, Event, SimTime, Snapshot, WriterId,
 };
 
+use super::LiveError;
 use super::shared::Shared;
-use super::{LiveError, first_free};
 use crate::handle::{LaneStatus, Submitted, WriterHandle};
 
 /// Longest wait for the Model's answer to somebody who introduces himself.
@@ -64,7 +64,7 @@ impl Invitation {
 
     fn open(&self, status: &Arc<LaneStatus>) -> WriterHandle {
         let allocator = EntityAllocator::new(self.shared.station, self.id.0);
-        allocator.skip_to(first_free(&self.shared.published.load(), self.shared.station, self.id.0));
+        allocator.skip_to(self.shared.published.load().first_free(self.shared.station, self.id.0));
         self.shared.intake.open(self.id, 1, self.capacity, allocator, status.clone())
     }
 }

@@ -8,6 +8,7 @@ mod actors;
 mod guest;
 mod host;
 mod model;
+mod operator;
 mod shared;
 mod supervise;
 mod watchdog;
@@ -21,23 +22,25 @@ use actix::prelude::{Actor, Context, System};
 use arc_swap::ArcSwap;
 use thiserror::Error;
 use tokio::sync::Notify;
-use trocar_scene::{Access, ComponentError, Entity, EntityAllocator, SimTime, Snapshot, Store, WriterId};
+use trocar_scene::{Access, ComponentError, EntityAllocator, SimTime, Snapshot, Store, WriterId};
 
 use crate::chain::StateHash;
 use crate::faults::{FaultLog, FaultPlanError, FaultRow, FaultSchedule, TargetClass, Targets};
 use crate::handle::{Intake, LaneStatus};
 use crate::model_core::ModelCore;
+use crate::operator::{OPERATOR, OperatorError};
 use crate::runtime::{Clock, ControllerReport, Permission, TickStats};
 use crate::spec::{ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, SessionSpec};
 use crate::supervision::{
     ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Incident, Supervisor, TreeError,
 };
 use guest::Invitation;
-use shared::{Life, Report, Seam, Seat, Shared, Writer, lock};
+use shared::{Life, OperatorSeat, Report, Seam, Seat, Shared, Writer, lock};
 use supervise::{Board, Crew};
 
 pub use actors::HostedActor;
 pub use guest::Guest;
+pub use operator::{OPERATORS_MAX, Operator};
 
 /// Longest wait for a session to end; beyond it the forces are set to zero from here and it is left behind.
 pub const STOP_MAX: Duration = Duration::from_millis(1_900);
@@ -319,6 +322,15 @@ impl LiveSession {
         Invitation { shared, name, id, access, capacity }
     }
 
+    /// A way to write whatever one likes into the running session, from any thread: for a researcher's
+    /// program, a tuning panel, a console. See [`Operator::apply`].
+    ///
+    /// # Errors
+    /// [`OperatorError::TooMany`] when [`OPERATORS_MAX`] of them exist.
+    pub fn operator(&self) -> Result<Operator, OperatorError> {
+        Operator::new(self.shared.clone())
+    }
+
     /// Ends the session within two seconds, whatever hangs: forces to zero first, controllers, Model,
     /// recording. `code` is the exit code unless the supervisor has given up before.
     pub fn stop(mut self, code: i32) -> SessionOutcome {
@@ -439,7 +451,7 @@ fn share(
     let mut writers = Vec::with_capacity(controllers.len());
     for spec in controllers {
         let allocator = EntityAllocator::new(station, spec.writer);
-        allocator.skip_to(first_free(scene.view(), station, spec.writer));
+        allocator.skip_to(scene.view().first_free(station, spec.writer));
         writers.push(Arc::new(Writer {
             seat: seat(&spec.name, &spec.child)?,
             id: WriterId(spec.writer),
@@ -454,6 +466,8 @@ fn share(
         }));
     }
     writers.sort_by_key(|writer| writer.id);
+    let operator = EntityAllocator::new(station, OPERATOR.0);
+    operator.skip_to(scene.view().first_free(station, OPERATOR.0));
     let bell = Arc::new(Notify::new());
     let ring = bell.clone();
     Ok(Arc::new(Shared {
@@ -475,15 +489,9 @@ fn share(
         published_hash: Mutex::new(None),
         final_hash: Mutex::new(None),
         batches: AtomicU64::new(0),
+        operator: OperatorSeat::new(operator),
         over: AtomicBool::new(false),
     }))
-}
-
-/// The first counter that a writer has not used: a session that goes on from a snapshot must not give a
-/// name out twice.
-fn first_free(scene: &Snapshot, station: u16, writer: u16) -> u32 {
-    let own = |entity: &Entity| entity.station() == station && entity.spawner() == writer;
-    scene.entities().filter(own).map(|entity| entity.counter().saturating_add(1)).max().unwrap_or(1)
 }
 
 /// The actix system on a thread of its own: the main thread belongs to whoever has a window.

@@ -3,7 +3,9 @@
 // Each test binary uses a part of it.
 #![allow(dead_code)]
 
-use trocar_kernel::supervision::{Action, Cause, ChildId, Event, GroupSpec, Supervisor};
+use trocar_kernel::supervision::{
+    Action, Backoff, Cause, ChildId, ChildSpec, Event, GroupSpec, Health, RuntimeClass, Strategy, Supervisor,
+};
 use trocar_scene::SimTime;
 
 pub fn ms(millis: u64) -> SimTime {
@@ -61,4 +63,56 @@ impl Rig {
             self.log.extend(out);
         }
     }
+}
+
+pub const A: ChildId = ChildId(0);
+pub const B: ChildId = ChildId(1);
+pub const C: ChildId = ChildId(2);
+
+pub fn spec(id: &str) -> ChildSpec {
+    ChildSpec::new(id, RuntimeClass::Haptics, 1000.0)
+}
+
+/// No pauses, so that a test's times are exact.
+pub fn prompt() -> Backoff {
+    Backoff { base: SimTime::ZERO, factor: 1.0, max: SimTime::ZERO, jitter: 0.0, reset_after: ms(1_000) }
+}
+
+pub fn three(strategy: Strategy) -> GroupSpec {
+    GroupSpec::new("root", strategy).with_backoff(prompt()).child(spec("a")).child(spec("b")).child(spec("c"))
+}
+
+impl Rig {
+    pub fn died(&mut self, millis: u64, child: ChildId, cause: Cause) {
+        let incarnation = self.tree.incarnation(child);
+        self.at(millis, Event::Died { child, incarnation, cause });
+    }
+    pub fn panics(&mut self, millis: u64, child: ChildId) {
+        self.died(millis, child, Cause::Panic("boom".to_owned()));
+    }
+    pub fn stalls(&mut self, millis: u64, child: ChildId) {
+        let incarnation = self.tree.incarnation(child);
+        self.at(millis, Event::Stalled { child, incarnation });
+    }
+    pub fn take(&mut self) -> Vec<Action> {
+        std::mem::take(&mut self.log)
+    }
+    pub fn lives(&self) -> [u32; 3] {
+        [self.tree.incarnation(A), self.tree.incarnation(B), self.tree.incarnation(C)]
+    }
+    pub fn health(&self, child: ChildId) -> Health {
+        self.tree.health(child).expect("a child")
+    }
+}
+
+pub fn starts(log: &[Action]) -> Vec<u16> {
+    log.iter()
+        .filter_map(|a| if let Action::Start { child, .. } = a { Some(child.0) } else { None })
+        .collect()
+}
+pub fn stops(log: &[Action]) -> Vec<u16> {
+    log.iter().filter_map(|a| if let Action::Stop { child } = a { Some(child.0) } else { None }).collect()
+}
+pub fn position(log: &[Action], wanted: impl Fn(&Action) -> bool) -> usize {
+    log.iter().position(wanted).unwrap_or_else(|| panic!("not ordered: {log:?}"))
 }

@@ -46,7 +46,7 @@ fn an_open_vessel_bleeds_a_sealed_one_does_not_and_the_recording_knows() {
     let outcome = run(&app, &scenario, &options, &mut |_| {}).expect("it runs");
     let scene = &outcome.kernel.snapshot;
     let (open, sealed) =
-        (scenario.entity("cystic artery").unwrap(), scenario.entity("clipped artery").unwrap());
+        (scenario.entity("cystic-artery").unwrap(), scenario.entity("clipped-artery").unwrap());
     let lost = scene.get::<Bleeding>(open).expect("it bleeds").lost;
     assert!((lost / 2e-6 - 1.0).abs() < 0.01, "{lost} m³ in 10 s");
     assert_eq!(scene.get::<Bleeding>(sealed).expect("it is there").lost, 0.0);

@@ -45,13 +45,13 @@ fn started(app: &App, options: &RunOptions) -> (Session, Entity) {
     (start(app, &scenario, options).expect("it starts"), chain)
 }
 
-/// The last mass's x every 10 ms, and what became of the session.
+/// The last mass's x after every tick, and what became of the session.
 fn swings(app: &App, seconds: f64, faults: Option<FaultPlan>) -> (Vec<f64>, trocar::session::Finished) {
     let options = RunOptions { lockstep: true, faults, ..RunOptions::default() };
     let (mut session, chain) = started(app, &options);
     let mut xs = Vec::new();
-    for step in 1..=(seconds * 100.0) as u64 {
-        session.run_until(SimTime::from_millis(10 * step));
+    for step in 1..=(seconds * 500.0) as u64 {
+        session.run_until(SimTime::from_millis(2 * step));
         let scene = session.snapshot();
         let state = scene.get::<ChainState>(chain).expect("it is there");
         assert!(state.positions.iter().all(|number| number.is_finite()), "what is no number is in the scene");
@@ -83,14 +83,17 @@ fn a_pulled_chain_swings_and_comes_to_rest_where_statics_says() {
 #[test]
 fn a_killed_engine_goes_on_from_the_scene_as_if_nothing_had_been() {
     let app = app(&library_file()).expect("the engine");
-    let (whole, _) = swings(&app, 3.0, None);
+    let (mut whole, _) = swings(&app, 3.0, None);
     assert!(whole.iter().any(|x| *x > 0.02), "it swings");
     let plan = FaultPlan::new(1).at(secs(0.777)).kill("chain").at(secs(1.555)).kill("chain");
-    let (killed, finished) = swings(&app, 3.0, Some(plan));
+    let (mut killed, finished) = swings(&app, 3.0, Some(plan));
     assert_eq!(finished.outcome.controllers[0].restarts, 2);
-    let farthest = whole.iter().zip(&killed).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-    // The same numbers went through the scene and back: nothing is lost but, at most, the tick it died in.
-    assert!(farthest < 0.003, "{farthest} m apart");
+    // The ticks between a death and the next life are missing, and the chain stands still meanwhile. Apart from
+    // that its states are the same bits: they went through the scene and back.
+    whole.dedup();
+    killed.dedup();
+    assert!(whole.starts_with(&killed), "it went on from somewhere else");
+    assert!(whole.len() - killed.len() <= 50, "{} ticks are missing", whole.len() - killed.len());
 }
 
 #[test]
@@ -100,7 +103,7 @@ fn an_engine_that_answers_nonsense_is_replaced_and_the_scene_stays_sound() {
     let (xs, finished) = swings(&app(&with_step("nonsense", step)).expect("an engine"), 2.0, None);
     assert_eq!(finished.outcome.controllers[0].restarts, 1);
     assert!(matches!(&finished.outcome.incidents[0].cause, Cause::Error(text) if text.contains("finite")));
-    assert!(xs[150..].windows(2).any(|pair| pair[0] != pair[1]), "it goes on");
+    assert!(xs[750..].windows(2).any(|pair| pair[0] != pair[1]), "it goes on");
 }
 
 /// Writes what an engine says without looking at it.
