@@ -278,8 +278,8 @@ impl App {
     pub fn kind_info(&self, name: &str) -> Option<&KindInfo> {
         self.about.get(name)
     }
-    /// The kind of that name.
-    pub(crate) fn kind_of(&self, name: &str) -> Option<&Kind> {
+    /// The kind of that name, to be used or wrapped.
+    pub fn kind_of(&self, name: &str) -> Option<&Kind> {
         self.kinds.get(name)
     }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use trocar_devices::DriverThread;
+use trocar_devices::{DriverStatistics, DriverThread};
 use trocar_kernel::live::{Guest, HostedActor, LiveError, LiveSession, Operator};
 use trocar_kernel::lockstep::LockstepSession;
 use trocar_kernel::operator::{OPERATOR, OperatorError};
@@ -51,8 +51,17 @@ pub struct Finished {
     pub force_newtons_max: f64,
     /// Commands that drivers refused because a dead or abandoned controller had sent them.
     pub commands_refused: u64,
+    /// What each driver counted, hand by hand.
+    pub drivers: Vec<DriverStatistics>,
     /// Ways in which drivers and plain actors did not end well, in words.
     pub driver_errors: Vec<String>,
+}
+
+impl Finished {
+    /// Greatest age of the last command that a driver had accepted, while it still held a force.
+    pub fn force_age_max(&self) -> SimTime {
+        SimTime(self.drivers.iter().map(|driver| driver.force_age_max_ns).max().unwrap_or(0))
+    }
 }
 
 impl Session {
@@ -227,9 +236,7 @@ impl Session {
     /// How every controller keeps its rate so far.
     pub fn reports(&self) -> Vec<ControllerReport> {
         match &self.running {
-            Running::Lockstep(session) => {
-                session.statistics().map(|stats| stats.report(session.now())).collect()
-            }
+            Running::Lockstep(session) => session.reports(),
             Running::Live(session, _) => session.stats(),
         }
     }
@@ -301,12 +308,10 @@ impl Session {
                 driver_errors.push(format!("actor '{name}' hung and was left behind"));
             }
         }
-        let samples = self.hands.iter().map(|hand| hand.monitor.sample().statistics);
-        let (mut force_newtons_max, mut commands_refused) = (0.0_f64, 0);
-        for statistics in samples {
-            force_newtons_max = force_newtons_max.max(statistics.force_newtons_max);
-            commands_refused += statistics.refused_epoch;
-        }
-        Finished { outcome, force_newtons_max, commands_refused, driver_errors }
+        let drivers: Vec<DriverStatistics> =
+            self.hands.iter().map(|hand| hand.monitor.sample().statistics).collect();
+        let force_newtons_max = drivers.iter().map(|driver| driver.force_newtons_max).fold(0.0, f64::max);
+        let commands_refused = drivers.iter().map(|driver| driver.refused_epoch).sum();
+        Finished { outcome, force_newtons_max, commands_refused, drivers, driver_errors }
     }
 }
