@@ -129,7 +129,6 @@ pub struct DriverCore {
     last_step_ns: Option<u64>,
     opened_before: bool,
     statistics: DriverStatistics,
-    stepped_at_ns: u64,
 }
 
 /// What the scene tells of a driver at one moment: enough for another one to go on from there.
@@ -179,7 +178,6 @@ impl DriverCore {
             last_step_ns: None,
             opened_before: false,
             statistics: DriverStatistics { since_command_ns: u64::MAX, ..DriverStatistics::default() },
-            stepped_at_ns: 0,
         }
     }
 
@@ -199,7 +197,7 @@ impl DriverCore {
             epoch: self.last_command_ns.map_or(0, |_| FIRST_EPOCH),
             ..*self
         };
-        fork.publish(self.stepped_at_ns);
+        fork.publish(self.last_step_ns.unwrap_or(0));
         fork
     }
 
@@ -209,7 +207,7 @@ impl DriverCore {
             resume;
         self.state = *state;
         self.sampled_at_ns = *sampled_at_ns;
-        self.stepped_at_ns = *sampled_at_ns;
+        self.last_step_ns = Some(*sampled_at_ns);
         self.last_reading_ns = *sampled_at_ns;
         self.opened_before = true;
         device.resume(*sampled_at_ns, state, intent);
@@ -227,6 +225,7 @@ impl DriverCore {
                 self.accepted = Some(Accepted {
                     epoch: FIRST_EPOCH,
                     fresh_at_ns: *commanded_at_ns,
+                    taken_at_ns: *commanded_at_ns,
                     wrench: *commanded,
                     // Until the controller says that it waives that.
                     passivity: true,
@@ -239,7 +238,6 @@ impl DriverCore {
     /// One step at session time `now_ns`, which must not decrease. Real-time safe if the device is.
     pub fn step(&mut self, now_ns: u64, device: &mut dyn HapticDevice) {
         self.statistics.steps += 1;
-        self.stepped_at_ns = now_ns;
         let held = self.held_until(now_ns);
         self.sense(now_ns, device);
         if let Some(command) = self.take_command(now_ns)
