@@ -17,11 +17,11 @@
 //! - an unplugged device is rendered nothing, and is opened again when it comes back;
 //! - after [`Fence::zero_all_forces`] the next step renders nothing, and so does every later one.
 
-use crate::device::{DeviceError, DeviceState, HapticDevice, Wrench};
+use crate::device::{DeviceError, DeviceState, HandIntent, HapticDevice, Wrench};
 use crate::faults::DeviceFaults;
 use crate::force_guard::{DECAY_END_NS, DECAY_START_NS, ForceGuard, GuardConfig, Request, SLEW_STEP_MAX_NS};
 use crate::link::{DeviceCommand, DeviceSample, DriverEnd, DriverStatistics, Fence};
-use crate::passivity::{PassivityConfig, PassivityController};
+use crate::passivity::{PassivityConfig, PassivityController, PortEnergy};
 
 /// Time without a valid reading after which a device counts as unplugged \[ns\].
 const LOST_AFTER_NS: u64 = 200_000_000;
@@ -131,6 +131,28 @@ pub struct DriverCore {
     statistics: DriverStatistics,
 }
 
+/// What the scene tells of a driver at one moment: enough for another one to go on from there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriverResume {
+    /// What the device had measured.
+    pub state: DeviceState,
+    /// When \[ns\].
+    pub sampled_at_ns: u64,
+    /// What the motors held.
+    pub applied: Wrench,
+    /// What the controller had commanded last.
+    pub commanded: Wrench,
+    /// When \[ns\].
+    pub commanded_at_ns: u64,
+    /// Where the hand was wanted.
+    pub intent: HandIntent,
+    /// What had gone through the port, as far as somebody kept account.
+    pub energy: PortEnergy,
+}
+
+/// Epoch of the first controller of a session, which takes over from the one that a branch left behind.
+const FIRST_EPOCH: u32 = 1;
+
 impl DriverCore {
     /// A driver for a device with these capabilities. The device is opened by the first step.
     pub fn new(
@@ -157,6 +179,60 @@ impl DriverCore {
             opened_before: false,
             statistics: DriverStatistics { since_command_ns: u64::MAX, ..DriverStatistics::default() },
         }
+    }
+
+    /// A driver of its own in the same state, for a branch of a session in virtual time; its device is a
+    /// [fork](HapticDevice::fork) of this one's. It obeys a controller of the first epoch as if it were the one that
+    /// this driver obeys, so that the force goes on without a ramp. Readings for a delay that is still to be injected
+    /// begin anew.
+    pub fn fork(&self, end: DriverEnd, faults: DeviceFaults) -> Self {
+        let mut fork = Self {
+            config: self.config,
+            end,
+            faults,
+            guard: self.guard.clone(),
+            passivity: self.passivity.clone(),
+            delay_line: DelayLine { readings: Vec::with_capacity(DELAY_LINE), next: 0 },
+            accepted: self.accepted.map(|accepted| Accepted { epoch: FIRST_EPOCH, ..accepted }),
+            epoch: self.last_command_ns.map_or(0, |_| FIRST_EPOCH),
+            ..*self
+        };
+        fork.publish(self.last_step_ns.unwrap_or(0));
+        fork
+    }
+
+    /// Opens `device` and goes on from what a scene tells of another driver.
+    pub fn resume(&mut self, resume: &DriverResume, device: &mut dyn HapticDevice) {
+        let DriverResume { state, sampled_at_ns, applied, commanded, commanded_at_ns, intent, energy } =
+            resume;
+        self.state = *state;
+        self.sampled_at_ns = *sampled_at_ns;
+        self.last_step_ns = Some(*sampled_at_ns);
+        self.last_reading_ns = *sampled_at_ns;
+        self.opened_before = true;
+        device.resume(*sampled_at_ns, state, intent);
+        self.passivity.resume(*sampled_at_ns, energy, applied);
+        if state.connected && device.open(*sampled_at_ns).is_ok() {
+            self.connection = Connection::Present;
+            self.guard.resume(*sampled_at_ns, applied);
+            if device.write(*sampled_at_ns, self.guard.applied()).is_err() {
+                self.statistics.device_errors += 1;
+            }
+            self.passivity.observe(*sampled_at_ns, &state.pose_in_device);
+            if commanded.is_finite() {
+                self.epoch = FIRST_EPOCH;
+                self.last_command_ns = Some(*commanded_at_ns);
+                self.accepted = Some(Accepted {
+                    epoch: FIRST_EPOCH,
+                    fresh_at_ns: *commanded_at_ns,
+                    taken_at_ns: *commanded_at_ns,
+                    wrench: *commanded,
+                    // Until the controller says that it waives that.
+                    passivity: true,
+                });
+            }
+        }
+        self.publish(*sampled_at_ns);
     }
 
     /// One step at session time `now_ns`, which must not decrease. Real-time safe if the device is.

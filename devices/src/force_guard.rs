@@ -118,6 +118,16 @@ impl ForceGuard {
         self.ramps
     }
 
+    /// Goes on from `applied` at `now_ns`, ramped in already.
+    pub(crate) fn resume(&mut self, now_ns: u64, applied: &Wrench) {
+        self.applied = Wrench {
+            force: clamp_norm(applied.force, self.max_force),
+            torque: clamp_norm(applied.torque, self.max_torque),
+        };
+        self.last_step_ns = Some(now_ns);
+        self.ramp_since_ns = Some(now_ns.saturating_sub(self.config.ramp_ns));
+    }
+
     /// Force grows from nothing again from the next step on.
     pub(crate) fn restart_ramp(&mut self) {
         self.ramp_since_ns = None;

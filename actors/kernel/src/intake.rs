@@ -197,7 +197,7 @@ impl Active {
         None
     }
 
-    fn from_links(&mut self, now: SimTime) -> Option<Arrival> {
+    fn next_off_links(&mut self, now: SimTime) -> Option<Arrival> {
         for link in &mut self.links {
             if let Some(Parcel { sealed_at, batch, .. }) = link.faults.due(now) {
                 let lane = self.lanes.iter().rposition(|lane| lane.writer == link.writer);
@@ -210,7 +210,7 @@ impl Active {
     fn pop(&mut self, now: SimTime, registry: &Arc<Registry>) -> Option<Arrival> {
         loop {
             if !self.links.is_empty()
-                && let Some(arrival) = self.from_links(now)
+                && let Some(arrival) = self.next_off_links(now)
             {
                 return Some(arrival);
             }

@@ -31,6 +31,6 @@ pub use commit::{Commit, CommitBuffer};
 pub use flow::FlowLimit;
 pub use handle::{Doorbell, LaneStatus, Submitted, WriterHandle};
 pub use intake::{Arrival, Intake, LaneIndex, Lanes};
-pub use lockstep::{LockstepSession, SessionError};
+pub use lockstep::{BranchError, LockstepSession, Moment, SessionError};
 pub use model_core::{DeclareError, ModelCore, Outcome, Rejection, WriterCounts};
 pub use operator::{OPERATOR, OPERATOR_NAME, OperatorError};

@@ -1,5 +1,6 @@
 //! What a session consists of, as data that both drivers take: live (actix) and lock-step.
 
+use std::any::Any;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -85,7 +86,11 @@ pub fn period_of(rate_hz: f64) -> SimTime {
 
 /// A participant that lives outside of the scene and that lock-step must step in virtual time: a device
 /// driver with its virtual hand. Live, it runs on a thread of its own and the kernel does not see it.
-pub trait Peer: Send {
+///
+/// Whoever branches a session finds its own peers by downcasting [`LockstepSession::peers`] and makes new ones of them.
+///
+/// [`LockstepSession::peers`]: crate::LockstepSession::peers
+pub trait Peer: Any + Send {
     /// Name for messages and fault targets.
     fn name(&self) -> &str;
     /// Time between two steps, ns, > 0.

@@ -57,6 +57,11 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     options.faults = args.faults.as_deref().map(plan).transpose()?;
     options.record = record;
 
+    if options.lockstep && app.actors().next().is_some() {
+        let names = app.actors().collect::<Vec<_>>().join(", ");
+        tracing::warn!("in lock-step there is no real time, so these actors are left out: {names}");
+    }
+
     let mut display = Display::new(&scenario, &options, args.headless || args.json);
     let mut desk = Desk::new(app, &scenario, tuner);
     if !args.lockstep {

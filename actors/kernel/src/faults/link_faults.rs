@@ -215,7 +215,7 @@ impl<M: Message> LinkFaults<M> {
         let mut late = SimTime::ZERO;
         for ailment in self.ailments.iter_mut().filter(|ailment| ailment.kind == FaultKind::Delay) {
             let spread = ailment.jitter.as_secs_f64() * (2.0 * ailment.random.unit() - 1.0);
-            late = late + SimTime::from_secs_f64(ailment.span.as_secs_f64() + spread);
+            late += SimTime::from_secs_f64(ailment.span.as_secs_f64() + spread);
         }
         late
     }

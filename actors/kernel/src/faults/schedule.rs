@@ -150,6 +150,24 @@ impl FaultSchedule {
         Ok(Self { orders, next: 0, waiting })
     }
 
+    /// Goes on at `now` in a session that has come so far without this schedule: what had struck and was over is
+    /// left out, what lasts begins at once. What waits for something goes on waiting.
+    pub fn skip_to(&mut self, now: SimTime) {
+        let lasts: Vec<u32> = self
+            .orders
+            .iter()
+            .filter(|(at, order)| !order.begins && *at > now)
+            .map(|(_, order)| order.index)
+            .collect();
+        let ends: Vec<u32> =
+            self.orders.iter().filter(|(_, order)| !order.begins).map(|(_, order)| order.index).collect();
+        self.orders.retain(|(at, order)| {
+            let endless = !order.kind.is_instant() && !ends.contains(&order.index);
+            *at >= now || (order.begins && (lasts.contains(&order.index) || endless))
+        });
+        self.next = 0;
+    }
+
     /// When the next order is due; `None` when all are given or wait for something.
     pub fn next_at(&self) -> Option<SimTime> {
         self.orders.get(self.next).map(|(at, _)| *at)
@@ -293,6 +311,33 @@ mod tests {
         let end = schedule.due(secs(3.3), &idle).expect("it heals");
         assert!(!end.begins && end.index == 0);
         assert_eq!(schedule.next_at(), None);
+    }
+
+    #[test]
+    fn a_schedule_that_joins_late_leaves_out_what_is_over_and_begins_what_lasts() {
+        let plan = FaultPlan::new(1)
+            .at(secs(1.0))
+            .kill("engine")
+            .at(secs(1.0))
+            .lasting(secs(0.5))
+            .queue_full("engine")
+            .at(secs(1.5))
+            .lasting(secs(2.0))
+            .nan("engine")
+            .at(secs(1.7))
+            .unplug("device.left")
+            .at(secs(3.0))
+            .kill("engine");
+        let mut schedule = FaultSchedule::new(&plan, &targets()).expect("fits");
+        schedule.skip_to(secs(2.0));
+        let (scene, _) = scenes();
+        let mut due = |at| {
+            let orders = std::iter::from_fn(|| schedule.due(secs(at), &scene));
+            orders.map(|order| (order.index, order.begins)).collect::<Vec<_>>()
+        };
+        assert_eq!(due(2.0), [(2, true), (3, true)]);
+        assert_eq!(due(3.0), [(4, true)]);
+        assert_eq!(due(9.0), [(2, false)]);
     }
 
     #[test]

@@ -1,11 +1,13 @@
 //! The session: its parts, its clock, its order.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
 use trocar_scene::{Batch, ComponentError, EntityAllocator, Registry, SimTime, Snapshot};
 
+use super::branching::{Given, Moment};
 use super::faulting::Hang;
 use super::operating::OperatorDesk;
 use super::slot::{NEVER, Slot, Ticked, Zombie};
@@ -61,8 +63,8 @@ pub enum SessionError {
 }
 
 pub(super) struct PeerSlot {
-    peer: Box<dyn Peer>,
-    next: SimTime,
+    pub(super) peer: Box<dyn Peer>,
+    pub(super) next: SimTime,
 }
 
 /// A session on one thread in virtual time.
@@ -73,7 +75,7 @@ pub struct LockstepSession {
     pub(super) core: ModelCore,
     pub(super) slots: Vec<Slot>,
     pub(super) operator: OperatorDesk,
-    peers: Vec<PeerSlot>,
+    pub(super) peers: Vec<PeerSlot>,
     pub(super) supervisor: Supervisor,
     pub(super) model: ChildId,
     pub(super) model_up: bool,
@@ -89,14 +91,18 @@ pub struct LockstepSession {
     pub(super) queued: bool,
     pub(super) zombies: Vec<Zombie>,
     deadline: SimTime,
-    next_publish: SimTime,
+    pub(super) next_publish: SimTime,
     pub(super) fault_sinks: Vec<(String, Arc<dyn FaultSink>)>,
     pub(super) faults: FaultSchedule,
     pub(super) fault_log: FaultLog,
     pub(super) zero_forces: Vec<ZeroForces>,
-    stop_when: Option<StopWhen>,
-    next_stop_check: SimTime,
-    until: SimTime,
+    pub(super) stop_when: Option<StopWhen>,
+    pub(super) next_stop_check: SimTime,
+    pub(super) until: SimTime,
+    /// While the first lives of a session that goes on from a moment are built.
+    pub(super) resuming: bool,
+    /// The latest snapshots that were given out, oldest first.
+    pub(super) given: VecDeque<Given>,
     pub(super) exit: Option<i32>,
     actions: Vec<Action>,
     commit_sink: Option<Box<dyn CommitSink>>,
@@ -111,9 +117,17 @@ impl LockstepSession {
     ///
     /// # Errors
     /// [`SessionError`]; a controller whose first construction fails ends the session as it would live.
-    pub fn new(mut spec: SessionSpec) -> Result<Self, SessionError> {
+    pub fn new(spec: SessionSpec) -> Result<Self, SessionError> {
+        Self::begin(spec, None)
+    }
+
+    /// Starts everybody at time zero, or at the moment that another session had come to.
+    pub(super) fn begin(mut spec: SessionSpec, moment: Option<Moment>) -> Result<Self, SessionError> {
         let children = spec.children();
-        let mut core = ModelCore::new(spec.scene, spec.station)?;
+        let mut core = match &moment {
+            Some(moment) => moment.core(spec.scene, spec.station),
+            None => ModelCore::new(spec.scene, spec.station)?,
+        };
         core.keep_commits(spec.commit_sink.is_some());
         for controller in &spec.controllers {
             if !(controller.rate_hz > 0.0 && controller.rate_hz <= 1e6) {
@@ -167,6 +181,8 @@ impl LockstepSession {
             stop_when: spec.stop_when,
             next_stop_check: SimTime::ZERO,
             until: spec.until.unwrap_or(NEVER),
+            resuming: false,
+            given: VecDeque::new(),
             exit: None,
             actions: Vec::new(),
             commit_sink: spec.commit_sink,
@@ -176,7 +192,11 @@ impl LockstepSession {
             begun: Instant::now(),
         };
         session.faults = FaultSchedule::new(&spec.faults, &session.fault_targets())?;
+        if let Some(moment) = moment {
+            session.go_on_from(moment);
+        }
         session.tell(Event::Tick);
+        session.resuming = false;
         match session.exit {
             Some(_) => {
                 let reason = session.supervisor.reason().unwrap_or("the session did not start");
@@ -220,6 +240,7 @@ impl LockstepSession {
     /// The scene as it is now, to keep.
     pub fn snapshot(&mut self) -> Arc<Snapshot> {
         self.publish();
+        self.remember();
         self.core.published().clone()
     }
 

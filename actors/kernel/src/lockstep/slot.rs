@@ -111,7 +111,7 @@ pub(super) struct Slot {
     pub(super) epoch: u32,
     jobs: Jobs,
     deliveries: Vec<Delivery>,
-    cursor: u64,
+    pub(super) cursor: u64,
     spare: Option<Box<Batch>>,
     /// The step that is not over yet.
     pub(super) pending: Option<Pending>,
@@ -234,6 +234,27 @@ impl Slot {
         left
     }
 
+    /// The time of tick `number`.
+    fn time_of(&self, number: u64) -> SimTime {
+        // From the number, not by adding up: no drift however odd the rate.
+        self.spec.phase + SimTime((number as f64 * 1e9 / self.spec.rate_hz).round() as u64)
+    }
+
+    /// The time of the tick before the next one; zero before the first.
+    pub(super) fn last_tick(&self) -> SimTime {
+        self.number.checked_sub(1).map_or(SimTime::ZERO, |number| self.time_of(number))
+    }
+
+    /// Goes on at `now`, before whatever is due then: every tick that was due earlier is over.
+    pub(super) fn skip_to(&mut self, now: SimTime) {
+        let guess = (now.since(self.spec.phase).0 as f64 * 1e-9 * self.spec.rate_hz) as u64;
+        self.number = guess.saturating_sub(1);
+        while self.time_of(self.number) < now {
+            self.number += 1;
+        }
+        self.next = self.time_of(self.number);
+    }
+
     /// Its row of the report.
     pub(super) fn report(&self, now: SimTime) -> ControllerReport {
         let LinkCounts { lost, corrupted, delayed, duplicated, reordered } = *self.link.counts();
@@ -251,9 +272,7 @@ impl Slot {
     pub(super) fn advance(&mut self) -> u64 {
         let number = self.number;
         self.number += 1;
-        // From the number, not by adding up: no drift however odd the rate.
-        let offset = (self.number as f64 * 1e9 / self.spec.rate_hz).round();
-        self.next = self.spec.phase + SimTime(offset as u64);
+        self.next = self.time_of(self.number);
         number
     }
 

@@ -77,7 +77,8 @@ impl LockstepSession {
         let slot = &self.slots[index];
         let context = BuildContext {
             scene: self.core.view(),
-            time: self.now,
+            // What the scene tells of it is as old as its last tick.
+            time: if self.resuming { slot.last_tick() } else { self.now },
             name: &slot.spec.name,
             me: slot.me,
             epoch,

@@ -183,6 +183,7 @@ fn loops() -> Blueprint {
         class: RuntimeClass::Collision,
         factory: Arc::new(|_| Ok(Box::new(NeverReturns) as Box<dyn Controller>)),
         fences: Vec::new(),
+        for_hands: None,
         arrange: None,
     }
 }
