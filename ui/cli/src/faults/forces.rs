@@ -76,7 +76,7 @@ fn haunted(seed: u64, loud: bool) -> Result<(Finished, u64), Failure> {
     let (app, scenario) = possessed(Habit::Once, &haunting)?;
     let plan = FaultPlan::new(seed).between(secs(0.5), secs(1.5)).lasting(secs(STALL)).stall(VICTIM);
     let mut assembly = Assembly::new(&app, &scenario, &options(seed, plan)).map_err(RunError::from)?;
-    assembly.spec.peers.push(Haunter::new(&haunting, loud));
+    assembly.spec.peers.push(Box::new(Haunter::new(&haunting, loud)));
     let mut session = Session::lockstep(assembly)?;
     session.run_until(SimTime::from_secs_f64(RUN_SECS));
     Ok((session.finish(), haunting.written()))

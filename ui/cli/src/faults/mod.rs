@@ -42,13 +42,16 @@ fn verify(args: &VerifyArgs) -> Result<Exit, Failure> {
     Ok(if summary.missed().next().is_none() { Exit::Ok } else { Exit::Failed })
 }
 
+/// What a measurement gives.
+type Rows = Result<Vec<BenchResult>, Failure>;
+
 /// Rows to be measured, one after the other.
 pub struct Plan<'a>(Vec<Step<'a>>);
 
 /// A name for people, and what gives one row or several.
 struct Step<'a> {
     name: String,
-    measure: Box<dyn FnOnce(&str) -> Result<Vec<BenchResult>, Failure> + 'a>,
+    measure: Box<dyn FnOnce(&str) -> Rows + 'a>,
 }
 
 impl<'a> Plan<'a> {
@@ -61,16 +64,12 @@ impl<'a> Plan<'a> {
         self.rows(name, |name| Ok(vec![measure(name)?]));
     }
     /// Rows that one measurement gives.
-    pub fn rows(
-        &mut self,
-        name: impl Into<String>,
-        measure: impl FnOnce(&str) -> Result<Vec<BenchResult>, Failure> + 'a,
-    ) {
+    pub fn rows(&mut self, name: impl Into<String>, measure: impl FnOnce(&str) -> Rows + 'a) {
         self.0.push(Step { name: name.into(), measure: Box::new(measure) });
     }
 }
 
-fn measure(args: &VerifyArgs) -> Result<Vec<BenchResult>, Failure> {
+fn measure(args: &VerifyArgs) -> Rows {
     let folder = tempfile::tempdir().map_err(Failure::internal)?;
     let mut plan = Plan(Vec::new());
     let both = args.live == args.lockstep;

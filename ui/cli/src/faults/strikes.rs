@@ -62,8 +62,8 @@ pub fn live(plan: &mut Plan<'_>) {
         plan.row(strike.name, |name| struck_often(name, strike));
     }
     plan.rows("live model stalls", |_| model_stalls());
-    plan.row("live_nan_from_a_user", |name| nan_from_a_user(name));
-    plan.row("live_error_on_every_tick", |name| error_on_every_tick(name));
+    plan.row("live_nan_from_a_user", nan_from_a_user);
+    plan.row("live_error_on_every_tick", error_on_every_tick);
 }
 
 fn struck_often(name: &str, strike: &Strike) -> Result<BenchResult, Failure> {

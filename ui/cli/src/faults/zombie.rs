@@ -135,8 +135,8 @@ pub struct Haunter {
 }
 
 impl Haunter {
-    pub fn new(haunting: &Arc<Haunting>, loud: bool) -> Box<dyn Peer> {
-        Box::new(Self { haunting: haunting.clone(), loud })
+    pub fn new(haunting: &Arc<Haunting>, loud: bool) -> Self {
+        Self { haunting: haunting.clone(), loud }
     }
 }
 

@@ -45,12 +45,13 @@ pub fn stages(report: &Report) -> String {
         for (stage, ms) in marks {
             let tip = format!("{}: {stage} after {} ms", fault.id, short(ms));
             let at = chart.x.clamped(ms.max(FIRST_MS));
-            chart.dot(
-                &format!("stage {stage}"),
-                (at, middle),
-                if stage == "resumed" { 3.5 } else { 5.0 },
-                &tip,
-            );
+            // What comes at once is drawn one around the other.
+            let radius = match stage {
+                "detected" => 6.5,
+                "resumed" => 3.0,
+                _ => 5.0,
+            };
+            chart.dot(&format!("stage {stage}"), (at, middle), radius, &tip);
         }
     }
     chart.finish()
