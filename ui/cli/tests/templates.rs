@@ -54,9 +54,25 @@ fn written() -> tempfile::TempDir {
         assert!(text(&output.stdout).contains("cargo test --release"), "{}", text(&output.stdout));
     }
     let root = std::fs::read_to_string(repository().join("Cargo.toml")).expect("this workspace's manifest");
-    let profiles = root.find("[profile.release]").map(|at| &root[at..]).expect("it has profiles");
+    let section =
+        |head: &str| root.split_once(head).unwrap_or_else(|| panic!("{head} is not in the manifest")).1;
+    let profiles = section("[profile.release]\n");
     let members: Vec<String> = PROJECTS.iter().map(|(name, ..)| format!("{name:?}")).collect();
-    let manifest = format!("[workspace]\nresolver = \"3\"\nmembers = [{}]\n\n{profiles}", members.join(", "));
+    let members = members.join(", ");
+    let manifest = format!(
+        "[workspace]\nresolver = \"3\"\nmembers = [\"libraries\", {members}]\n\n[profile.release]\n{profiles}"
+    );
+    // Asks for every library as this workspace does. Cargo unites what is asked for, and so takes the libraries that
+    // are built already instead of building some of them, and all that depends on them, once more.
+    let libraries = section("[workspace.dependencies]\n").split("\n[").next().unwrap_or_default();
+    let libraries: Vec<&str> = libraries.lines().filter(|line| !line.starts_with("trocar")).collect();
+    let libraries = format!(
+        "[package]\nname = \"libraries\"\nedition = \"2024\"\n\n[dependencies]\n{}\n",
+        libraries.join("\n")
+    );
+    std::fs::create_dir_all(folder.path().join("libraries/src")).expect("a folder");
+    std::fs::write(folder.path().join("libraries/Cargo.toml"), libraries).expect("a manifest");
+    std::fs::write(folder.path().join("libraries/src/lib.rs"), "").expect("a source");
     std::fs::write(folder.path().join("Cargo.toml"), manifest).expect("a manifest");
     std::fs::copy(repository().join("Cargo.lock"), folder.path().join("Cargo.lock")).expect("a lock file");
     folder

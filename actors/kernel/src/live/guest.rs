@@ -61,7 +61,8 @@ impl Invitation {
     }
 }
 
-/// Takes part in a live session without being ticked; see the [module](self).
+/// Takes part in a live session without being ticked: reads the latest snapshot, and sends batches through a ring of
+/// its own. It can slow nobody down: reading is loading a pointer, and a full ring refuses its own batch only.
 ///
 /// It outlives a Model that died or had to be left behind: the next one knows it.
 pub struct Guest {
