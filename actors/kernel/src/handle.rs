@@ -12,6 +12,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_scene::{Batch, Commands, EntityAllocator, Provenance, Registry, Revision, SimTime, WriterId};
 
+use crate::signal::Signal;
+
 /// Buffers that a handle has from the beginning: enough for a Model that is late now and then, so that
 /// nothing is allocated for it once they have all been used.
 const SPARES: usize = 8;
@@ -146,13 +148,13 @@ impl fmt::Debug for WriterHandle {
 }
 
 struct Bell {
-    rung: AtomicBool,
+    rung: Signal,
     target: Arc<dyn Doorbell>,
 }
 
 impl Bell {
     fn ring(&self) {
-        if !self.rung.swap(true, Ordering::AcqRel) {
+        if self.rung.raise() {
             self.target.ring();
         }
     }
@@ -187,7 +189,7 @@ impl Intake {
     pub fn new(registry: Arc<Registry>, bell: Arc<dyn Doorbell>) -> Arc<Self> {
         Arc::new(Self {
             registry,
-            bell: Arc::new(Bell { rung: AtomicBool::new(false), target: bell }),
+            bell: Arc::new(Bell { rung: Signal::default(), target: bell }),
             home: Mutex::new(Vec::new()),
             arrived: AtomicBool::new(false),
         })
@@ -233,7 +235,7 @@ impl Intake {
     /// opened after the first took its own.
     pub fn take(self: &Arc<Self>) -> Lanes {
         // An unanswered ring of a dead drainer must not keep the bell silent.
-        self.bell.rung.store(false, Ordering::Release);
+        self.bell.rung.take();
         let mut lanes = Lanes { intake: self.clone(), lanes: Vec::new(), next: 0 };
         lanes.fetch();
         lanes
@@ -260,8 +262,7 @@ impl Lanes {
     /// Begins a pass: from here on a submission rings the bell again. Call it before the first
     /// [`Iterator::next`] of a pass, so that nothing sent in between is missed.
     pub fn begin_pass(&mut self) {
-        // A swap, not a store: it must see what came before the ring that it silences.
-        self.intake.bell.rung.swap(false, Ordering::AcqRel);
+        self.intake.bell.rung.take();
         if self.intake.arrived.load(Ordering::Acquire) {
             self.fetch();
         }

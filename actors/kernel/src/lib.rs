@@ -5,6 +5,7 @@ pub mod chain;
 pub mod commit;
 pub mod faults;
 pub mod handle;
+mod heartbeat;
 pub mod live;
 pub mod lockstep;
 pub mod model_core;
@@ -14,8 +15,10 @@ pub mod publish;
 pub mod recorder;
 pub mod retire;
 pub mod runtime;
+mod signal;
 pub mod spec;
 pub mod supervision;
+mod sync;
 #[cfg(test)]
 mod testing;
 

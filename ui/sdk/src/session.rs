@@ -1,5 +1,7 @@
 //! A running session, whichever way time passes.
 
+mod losses;
+
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -39,6 +41,8 @@ pub struct Finished {
     pub commands_refused: u64,
     /// Ways in which drivers did not end well, in words.
     pub driver_errors: Vec<String>,
+    /// What the system refused or took away: [`Session::losses`].
+    pub losses: Vec<String>,
 }
 
 impl Session {
@@ -164,6 +168,7 @@ impl Session {
     /// Ends the session: forces to zero, controllers down, recording closed, drivers stopped.
     pub fn finish(mut self) -> Finished {
         self.zero_forces();
+        let losses = self.losses();
         let outcome = match self.running {
             Running::Lockstep(session) => session.finish(),
             Running::Live(session) => session.stop(0),
@@ -180,6 +185,6 @@ impl Session {
             force_newtons_max = force_newtons_max.max(statistics.force_newtons_max);
             commands_refused += statistics.refused_epoch;
         }
-        Finished { outcome, force_newtons_max, commands_refused, driver_errors }
+        Finished { outcome, force_newtons_max, commands_refused, driver_errors, losses }
     }
 }

@@ -11,7 +11,9 @@ use trocar_scene::{Access, EntityAllocator, SimTime, Snapshot, WriterId};
 
 use crate::chain::StateHash;
 use crate::handle::{Intake, LaneStatus, WriterHandle};
+use crate::heartbeat::Heartbeat;
 use crate::runtime::{Clock, Permission, TickStats, guarded};
+use crate::signal::Signal;
 use crate::spec::{CommitSink, ControllerSpec, FaultKind, FaultOrder};
 use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
 
@@ -19,10 +21,7 @@ use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
 #[derive(Default)]
 pub(crate) struct Life {
     pub(crate) incarnation: u32,
-    /// Odd while a step is running.
-    pub(crate) beat: AtomicU64,
-    /// When it beat last \[ns of the session\].
-    pub(crate) beat_at: AtomicU64,
+    pub(crate) heart: Heartbeat,
     /// Thread number; 0 before it runs.
     pub(crate) tid: AtomicU32,
     /// Constructed: the watchdog may look.
@@ -47,8 +46,7 @@ impl Life {
     }
     /// A step begins or ends.
     pub(crate) fn bump(&self, now: SimTime) {
-        self.beat_at.store(now.0, Ordering::Relaxed);
-        self.beat.fetch_add(1, Ordering::Release);
+        self.heart.bump(now.0);
     }
 }
 
@@ -171,9 +169,9 @@ pub(crate) struct Shared {
     pub(crate) writers: Vec<Arc<Writer>>,
     pub(crate) reports: SyncSender<Report>,
     pub(crate) declares: Mutex<Vec<Declare>>,
-    pub(crate) declares_waiting: AtomicBool,
+    pub(crate) declares_waiting: Signal,
     /// A fence was raised that the Model has not looked at.
-    pub(crate) fences_waiting: AtomicBool,
+    pub(crate) fences_waiting: Signal,
     pub(crate) sink: Mutex<Option<Box<dyn CommitSink>>>,
     pub(crate) has_sink: bool,
     /// The state hash of what is published, for a Model that takes over from one out of reach.
@@ -217,7 +215,7 @@ impl Shared {
             let _ = guarded(|| fence.raise(epoch));
         }
         writer.epoch.fetch_max(epoch, Ordering::AcqRel);
-        self.fences_waiting.store(true, Ordering::Release);
+        self.fences_waiting.raise();
         self.bell.notify_one();
     }
 
@@ -249,7 +247,7 @@ impl Shared {
     ) -> oneshot::Receiver<Result<(), String>> {
         let (reply, answer) = oneshot::channel();
         lock(&self.declares).push(Declare { name: name.to_owned(), id, access: access.clone(), reply });
-        self.declares_waiting.store(true, Ordering::Release);
+        self.declares_waiting.raise();
         self.bell.notify_one();
         answer
     }
