@@ -82,6 +82,9 @@ pub struct AccessOverlap {
 pub struct WriterRules {
     me: Entity,
     spawns: bool,
+    unrestricted: bool,
+    /// Own entities of other writers, sorted: they exist without having been spawned.
+    known: Vec<Entity>,
     contributes: Vec<ComponentId>,
     /// Sorted by component; entity lists sorted.
     writes: Vec<(ComponentId, EntitySet)>,
@@ -111,7 +114,26 @@ impl WriterRules {
         for name in &access.contributes {
             contributes.push(registry.by_name(name)?);
         }
-        Ok(Self { me, spawns: access.spawns, contributes, writes, granted: Vec::new(), revoked: Vec::new() })
+        Ok(Self { contributes, writes, spawns: access.spawns, ..Self::none(me) })
+    }
+
+    /// May write every component of every entity, create entities, and remove those that it has created: for
+    /// somebody outside who steers a session. It claims no rows, so it overlaps with nobody.
+    pub fn unrestricted(me: Entity) -> Self {
+        Self { spawns: true, unrestricted: true, ..Self::none(me) }
+    }
+
+    fn none(me: Entity) -> Self {
+        Self {
+            me,
+            spawns: false,
+            unrestricted: false,
+            known: Vec::new(),
+            contributes: Vec::new(),
+            writes: Vec::new(),
+            granted: Vec::new(),
+            revoked: Vec::new(),
+        }
     }
 
     /// The writer's own entity.
@@ -130,8 +152,27 @@ impl WriterRules {
     pub fn owns(&self, entity: Entity) -> bool {
         entity.station() == self.me.station() && entity.spawner() == self.me.spawner() && entity != self.me
     }
+    /// Lets somebody who may write everything also write on another writer's own entity.
+    pub fn acquaint(&mut self, writer: Entity) {
+        if let Err(at) = self.known.binary_search(&writer)
+            && self.unrestricted
+        {
+            self.known.insert(at, writer);
+        }
+    }
+    /// Whether this is its own entity, or one of the writers' with which it was acquainted.
+    pub fn knows(&self, entity: Entity) -> bool {
+        entity == self.me || self.known.binary_search(&entity).is_ok()
+    }
+    /// Whether it may write everything.
+    pub fn is_unrestricted(&self) -> bool {
+        self.unrestricted
+    }
     /// Whether it may write this row now.
     pub fn may_write(&self, component: ComponentId, entity: Entity) -> bool {
+        if self.unrestricted {
+            return true;
+        }
         if entity == self.me && self.contributes.contains(&component) {
             return true;
         }

@@ -232,6 +232,16 @@ impl Commands {
             && self.error.is_none()
     }
 
+    /// How many rows, entities and events are written.
+    pub fn len(&self) -> usize {
+        self.puts().map(|(_, puts)| puts.len()).sum::<usize>()
+            + self.removes.len()
+            + self.spawns.len()
+            + self.despawns.len()
+            + self.events.len()
+            + self.transfers.len()
+    }
+
     /// Empties the buffers and keeps their room.
     pub fn clear(&mut self) {
         for id in self.touched.drain(..) {

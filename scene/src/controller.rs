@@ -64,7 +64,8 @@ pub enum ControllerError {
 pub struct BuildContext<'a> {
     /// The latest snapshot.
     pub scene: &'a Snapshot,
-    /// Time of construction.
+    /// Time of construction; in a session that goes on from a snapshot, that of the controller's last tick before
+    /// it, which is what its rows tell.
     pub time: SimTime,
     /// The controller's name.
     pub name: &'a str,

@@ -148,6 +148,12 @@ impl EntityAllocator {
             .ok()
             .map(|counter| Entity::new(self.station, self.spawner, counter))
     }
+    /// One that goes on from the same counter and shares nothing: for a branch of a session.
+    #[must_use]
+    pub fn fork(&self) -> Self {
+        let next = AtomicU32::new(self.next.load(Ordering::Relaxed));
+        Self { station: self.station, spawner: self.spawner, next: Arc::new(next) }
+    }
     /// Continues above every counter already in use (after loading a snapshot).
     pub fn skip_to(&self, counter: u32) {
         self.next.fetch_max(counter, Ordering::Relaxed);

@@ -78,6 +78,12 @@ impl Snapshot {
     pub fn entities(&self) -> impl Iterator<Item = Entity> {
         self.alive.iter().map(|(entity, ())| entity)
     }
+    /// The first counter above all those that entities of this spawner have: a session that goes on from a
+    /// snapshot must not give a name out twice.
+    pub fn first_free(&self, station: u16, spawner: u16) -> u32 {
+        let own = |entity: &Entity| entity.station() == station && entity.spawner() == spawner;
+        self.entities().filter(own).map(|entity| entity.counter().saturating_add(1)).max().unwrap_or(1)
+    }
     /// The entity of that name; the lowest one if several have it. Walks all names: not for a hot path.
     pub fn find(&self, name: &str) -> Option<Entity> {
         self.iter::<Name>().find(|(_, candidate)| candidate.0 == name).map(|(entity, _)| entity)

@@ -129,7 +129,7 @@ impl Store {
             if !rules.may_write(id, entity) {
                 return Err(Refusal::NotDeclared { component: registry.entry(id).name, entity });
             }
-            if entity == rules.me() || self.current.contains(entity) || commands.spawns().contains(&entity) {
+            if rules.knows(entity) || self.current.contains(entity) || commands.spawns().contains(&entity) {
                 Ok(())
             } else {
                 Err(Refusal::UnknownEntity(entity))

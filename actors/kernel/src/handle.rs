@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_scene::{Batch, Commands, EntityAllocator, Provenance, Registry, Revision, SimTime, WriterId};
 
+use crate::model_core::Outcome;
 use crate::signal::Signal;
 
 /// Buffers that a handle has from the beginning: enough for a Model that is late now and then, so that
@@ -160,11 +161,21 @@ impl Bell {
     }
 }
 
+/// What became of a batch, for a writer that waits for an answer.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Receipt {
+    /// Number of the batch's tick.
+    pub tick: u64,
+    /// What the Model decided; `None` when the batch made it panic, and nothing of it is in the scene.
+    pub outcome: Option<Outcome>,
+}
+
 /// The Model's end of one writer's rings.
 struct Lane {
     writer: WriterId,
     batches: Consumer<Box<Batch>>,
     returns: Producer<Box<Batch>>,
+    receipts: Option<Producer<Receipt>>,
 }
 
 impl Lane {
@@ -208,13 +219,39 @@ impl Intake {
         allocator: EntityAllocator,
         status: Arc<LaneStatus>,
     ) -> WriterHandle {
+        self.open_lane(writer, epoch, capacity, allocator, status, None)
+    }
+
+    /// The same for a writer that is told what became of its batches, once they are published. It must have taken
+    /// the receipts of all but `capacity` of them when it sends another; more are lost.
+    pub(crate) fn open_with_receipts(
+        &self,
+        writer: WriterId,
+        epoch: u32,
+        capacity: usize,
+        allocator: EntityAllocator,
+        status: Arc<LaneStatus>,
+    ) -> (WriterHandle, Consumer<Receipt>) {
+        let (receipts, answers) = RingBuffer::new(2 * capacity.max(1));
+        (self.open_lane(writer, epoch, capacity, allocator, status, Some(receipts)), answers)
+    }
+
+    fn open_lane(
+        &self,
+        writer: WriterId,
+        epoch: u32,
+        capacity: usize,
+        allocator: EntityAllocator,
+        status: Arc<LaneStatus>,
+        receipts: Option<Producer<Receipt>>,
+    ) -> WriterHandle {
         let capacity = capacity.max(1);
         let (batches, from_writer) = RingBuffer::new(capacity);
         // Everything that can be in flight fits into the way back.
         let (to_writer, returns) = RingBuffer::new(capacity + 2);
         let mut spares = VecDeque::with_capacity(capacity + 2);
         spares.extend((0..SPARES.min(capacity)).map(|_| blank(&self.registry, &allocator, writer, epoch)));
-        let lane = Lane { writer, batches: from_writer, returns: to_writer };
+        let lane = Lane { writer, batches: from_writer, returns: to_writer, receipts };
         self.home().push(lane);
         self.arrived.store(true, Ordering::Release);
         WriterHandle {
@@ -284,6 +321,20 @@ impl Lanes {
         if let Some(lane) = self.lanes.get_mut(lane.0).filter(|lane| lane.writer == batch.provenance.writer) {
             // Full only when the writer is gone; then the buffers go too.
             let _ = lane.returns.push(batch);
+        }
+    }
+
+    /// Whether the writer of this lane waits for answers.
+    pub(crate) fn wants_receipt(&self, lane: LaneIndex) -> bool {
+        self.lanes.get(lane.0).is_some_and(|lane| lane.receipts.is_some())
+    }
+
+    /// Tells the writer what became of a batch, if it wants to know. Valid until the next
+    /// [`Self::begin_pass`].
+    pub(crate) fn answer(&mut self, lane: LaneIndex, receipt: Receipt) {
+        if let Some(receipts) = self.lanes.get_mut(lane.0).and_then(|lane| lane.receipts.as_mut()) {
+            // Full only when nobody reads it any more.
+            let _ = receipts.push(receipt);
         }
     }
 

@@ -11,6 +11,9 @@ pub mod lockstep;
 pub mod model_core;
 #[cfg(test)]
 mod model_core_tests;
+pub mod operator;
+#[cfg(test)]
+mod operator_tests;
 pub mod publish;
 pub mod recorder;
 pub mod retire;
@@ -22,8 +25,11 @@ mod sync;
 #[cfg(test)]
 mod testing;
 
+/// actix, in the version that [`live::LiveSession::actor`] takes.
+pub use actix;
 pub use chain::{CommitKind, StateHash};
 pub use commit::{Commit, CommitBuffer};
 pub use handle::{Doorbell, Intake, LaneStatus, Lanes, Submitted, WriterHandle};
 pub use lockstep::{LockstepSession, SessionError};
 pub use model_core::{DeclareError, ModelCore, Outcome, Rejection, WriterCounts};
+pub use operator::{OPERATOR, OPERATOR_NAME, OperatorError};

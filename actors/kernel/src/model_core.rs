@@ -14,6 +14,7 @@ use trocar_scene::{
 
 use crate::chain::{Chain, CommitKind, StateHash};
 use crate::commit::CommitBuffer;
+use crate::operator::{OPERATOR, OPERATOR_EPOCH, OPERATOR_NAME, OPERATOR_WRITES_MAX};
 use crate::publish::{PublishClock, PublishRule};
 
 /// Most rows whose ownership has moved from one writer to another.
@@ -64,6 +65,9 @@ pub enum Rejection {
     /// It cannot be encoded, so it could be neither hashed nor recorded.
     #[error("the batch cannot be encoded: {0}")]
     Unencodable(ComponentError),
+    /// More in one batch than an operator may ask for: the Model would keep everybody waiting.
+    #[error("{0} writes in one batch; valid: up to {OPERATOR_WRITES_MAX}")]
+    TooManyWrites(usize),
     /// It broke a rule of the scene.
     #[error(transparent)]
     Refused(Refusal),
@@ -72,6 +76,14 @@ pub enum Rejection {
 /// A writer that the Model does not take.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum DeclareError {
+    /// The operator's name or number.
+    #[error("'{name}' cannot be writer {id}: '{OPERATOR_NAME}', writer {}, is whoever writes from outside", OPERATOR.0)]
+    Reserved {
+        /// The writer.
+        name: String,
+        /// Its number.
+        id: u16,
+    },
     /// Two writers of one name.
     #[error("two writers are named '{0}'")]
     NameTaken(String),
@@ -176,11 +188,21 @@ impl ModelCore {
             transfers: transfers.clone(),
             commits: 0,
         };
+        let operator = Writer {
+            name: OPERATOR_NAME.into(),
+            id: OPERATOR,
+            access: Access::new(),
+            rules: WriterRules::unrestricted(Entity::of_writer(station, OPERATOR.0)),
+            epoch: OPERATOR_EPOCH,
+            counts: WriterCounts::default(),
+            unpublished: 0,
+            last_rejection: None,
+        };
         Ok(Self {
             station,
             store,
             chain,
-            writers: Vec::new(),
+            writers: vec![operator],
             transfers,
             clock: PublishClock::new(PublishRule::default()),
             commits: CommitBuffer::new(),
@@ -221,6 +243,9 @@ impl ModelCore {
     /// # Errors
     /// [`DeclareError`]; the writers that were declared before are not affected.
     pub fn declare(&mut self, name: &str, id: WriterId, access: &Access) -> Result<u32, DeclareError> {
+        if name == OPERATOR_NAME || id == OPERATOR {
+            return Err(DeclareError::Reserved { name: name.to_owned(), id: id.0 });
+        }
         for other in &self.writers {
             if *other.name == *name && other.id != id {
                 return Err(DeclareError::NameTaken(name.to_owned()));
@@ -265,6 +290,9 @@ impl ModelCore {
                     last_rejection: None,
                 };
                 self.writers.insert(at, writer);
+                if let Some(operator) = self.position(OPERATOR) {
+                    self.writers[operator].rules.acquaint(me);
+                }
                 Ok(1)
             }
         }
@@ -322,6 +350,9 @@ impl ModelCore {
         let writer = &self.writers[at];
         if epoch != writer.epoch {
             return Err(Rejection::StaleEpoch { found: epoch, current: writer.epoch });
+        }
+        if writer.rules.is_unrestricted() && batch.commands.len() > OPERATOR_WRITES_MAX {
+            return Err(Rejection::TooManyWrites(batch.commands.len()));
         }
         self.store.validate(&batch.commands, &writer.rules).map_err(Rejection::Refused)?;
         for transfer in batch.commands.transfers() {
@@ -468,6 +499,9 @@ impl ModelCore {
         for at in 0..self.writers.len() {
             let writer = &mut self.writers[at];
             writer.counts.undone += std::mem::take(&mut writer.unpublished);
+            if writer.rules.is_unrestricted() {
+                continue;
+            }
             // Compiled before, so it compiles again.
             if let Ok(mut rules) =
                 WriterRules::compile(&writer.access, self.store.view().registry(), writer.rules.me())
@@ -516,9 +550,10 @@ impl ModelCore {
     pub fn name(&self, id: WriterId) -> Option<&Arc<str>> {
         self.position(id).map(|at| &self.writers[at].name)
     }
-    /// What every writer declared, ordered by id.
+    /// What every writer declared, ordered by id. The operator declares nothing.
     pub fn writers(&self) -> impl Iterator<Item = (WriterId, &str, &Access)> {
-        self.writers.iter().map(|writer| (writer.id, &*writer.name, &writer.access))
+        let declared = self.writers.iter().filter(|writer| !writer.rules.is_unrestricted());
+        declared.map(|writer| (writer.id, &*writer.name, &writer.access))
     }
 
     fn position(&self, id: WriterId) -> Option<usize> {

@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
+use serde_json::Value;
+use trocar::tuning;
 
 /// Surgical simulation by actors: one Model, many controllers, each at a rate of its own.
 #[derive(Debug, Parser)]
@@ -34,6 +36,8 @@ pub enum Command {
     Graph(GraphArgs),
     /// Measure figures beside the floors of this machine
     Bench(BenchArgs),
+    /// Change values of a running session, hold sets of values against each other, save what was found good
+    Tune(TuneArgs),
     /// Faults: show what a session survives by doing it
     Faults {
         /// What to do
@@ -71,6 +75,17 @@ pub struct SessionArgs {
     /// The trainee is left-handed
     #[arg(long)]
     pub left_handed: bool,
+    /// Another value in the scenario: ENTITY.COMPONENT.FIELD=VALUE, where `*` in the entity stands for any letters,
+    /// such as `ring.*.rigid_body.mass=0.02`; also `gravity.2=-1.62`, `controller.engine.rate_hz=250`, `task.…`,
+    /// `hand.…`
+    #[arg(long, value_name = "FIELD=VALUE", value_parser = tuning::parse_assignment)]
+    pub set: Vec<(String, Value)>,
+    /// Sets of values to switch between while the session runs (see `trocar tune`)
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub tuning: Option<PathBuf>,
+    /// The set of `--tuning` to begin with
+    #[arg(long = "use", value_name = "SET", requires = "tuning")]
+    pub use_set: Option<String>,
 }
 
 /// `trocar run`.
@@ -184,6 +199,61 @@ pub struct BenchArgs {
     /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)
     #[arg(long)]
     pub json: bool,
+}
+
+/// `trocar tune`.
+#[derive(Debug, Args)]
+pub struct TuneArgs {
+    /// What to do
+    #[command(subcommand)]
+    pub command: TuneCommand,
+    /// Process number of the session, when several are running
+    #[arg(long, global = true, value_name = "PID")]
+    pub session: Option<u32>,
+    /// Print exactly one JSON object on stdout
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+/// What to do to a running session.
+#[derive(Debug, Subcommand)]
+pub enum TuneCommand {
+    /// List fields with their values
+    List {
+        /// An entity, a component of it, or a field; `*` stands for any letters
+        #[arg(default_value = "*")]
+        pattern: String,
+    },
+    /// Set fields, all of them or none
+    Set {
+        /// Such as `ring.*.rigid_body.mass=0.02`
+        #[arg(required = true, value_name = "FIELD=VALUE", value_parser = tuning::parse_assignment)]
+        values: Vec<(String, Value)>,
+    },
+    /// Go to a set of values; what is tuned and not in it goes back to the scenario's value
+    Use {
+        /// Name of the set; `base` is the scenario as it is written
+        set: String,
+    },
+    /// Keep what is tuned now as a set
+    Keep {
+        /// Name of the set, such as `b`
+        set: String,
+    },
+    /// What is tuned, and which sets there are
+    Status,
+    /// Write what is tuned into the scenario's file; its comments and order stay
+    Save {
+        /// A new file instead
+        #[arg(value_hint = ValueHint::FilePath)]
+        file: Option<PathBuf>,
+    },
+    /// Write all sets to a file for `--tuning`
+    Export {
+        /// The file; stdout without it
+        #[arg(value_hint = ValueHint::FilePath)]
+        file: Option<PathBuf>,
+    },
 }
 
 /// `trocar faults`.

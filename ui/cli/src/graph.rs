@@ -13,11 +13,11 @@ use crate::escape::escape;
 use crate::failure::Failure;
 use crate::live_table::Display;
 use crate::report::short;
-use crate::{output, run};
+use crate::{output, run, tune};
 
 /// Draws a scenario.
 pub fn graph(app: &App, args: &GraphArgs) -> Result<Exit, Failure> {
-    let scenario = app.scenario(&args.session.scenario)?;
+    let (scenario, _) = tune::scenario(app, &args.session)?;
     let options = run::options(&args.session)?;
     let mut graph = match args.after {
         Some(seconds) => {

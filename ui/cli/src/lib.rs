@@ -26,6 +26,7 @@ mod replay;
 mod report;
 mod run;
 mod soak;
+mod tune;
 
 pub use bench::counting::CountingAllocator;
 
@@ -75,6 +76,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Replay(args) => replay::replay(app, &args),
         Command::Graph(args) => graph::graph(app, &args),
         Command::Bench(args) => bench::bench(&args),
+        Command::Tune(args) => tune::tune(&args),
         Command::Faults { command } => faults::faults(&command),
         Command::Soak(args) => soak::run(app, &args),
         Command::Doctor(args) => doctor::doctor(&args),

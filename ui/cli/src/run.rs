@@ -18,6 +18,7 @@ use crate::failure::{Failure, did_you_mean};
 use crate::live_table::Display;
 use crate::output;
 use crate::report::{self, Report, short};
+use crate::tune::{self, Desk};
 
 /// Runs what the command line asks for.
 pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
@@ -40,7 +41,7 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
 }
 
 fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
-    let scenario = app.scenario(&args.session.scenario)?;
+    let (scenario, tuner) = tune::scenario(app, &args.session)?;
     let record = (!args.no_record).then(|| {
         args.record.clone().unwrap_or_else(|| PathBuf::from(format!("{}.mcap", file_stem(&scenario))))
     });
@@ -57,9 +58,19 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     options.record = record;
 
     let mut display = Display::new(&scenario, &options, args.headless || args.json);
-    let outcome = trocar::run::run(app, &scenario, &options, &mut |progress| display.update(progress));
+    let mut desk = Desk::new(app, &scenario, tuner);
+    if !args.lockstep {
+        // In virtual time a session is over before anybody could say something to it.
+        desk.open();
+    }
+    let outcome = trocar::run::run(app, &scenario, &options, &mut |progress| {
+        desk.serve(progress.session);
+        display.update(progress);
+    });
+    desk.close();
     display.clear();
     let mut outcome = outcome?;
+    outcome.summary.tuned = desk.tuned(&outcome.kernel.snapshot);
 
     if let Some(file) = report_file {
         outcome.summary.report = Some(file.display().to_string());

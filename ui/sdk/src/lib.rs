@@ -15,3 +15,4 @@ pub mod session;
 pub mod soak;
 pub mod summary;
 pub mod trace;
+pub mod tuning;

@@ -9,3 +9,4 @@ pub use trocar_scene::{
 
 pub use crate::app::App;
 pub use crate::run::{RunOptions, run};
+pub use crate::session::Session;

@@ -87,8 +87,8 @@ pub enum RunError {
 
 /// A look at a running session.
 pub struct Progress<'a> {
-    /// The session.
-    pub session: &'a Session,
+    /// The session, which may be written to.
+    pub session: &'a mut Session,
     /// Its latest snapshot.
     pub scene: &'a Snapshot,
     /// Time of the session.
@@ -150,7 +150,7 @@ pub fn run(
     app: &App,
     scenario: &Scenario,
     options: &RunOptions,
-    observer: &mut dyn FnMut(&Progress<'_>),
+    observer: &mut dyn FnMut(&mut Progress<'_>),
 ) -> Result<RunOutcome, RunError> {
     let begun = Instant::now();
     let mut session = start(app, scenario, options)?;
@@ -164,8 +164,8 @@ pub fn run(
         let now = session.now();
         // The last look before the end: afterwards everybody is stopped.
         health = session.health();
-        observer(&Progress {
-            session: &session,
+        observer(&mut Progress {
+            session: &mut session,
             scene: &scene,
             now,
             wall_secs: begun.elapsed().as_secs_f64(),

@@ -3,20 +3,24 @@
 mod losses;
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use trocar_devices::DriverThread;
-use trocar_kernel::live::LiveSession;
+use trocar_kernel::OperatorError;
+use trocar_kernel::live::{LiveSession, Operator};
 use trocar_kernel::lockstep::LockstepSession;
 use trocar_kernel::runtime::ControllerReport;
 use trocar_kernel::runtime::sched;
 use trocar_kernel::spec::SessionOutcome;
 use trocar_kernel::supervision::RuntimeClass;
-use trocar_scene::{Access, SimTime, Snapshot};
+use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot};
 
 use crate::assembly::Assembly;
 use crate::hands::{HandPort, OpenedHand};
 use crate::run::RunError;
+
+/// Longest wait for the Model's answer to what is written from outside.
+const ANSWER_MAX: Duration = Duration::from_secs(1);
 
 /// A session that runs.
 pub struct Session {
@@ -28,7 +32,8 @@ pub struct Session {
 
 enum Running {
     Lockstep(Box<LockstepSession>),
-    Live(LiveSession),
+    /// With the operator of [`Session::apply`], made when it is first needed.
+    Live(LiveSession, Option<Box<Operator>>),
 }
 
 /// What is left of a session: the kernel's outcome and the drivers' figures.
@@ -71,7 +76,7 @@ impl Session {
         for hand in assembly.hands {
             drivers.push(hand.into_thread(start, priority)?);
         }
-        let running = Running::Live(LiveSession::start_at(assembly.spec, start)?);
+        let running = Running::Live(LiveSession::start_at(assembly.spec, start)?, None);
         Ok(Self { running, hands, drivers, fences_raised: false })
     }
 
@@ -84,7 +89,7 @@ impl Session {
     pub fn now(&self) -> SimTime {
         match &self.running {
             Running::Lockstep(session) => session.now(),
-            Running::Live(session) => session.elapsed(),
+            Running::Live(session, _) => session.elapsed(),
         }
     }
 
@@ -93,7 +98,7 @@ impl Session {
     pub fn run_until(&mut self, until: SimTime) -> bool {
         match &mut self.running {
             Running::Lockstep(session) => session.step_until(until),
-            Running::Live(session) => {
+            Running::Live(session, _) => {
                 // Waiting wakes up at once when the session ends.
                 while session.elapsed() < until && !session.wait((until - session.elapsed()).to_duration()) {}
                 !session.has_ended()
@@ -105,7 +110,58 @@ impl Session {
     pub fn snapshot(&mut self) -> Arc<Snapshot> {
         match &mut self.running {
             Running::Lockstep(session) => session.snapshot(),
-            Running::Live(session) => session.snapshot(),
+            Running::Live(session, _) => session.snapshot(),
+        }
+    }
+
+    /// Writes into the running session from outside: what `write` commands becomes one batch, all of it or nothing.
+    /// Any component of any entity may be written, whoever else writes it; a controller that does so overwrites it
+    /// at its next tick. The batch is screened as everybody's is, stands in the recording and the state hash under
+    /// the name `operator`, and comes back in a replay.
+    ///
+    /// In virtual time it is applied at the present instant, before whatever ticks next. In real time it waits for
+    /// the Model's answer, at most a second; nobody waits for it.
+    ///
+    /// # Errors
+    /// [`OperatorError`] says why nothing of it is in the scene.
+    ///
+    /// ```
+    /// use trocar::prelude::*;
+    /// use trocar::run;
+    ///
+    /// let app = App::new();
+    /// let options = RunOptions { lockstep: true, ..RunOptions::default() };
+    /// let mut session = run::start(&app, &app.scenario("wall")?, &options)?;
+    /// session.run_until(SimTime::from_millis(100));
+    /// let wall = session.snapshot().find("wall").expect("the scenario has a wall");
+    /// let mark = session.apply(|out| out.put(wall, Name("the wall".into())))?;
+    /// assert_eq!(session.snapshot().changed::<Name>(wall), Some(mark));
+    /// let wrong = session.apply(|out| out.put(Entity::new(7, 7, 7), Name("nobody".into())));
+    /// assert!(wrong.unwrap_err().to_string().contains("7:7:7 does not exist"));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn apply(&mut self, write: impl FnOnce(&mut Commands)) -> Result<Revision, OperatorError> {
+        match &mut self.running {
+            Running::Lockstep(session) => session.apply(write),
+            Running::Live(session, operator) => {
+                let operator = match operator {
+                    Some(operator) => operator,
+                    None => operator.insert(Box::new(session.operator()?)),
+                };
+                operator.apply(ANSWER_MAX, write)
+            }
+        }
+    }
+
+    /// A handle for writing into a session in real time from another thread, as [`Session::apply`] does; `None` in
+    /// virtual time, where only whoever lets time pass can say when something is written.
+    ///
+    /// # Errors
+    /// [`OperatorError::TooMany`] when too many of them exist.
+    pub fn operator(&self) -> Result<Option<Operator>, OperatorError> {
+        match &self.running {
+            Running::Lockstep(_) => Ok(None),
+            Running::Live(session, _) => session.operator().map(Some),
         }
     }
 
@@ -115,7 +171,7 @@ impl Session {
             Running::Lockstep(session) => {
                 session.statistics().map(|stats| stats.report(session.now())).collect()
             }
-            Running::Live(session) => session.stats(),
+            Running::Live(session, _) => session.stats(),
         }
     }
 
@@ -135,7 +191,7 @@ impl Session {
                     })
                     .collect()
             }
-            Running::Live(session) => session.accesses(),
+            Running::Live(session, _) => session.accesses(),
         }
     }
 
@@ -151,7 +207,7 @@ impl Session {
                     })
                     .collect()
             }
-            Running::Live(session) => {
+            Running::Live(session, _) => {
                 session.health().into_iter().map(|(name, health)| (name, health.name())).collect()
             }
         }
@@ -171,7 +227,7 @@ impl Session {
         let losses = self.losses();
         let outcome = match self.running {
             Running::Lockstep(session) => session.finish(),
-            Running::Live(session) => session.stop(0),
+            Running::Live(session, _) => session.stop(0),
         };
         let mut driver_errors = Vec::new();
         for driver in self.drivers {

@@ -75,6 +75,8 @@ pub struct RunSummary {
     pub task: TaskSummary,
     /// Everyone who acted on the scene, in the order of the scenario.
     pub controllers: Vec<ControllerSummary>,
+    /// Values that were not as in the scenario at the end, by the names of their fields.
+    pub tuned: BTreeMap<String, serde_json::Value>,
     /// What became of each injected fault.
     pub faults: Vec<FaultSummary>,
     /// Largest force at any driver, after its clamp \[N\].
@@ -108,6 +110,7 @@ impl RunSummary {
             state_hash: None,
             task: TaskSummary::default(),
             controllers: Vec::new(),
+            tuned: BTreeMap::new(),
             faults: Vec::new(),
             force_newtons_max: 0.0,
             penetration_max: 0.0,

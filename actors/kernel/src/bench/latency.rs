@@ -35,7 +35,7 @@ impl Bench {
         let (store, _) = populated(entities);
         let live = LiveSession::start(SessionSpec::new("bench", 1, store, Vec::new()))?;
         let access = Access::new().writes::<Mark>(EntitySet::Own);
-        let handle = live.guest("bench", WriterId(GUEST), &access, 4_096)?;
+        let handle = live.guest("bench", WriterId(GUEST), &access, 4_096)?.into_handle();
         Ok(Self { live, handle, me: Entity::of_writer(0, GUEST), next: 0 })
     }
 

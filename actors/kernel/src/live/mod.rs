@@ -4,8 +4,11 @@
 //! controller reads the latest snapshot, pushes its batch into its ring and goes on; the Model drains the
 //! rings and publishes; a watchdog sees who hangs; the supervisor replaces who fails.
 
+mod actors;
+mod guest;
 mod host;
 mod model;
+mod operator;
 mod shared;
 mod supervise;
 mod watchdog;
@@ -15,28 +18,35 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use actix::prelude::System;
+use actix::prelude::{Actor, Context, System};
 use arc_swap::ArcSwap;
 use thiserror::Error;
 use tokio::sync::Notify;
-use tokio::sync::oneshot::error::TryRecvError;
-use trocar_scene::{Access, ComponentError, Entity, EntityAllocator, SimTime, Snapshot, Store, WriterId};
+use trocar_scene::{Access, ComponentError, EntityAllocator, SimTime, Snapshot, Store, WriterId};
 
 use crate::chain::StateHash;
 use crate::faults::{FaultLog, FaultPlanError, FaultRow, FaultSchedule, TargetClass, Targets};
-use crate::handle::{Intake, LaneStatus, WriterHandle};
+use crate::handle::{Intake, LaneStatus};
 use crate::model_core::ModelCore;
+use crate::operator::{OPERATOR, OperatorError};
 use crate::runtime::{Clock, ControllerReport, Permission, TickStats};
 use crate::signal::Signal;
 use crate::spec::{ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, SessionSpec};
 use crate::supervision::{
     ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Incident, Supervisor, TreeError,
 };
-use shared::{Life, Report, Seam, Seat, Shared, Writer, lock};
+use guest::Invitation;
+use shared::{Life, OperatorSeat, Report, Seam, Seat, Shared, Writer, lock};
 use supervise::{Board, Crew};
+
+pub use actors::HostedActor;
+pub use guest::Guest;
+pub use operator::{OPERATORS_MAX, Operator};
 
 /// Longest wait for a session to end; beyond it the forces are set to zero from here and it is left behind.
 pub const STOP_MAX: Duration = Duration::from_millis(1_900);
+/// Batches of an actor that may wait for the Model.
+const ACTOR_CAPACITY: usize = 64;
 /// Reports that wait for the supervisor.
 const REPORTS_MAX: usize = 4_096;
 /// Messages that wait to be printed.
@@ -275,8 +285,8 @@ impl LiveSession {
         true
     }
 
-    /// A way to the Model for somebody who is no controller: a console, a viewer, a measurement. It is
-    /// neither ticked nor supervised, and lasts until the session ends or a Model had to be left behind.
+    /// Lets somebody take part who is no controller: a console, a viewer, a measurement. A guest is neither
+    /// ticked nor supervised. `capacity` is how many of its batches may wait for the Model.
     ///
     /// # Errors
     /// When the name or number is taken, the access overlaps with others', or the Model does not answer.
@@ -286,22 +296,40 @@ impl LiveSession {
         id: WriterId,
         access: &Access,
         capacity: usize,
-    ) -> Result<WriterHandle, LiveError> {
-        let refused = |reason: String| LiveError::Controller { name: name.to_owned(), reason };
-        let mut answer = self.shared.introduce(name, id, access);
-        let until = Instant::now() + Duration::from_secs(1);
-        loop {
-            match answer.try_recv() {
-                Ok(answer) => break answer.map_err(refused)?,
-                Err(TryRecvError::Empty) if Instant::now() < until => {
-                    std::thread::sleep(Duration::from_millis(1));
-                }
-                Err(_) => return Err(refused("the Model did not answer".to_owned())),
-            }
-        }
-        let allocator = EntityAllocator::new(self.shared.station, id.0);
-        allocator.skip_to(first_free(&self.snapshot(), self.shared.station, id.0));
-        Ok(self.shared.intake.open(id, 1, capacity, allocator, Arc::default()))
+    ) -> Result<Guest, LiveError> {
+        self.invitation(name, id, access, capacity).accept()
+    }
+
+    /// Lets a plain actix actor take part, on a thread and in an actix system of its own. `build` makes it from
+    /// the guest that it acts through, at the start and whenever it has died; it ends with the session.
+    ///
+    /// # Errors
+    /// As [`Self::guest`], and when the system gives no thread.
+    pub fn actor<A>(
+        &self,
+        name: &str,
+        id: WriterId,
+        access: &Access,
+        build: impl Fn(Guest) -> A + Send + 'static,
+    ) -> Result<HostedActor, LiveError>
+    where
+        A: Actor<Context = Context<A>>,
+    {
+        HostedActor::start(self.invitation(name, id, access, ACTOR_CAPACITY), build)
+    }
+
+    fn invitation(&self, name: &str, id: WriterId, access: &Access, capacity: usize) -> Invitation {
+        let (shared, name, access) = (self.shared.clone(), name.to_owned(), access.clone());
+        Invitation { shared, name, id, access, capacity }
+    }
+
+    /// A way to write whatever one likes into the running session, from any thread: for a researcher's
+    /// program, a tuning panel, a console. See [`Operator::apply`].
+    ///
+    /// # Errors
+    /// [`OperatorError::TooMany`] when [`OPERATORS_MAX`] of them exist.
+    pub fn operator(&self) -> Result<Operator, OperatorError> {
+        Operator::new(self.shared.clone())
     }
 
     /// Ends the session within two seconds, whatever hangs: forces to zero first, controllers, Model,
@@ -424,7 +452,7 @@ fn share(
     let mut writers = Vec::with_capacity(controllers.len());
     for spec in controllers {
         let allocator = EntityAllocator::new(station, spec.writer);
-        allocator.skip_to(first_free(scene.view(), station, spec.writer));
+        allocator.skip_to(scene.view().first_free(station, spec.writer));
         writers.push(Arc::new(Writer {
             seat: seat(&spec.name, &spec.child)?,
             id: WriterId(spec.writer),
@@ -439,6 +467,8 @@ fn share(
         }));
     }
     writers.sort_by_key(|writer| writer.id);
+    let operator = EntityAllocator::new(station, OPERATOR.0);
+    operator.skip_to(scene.view().first_free(station, OPERATOR.0));
     let bell = Arc::new(Notify::new());
     let ring = bell.clone();
     Ok(Arc::new(Shared {
@@ -460,15 +490,9 @@ fn share(
         published_hash: Mutex::new(None),
         final_hash: Mutex::new(None),
         batches: AtomicU64::new(0),
+        operator: OperatorSeat::new(operator),
         over: AtomicBool::new(false),
     }))
-}
-
-/// The first counter that a writer has not used: a session that goes on from a snapshot must not give a
-/// name out twice.
-fn first_free(scene: &Snapshot, station: u16, writer: u16) -> u32 {
-    let own = |entity: &Entity| entity.station() == station && entity.spawner() == writer;
-    scene.entities().filter(own).map(|entity| entity.counter().saturating_add(1)).max().unwrap_or(1)
 }
 
 /// The actix system on a thread of its own: the main thread belongs to whoever has a window.

@@ -12,7 +12,7 @@ use trocar_scene::{SimTime, Snapshot, Store, WriterId};
 
 use super::shared::{Life, Shared, lock};
 use crate::commit::CommitBuffer;
-use crate::handle::Lanes;
+use crate::handle::{LaneIndex, Lanes, Receipt};
 use crate::model_core::{ModelCore, Outcome};
 use crate::retire::Retired;
 use crate::runtime::{guarded, sched};
@@ -65,8 +65,8 @@ pub(super) struct ModelActor {
     desk: Option<Desk>,
     /// The core of a new Model, made before its thread.
     first: Option<ModelCore>,
-    /// Whose batch is being applied.
-    culprit: Option<WriterId>,
+    /// Whose batch is being applied, where it came in, and its tick.
+    culprit: Option<(WriterId, LaneIndex, u64)>,
     resumed: bool,
 }
 
@@ -82,8 +82,11 @@ impl ModelActor {
         self.shared.model.stats.enter_thread(tid);
         if let Some(desk) = &mut self.desk {
             let culprit = self.culprit.take();
-            desk.core.recover(culprit);
-            if let Some(index) = culprit.and_then(|id| self.shared.writer_index(id)) {
+            desk.core.recover(culprit.map(|(id, ..)| id));
+            if let Some((_, lane, tick)) = culprit {
+                desk.lanes.answer(lane, Receipt { tick, outcome: None });
+            }
+            if let Some(index) = culprit.and_then(|(id, ..)| self.shared.writer_index(id)) {
                 // The batch that killed it is not tried again.
                 self.shared.writers[index].seat.stats.rejected();
             }
@@ -155,7 +158,8 @@ impl ModelActor {
         }
         while let Some((lane, mut batch)) = desk.lanes.next() {
             let id = batch.provenance.writer;
-            self.culprit = Some(id);
+            let tick = batch.provenance.tick;
+            self.culprit = Some((id, lane, tick));
             let writer = shared.writer_index(id).map(|index| &shared.writers[index]);
             // Raised between the pass's beginning and this batch: it must not slip through.
             if writer.is_some_and(|w| w.epoch.load(Ordering::Acquire) > batch.provenance.epoch) {
@@ -164,11 +168,15 @@ impl ModelActor {
             let outcome = desk.core.apply(&mut batch, now);
             // Guests have no row in the report.
             if let Some(writer) = writer {
-                match outcome {
+                match &outcome {
                     Outcome::Applied { .. } => drop(writer.applied.fetch_add(1, Ordering::Relaxed)),
                     Outcome::Rejected(_) => writer.seat.stats.rejected(),
                     Outcome::Conflict(_) => writer.seat.stats.conflict(),
                 }
+            }
+            // Whoever waits for an answer may read the scene when it has it, and what it was told must stand.
+            if desk.lanes.wants_receipt(lane) && desk.publish(shared) {
+                desk.lanes.answer(lane, Receipt { tick, outcome: Some(outcome) });
             }
             shared.batches.fetch_add(1, Ordering::Relaxed);
             desk.lanes.give_back(lane, batch);
@@ -251,13 +259,13 @@ impl Desk {
         }
     }
 
-    /// Publish is commit: readers first, then who records.
-    fn publish(&mut self, shared: &Shared) {
+    /// Publish is commit: readers first, then who records. `false` when another Model has taken over.
+    fn publish(&mut self, shared: &Shared) -> bool {
         let snapshot = self.core.publish();
         let before = shared.published.compare_and_swap(&self.last, snapshot.clone());
         if !Arc::ptr_eq(&before, &self.last) {
-            // Another Model has taken over; what this one thinks no longer counts.
-            return;
+            // What this one thinks no longer counts.
+            return false;
         }
         drop(before);
         *lock(&shared.published_hash) = Some(self.core.hash());
@@ -268,6 +276,7 @@ impl Desk {
             let commits = self.core.swap_commits(std::mem::take(&mut self.spare));
             self.spare = sink.committed(&self.last, commits);
         }
+        true
     }
 }
 

@@ -135,6 +135,21 @@ pub(crate) struct Writer {
     pub(crate) declared: Mutex<Option<Access>>,
 }
 
+/// What all handles of the operator share.
+pub(crate) struct OperatorSeat {
+    pub(crate) allocator: EntityAllocator,
+    /// Number of its next batch.
+    pub(crate) tick: AtomicU64,
+    /// How many handles there are.
+    pub(crate) handles: AtomicU32,
+}
+
+impl OperatorSeat {
+    pub(crate) fn new(allocator: EntityAllocator) -> Self {
+        Self { allocator, tick: AtomicU64::new(0), handles: AtomicU32::new(0) }
+    }
+}
+
 /// A writer that introduces itself to the Model.
 pub(crate) struct Declare {
     pub(crate) name: String,
@@ -179,6 +194,7 @@ pub(crate) struct Shared {
     /// Left behind by the Model when it ends.
     pub(crate) final_hash: Mutex<Option<StateHash>>,
     pub(crate) batches: AtomicU64,
+    pub(crate) operator: OperatorSeat,
     /// The session has ended: injected stalls let go.
     pub(crate) over: AtomicBool,
 }

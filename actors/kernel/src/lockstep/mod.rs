@@ -9,6 +9,7 @@
 //! [`Supervisor`](crate::supervision::Supervisor), [`FaultSchedule`](crate::faults::FaultSchedule).
 
 mod faulting;
+mod operating;
 mod session;
 mod slot;
 mod supervising;

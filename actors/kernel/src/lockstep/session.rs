@@ -4,13 +4,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
-use trocar_scene::{Batch, ComponentError, Controller, Registry, SimTime, Snapshot};
+use trocar_scene::{Batch, ComponentError, Controller, EntityAllocator, Registry, SimTime, Snapshot};
 
+use super::operating::OperatorDesk;
 use super::slot::{NEVER, Pending, Slot, Ticked};
 use crate::chain::StateHash;
 use crate::commit::CommitBuffer;
 use crate::faults::{FaultLog, FaultPlanError, FaultSchedule};
 use crate::model_core::{ModelCore, Outcome};
+use crate::operator::OPERATOR;
 use crate::runtime::panics::guarded;
 use crate::runtime::{ControllerReport, Permission, TickStats};
 use crate::spec::{
@@ -76,6 +78,7 @@ pub struct LockstepSession {
     pub(super) seed: u64,
     pub(super) core: ModelCore,
     pub(super) slots: Vec<Slot>,
+    pub(super) operator: OperatorDesk,
     peers: Vec<PeerSlot>,
     pub(super) supervisor: Supervisor,
     pub(super) model: ChildId,
@@ -134,12 +137,15 @@ impl LockstepSession {
             }
             peers.push(PeerSlot { peer, next: SimTime::ZERO });
         }
+        let operator = EntityAllocator::new(spec.station, OPERATOR.0);
+        operator.skip_to(core.view().first_free(spec.station, OPERATOR.0));
         let mut session = Self {
             now: SimTime::ZERO,
             registry: core.view().registry().clone(),
             seed: spec.seed,
             core,
             slots,
+            operator: OperatorDesk::new(operator, 0),
             peers,
             supervisor,
             model,
@@ -391,7 +397,7 @@ impl LockstepSession {
             }
             Ticked::Ready(batch) => {
                 if self.model_up {
-                    self.apply(index, batch);
+                    self.commit(index, batch);
                 } else {
                     self.queued = true;
                     self.slots[index].enqueue(batch);
@@ -401,7 +407,7 @@ impl LockstepSession {
     }
 
     /// Lets the Model decide about a batch of slot `index`.
-    pub(super) fn apply(&mut self, index: usize, mut batch: Box<Batch>) {
+    pub(super) fn commit(&mut self, index: usize, mut batch: Box<Batch>) {
         let outcome = self.decide(&mut batch);
         let slot = &mut self.slots[index];
         match outcome {
@@ -421,11 +427,14 @@ impl LockstepSession {
                 self.step_is_over(index);
             }
             // The batch and whatever is in it goes no further.
-            Err(text) => self.model_died(Some(index), text),
+            Err(text) => {
+                let writer = slot.writer;
+                self.model_died(Some(writer), text);
+            }
         }
     }
 
-    fn decide(&mut self, batch: &mut Batch) -> Result<Outcome, String> {
+    pub(super) fn decide(&mut self, batch: &mut Batch) -> Result<Outcome, String> {
         let (core, now) = (&mut self.core, self.now);
         guarded(|| core.apply(batch, now))
     }

@@ -271,7 +271,7 @@ impl Slot {
     }
 }
 
-fn blank(registry: &Arc<Registry>, allocator: &EntityAllocator, writer: WriterId) -> Box<Batch> {
+pub(super) fn blank(registry: &Arc<Registry>, allocator: &EntityAllocator, writer: WriterId) -> Box<Batch> {
     Box::new(Batch {
         provenance: Provenance { writer, epoch: 0, tick: 0, time: SimTime::ZERO, based_on: Revision::ZERO },
         commands: Commands::new(registry.clone(), allocator.clone()),

@@ -1,6 +1,6 @@
 //! What the supervisor orders and what it is told.
 
-use trocar_scene::{BuildContext, Controller, ControllerError, SimTime};
+use trocar_scene::{BuildContext, Controller, ControllerError, SimTime, WriterId};
 
 use super::session::{LockstepSession, Zombie};
 use super::slot::Ticked;
@@ -185,8 +185,8 @@ impl LockstepSession {
     }
 
     /// A batch, or a fault, made the Model panic.
-    pub(super) fn model_died(&mut self, culprit: Option<usize>, text: String) {
-        self.core.recover(culprit.map(|index| self.slots[index].writer));
+    pub(super) fn model_died(&mut self, culprit: Option<WriterId>, text: String) {
+        self.core.recover(culprit);
         self.model_up = false;
         self.model_resumed = false;
         self.fault_log.detected(crate::spec::MODEL, self.now);
@@ -214,7 +214,7 @@ impl LockstepSession {
                     && let Some(batch) = self.slots[index].queue.pop_front()
                 {
                     waiting = true;
-                    self.apply(index, batch);
+                    self.commit(index, batch);
                 }
             }
         }

@@ -23,7 +23,7 @@ mod spool;
 mod supervised_tests;
 mod tap;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 pub use controller::{RATE_HZ, Recorder};
 pub use format::{Gap, Group, PROFILE, SCHEMA};

@@ -68,7 +68,7 @@ impl Controller for Mover {
     }
 }
 
-pub(super) fn head() -> RecordingHead {
+pub(crate) fn head() -> RecordingHead {
     RecordingHead {
         scenario: "toy".into(),
         scenario_text: "schema = 1\nname = \"toy\"\n".into(),
@@ -97,12 +97,12 @@ fn record(path: &Path, until: f64, options: RecorderOptions, plan: FaultPlan) ->
     session.finish()
 }
 
-pub(super) struct Folder(tempfile::TempDir);
+pub(crate) struct Folder(tempfile::TempDir);
 impl Folder {
-    pub(super) fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self(tempfile::tempdir().expect("a folder for temporary files"))
     }
-    pub(super) fn file(&self, name: &str) -> PathBuf {
+    pub(crate) fn file(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 }

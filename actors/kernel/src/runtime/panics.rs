@@ -55,10 +55,14 @@ pub fn guarded<R>(work: impl FnOnce() -> R) -> Result<R, String> {
     let result = catch_unwind(AssertUnwindSafe(work));
     drop(quiet);
     result.map_err(|payload| {
-        let text = SLOT.with(|slot| slot.try_borrow_mut().ok().and_then(|mut slot| slot.take()));
         forget_payload(payload);
-        text.unwrap_or_else(|| "panicked".to_owned())
+        take_text().unwrap_or_else(|| "panicked".to_owned())
     })
+}
+
+/// What the last panic on this thread said, if it happened within [`guarded`] and somebody else caught it.
+pub fn take_text() -> Option<String> {
+    SLOT.with(|slot| slot.try_borrow_mut().ok().and_then(|mut slot| slot.take()))
 }
 
 /// A payload of an unknown type may panic when dropped: texts are freed, the rest is left.

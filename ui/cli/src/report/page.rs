@@ -49,6 +49,9 @@ pub fn html(report: &Report) -> String {
     }
     hands_and_errors(&mut out, report);
     rates(&mut out, report);
+    if !report.summary.tuned.is_empty() {
+        section(&mut out, "Tuned: what was not as in the scenario at the end", "", &tables::tuned(report));
+    }
     if !report.summary.faults.is_empty() {
         section(&mut out, "Faults", "", &tables::faults(report));
     }

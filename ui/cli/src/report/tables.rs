@@ -50,6 +50,16 @@ fn controller_row(row: &ControllerSummary) -> Vec<Cell> {
     cells
 }
 
+/// Values that somebody has set.
+pub fn tuned(report: &Report) -> String {
+    let value = |value: &serde_json::Value| match value {
+        serde_json::Value::String(word) => Cell::text(word),
+        other => Cell::plain(other.to_string()),
+    };
+    let rows = report.summary.tuned.iter().map(|(field, tuned)| vec![Cell::text(field), value(tuned)]);
+    table(&["field", "value"], rows, "")
+}
+
 /// What became of each fault.
 pub fn faults(report: &Report) -> String {
     let head =

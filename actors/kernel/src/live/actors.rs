@@ -1,0 +1,160 @@
+//! Plain actix actors in a live session: each with a thread and an actix system of its own, built again when it
+//! dies, ended with the session.
+//!
+//! actix forgets an actor that panics. Here somebody looks, and builds the next one, from the scene as it is
+//! then. What an actor does on its thread, be it an endless loop, concerns nobody else: to the Model it is a
+//! [`Guest`].
+
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use actix::prelude::{Actor, Context, System};
+
+use super::LiveError;
+use super::guest::{Guest, Invitation};
+use super::shared::lock;
+use crate::runtime::{guarded, panics};
+
+/// How often it is looked whether an actor still lives, and whether its session does.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+/// After this many restarts within [`RESTART_WINDOW`] an actor is given up.
+const RESTARTS_MAX: usize = 5;
+/// See [`RESTARTS_MAX`].
+const RESTART_WINDOW: Duration = Duration::from_secs(10);
+/// Pause before the first restart; doubled with each further one within the window.
+const BACKOFF: Duration = Duration::from_millis(20);
+/// Longest wait for an actor's thread when it shall end.
+const END_MAX: Duration = Duration::from_millis(100);
+
+/// An actor that takes part in a session. Dropping it ends the actor.
+pub struct HostedActor {
+    name: String,
+    seat: Arc<Seat>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Default)]
+struct Seat {
+    stop: AtomicBool,
+    alive: AtomicBool,
+    restarts: AtomicU32,
+    /// Why it was given up, if it was.
+    given_up: Mutex<Option<String>>,
+}
+
+impl HostedActor {
+    /// Starts a thread on which `build` makes the actor, at the start and whenever it has died.
+    pub(super) fn start<A>(
+        invitation: Invitation,
+        build: impl Fn(Guest) -> A + Send + 'static,
+    ) -> Result<Self, LiveError>
+    where
+        A: Actor<Context = Context<A>>,
+    {
+        // Here, so that a contradiction is an error of whoever starts it.
+        let first = invitation.accept()?;
+        let (name, seat) = (invitation.name.clone(), Arc::new(Seat::default()));
+        let given = seat.clone();
+        let thread = std::thread::Builder::new().name(format!("actor {name}")).spawn(move || {
+            if let Err(panic) = guarded(|| run(&invitation, first, &build, &given)) {
+                *lock(&given.given_up) = Some(panic);
+            }
+            given.alive.store(false, Ordering::Relaxed);
+        })?;
+        Ok(Self { name, seat, thread: Some(thread) })
+    }
+
+    /// Its name among the writers.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+    /// Whether it is there to be spoken to.
+    pub fn is_alive(&self) -> bool {
+        self.seat.alive.load(Ordering::Relaxed)
+    }
+    /// How often it had to be built again.
+    pub fn restarts(&self) -> u32 {
+        self.seat.restarts.load(Ordering::Relaxed)
+    }
+    /// Why nobody builds it again, if that is so.
+    pub fn given_up(&self) -> Option<String> {
+        lock(&self.seat.given_up).clone()
+    }
+    /// Asks it to end and does not wait.
+    pub fn ask_to_end(&self) {
+        self.seat.stop.store(true, Ordering::Relaxed);
+    }
+    /// Ends it; `false` when it hangs and its thread had to be left behind.
+    pub fn end(mut self) -> bool {
+        self.finish()
+    }
+
+    fn finish(&mut self) -> bool {
+        self.ask_to_end();
+        let Some(thread) = self.thread.take() else { return true };
+        let until = Instant::now() + END_MAX;
+        while !thread.is_finished() {
+            if Instant::now() >= until {
+                return false;
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        // What it died of has been noted on its seat.
+        let _ = thread.join();
+        true
+    }
+}
+
+impl Drop for HostedActor {
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
+/// One life after the other, until the session ends or the actor fails too often.
+fn run<A>(invitation: &Invitation, first: Guest, build: &dyn Fn(Guest) -> A, seat: &Seat)
+where
+    A: Actor<Context = Context<A>>,
+{
+    let over = || seat.stop.load(Ordering::Relaxed) || invitation.shared.over.load(Ordering::Relaxed);
+    System::new().block_on(async {
+        let mut guest = Some(first);
+        let mut deaths: Vec<Instant> = Vec::with_capacity(RESTARTS_MAX + 1);
+        loop {
+            let why = match guest.take().map_or_else(|| invitation.accept(), Ok) {
+                Err(error) => error.to_string(),
+                Ok(guest) => match guarded(|| build(guest)) {
+                    Err(panic) => panic,
+                    Ok(actor) => {
+                        let addr = actor.start();
+                        seat.alive.store(true, Ordering::Relaxed);
+                        while addr.connected() && !over() {
+                            actix_rt::time::sleep(LOOK_EVERY).await;
+                        }
+                        seat.alive.store(false, Ordering::Relaxed);
+                        panics::take_text().unwrap_or_else(|| "it stopped by itself".to_owned())
+                    }
+                },
+            };
+            if over() {
+                return;
+            }
+            tracing::error!("actor '{}': {why}", invitation.name);
+            let now = Instant::now();
+            deaths.retain(|died| now.duration_since(*died) < RESTART_WINDOW);
+            deaths.push(now);
+            if deaths.len() > RESTARTS_MAX {
+                *lock(&seat.given_up) =
+                    Some(format!("{} times within {RESTART_WINDOW:?}: {why}", deaths.len()));
+                return;
+            }
+            let pause = Instant::now() + BACKOFF * (1 << (deaths.len() - 1));
+            while Instant::now() < pause && !over() {
+                actix_rt::time::sleep(LOOK_EVERY).await;
+            }
+            seat.restarts.fetch_add(1, Ordering::Relaxed);
+        }
+    });
+}

@@ -1,0 +1,185 @@
+//! Guests: those who take part in a live session without being ticked, such as a console, a viewer, a device's
+//! own program, or a plain actix actor.
+//!
+//! A guest reads the latest snapshot and sends batches through a ring of its own, like a controller. It cannot
+//! slow anybody down: reading is loading a pointer, a full ring refuses its own batch, and the Model drains all
+//! rings in turn.
+
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use tokio::sync::oneshot::Receiver;
+use tokio::sync::oneshot::error::TryRecvError;
+use trocar_scene::{
+    Access, CommandError, Commands, Entity, EntityAllocator, Event, SimTime, Snapshot, WriterId,
+};
+
+use super::LiveError;
+use super::shared::Shared;
+use crate::handle::{LaneStatus, Submitted, WriterHandle};
+
+/// Longest wait for the Model's answer to somebody who introduces himself.
+const ANSWER_MAX: Duration = Duration::from_secs(1);
+
+/// Who a guest is: what it keeps through all its lives.
+#[derive(Clone)]
+pub(super) struct Invitation {
+    pub(super) shared: Arc<Shared>,
+    pub(super) name: String,
+    pub(super) id: WriterId,
+    pub(super) access: Access,
+    pub(super) capacity: usize,
+}
+
+impl Invitation {
+    /// Introduces the guest and waits for the Model's answer, at most a second.
+    pub(super) fn accept(&self) -> Result<Guest, LiveError> {
+        let refused = |reason: String| LiveError::Controller { name: self.name.clone(), reason };
+        let generation = self.shared.generation.load(Ordering::Acquire);
+        let mut answer = self.shared.introduce(&self.name, self.id, &self.access);
+        let until = Instant::now() + ANSWER_MAX;
+        loop {
+            match answer.try_recv() {
+                Ok(answer) => break answer.map_err(refused)?,
+                Err(TryRecvError::Empty) if Instant::now() < until => {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                Err(_) => return Err(refused("the Model did not answer".to_owned())),
+            }
+        }
+        let status = Arc::<LaneStatus>::default();
+        let seen = self.shared.published.load().events().next();
+        Ok(Guest {
+            handle: self.open(&status),
+            status,
+            generation,
+            rejoining: None,
+            invitation: self.clone(),
+            seen,
+            batches: 0,
+        })
+    }
+
+    fn open(&self, status: &Arc<LaneStatus>) -> WriterHandle {
+        let allocator = EntityAllocator::new(self.shared.station, self.id.0);
+        allocator.skip_to(self.shared.published.load().first_free(self.shared.station, self.id.0));
+        self.shared.intake.open(self.id, 1, self.capacity, allocator, status.clone())
+    }
+}
+
+/// Takes part in a live session without being ticked; see the [module](self).
+///
+/// It outlives a Model that died or had to be left behind: it introduces itself to the next one.
+pub struct Guest {
+    invitation: Invitation,
+    handle: WriterHandle,
+    status: Arc<LaneStatus>,
+    generation: u32,
+    /// The answer of a Model that took over, while it is awaited.
+    rejoining: Option<Receiver<Result<(), String>>>,
+    /// Number of the first event that it has not seen.
+    seen: u64,
+    batches: u64,
+}
+
+impl Guest {
+    /// Its name among the writers.
+    pub fn name(&self) -> &str {
+        &self.invitation.name
+    }
+    /// Its own entity, for what it has to remember.
+    pub fn me(&self) -> Entity {
+        Entity::of_writer(self.invitation.shared.station, self.invitation.id.0)
+    }
+    /// Time of the session.
+    pub fn now(&self) -> SimTime {
+        self.invitation.shared.clock.now()
+    }
+    /// Whether the session has ended; nothing that is sent from then on arrives.
+    pub fn has_ended(&self) -> bool {
+        self.invitation.shared.over.load(Ordering::Relaxed)
+    }
+    /// The latest snapshot. Loads a pointer; to keep one for long keeps its memory.
+    pub fn snapshot(&self) -> Arc<Snapshot> {
+        self.invitation.shared.published.load_full()
+    }
+    /// Batches that found the ring full.
+    pub fn dropped(&self) -> u64 {
+        self.status.dropped()
+    }
+
+    /// What happened since the last call (since it joined, in the first), oldest first. The log is bounded: who
+    /// does not ask for the span of some 4,096 events misses the oldest.
+    pub fn events(&mut self) -> Vec<Event> {
+        let scene = self.invitation.shared.published.load();
+        let events = scene.events().since(self.seen).map(|(_, event)| event.clone()).collect();
+        self.seen = scene.events().next();
+        events
+    }
+
+    /// Sends one batch: `command` sees the latest snapshot and fills the commands, which the Model applies as a
+    /// whole or not at all. Never waits: [`Submitted::Dropped`] means that the ring is full, or that a Model
+    /// has just taken over and does not know this guest yet.
+    ///
+    /// # Errors
+    /// The first command that is wrong in itself, such as a number that is not finite; nothing is sent then.
+    pub fn write(
+        &mut self,
+        command: impl FnOnce(&Snapshot, &mut Commands),
+    ) -> Result<Submitted, CommandError> {
+        if !self.is_known() {
+            return Ok(Submitted::Dropped);
+        }
+        let (scene, now) = (self.invitation.shared.published.load(), self.now());
+        let out = self.handle.begin(now);
+        command(&scene, out);
+        if let Some(error) = out.error() {
+            return Err(error.clone());
+        }
+        self.batches += 1;
+        Ok(self.handle.submit(self.batches, now, scene.revision()))
+    }
+
+    /// Its bare way to the Model, for measurements; it ends with the Model that it was opened at.
+    pub fn into_handle(self) -> WriterHandle {
+        self.handle
+    }
+
+    /// Whether the present Model knows this guest. One that took over from a Model out of reach has to be told,
+    /// and to answer, first.
+    fn is_known(&mut self) -> bool {
+        let shared = &self.invitation.shared;
+        let generation = shared.generation.load(Ordering::Acquire);
+        if generation != self.generation {
+            self.generation = generation;
+            let Invitation { name, id, access, .. } = &self.invitation;
+            self.rejoining = Some(shared.introduce(name, *id, access));
+        }
+        let Some(answer) = &mut self.rejoining else { return true };
+        match answer.try_recv() {
+            Ok(Ok(())) => {
+                self.rejoining = None;
+                self.handle = self.invitation.open(&self.status);
+                true
+            }
+            Err(TryRecvError::Empty) | Ok(Err(_)) => false,
+            Err(TryRecvError::Closed) => {
+                // That Model is gone as well: ask whoever comes next.
+                let Invitation { name, id, access, .. } = &self.invitation;
+                self.rejoining = Some(shared.introduce(name, *id, access));
+                false
+            }
+        }
+    }
+}
+
+impl fmt::Debug for Guest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Guest")
+            .field("name", &self.name())
+            .field("handle", &self.handle)
+            .finish_non_exhaustive()
+    }
+}

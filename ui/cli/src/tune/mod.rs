@@ -1,0 +1,165 @@
+//! `trocar tune`: values of a running session, from another terminal.
+
+mod desk;
+mod protocol;
+mod socket;
+
+use std::path::{Path, PathBuf};
+
+use serde_json::{Value, json};
+use trocar::app::App;
+use trocar::summary::{Exit, SCHEMA};
+use trocar::tuning::{self, BASE, TuneError, Tuner, TuningSets};
+use trocar_scene::scenario::Scenario;
+
+pub use desk::Desk;
+use protocol::{FieldRow, Reply, Request};
+
+use crate::args::{SessionArgs, TuneArgs, TuneCommand};
+use crate::escape::printable;
+use crate::failure::{Failure, did_you_mean};
+use crate::output;
+
+/// The scenario that the command line asks for, with the values that it sets, and what is known of them.
+pub fn scenario(app: &App, args: &SessionArgs) -> Result<(Scenario, Tuner), Failure> {
+    let scenario = app.scenario(&args.scenario)?;
+    let sets = match &args.tuning {
+        Some(file) => TuningSets::read(file).map_err(Failure::invalid)?,
+        None => TuningSets::default(),
+    };
+    let mut values = Vec::new();
+    if let Some(name) = args.use_set.as_deref().filter(|name| *name != BASE) {
+        let set = sets.get(name).map_err(|error| {
+            let hint = did_you_mean(name, sets.names());
+            Failure::invalid(format!("--use {name}: {error}{hint}"))
+        })?;
+        values.extend(set.iter().map(|(field, value)| (field.clone(), value.clone())));
+    }
+    values.extend(args.set.iter().cloned());
+    let mut tuner = Tuner::new(sets);
+    if values.is_empty() {
+        return Ok((scenario, tuner));
+    }
+    let wrong = |error: &dyn std::fmt::Display| Failure::invalid(format!("--set: {error}"));
+    let tuned = tuning::tuned_scenario(app, &scenario, &values).map_err(|error| wrong(&error))?;
+    let scene = scenario.spawn(app.registry()).map_err(|error| wrong(&error))?.snapshot();
+    let in_use = args.use_set.as_deref().filter(|_| args.set.is_empty());
+    tuner.began_with(&scene, &values, in_use).map_err(|error: TuneError| wrong(&error))?;
+    Ok((tuned, tuner))
+}
+
+/// Asks a running session.
+pub fn tune(args: &TuneArgs) -> Result<Exit, Failure> {
+    let result = attempt(args);
+    if args.json
+        && let Err(failure) = &result
+    {
+        output::print_json(&json!({ "schema": SCHEMA, "error": failure.message }))?;
+    }
+    result
+}
+
+fn attempt(args: &TuneArgs) -> Result<Exit, Failure> {
+    let socket = session(args.session)?;
+    let reply = ask(&socket, &request(&args.command)?)?;
+    if let TuneCommand::Export { file: Some(file) } = &args.command {
+        output::write_file(file, reply.text.as_deref().unwrap_or_default().as_bytes())?;
+    }
+    if args.json {
+        let mut object = serde_json::to_value(&reply).map_err(Failure::internal)?;
+        object["schema"] = json!(SCHEMA);
+        output::print_json(&object)?;
+    } else {
+        output::print_text(&text(&args.command, &reply))?;
+    }
+    Ok(Exit::Ok)
+}
+
+/// The socket of the session that is meant: the only one, or that of a process.
+fn session(wanted: Option<u32>) -> Result<PathBuf, Failure> {
+    let sessions = socket::sessions().map_err(Failure::invalid)?;
+    let known = || sessions.iter().map(|(pid, _)| pid.to_string()).collect::<Vec<_>>().join(", ");
+    match (wanted, sessions.as_slice()) {
+        (_, []) => Err(Failure::invalid("no session of yours is running; `trocar run SCENARIO` starts one")),
+        (None, [(_, only)]) => Ok(only.clone()),
+        (None, _) => {
+            Err(Failure::invalid(format!("several sessions are running: say --session {}", known())))
+        }
+        (Some(pid), _) => {
+            let found = sessions.iter().find(|(running, _)| *running == pid);
+            found.map(|(_, socket)| socket.clone()).ok_or_else(|| {
+                Failure::invalid(format!("no session has process {pid}; there are: {}", known()))
+            })
+        }
+    }
+}
+
+fn request(command: &TuneCommand) -> Result<Request, Failure> {
+    Ok(match command {
+        TuneCommand::List { pattern } => Request::List { pattern: pattern.clone() },
+        TuneCommand::Set { values } => Request::Set { values: values.clone() },
+        TuneCommand::Use { set } => Request::Use { set: set.clone() },
+        TuneCommand::Keep { set } => Request::Keep { set: set.clone() },
+        TuneCommand::Status => Request::Status,
+        TuneCommand::Export { .. } => Request::Sets,
+        TuneCommand::Save { file } => {
+            let absolute = file.as_deref().map(std::path::absolute).transpose().map_err(Failure::invalid)?;
+            Request::Save { file: absolute }
+        }
+    })
+}
+
+fn ask(socket: &Path, request: &Request) -> Result<Reply, Failure> {
+    let reply = socket::ask(socket, request)
+        .map_err(|error| Failure::invalid(format!("the session does not answer: {error}")))?;
+    match reply.error {
+        Some(error) => Err(Failure::invalid(error)),
+        None => Ok(reply),
+    }
+}
+
+/// What a person wants to know.
+fn text(command: &TuneCommand, reply: &Reply) -> String {
+    let value = |value: &Value| match value {
+        Value::String(word) => printable(word),
+        other => other.to_string(),
+    };
+    let cells = |row: &FieldRow| {
+        let mut cells = vec![printable(&row.field), value(&row.value)];
+        cells.extend(row.before.as_ref().map(value));
+        cells
+    };
+    let rows: Vec<Vec<String>> = reply.fields.iter().map(cells).collect();
+    let table = |head: &[&str]| output::columns(head, &rows).join("\n");
+    let in_use = || match reply.in_use.as_deref() {
+        Some(set) => format!("set '{}' is in use", printable(set)),
+        None => "single fields were set".to_owned(),
+    };
+    let sets = || {
+        let names: Vec<String> = reply.sets.iter().map(|set| printable(set)).collect();
+        format!("sets: {BASE}{}{}", if names.is_empty() { "" } else { ", " }, names.join(", "))
+    };
+    match command {
+        TuneCommand::List { .. } => table(&["field", "value"]),
+        TuneCommand::Set { .. } | TuneCommand::Use { .. } if rows.is_empty() => {
+            format!("nothing changed; {}", in_use())
+        }
+        TuneCommand::Set { .. } | TuneCommand::Use { .. } => {
+            format!("{}\n{} at {:.2} s", table(&["field", "value", "before"]), in_use(), reply.session_secs)
+        }
+        TuneCommand::Keep { set } => {
+            format!("{}\nkept as '{}'; {}", table(&["field", "value", "scenario"]), printable(set), sets())
+        }
+        TuneCommand::Status if rows.is_empty() => format!("nothing is tuned; {}", sets()),
+        TuneCommand::Status => {
+            format!("{}\n{}; {}", table(&["field", "value", "scenario"]), in_use(), sets())
+        }
+        TuneCommand::Export { file: Some(file) } => format!("{}: {}", file.display(), sets()),
+        TuneCommand::Export { file: None } => reply.text.clone().unwrap_or_default(),
+        TuneCommand::Save { .. } => {
+            let file = reply.file.as_ref().map_or_else(String::new, |file| file.display().to_string());
+            let left = reply.left_out.iter().map(|what| format!("\nleft out: {}", printable(what)));
+            format!("saved to {file}{}", left.collect::<String>())
+        }
+    }
+}
