@@ -68,7 +68,10 @@ fn the_live_exercise_runs_without_any_rights_and_says_what_it_lost() {
     for hand in ["haptics.left", "haptics.right"] {
         let row = summary.controllers.iter().find(|row| row.name == hand).expect("it has a row");
         let ran = row.scheduled - row.missed;
-        assert!(ran as f64 >= SHARE_MIN * floor as f64, "{hand} ticked {ran} times, a bare loop {floor} times");
+        assert!(
+            ran as f64 >= SHARE_MIN * floor as f64,
+            "{hand} ticked {ran} times, a bare loop {floor} times"
+        );
         assert_eq!(row.demotions, 0, "what was never granted is not taken away");
     }
 }

@@ -8,7 +8,7 @@ impl Session {
     /// What the system refused (real-time priority of drivers and controllers) and whose real-time priority was taken
     /// away on the way, one sentence each with how to mend it. Empty in virtual time, and when nothing is amiss.
     pub fn losses(&self) -> Vec<String> {
-        let Running::Live(session) = &self.running else { return Vec::new() };
+        let Running::Live(session, _) = &self.running else { return Vec::new() };
         let mut losses = Vec::new();
         let permission = session.permission();
         if !permission.fifo {
