@@ -39,8 +39,8 @@ fn the_live_exercise_runs_without_any_rights_and_says_what_it_lost() {
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join("trocar");
     std::fs::copy(env!("CARGO_BIN_EXE_trocar"), &program).expect("copied");
-    for path in [folder.path(), &program] {
-        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).expect("allowed");
+    for (path, mode) in [(folder.path(), 0o777), (program.as_path(), 0o755)] {
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).expect("allowed");
     }
 
     // Beside it a bare loop that ticks as often, under the ordinary scheduler as well.
@@ -58,6 +58,7 @@ fn the_live_exercise_runs_without_any_rights_and_says_what_it_lost() {
     assert_eq!(output.status.code(), Some(0), "{errors}");
     let summary: RunSummary = serde_json::from_slice(&output.stdout).expect("one object");
     assert!(summary.task.cut_off && summary.error.is_none(), "{:?}", summary.error);
+    assert!(summary.recording_complete, "the recording lies in a folder that anybody may write to");
 
     // Said once for the controllers, with a way to mend it, and once for each device.
     let losses = &summary.losses;
