@@ -70,6 +70,13 @@ pub struct DriverStatistics {
     pub torque_max: f64,
     /// Time since the last accepted command was computed \[ns\]; `u64::MAX` before the first.
     pub since_command_ns: u64,
+    /// Greatest age of the last command that was accepted, while a force was still held \[ns\]: measured in every
+    /// step, over the time for which the step before had held its force.
+    pub force_age_max_ns: u64,
+    /// How often a force fell to zero because nobody renewed it, or whoever did was fenced.
+    pub releases: u64,
+    /// Age of the last accepted command when that happened last \[ns\].
+    pub release_age_ns: u64,
     /// Ticks of a live driver that never ran.
     pub missed: u64,
     /// Greatest lateness of a live driver's tick \[ns\].

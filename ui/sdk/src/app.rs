@@ -15,6 +15,8 @@ use trocar_scene::{
     Snapshot,
 };
 
+use crate::actors::ActorKind;
+use crate::device_kinds::DeviceKind;
 use crate::hands::HandPort;
 use crate::kinds;
 use crate::run::RunOptions;
@@ -45,9 +47,15 @@ pub struct Blueprint {
     pub factory: Factory,
     /// Who must refuse its earlier lives.
     pub fences: Vec<Arc<dyn Fence>>,
+    /// Makes it serve the hands of another session instead: of a branch of this one, or of the same one begun again.
+    /// `None` for a controller that has nothing to do with hands, which is as good for any session.
+    pub for_hands: Option<ForHands>,
     /// Changes the scene before the session starts, for exercises that arrange it.
     pub arrange: Option<Arrange>,
 }
+
+/// A controller's factory and fences for these hands; `None` when the one that it serves is not among them.
+pub type ForHands = Arc<dyn Fn(&[HandPort]) -> Option<(Factory, Vec<Arc<dyn Fence>>)> + Send + Sync>;
 
 /// Writes to the scene as the scenario has spawned it.
 pub type Arrange = Box<dyn FnOnce(&Snapshot, &mut Commands)>;
@@ -80,6 +88,15 @@ pub enum SetupError {
     /// A kind's name is taken.
     #[error("a controller of kind '{0}' exists already")]
     KindTaken(String),
+    /// A device's name is taken.
+    #[error("a device of kind '{0}' exists already")]
+    DeviceTaken(String),
+    /// A device's name that would be hard to write.
+    #[error("'{0}' cannot name a device; valid: lower-case letters, digits, '-' and '_'")]
+    DeviceName(String),
+    /// An actor's name is taken.
+    #[error("an actor '{0}' exists already")]
+    ActorTaken(String),
     /// A rate that no controller can have.
     #[error(
         "controller '{name}': {rate_hz} Hz is out of range ({} to {} Hz)",
@@ -138,7 +155,9 @@ pub struct App {
     kinds: BTreeMap<String, Kind>,
     about: BTreeMap<String, KindInfo>,
     joining: Vec<ControllerEntry>,
-    wrong: Option<SetupError>,
+    pub(crate) devices: BTreeMap<String, DeviceKind>,
+    pub(crate) actors: Vec<ActorKind>,
+    pub(crate) wrong: Option<SetupError>,
 }
 
 impl Default for App {
@@ -169,6 +188,8 @@ impl App {
             kinds,
             about,
             joining: Vec::new(),
+            devices: BTreeMap::new(),
+            actors: Vec::new(),
             wrong: wrong.map(SetupError::Registry),
         }
     }
@@ -257,8 +278,8 @@ impl App {
     pub fn kind_info(&self, name: &str) -> Option<&KindInfo> {
         self.about.get(name)
     }
-    /// The kind of that name.
-    pub(crate) fn kind_of(&self, name: &str) -> Option<&Kind> {
+    /// The kind of that name, to be used or wrapped.
+    pub fn kind_of(&self, name: &str) -> Option<&Kind> {
         self.kinds.get(name)
     }
 

@@ -82,7 +82,6 @@ async fn live(shared: &Shared, writer: &Writer, life: &Life) -> Cause {
     };
     let mut body = Body {
         handle: shared.open(writer, life),
-        generation: shared.generation.load(Ordering::Acquire),
         shared,
         writer,
         life,
@@ -155,7 +154,6 @@ struct Body<'a> {
     life: &'a Life,
     controller: Box<dyn Controller>,
     handle: WriterHandle,
-    generation: u32,
     jobs: Jobs,
     runner: JobRunner,
     resumed: bool,
@@ -240,10 +238,6 @@ impl Body<'_> {
         }
         if let Some(span) = seam.slow() {
             std::thread::sleep(span.to_duration());
-        }
-        if self.generation != self.shared.generation.load(Ordering::Relaxed) {
-            self.generation = self.shared.generation.load(Ordering::Acquire);
-            self.handle = self.shared.open(self.writer, self.life);
         }
         self.runner.deliver(&self.jobs).map_err(Cause::Panic)?;
         let scene = self.shared.published.load();

@@ -4,6 +4,7 @@ mod allocation;
 pub mod counting;
 mod exercise;
 mod memory;
+mod session;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use trocar::summary::{BenchResult, BenchSummary, Better, Exit};
@@ -15,11 +16,12 @@ use crate::output;
 use crate::report::short;
 
 /// Suites by name, and what they measure.
-pub const SUITES: [(&str, &str); 2] = [
+pub const SUITES: [(&str, &str); 3] = [
     (
         "kernel",
-        "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step",
+        "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step, sessions",
     ),
+    ("session", "steps per second of sessions side by side, branches, new beginnings"),
     ("memory", "what sessions hold over an hour of simulated time; takes about ten minutes"),
 ];
 
@@ -27,12 +29,16 @@ pub const SUITES: [(&str, &str); 2] = [
 type Part = (&'static str, fn() -> Result<Vec<BenchResult>, Failure>);
 
 /// The parts of the suite `kernel`.
-const KERNEL: [Part; 4] = [
+const KERNEL: [Part; 5] = [
     ("rates, reads and writes of the kernel", kernel),
     ("allocations of a haptic tick", allocation::haptic_ticks),
     ("the exercise in lock-step", exercise::lockstep),
+    ("sessions side by side, branches and new beginnings", session::sessions),
     ("the exercise live, beside bare timer loops", exercise::live),
 ];
+
+/// The part of it that is the suite `session`.
+const SESSION: [Part; 1] = [KERNEL[3]];
 
 /// The parts of the suite `memory`.
 const MEMORY: [Part; 2] = [
@@ -68,7 +74,11 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         let hint = did_you_mean(&args.suite, names());
         return Err(Failure::usage(format!("no suite is called '{}'; there are: {known}{hint}", args.suite)));
     }
-    let parts: &[Part] = if args.suite == "memory" { &MEMORY } else { &KERNEL };
+    let parts: &[Part] = match args.suite.as_str() {
+        "session" => &SESSION,
+        "memory" => &MEMORY,
+        _ => &KERNEL,
+    };
     let bar = ProgressBar::new(parts.len() as u64);
     let style = ProgressStyle::with_template("{bar:24} {pos} of {len}  {msg}  {elapsed}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
