@@ -15,6 +15,7 @@ use crate::faults::LinkCounts;
 use crate::flow::{FlowLimit, TokenBucket, count};
 use crate::model_core::Outcome;
 use crate::runtime::Clock;
+use crate::signal::Signal;
 
 /// Buffers that a handle has from the beginning: enough for a Model that is late now and then, so that
 /// nothing is allocated for it once they have all been used.
@@ -209,22 +210,22 @@ impl fmt::Debug for WriterHandle {
 
 /// The doorbell, rung once until somebody begins to drain.
 pub(crate) struct Bell {
-    rung: AtomicBool,
+    rung: Signal,
     target: Arc<dyn Doorbell>,
 }
 
 impl Bell {
     pub(crate) fn new(target: Arc<dyn Doorbell>) -> Self {
-        Self { rung: AtomicBool::new(false), target }
+        Self { rung: Signal::default(), target }
     }
     fn ring(&self) {
-        if !self.rung.swap(true, Ordering::AcqRel) {
+        if self.rung.raise() {
             self.target.ring();
         }
     }
     /// From here on a submission rings again; it is seen what came before the ring that this silences.
     pub(crate) fn silence(&self) {
-        self.rung.swap(false, Ordering::AcqRel);
+        self.rung.take();
     }
 }
 

@@ -6,6 +6,7 @@ pub mod commit;
 pub mod faults;
 pub mod flow;
 pub mod handle;
+mod heartbeat;
 pub mod intake;
 pub mod live;
 pub mod lockstep;
@@ -19,8 +20,10 @@ pub mod publish;
 pub mod recorder;
 pub mod retire;
 pub mod runtime;
+mod signal;
 pub mod spec;
 pub mod supervision;
+mod sync;
 #[cfg(test)]
 mod testing;
 

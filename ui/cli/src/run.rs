@@ -93,8 +93,8 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     }
     if !args.json {
         output::print_text(&text(&outcome.summary))?;
-        if !outcome.kernel.permission.fifo && !args.lockstep {
-            tracing::info!("{}", outcome.kernel.permission.refused);
+        for loss in &outcome.summary.losses {
+            tracing::warn!("{loss}");
         }
     }
     Ok((outcome.summary, exit))

@@ -242,6 +242,7 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
         scene.iter::<CollisionList>().map(|(_, list)| list.penetration_max).fold(0.0, f64::max);
     summary.recording = options.record.as_ref().map(|file| file.display().to_string());
     summary.recording_complete = outcome.recording_complete.unwrap_or(false);
+    summary.losses = finished.losses.clone();
     let held = outcome.held.first().map(|(name, why)| format!("{name} was {why}"));
     summary.error = outcome.reason.clone().or(held).or_else(|| finished.driver_errors.first().cloned());
     summary

@@ -1,5 +1,7 @@
 //! A running session, whichever way time passes.
 
+mod losses;
+
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -55,6 +57,8 @@ pub struct Finished {
     pub drivers: Vec<DriverStatistics>,
     /// Ways in which drivers and plain actors did not end well, in words.
     pub driver_errors: Vec<String>,
+    /// What the system refused or took away: [`Session::losses`].
+    pub losses: Vec<String>,
 }
 
 impl Finished {
@@ -290,6 +294,7 @@ impl Session {
     /// Ends the session: forces to zero, controllers down, recording closed, drivers stopped.
     pub fn finish(mut self) -> Finished {
         self.zero_forces();
+        let losses = self.losses();
         self.actors.iter().for_each(HostedActor::ask_to_end);
         let outcome = match self.running {
             Running::Lockstep(session) => session.finish(),
@@ -312,6 +317,6 @@ impl Session {
             self.hands.iter().map(|hand| hand.monitor.sample().statistics).collect();
         let force_newtons_max = drivers.iter().map(|driver| driver.force_newtons_max).fold(0.0, f64::max);
         let commands_refused = drivers.iter().map(|driver| driver.refused_epoch).sum();
-        Finished { outcome, force_newtons_max, commands_refused, drivers, driver_errors }
+        Finished { outcome, force_newtons_max, commands_refused, drivers, driver_errors, losses }
     }
 }

@@ -94,6 +94,9 @@ pub struct RunSummary {
     pub recording_complete: bool,
     /// File of the report.
     pub report: Option<String>,
+    /// What the run had to do without, one sentence each: real-time priority that the system refused, or that was
+    /// taken away on the way. Empty in virtual time.
+    pub losses: Vec<String>,
     /// What went wrong, in words.
     pub error: Option<String>,
 }
@@ -121,6 +124,7 @@ impl RunSummary {
             recording: None,
             recording_complete: false,
             report: None,
+            losses: Vec::new(),
             error: None,
         }
     }

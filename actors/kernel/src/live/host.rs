@@ -216,8 +216,12 @@ impl Body<'_> {
                 Verdict::Keep => {}
                 Verdict::StopSpinning => ticker.set_spinning(false),
                 Verdict::Spin => ticker.set_spinning(true),
-                // It goes on without; the lateness in the report tells.
-                Verdict::Demote => drop(sched::normal_current()),
+                // It goes on without, and the report says so. Who had no such priority loses none.
+                Verdict::Demote => {
+                    if sched::is_real_time() && sched::normal_current().is_ok() {
+                        stats.demoted();
+                    }
+                }
             }
         }
     }

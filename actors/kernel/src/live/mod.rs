@@ -31,6 +31,7 @@ use crate::intake::Intake;
 use crate::model_core::ModelCore;
 use crate::operator::{OPERATOR, OperatorError};
 use crate::runtime::{Clock, ControllerReport, Permission, TickStats};
+use crate::signal::Signal;
 use crate::spec::{ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, SessionSpec};
 use crate::supervision::{
     ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Incident, Supervisor, TreeError,
@@ -483,8 +484,8 @@ fn share(
         reports,
         declares: Mutex::new(Vec::new()),
         guests: Mutex::new(Vec::new()),
-        declares_waiting: AtomicBool::new(false),
-        fences_waiting: AtomicBool::new(false),
+        declares_waiting: Signal::default(),
+        fences_waiting: Signal::default(),
         has_sink: commit_sink.is_some(),
         sink: Mutex::new(commit_sink),
         published_hash: Mutex::new(None),

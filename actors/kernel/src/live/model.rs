@@ -147,7 +147,7 @@ impl ModelActor {
         for Visitor { name, id, access } in &*lock(&self.shared.guests) {
             core.declare(name, *id, access).map_err(|error| error.to_string())?;
         }
-        self.shared.fences_waiting.store(true, Ordering::Release);
+        self.shared.fences_waiting.raise();
         Ok((core, scene))
     }
 
@@ -180,15 +180,15 @@ impl ModelActor {
             shared.model.seam.end_stall();
         }
         let mut now = shared.clock.now();
-        if shared.declares_waiting.swap(false, Ordering::AcqRel) {
+        if shared.declares_waiting.take() {
             // A new life that declares something else must not keep its predecessor's contributions alive.
             desk.raise_fences(shared, now);
             desk.hear_declarations(shared);
             // Who is new to the Model may have been fenced before.
-            shared.fences_waiting.store(true, Ordering::Release);
+            shared.fences_waiting.raise();
         }
         desk.lanes.begin_pass();
-        if shared.fences_waiting.swap(false, Ordering::AcqRel) {
+        if shared.fences_waiting.take() {
             desk.raise_fences(shared, now);
         }
         while let Some(Arrival { lane, sealed_at, mut batch }) = desk.lanes.pop(now) {

@@ -11,8 +11,10 @@ use trocar_scene::{Access, EntityAllocator, Revision, SimTime, Snapshot, WriterI
 
 use crate::chain::StateHash;
 use crate::handle::{LaneStatus, WriterHandle};
+use crate::heartbeat::Heartbeat;
 use crate::intake::{Arrival, Intake};
 use crate::runtime::{Account, Clock, ControllerReport, Permission, TickStats, guarded};
+use crate::signal::Signal;
 use crate::spec::{CommitSink, ControllerSpec, FaultKind, FaultOrder};
 use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
 
@@ -20,10 +22,7 @@ use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
 #[derive(Default)]
 pub(crate) struct Life {
     pub(crate) incarnation: u32,
-    /// Odd while a step is running.
-    pub(crate) beat: AtomicU64,
-    /// When it beat last \[ns of the session\].
-    pub(crate) beat_at: AtomicU64,
+    pub(crate) heart: Heartbeat,
     /// Thread number; 0 before it runs.
     pub(crate) tid: AtomicU32,
     /// Constructed: the watchdog may look.
@@ -48,8 +47,7 @@ impl Life {
     }
     /// A step begins or ends.
     pub(crate) fn bump(&self, now: SimTime) {
-        self.beat_at.store(now.0, Ordering::Relaxed);
-        self.beat.fetch_add(1, Ordering::Release);
+        self.heart.bump(now.0);
     }
 }
 
@@ -218,9 +216,9 @@ pub(crate) struct Shared {
     pub(crate) reports: SyncSender<Report>,
     pub(crate) declares: Mutex<Vec<Declare>>,
     pub(crate) guests: Mutex<Vec<Visitor>>,
-    pub(crate) declares_waiting: AtomicBool,
+    pub(crate) declares_waiting: Signal,
     /// A fence was raised that the Model has not looked at.
-    pub(crate) fences_waiting: AtomicBool,
+    pub(crate) fences_waiting: Signal,
     pub(crate) sink: Mutex<Option<Box<dyn CommitSink>>>,
     pub(crate) has_sink: bool,
     /// The state hash of what is published, for a Model that takes over from one out of reach.
@@ -265,7 +263,7 @@ impl Shared {
             let _ = guarded(|| fence.raise(epoch));
         }
         writer.epoch.fetch_max(epoch, Ordering::AcqRel);
-        self.fences_waiting.store(true, Ordering::Release);
+        self.fences_waiting.raise();
         self.bell.notify_one();
     }
 
@@ -308,7 +306,7 @@ impl Shared {
     ) -> oneshot::Receiver<Result<(), String>> {
         let (reply, answer) = oneshot::channel();
         lock(&self.declares).push(Declare { name: name.to_owned(), id, access: access.clone(), reply });
-        self.declares_waiting.store(true, Ordering::Release);
+        self.declares_waiting.raise();
         self.bell.notify_one();
         answer
     }

@@ -28,6 +28,7 @@ pub struct TickStats {
     dropped: AtomicU64,
     account: [AtomicU64; 5],
     restarts: AtomicU32,
+    demotions: AtomicU32,
     /// When the first tick was due and until when ticks were due, ns of the session; 0: none yet.
     first_due: AtomicU64,
     last_due: AtomicU64,
@@ -55,6 +56,7 @@ impl TickStats {
             dropped: AtomicU64::new(0),
             account: Default::default(),
             restarts: AtomicU32::new(0),
+            demotions: AtomicU32::new(0),
             first_due: AtomicU64::new(u64::MAX),
             last_due: AtomicU64::new(0),
             thread: AtomicU32::new(0),
@@ -108,6 +110,10 @@ impl TickStats {
     /// A new life begins.
     pub fn restarted(&self) {
         self.restarts.fetch_add(1, Ordering::Relaxed);
+    }
+    /// Its real-time priority was taken away.
+    pub fn demoted(&self) {
+        self.demotions.fetch_add(1, Ordering::Relaxed);
     }
     /// From now on the thread `tid` does the work; called on that thread.
     pub fn enter_thread(&self, tid: u32) {
@@ -183,6 +189,7 @@ impl TickStats {
             rejected: self.rejected.load(Ordering::Relaxed),
             conflicts: self.conflicts.load(Ordering::Relaxed),
             restarts: self.restarts.load(Ordering::Relaxed),
+            demotions: self.demotions.load(Ordering::Relaxed),
             cpu_share: ratio(self.cpu().as_secs_f64(), elapsed.as_secs_f64()),
             lateness_bars: self.lateness.bars(),
         }
@@ -256,6 +263,9 @@ pub struct ControllerReport {
     /// How often it was started again.
     #[schemars(with = "u64")]
     pub restarts: u32,
+    /// How often its real-time priority was taken away, because its steps took too much of their periods.
+    #[schemars(with = "u64")]
+    pub demotions: u32,
     /// CPU time of its thread per time of the session, 0 to 1; for people, not in the machine-readable report.
     #[serde(skip)]
     pub cpu_share: f64,

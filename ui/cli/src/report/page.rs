@@ -131,6 +131,16 @@ fn failures(out: &mut String, report: &Report) {
     if !list.is_empty() {
         let _ = write!(out, "<section class=\"notice\"><h2>What went wrong</h2><ul>{list}</ul></section>");
     }
+    let mut list = String::new();
+    for line in &report.summary.losses {
+        let _ = write!(list, "<li>{}</li>", escape(line));
+    }
+    if !list.is_empty() {
+        let _ = write!(
+            out,
+            "<section class=\"notice\"><h2>What it had to do without</h2><ul>{list}</ul></section>"
+        );
+    }
 }
 
 fn hands_and_errors(out: &mut String, report: &Report) {
