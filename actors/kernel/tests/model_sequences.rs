@@ -135,7 +135,7 @@ impl Bench {
             }
             Ok(outcome) => {
                 let told = translate(&outcome)?;
-                if !objections.iter().any(|objection| *objection == told) {
+                if !objections.contains(&told) {
                     return Err(format!("told {told:?}, expected one of {objections:?}"));
                 }
                 same("state after a refusal", &(self.core.hash(), self.core.view().revision()), &before)?;
