@@ -239,6 +239,16 @@ pub trait HapticDevice: Send {
 
     /// Leaves the motors without force and releases the device.
     fn close(&mut self);
+
+    /// A device of its own in the same state, for a branch of a session in virtual time. There is none of what
+    /// exists only once: `None`, as for everything that somebody holds.
+    fn fork(&self) -> Option<Box<dyn HapticDevice>> {
+        None
+    }
+
+    /// Goes on from what was measured at `now_ns`, with the human aiming at `intent`. Only devices that
+    /// [`HapticDevice::fork`] care, and of those only the ones that have a state.
+    fn resume(&mut self, _now_ns: u64, _state: &DeviceState, _intent: &HandIntent) {}
 }
 
 impl<T: HapticDevice + ?Sized> HapticDevice for Box<T> {
@@ -259,6 +269,12 @@ impl<T: HapticDevice + ?Sized> HapticDevice for Box<T> {
     }
     fn close(&mut self) {
         (**self).close();
+    }
+    fn fork(&self) -> Option<Box<dyn HapticDevice>> {
+        (**self).fork()
+    }
+    fn resume(&mut self, now_ns: u64, state: &DeviceState, intent: &HandIntent) {
+        (**self).resume(now_ns, state, intent);
     }
 }
 

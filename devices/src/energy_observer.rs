@@ -83,6 +83,16 @@ impl EnergyObserver {
         }
     }
 
+    /// Goes on at `now_ns` with an account that another one kept, and with what the motors hold.
+    pub fn resume(&mut self, now_ns: u64, energy: f64, energy_min: f64, withheld: f64, applied: &Wrench) {
+        self.energy = finite(energy);
+        self.energy_min = finite(energy_min);
+        self.withheld_energy = finite(withheld);
+        self.applied.wrench = *applied;
+        self.counted_to_ns = now_ns;
+        self.held_at_ns = now_ns;
+    }
+
     /// What the hand put in and did not get back \[J\], as far as it is remembered, and the least that it ever was.
     pub fn energy(&self) -> (f64, f64) {
         (self.energy, self.energy_min)

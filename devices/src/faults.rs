@@ -52,6 +52,24 @@ impl DeviceFaults {
         self.shared.delayed_until_ns.store(until_ns, Relaxed);
     }
 
+    /// The same faults, for a branch of the session: what befalls one of the two from here on does not befall the
+    /// other.
+    #[must_use]
+    pub fn fork(&self) -> Self {
+        let copy = |value: &AtomicU64| AtomicU64::new(value.load(Relaxed));
+        let Shared { unplugged_until_ns, nan_until_ns, held_until_ns, delayed_until_ns, delay_ns } =
+            &*self.shared;
+        Self {
+            shared: Arc::new(Shared {
+                unplugged_until_ns: copy(unplugged_until_ns),
+                nan_until_ns: copy(nan_until_ns),
+                held_until_ns: copy(held_until_ns),
+                delayed_until_ns: copy(delayed_until_ns),
+                delay_ns: copy(delay_ns),
+            }),
+        }
+    }
+
     /// Ends every fault.
     pub fn heal(&self) {
         let shared = &self.shared;

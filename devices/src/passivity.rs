@@ -134,6 +134,14 @@ impl PassivityController {
         &self.port
     }
 
+    /// Goes on at `now_ns` with an account that another one kept, and with what the motors hold.
+    pub(crate) fn resume(&mut self, now_ns: u64, account: &PortEnergy, applied: &Wrench) {
+        self.observer.resume(now_ns, account.energy, account.energy_min, account.dissipated, applied);
+        self.port = *account;
+        self.lent = (account.available - account.energy).max(0.0);
+        self.lend(0.0);
+    }
+
     /// Takes a reading: books what the wrenches since the last one gave to the hand or took from it.
     pub fn observe(&mut self, now_ns: u64, pose_in_device: &Isometry3<f64>) {
         self.observer.observe(now_ns, pose_in_device);

@@ -4,6 +4,8 @@
 //! recorded session can be simulated again through the same driver. With force the recording becomes the aim of
 //! a [`VirtualHand`], which the force moves away from it.
 
+use std::sync::Arc;
+
 use crate::device::{Capabilities, DeviceError, DeviceState, HandIntent, HapticDevice, Wrench};
 use crate::hand_config::{HandConfigError, VirtualHandConfig};
 use crate::trajectory::{Trajectory, TrajectoryError, TrajectoryPoint};
@@ -12,7 +14,7 @@ use crate::virtual_hand::VirtualHand;
 /// Plays a [`Trajectory`] through the contract of a device.
 #[derive(Clone, Debug)]
 pub struct ReplayHand {
-    trajectory: Trajectory,
+    trajectory: Arc<Trajectory>,
     capabilities: Capabilities,
     follower: Option<VirtualHand>,
     started: bool,
@@ -25,7 +27,7 @@ impl ReplayHand {
     pub fn new(trajectory: Trajectory) -> Self {
         let mut capabilities = VirtualHandConfig::default().capabilities();
         capabilities.name = "replay hand".to_owned();
-        Self { trajectory, capabilities, follower: None, started: false, open: false }
+        Self { trajectory: Arc::new(trajectory), capabilities, follower: None, started: false, open: false }
     }
 
     /// Plays points of a recording of our own, which another crate has read; see
@@ -113,6 +115,17 @@ impl HapticDevice for ReplayHand {
         self.open = false;
         if let Some(hand) = &mut self.follower {
             hand.close();
+        }
+    }
+
+    fn fork(&self) -> Option<Box<dyn HapticDevice>> {
+        Some(Box::new(self.clone()))
+    }
+
+    fn resume(&mut self, now_ns: u64, state: &DeviceState, _intent: &HandIntent) {
+        if let Some(hand) = &mut self.follower {
+            hand.resume(now_ns, state, &aim_of(&self.trajectory.at(now_ns)));
+            self.started = true;
         }
     }
 }

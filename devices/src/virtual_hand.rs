@@ -260,6 +260,22 @@ impl HapticDevice for VirtualHand {
         self.open = false;
         self.wrench = Wrench::ZERO;
     }
+
+    fn fork(&self) -> Option<Box<dyn HapticDevice>> {
+        Some(Box::new(self.clone()))
+    }
+
+    fn resume(&mut self, now_ns: u64, state: &DeviceState, intent: &HandIntent) {
+        if !state.is_valid() || !intent.is_valid() {
+            return;
+        }
+        self.place(&HandIntent { pose_in_device: state.pose_in_device, gripper: state.gripper });
+        self.aim = *intent;
+        self.velocity = state.linear_velocity;
+        self.angular_velocity = state.angular_velocity;
+        self.measured = DeviceState { connected: true, ..*state };
+        self.now_ns = Some(now_ns);
+    }
 }
 
 #[cfg(test)]

@@ -69,6 +69,7 @@ fn app_with_cheat(declares_it: bool) -> trocar::app::App {
                 Ok(Box::new(cheat) as Box<dyn Controller>)
             }),
             fences: Vec::new(),
+            for_hands: None,
             arrange: None,
         })
     };

@@ -137,7 +137,7 @@ struct Writer {
     last_rejection: Option<Rejection>,
 }
 
-type Transfers = BTreeMap<(ComponentId, Entity), WriterId>;
+pub(crate) type Transfers = BTreeMap<(ComponentId, Entity), WriterId>;
 
 /// What readers see, and what the Model falls back to.
 #[derive(Clone)]
@@ -181,7 +181,15 @@ impl ModelCore {
     /// When the scene cannot be encoded.
     pub fn new(store: Store, station: u16) -> Result<Self, ComponentError> {
         let chain = Chain::begin(store.view())?;
-        let transfers = Arc::<Transfers>::default();
+        Ok(Self::going_on(store, station, chain, Arc::default()))
+    }
+
+    /// Owns a scene that another core has come to, with its chain and with the rows that were handed over there.
+    pub(crate) fn resume(store: Store, station: u16, head: StateHash, transfers: Arc<Transfers>) -> Self {
+        Self::going_on(store, station, Chain::resume(head), transfers)
+    }
+
+    fn going_on(store: Store, station: u16, chain: Chain, transfers: Arc<Transfers>) -> Self {
         let committed = Committed {
             snapshot: Arc::new(store.snapshot()),
             chain,
@@ -198,7 +206,7 @@ impl ModelCore {
             unpublished: 0,
             last_rejection: None,
         };
-        Ok(Self {
+        Self {
             station,
             store,
             chain,
@@ -211,7 +219,7 @@ impl ModelCore {
             committed,
             unseen_fences: Vec::new(),
             half_applied: false,
-        })
+        }
     }
 
     /// The same with other limits between publications.
@@ -533,6 +541,14 @@ impl ModelCore {
     /// The state hash over everything applied so far.
     pub fn hash(&self) -> StateHash {
         self.chain.head()
+    }
+    /// This station's number.
+    pub fn station(&self) -> u16 {
+        self.station
+    }
+    /// The rows that were handed over, and to whom.
+    pub(crate) fn transfers(&self) -> &Arc<Transfers> {
+        &self.transfers
     }
     /// The epoch in which a writer's batches are accepted.
     pub fn epoch(&self, id: WriterId) -> Option<u32> {

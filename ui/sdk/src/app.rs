@@ -47,9 +47,15 @@ pub struct Blueprint {
     pub factory: Factory,
     /// Who must refuse its earlier lives.
     pub fences: Vec<Arc<dyn Fence>>,
+    /// Makes it serve the hands of another session instead: of a branch of this one, or of the same one begun again.
+    /// `None` for a controller that has nothing to do with hands, which is as good for any session.
+    pub for_hands: Option<ForHands>,
     /// Changes the scene before the session starts, for exercises that arrange it.
     pub arrange: Option<Arrange>,
 }
+
+/// A controller's factory and fences for these hands; `None` when the one that it serves is not among them.
+pub type ForHands = Arc<dyn Fn(&[HandPort]) -> Option<(Factory, Vec<Arc<dyn Fence>>)> + Send + Sync>;
 
 /// Writes to the scene as the scenario has spawned it.
 pub type Arrange = Box<dyn FnOnce(&Snapshot, &mut Commands)>;
@@ -272,8 +278,8 @@ impl App {
     pub fn kind_info(&self, name: &str) -> Option<&KindInfo> {
         self.about.get(name)
     }
-    /// The kind of that name.
-    pub(crate) fn kind_of(&self, name: &str) -> Option<&Kind> {
+    /// The kind of that name, to be used or wrapped.
+    pub fn kind_of(&self, name: &str) -> Option<&Kind> {
         self.kinds.get(name)
     }
 

@@ -5,19 +5,17 @@ use std::sync::Arc;
 
 use thiserror::Error;
 use trocar_devices::{BuildError, SpecError};
-use trocar_kernel::spec::{ControllerSpec, SessionSpec, StopWhen, ZeroForces};
+use trocar_kernel::spec::{SessionSpec, period_of};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::{Scenario, ScenarioError};
-use trocar_scene::{Commands, EntityAllocator, SCENARIO_SPAWNER, SimTime, TaskState};
+use trocar_scene::{Commands, EntityAllocator, SCENARIO_SPAWNER, SimTime};
 
 use crate::actors::ActorKind;
 use crate::app::{App, KindContext};
-use crate::hands::{HandFaults, HandPort, OpenedHand};
+use crate::hands::{HandPort, OpenedHand};
 use crate::recorded_hand::RecordedHandError;
 use crate::run::RunOptions;
-
-/// How often a session asks whether its exercise is over.
-const STOP_CHECK: SimTime = SimTime::from_millis(20);
+use crate::session_plan::{Role, SessionPlan};
 
 /// Why a session could not be put together.
 #[derive(Debug, Error)]
@@ -85,6 +83,8 @@ pub struct Assembly {
     pub spec: SessionSpec,
     /// The opened hands.
     pub hands: Vec<OpenedHand>,
+    /// What others can be made from. What is changed in `spec` holds for this session only.
+    pub(crate) plan: Arc<SessionPlan>,
     /// Who joins when it runs live.
     pub(crate) actors: Vec<ActorKind>,
 }
@@ -102,58 +102,48 @@ impl Assembly {
         for hand in &hands {
             commands.put(hand.port().entity, hand.info());
         }
-        let mut controllers = Vec::with_capacity(scenario.controllers.len());
+        let mut roles = Vec::with_capacity(scenario.controllers.len());
         for (index, entry) in scenario.controllers.iter().enumerate() {
             let Some(kind) = app.kind_of(&entry.kind) else {
                 let known = app.kinds().collect::<Vec<_>>().join(", ");
                 let reason = format!("unknown kind '{}'; there are: {known}", entry.kind);
                 return Err(scenario.error_at("controller", index, reason).into());
             };
-            let blueprint = kind(&KindContext { entry, scenario, hands: &ports, options })?;
-            // Spawner 0 is the scenario's; writers count from 1 in the order of the file.
-            let writer = index as u16 + 1;
-            if let Some(arrange) = blueprint.arrange {
+            let mut blueprint = kind(&KindContext { entry, scenario, hands: &ports, options })?;
+            if let Some(arrange) = blueprint.arrange.take() {
                 arrange(store.view(), &mut commands);
             }
-            let factory = blueprint.factory;
-            let mut spec =
-                ControllerSpec::new(&entry.name, writer, blueprint.class, entry.rate_hz, move |context| {
-                    factory(context)
-                });
-            spec.fences = blueprint.fences;
-            controllers.push(spec);
+            // Spawner 0 is the scenario's; writers count from 1 in the order of the file.
+            roles.push(Role::new(&entry.name, index as u16 + 1, entry.rate_hz, blueprint));
         }
-        stagger_haptics(&mut controllers);
+        stagger_haptics(&mut roles);
         if let Some(error) = commands.error() {
             return Err(scenario.error_at("hand", 0, error.to_string()).into());
         }
         commands.seal();
         store.apply(&mut commands, SimTime::ZERO);
 
-        let mut spec = SessionSpec::new(&scenario.name, options.seed, store, controllers);
-        spec.until = options.seconds.map(SimTime::from_secs_f64);
-        spec.stop_when = Some(StopWhen {
-            every: STOP_CHECK,
-            check: Arc::new(|scene| scene.iter::<TaskState>().any(|(_, task)| task.over)),
-        });
-        spec.faults = options.faults.clone().unwrap_or(spec.faults);
-        for port in &ports {
-            let fence = port.slot.fence().clone();
-            let zero: ZeroForces = Arc::new(move || fence.zero_all_forces());
-            spec.zero_forces.push(zero);
-            spec.fault_sinks.push((port.fault_target(), HandFaults::sink(port)));
-        }
-        Ok(Self { spec, hands, actors: app.actors.clone() })
+        let plan = SessionPlan {
+            scenario: scenario.name.clone(),
+            station: 0,
+            scene: store.snapshot(),
+            roles,
+            until: options.seconds.map(SimTime::from_secs_f64),
+            faults: options.faults.clone(),
+        };
+        let spec = plan.first(options.seed, &ports);
+        Ok(Self { spec, hands, plan: Arc::new(plan), actors: app.actors.clone() })
     }
 }
 
 /// Spreads the haptic controllers over their period. Drivers tick at whole milliseconds and rank above them: on
 /// few cores hands that tick at the same instants wait for them, and for each other.
-fn stagger_haptics(controllers: &mut [ControllerSpec]) {
-    let hands = controllers.iter().filter(|spec| spec.child.class == RuntimeClass::Haptics).count() as u64;
-    let haptics = controllers.iter_mut().filter(|spec| spec.child.class == RuntimeClass::Haptics);
-    for (index, spec) in haptics.enumerate() {
-        spec.phase = SimTime(spec.period().as_nanos() * (2 * index as u64 + 1) / (2 * hands));
+fn stagger_haptics(roles: &mut [Role]) {
+    let hands = roles.iter().filter(|role| role.class == RuntimeClass::Haptics).count() as u64;
+    let haptics = roles.iter_mut().filter(|role| role.class == RuntimeClass::Haptics);
+    for (index, role) in haptics.enumerate() {
+        let period = period_of(role.rate_hz).as_nanos();
+        role.phase = SimTime(period * (2 * index as u64 + 1) / (2 * hands));
     }
 }
 

@@ -4,11 +4,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use trocar_devices::{
-    Capabilities, DeviceFaults, DeviceMonitor, DeviceSlot, DriverConfig, DriverCore, DriverThread,
-    DriverThreadConfig, DriverThreadError, Fence as DeviceFence, HapticDevice, link,
+    Capabilities, DeviceFaults, DeviceMonitor, DeviceSlot, DeviceState as Measured, DriverConfig, DriverCore,
+    DriverResume, DriverThread, DriverThreadConfig, DriverThreadError, Fence as DeviceFence, HandIntent,
+    HapticDevice, PortEnergy, Wrench, link,
 };
 use trocar_kernel::spec::{FaultKind, FaultOrder, FaultSink, Fence, Peer};
-use trocar_scene::{DeviceInfo, Entity, SimTime};
+use trocar_scene::{
+    DeviceForce, DeviceInfo, DeviceState, Entity, HandTarget, HapticStatus, SimTime, Snapshot,
+};
 
 /// Steps per second of a driver, live and in lock-step \[Hz\].
 pub const DRIVER_RATE_HZ: f64 = 1_000.0;
@@ -59,6 +62,31 @@ impl OpenedHand {
         Self { port, core, device }
     }
 
+    /// The same device at its start again, or `None` of one that exists only once; `prototype` has never been opened.
+    pub(crate) fn anew(port: &HandPort, prototype: &dyn HapticDevice) -> Option<Self> {
+        Some(Self::new(&port.name, port.entity, prototype.fork()?))
+    }
+
+    /// A hand that goes on from what a scene tells of it at `time`.
+    pub(crate) fn resumed(
+        port: &HandPort,
+        prototype: &dyn HapticDevice,
+        scene: &Snapshot,
+        time: SimTime,
+    ) -> Option<Self> {
+        let mut hand = Self::anew(port, prototype)?;
+        if let Some(resume) = driver_resume(scene, port.entity, time) {
+            hand.core.resume(&resume, hand.device.as_mut());
+        }
+        Some(hand)
+    }
+
+    /// The device, before it is opened: what [`OpenedHand::anew`] makes others of. `None` of a device that exists only
+    /// once.
+    pub(crate) fn prototype(&self) -> Option<Box<dyn HapticDevice>> {
+        self.device.fork()
+    }
+
     /// What stays with the session.
     pub fn port(&self) -> &HandPort {
         &self.port
@@ -77,7 +105,7 @@ impl OpenedHand {
     /// For the lock-step driver, which steps it in virtual time.
     pub fn into_peer(self) -> Box<dyn Peer> {
         let name = self.port.fault_target();
-        Box::new(SteppedHand { name, core: self.core, device: self.device })
+        Box::new(SteppedHand { name, port: self.port, core: self.core, device: self.device })
     }
 
     /// For live sessions: a thread of its own above every actor.
@@ -110,11 +138,59 @@ pub fn device_info(capabilities: &Capabilities) -> DeviceInfo {
     }
 }
 
+/// What the scene tells of a hand's driver at `time`, if it has been measured at all.
+fn driver_resume(scene: &Snapshot, hand: Entity, time: SimTime) -> Option<DriverResume> {
+    let state = scene.get::<DeviceState>(hand)?;
+    let measured = Measured {
+        pose_in_device: state.handle_in_device.isometry(),
+        linear_velocity: state.velocity_in_device.linear,
+        angular_velocity: state.velocity_in_device.angular,
+        gripper: state.gripper,
+        buttons: state.buttons,
+        connected: state.connected,
+    };
+    let commanded = scene.get::<DeviceForce>(hand).copied().unwrap_or_default();
+    let wanted = scene.get::<HandTarget>(hand);
+    let status = scene.get::<HapticStatus>(hand).copied().unwrap_or_default();
+    Some(DriverResume {
+        state: measured,
+        sampled_at_ns: state.sampled_at.min(time).as_nanos(),
+        // The torque that was rendered is not told; what was asked for is within the same limits.
+        applied: Wrench { force: state.applied_force, torque: commanded.torque },
+        commanded: Wrench { force: commanded.force, torque: commanded.torque },
+        commanded_at_ns: commanded.at.min(time).as_nanos(),
+        intent: HandIntent {
+            pose_in_device: wanted.map_or(measured.pose_in_device, |t| t.handle_in_device.isometry()),
+            gripper: wanted.map_or(state.gripper, |target| target.gripper),
+        },
+        energy: PortEnergy {
+            energy: status.energy,
+            energy_min: status.energy_min,
+            available: status.energy,
+            dissipated: status.dissipated,
+            ..PortEnergy::default()
+        },
+    })
+}
+
 /// A driver in virtual time.
-struct SteppedHand {
+pub(crate) struct SteppedHand {
     name: String,
+    port: HandPort,
     core: DriverCore,
     device: Box<dyn HapticDevice>,
+}
+
+impl SteppedHand {
+    /// The same in the same state, for a branch of the session; `None` of a device that exists only once.
+    pub(crate) fn fork(&self) -> Option<OpenedHand> {
+        let device = self.device.fork()?;
+        let (end, slot, monitor) = link();
+        let faults = self.port.faults.fork();
+        let core = self.core.fork(end, faults.clone());
+        let port = HandPort { slot, monitor, faults, ..self.port.clone() };
+        Some(OpenedHand { port, core, device })
+    }
 }
 
 impl Peer for SteppedHand {
@@ -126,6 +202,9 @@ impl Peer for SteppedHand {
     }
     fn step(&mut self, now: SimTime) {
         self.core.step(now.as_nanos(), self.device.as_mut());
+    }
+    fn finish(&mut self, now: SimTime) {
+        self.core.shut_down(now.as_nanos(), self.device.as_mut());
     }
 }
 

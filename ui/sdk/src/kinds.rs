@@ -9,7 +9,7 @@ use trocar_engine::{EngineController, EngineSettings};
 use trocar_haptics::renderer::RendererConfig;
 use trocar_haptics::{HapticsConfig, HapticsController};
 use trocar_input::{AutopilotConfig, AutopilotController, Skill};
-use trocar_kernel::spec::Fence;
+use trocar_kernel::spec::{Factory, Fence};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::{Params, ScenarioError};
 use trocar_scene::{BuildContext, Controller, ControllerError};
@@ -17,7 +17,7 @@ use trocar_tasks::peg_transfer_controller::mirrored_start;
 use trocar_tasks::{PegTransferConfig, PegTransferController};
 
 use crate::app::{Blueprint, Kind, KindContext, KindInfo};
-use crate::hands::HandFence;
+use crate::hands::{HandFence, HandPort};
 
 /// Every standard kind with its name.
 pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
@@ -53,7 +53,7 @@ pub(crate) fn plain<C: Controller>(
     let factory = move |context: &BuildContext<'_>| {
         build(context).map(|controller| Box::new(controller) as Box<dyn Controller>)
     };
-    Blueprint { class, factory: Arc::new(factory), fences: Vec::new(), arrange: None }
+    Blueprint { class, factory: Arc::new(factory), fences: Vec::new(), for_hands: None, arrange: None }
 }
 
 /// The parameters, or the default when the file gives none.
@@ -90,15 +90,30 @@ fn haptics(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
         status_period_secs: params.status_period_secs.unwrap_or(default.status_period_secs),
     };
     config.check().map_err(|error| context.entry.params.error(error.to_string()))?;
+    let (factory, fences) = haptics_of(port, config);
+    Ok(Blueprint {
+        class: RuntimeClass::Haptics,
+        factory,
+        fences,
+        for_hands: Some(Arc::new(move |hands| {
+            Some(haptics_of(hands.iter().find(|port| port.name == params.hand)?, config))
+        })),
+        arrange: None,
+    })
+}
+
+/// Serves one hand, whose driver refuses the commands of earlier lives.
+fn haptics_of(port: &HandPort, config: HapticsConfig) -> (Factory, Vec<Arc<dyn Fence>>) {
     let fence: Arc<dyn Fence> = Arc::new(HandFence(port.slot.fence().clone()));
     let port = port.clone();
-    let mut blueprint = plain(RuntimeClass::Haptics, move |context| {
+    let factory = move |context: &BuildContext<'_>| {
         let link =
             port.slot.take(context.epoch).map_err(|error| ControllerError::Device(error.to_string()))?;
-        Ok(HapticsController::new(context, port.entity, link, port.capabilities.clone(), config)?)
-    });
-    blueprint.fences.push(fence);
-    Ok(blueprint)
+        let capabilities = port.capabilities.clone();
+        let controller = HapticsController::new(context, port.entity, link, capabilities, config)?;
+        Ok(Box::new(controller) as Box<dyn Controller>)
+    };
+    (Arc::new(factory), vec![fence])
 }
 
 fn rapier(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {

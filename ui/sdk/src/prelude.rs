@@ -11,5 +11,7 @@ pub use trocar_scene::{
 };
 
 pub use crate::app::{App, KindInfo};
+pub use crate::branching::BranchError;
+pub use crate::open::{OpenError, SessionBuilder};
 pub use crate::run::{RunOptions, run, start};
 pub use crate::session::Session;

@@ -1,9 +1,11 @@
 //! A running session, whichever way time passes.
 
+mod losses;
+
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use trocar_devices::DriverThread;
+use trocar_devices::{DriverStatistics, DriverThread};
 use trocar_kernel::live::{Guest, HostedActor, LiveError, LiveSession, Operator};
 use trocar_kernel::lockstep::LockstepSession;
 use trocar_kernel::operator::{OPERATOR, OperatorError};
@@ -14,6 +16,7 @@ use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot, WriterId};
 
 use crate::assembly::Assembly;
+use crate::branching::Origin;
 use crate::hands::{HandPort, OpenedHand};
 use crate::run::RunError;
 
@@ -26,15 +29,17 @@ const ANSWER_MAX: Duration = Duration::from_secs(1);
 
 /// A session that runs.
 pub struct Session {
-    running: Running,
-    hands: Vec<HandPort>,
+    pub(crate) running: Running,
+    pub(crate) hands: Vec<HandPort>,
     drivers: Vec<DriverThread>,
     actors: Vec<HostedActor>,
     next_guest: u16,
-    fences_raised: bool,
+    pub(crate) fences_raised: bool,
+    /// In virtual time, what others can be made from.
+    pub(crate) origin: Option<Origin>,
 }
 
-enum Running {
+pub(crate) enum Running {
     Lockstep(Box<LockstepSession>),
     /// With the operator of [`Session::apply`], made when it is first needed.
     Live(LiveSession, Option<Box<Operator>>),
@@ -48,8 +53,19 @@ pub struct Finished {
     pub force_newtons_max: f64,
     /// Commands that drivers refused because a dead or abandoned controller had sent them.
     pub commands_refused: u64,
+    /// What each driver counted, hand by hand.
+    pub drivers: Vec<DriverStatistics>,
     /// Ways in which drivers and plain actors did not end well, in words.
     pub driver_errors: Vec<String>,
+    /// What the system refused or took away: [`Session::losses`].
+    pub losses: Vec<String>,
+}
+
+impl Finished {
+    /// Greatest age of the last command that a driver had accepted, while it still held a force.
+    pub fn force_age_max(&self) -> SimTime {
+        SimTime(self.drivers.iter().map(|driver| driver.force_age_max_ns).max().unwrap_or(0))
+    }
 }
 
 impl Session {
@@ -59,10 +75,15 @@ impl Session {
     /// When the session's specification is contradictory or a controller cannot be built.
     pub fn lockstep(assembly: Assembly) -> Result<Self, RunError> {
         let hands = assembly.hands.iter().map(|hand| hand.port().clone()).collect();
+        let origin = Origin {
+            plan: assembly.plan,
+            prototypes: assembly.hands.iter().map(OpenedHand::prototype).collect(),
+            seed: assembly.spec.seed,
+        };
         let mut spec = assembly.spec;
         spec.peers.extend(assembly.hands.into_iter().map(OpenedHand::into_peer));
         let running = Running::Lockstep(Box::new(LockstepSession::new(spec)?));
-        Ok(Self::new(running, hands, Vec::new()))
+        Ok(Self::new(running, hands, Vec::new(), Some(origin)))
     }
 
     /// Starts a session in real time: drivers first, so that the first haptic tick finds a sample.
@@ -79,7 +100,7 @@ impl Session {
             drivers.push(hand.into_thread(start, priority)?);
         }
         let live = LiveSession::start_at(assembly.spec, start)?;
-        let mut session = Self::new(Running::Live(live, None), hands, drivers);
+        let mut session = Self::new(Running::Live(live, None), hands, drivers, None);
         for actor in assembly.actors {
             let id = session.number_of_a_guest()?;
             let Running::Live(live, _) = &session.running else { break };
@@ -89,9 +110,14 @@ impl Session {
         Ok(session)
     }
 
-    fn new(running: Running, hands: Vec<HandPort>, drivers: Vec<DriverThread>) -> Self {
+    pub(crate) fn new(
+        running: Running,
+        hands: Vec<HandPort>,
+        drivers: Vec<DriverThread>,
+        origin: Option<Origin>,
+    ) -> Self {
         let (actors, next_guest) = (Vec::new(), GUESTS_FROM);
-        Self { running, hands, drivers, actors, next_guest, fences_raised: false }
+        Self { running, hands, drivers, actors, next_guest, fences_raised: false, origin }
     }
 
     fn number_of_a_guest(&mut self) -> Result<WriterId, LiveError> {
@@ -214,9 +240,7 @@ impl Session {
     /// How every controller keeps its rate so far.
     pub fn reports(&self) -> Vec<ControllerReport> {
         match &self.running {
-            Running::Lockstep(session) => {
-                session.statistics().map(|stats| stats.report(session.now())).collect()
-            }
+            Running::Lockstep(session) => session.reports(),
             Running::Live(session, _) => session.stats(),
         }
     }
@@ -270,6 +294,7 @@ impl Session {
     /// Ends the session: forces to zero, controllers down, recording closed, drivers stopped.
     pub fn finish(mut self) -> Finished {
         self.zero_forces();
+        let losses = self.losses();
         self.actors.iter().for_each(HostedActor::ask_to_end);
         let outcome = match self.running {
             Running::Lockstep(session) => session.finish(),
@@ -288,12 +313,10 @@ impl Session {
                 driver_errors.push(format!("actor '{name}' hung and was left behind"));
             }
         }
-        let samples = self.hands.iter().map(|hand| hand.monitor.sample().statistics);
-        let (mut force_newtons_max, mut commands_refused) = (0.0_f64, 0);
-        for statistics in samples {
-            force_newtons_max = force_newtons_max.max(statistics.force_newtons_max);
-            commands_refused += statistics.refused_epoch;
-        }
-        Finished { outcome, force_newtons_max, commands_refused, driver_errors }
+        let drivers: Vec<DriverStatistics> =
+            self.hands.iter().map(|hand| hand.monitor.sample().statistics).collect();
+        let force_newtons_max = drivers.iter().map(|driver| driver.force_newtons_max).fold(0.0, f64::max);
+        let commands_refused = drivers.iter().map(|driver| driver.refused_epoch).sum();
+        Finished { outcome, force_newtons_max, commands_refused, drivers, driver_errors, losses }
     }
 }

@@ -10,7 +10,7 @@ use crate::spec::{FaultKind, FaultOrder, MODEL, RECORDER};
 /// What a target is, and so how it can fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TargetClass {
-    /// A controller and its handle.
+    /// A controller with its handle, and the link from there to the Model.
     Controller,
     /// A device and its driver.
     Device,
@@ -47,10 +47,22 @@ impl TargetClass {
     pub const fn kinds(self) -> &'static [FaultKind] {
         use FaultKind as K;
         match self {
-            Self::Controller => &[K::Kill, K::Stall, K::Slow, K::QueueFull, K::Nan],
+            Self::Controller => &[
+                K::Kill,
+                K::Stall,
+                K::Slow,
+                K::QueueFull,
+                K::Nan,
+                K::Drop,
+                K::Delay,
+                K::Duplicate,
+                K::Reorder,
+                K::Corrupt,
+                K::Partition,
+            ],
             Self::Device => &[K::Kill, K::Stall, K::Unplug, K::Nan],
-            Self::Model => &[K::Kill],
-            Self::Recorder => &[K::Kill, K::Stall, K::Slow, K::DiskFull],
+            Self::Model => &[K::Kill, K::Stall],
+            Self::Recorder => &[K::Kill, K::Stall, K::Slow, K::DiskFull, K::DiskSlow],
             Self::Link => &[K::Drop, K::Delay, K::Duplicate, K::Reorder, K::Corrupt, K::Partition],
         }
     }
@@ -138,6 +150,24 @@ impl FaultSchedule {
         Ok(Self { orders, next: 0, waiting })
     }
 
+    /// Goes on at `now` in a session that has come so far without this schedule: what had struck and was over is
+    /// left out, what lasts begins at once. What waits for something goes on waiting.
+    pub fn skip_to(&mut self, now: SimTime) {
+        let lasts: Vec<u32> = self
+            .orders
+            .iter()
+            .filter(|(at, order)| !order.begins && *at > now)
+            .map(|(_, order)| order.index)
+            .collect();
+        let ends: Vec<u32> =
+            self.orders.iter().filter(|(_, order)| !order.begins).map(|(_, order)| order.index).collect();
+        self.orders.retain(|(at, order)| {
+            let endless = !order.kind.is_instant() && !ends.contains(&order.index);
+            *at >= now || (order.begins && (lasts.contains(&order.index) || endless))
+        });
+        self.next = 0;
+    }
+
     /// When the next order is due; `None` when all are given or wait for something.
     pub fn next_at(&self) -> Option<SimTime> {
         self.orders.get(self.next).map(|(at, _)| *at)
@@ -191,7 +221,9 @@ fn order(seed: u64, index: usize, fault: &FaultSpec) -> FaultOrder {
         kind: fault.kind,
         begins: true,
         span,
+        jitter: fault.jitter,
         probability: fault.probability,
+        bytes_per_sec: fault.bytes_per_sec,
         seed: seed_of(seed, index),
     }
 }
@@ -282,6 +314,33 @@ mod tests {
     }
 
     #[test]
+    fn a_schedule_that_joins_late_leaves_out_what_is_over_and_begins_what_lasts() {
+        let plan = FaultPlan::new(1)
+            .at(secs(1.0))
+            .kill("engine")
+            .at(secs(1.0))
+            .lasting(secs(0.5))
+            .queue_full("engine")
+            .at(secs(1.5))
+            .lasting(secs(2.0))
+            .nan("engine")
+            .at(secs(1.7))
+            .unplug("device.left")
+            .at(secs(3.0))
+            .kill("engine");
+        let mut schedule = FaultSchedule::new(&plan, &targets()).expect("fits");
+        schedule.skip_to(secs(2.0));
+        let (scene, _) = scenes();
+        let mut due = |at| {
+            let orders = std::iter::from_fn(|| schedule.due(secs(at), &scene));
+            orders.map(|order| (order.index, order.begins)).collect::<Vec<_>>()
+        };
+        assert_eq!(due(2.0), [(2, true), (3, true)]);
+        assert_eq!(due(3.0), [(4, true)]);
+        assert_eq!(due(9.0), [(2, false)]);
+    }
+
+    #[test]
     fn a_wrong_target_or_kind_lists_the_valid_ones() {
         let error = |plan: FaultPlan| FaultSchedule::new(&plan, &targets()).expect_err("wrong").to_string();
         let message = error(FaultPlan::new(1).at(secs(1.0)).kill("motor"));
@@ -291,6 +350,6 @@ mod tests {
         let message = error(FaultPlan::new(1).at(secs(1.0)).fault(FaultKind::Drop, "device.left"));
         assert!(message.contains("unplug"), "{message}");
         let message = error(FaultPlan::new(1).at(secs(1.0)).nan("recorder"));
-        assert!(message.contains("kill, stall, slow, disk_full"), "{message}");
+        assert!(message.contains("kill, stall, slow, disk_full, disk_slow"), "{message}");
     }
 }

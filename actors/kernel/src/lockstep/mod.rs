@@ -8,6 +8,9 @@
 //! The cores are those of the live session: [`ModelCore`](crate::ModelCore),
 //! [`Supervisor`](crate::supervision::Supervisor), [`FaultSchedule`](crate::faults::FaultSchedule).
 
+#[cfg(test)]
+mod branch_tests;
+mod branching;
 mod faulting;
 mod operating;
 mod session;
@@ -16,4 +19,5 @@ mod supervising;
 #[cfg(test)]
 mod tests;
 
+pub use branching::{BranchError, Moment};
 pub use session::{LockstepSession, SessionError};

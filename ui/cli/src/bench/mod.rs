@@ -3,6 +3,8 @@
 mod allocation;
 pub mod counting;
 mod exercise;
+mod memory;
+mod session;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use trocar::summary::{BenchResult, BenchSummary, Better, Exit};
@@ -14,20 +16,34 @@ use crate::output;
 use crate::report::short;
 
 /// Suites by name, and what they measure.
-pub const SUITES: [(&str, &str); 1] = [(
-    "kernel",
-    "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step",
-)];
+pub const SUITES: [(&str, &str); 3] = [
+    (
+        "kernel",
+        "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step, sessions",
+    ),
+    ("session", "steps per second of sessions side by side, branches, new beginnings"),
+    ("memory", "what sessions hold over an hour of simulated time; takes about ten minutes"),
+];
 
 /// A figure or a few, and what is shown while they are measured.
 type Part = (&'static str, fn() -> Result<Vec<BenchResult>, Failure>);
 
 /// The parts of the suite `kernel`.
-const KERNEL: [Part; 4] = [
+const KERNEL: [Part; 5] = [
     ("rates, reads and writes of the kernel", kernel),
     ("allocations of a haptic tick", allocation::haptic_ticks),
     ("the exercise in lock-step", exercise::lockstep),
+    ("sessions side by side, branches and new beginnings", session::sessions),
     ("the exercise live, beside bare timer loops", exercise::live),
+];
+
+/// The part of it that is the suite `session`.
+const SESSION: [Part; 1] = [KERNEL[3]];
+
+/// The parts of the suite `memory`.
+const MEMORY: [Part; 2] = [
+    ("an hour of the exercise, again and again", memory::exercises),
+    ("an hour of one session", memory::session),
 ];
 
 /// What the kernel measures of itself.
@@ -58,11 +74,16 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         let hint = did_you_mean(&args.suite, names());
         return Err(Failure::usage(format!("no suite is called '{}'; there are: {known}{hint}", args.suite)));
     }
-    let bar = ProgressBar::new(KERNEL.len() as u64);
+    let parts: &[Part] = match args.suite.as_str() {
+        "session" => &SESSION,
+        "memory" => &MEMORY,
+        _ => &KERNEL,
+    };
+    let bar = ProgressBar::new(parts.len() as u64);
     let style = ProgressStyle::with_template("{bar:24} {pos} of {len}  {msg}  {elapsed}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-    for (what, part) in KERNEL {
-        bar.set_message(what);
+    for (what, part) in parts {
+        bar.set_message(*what);
         summary.results.extend(part()?);
         bar.inc(1);
     }

@@ -104,12 +104,12 @@ impl<'a> Desk<'a> {
                 self.tuner.keep(&scene, set).map_err(words)?;
                 fields = self.tuner.changed(&scene).into_iter().map(row).collect();
             }
-            Request::Status => fields = self.tuner.changed(&scene).into_iter().map(row).collect(),
+            Request::Status {} => fields = self.tuner.changed(&scene).into_iter().map(row).collect(),
             Request::Save { file: wanted } => {
                 let saved = self.save(&scene, wanted.as_deref())?;
                 (file, left_out) = (Some(saved.0), saved.1);
             }
-            Request::Sets => text = Some(self.tuner.sets().text()),
+            Request::Sets {} => text = Some(self.tuner.sets().text()),
         }
         Ok(Reply { fields, file, text, left_out, ..self.reply(session) })
     }

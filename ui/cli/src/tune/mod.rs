@@ -100,8 +100,8 @@ fn request(command: &TuneCommand) -> Result<Request, Failure> {
         TuneCommand::Set { values } => Request::Set { values: values.clone() },
         TuneCommand::Use { set } => Request::Use { set: set.clone() },
         TuneCommand::Keep { set } => Request::Keep { set: set.clone() },
-        TuneCommand::Status => Request::Status,
-        TuneCommand::Export { .. } => Request::Sets,
+        TuneCommand::Status => Request::Status {},
+        TuneCommand::Export { .. } => Request::Sets {},
         TuneCommand::Save { file } => {
             let absolute = file.as_deref().map(std::path::absolute).transpose().map_err(Failure::invalid)?;
             Request::Save { file: absolute }

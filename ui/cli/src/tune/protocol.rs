@@ -33,14 +33,14 @@ pub enum Request {
         set: String,
     },
     /// What is tuned, and which sets there are.
-    Status,
+    Status {},
     /// What is tuned is written into the scenario.
     Save {
         /// A new file instead of the scenario's own; an absolute path.
         file: Option<PathBuf>,
     },
     /// All sets, as the text of a file for `--tuning`.
-    Sets,
+    Sets {},
 }
 
 /// What a session answers.
@@ -92,7 +92,7 @@ mod tests {
         let line = serde_json::to_string(&set).unwrap();
         assert_eq!(line, r#"{"do":"set","values":[["a.b.c",0.5]]}"#);
         assert_eq!(serde_json::from_str::<Request>(&line).unwrap(), set);
-        assert_eq!(serde_json::from_str::<Request>(r#"{"do":"status"}"#).unwrap(), Request::Status);
+        assert_eq!(serde_json::from_str::<Request>(r#"{"do":"status"}"#).unwrap(), Request::Status {});
         assert!(serde_json::from_str::<Request>(r#"{"do":"status","x":1}"#).is_err());
     }
 }

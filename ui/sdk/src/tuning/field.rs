@@ -177,8 +177,38 @@ pub(super) fn read_row(field: &Field, row: &Value) -> Result<Value, FieldError> 
 /// When the entity or the component has gone.
 pub fn row(scene: &Snapshot, field: &Field) -> Result<Value, FieldError> {
     let id = scene.registry().by_name(field.component).ok();
-    id.and_then(|id| scene.erased_column(id).row_json(field.entity))
-        .ok_or_else(|| no_component(scene, &field.to_string(), field.entity, field.component))
+    let mut row = id
+        .and_then(|id| scene.erased_column(id).row_json(field.entity))
+        .ok_or_else(|| no_component(scene, &field.to_string(), field.entity, field.component))?;
+    name_entities(scene, &mut row);
+    Ok(row)
+}
+
+/// Entities as people write them, by name: their numbers are others after the next edit of the scenario.
+fn name_entities(scene: &Snapshot, value: &mut Value) {
+    match value {
+        Value::String(text) => {
+            let name = text.parse().ok().and_then(|entity| Some((entity, scene.get::<Name>(entity)?)));
+            if let Some((entity, name)) = name
+                && scene.find(&name.0) == Some(entity)
+            {
+                text.clone_from(&name.0);
+            }
+        }
+        Value::Array(items) => items.iter_mut().for_each(|item| name_entities(scene, item)),
+        Value::Object(map) => map.values_mut().for_each(|item| name_entities(scene, item)),
+        _ => {}
+    }
+}
+
+/// What [`name_entities`] calls entities, for [`with_entity_names`](trocar_scene::with_entity_names): of several with
+/// one name the first.
+pub(super) fn names(scene: &Snapshot) -> BTreeMap<String, Entity> {
+    let mut names = BTreeMap::new();
+    for (entity, name) in scene.iter::<Name>() {
+        names.entry(name.0.clone()).or_insert(entity);
+    }
+    names
 }
 
 /// Puts `value` at the field of a whole component and returns what was there.
@@ -366,6 +396,8 @@ fn shortened(names: &[String]) -> String {
 mod tests {
     use super::*;
     use crate::app::App;
+    use proptest::prelude::*;
+    use proptest::sample::select;
 
     fn scene() -> Snapshot {
         let app = App::new();
@@ -387,6 +419,9 @@ mod tests {
         assert_eq!(read(&scene, nested).unwrap(), 0.0);
         // The entity `hand.left` has a component `hand`.
         assert_eq!(find(&scene, "hand.left.hand.scale").unwrap()[0].entity_name, "hand.left");
+        // References are by name.
+        let port = find(&scene, "grasper.left.instrument.port").unwrap().remove(0);
+        assert_eq!(read(&scene, &port).unwrap(), "port.left");
     }
 
     #[test]
@@ -452,6 +487,57 @@ mod tests {
         assert_eq!(parse_assignment("a=.5"), Ok(("a".into(), Value::from(0.5))));
         for wrong in ["a", "=1", "a=", " = "] {
             assert!(parse_assignment(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    /// Pieces of names, in any order, and other letters.
+    fn name() -> impl Strategy<Value = String> {
+        let piece = select(vec![
+            "ring",
+            "1",
+            "*",
+            "rigid_body",
+            "mass",
+            "pose",
+            "translation",
+            "0",
+            "-1",
+            "99999999999999999999",
+            "",
+            "shape",
+            "torus",
+            "grasper",
+            "left",
+            "instrument",
+            "port",
+            "0:0:5",
+            "name",
+            "task_state",
+        ]);
+        prop_oneof![
+            4 => prop::collection::vec(piece, 0..8).prop_map(|pieces| pieces.join(".")),
+            1 => "\\PC{0,40}",
+        ]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(2_000) })]
+
+        #[test]
+        fn any_text_names_a_field_or_is_refused(text in name(), value in "\\PC{0,12}") {
+            thread_local!(static SCENE: Snapshot = scene());
+            SCENE.with(|scene| {
+                let _ = parse_assignment(&format!("{text}={value}"));
+                match (find(scene, &text), list(scene, &text)) {
+                    (Ok(fields), listed) => {
+                        prop_assert!(!fields.is_empty() && listed.is_ok());
+                        let mut row = row(scene, &fields[0]).unwrap();
+                        let _ = write(&fields[0], &mut row, &parse_value(&value));
+                    }
+                    (Err(error), _) => prop_assert!(!error.to_string().is_empty()),
+                }
+                Ok(())
+            })?;
         }
     }
 }

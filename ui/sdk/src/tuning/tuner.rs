@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 use thiserror::Error;
 use trocar_kernel::OperatorError;
-use trocar_scene::{Commands, ComponentError, Name, Snapshot, with_entity_names};
+use trocar_scene::{Commands, ComponentError, Snapshot, with_entity_names};
 
 use super::field::{self, Field, FieldError};
 use super::sets::{BASE, SetsError, TuningSet, TuningSets, VALUES_MAX};
@@ -65,8 +65,7 @@ impl Change {
     /// # Errors
     /// When a component refuses its value; nothing is put then that the caller should apply.
     pub fn write(&self, scene: &Snapshot, out: &mut Commands) -> Result<(), TuneError> {
-        let names = scene.iter::<Name>().map(|(entity, name)| (name.0.clone(), entity)).collect();
-        with_entity_names(names, || {
+        with_entity_names(field::names(scene), || {
             for (at, row) in &self.rows {
                 let refused = |source| TuneError::Refused { field: self.called(at), source };
                 let id = scene
@@ -431,5 +430,7 @@ mod tests {
         let scene = bench.0.snapshot();
         let tool = scene.get::<trocar_scene::Instrument>(scene.find("grasper.left").unwrap()).unwrap();
         assert_eq!(tool.port, scene.find("port.right"));
+        let port = Value::from("port.right");
+        assert_eq!(bench.1.values(&scene), [("grasper.left.instrument.port".to_owned(), port)]);
     }
 }

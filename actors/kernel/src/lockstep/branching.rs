@@ -1,0 +1,241 @@
+//! Sessions that go on from where another one stands, or stood.
+//!
+//! What a controller needs to resume is in the scene, so a branch starts everybody anew from a snapshot, as a restart
+//! does. Beside the scene there is little: whose tick is due when, which events each has heard, which names have been
+//! given out, what has been handed over, which faults are under way. That is a [`Moment`]. Devices are not the
+//! kernel's: whoever branches a session brings peers that stand where those of the other one do.
+
+use std::sync::Arc;
+
+use thiserror::Error;
+use trocar_scene::{ComponentError, EntityAllocator, Revision, SimTime, Snapshot, Store};
+
+use super::session::LockstepSession;
+use super::slot::{Ailments, Slot};
+use crate::chain::{Chain, StateHash};
+use crate::faults::{FaultLog, FaultSchedule};
+use crate::model_core::{ModelCore, Transfers};
+use crate::operator::OPERATOR;
+use crate::spec::{Peer, SessionSpec};
+
+use super::operating::OperatorDesk;
+use super::session::SessionError;
+
+/// Snapshots that a session remembers having given out.
+const GIVEN_MAX: usize = 256;
+
+/// Why there is no branch.
+#[derive(Debug, Error)]
+pub enum BranchError {
+    /// A snapshot of a program that knows other components.
+    #[error("the snapshot is of a session with other components than this one's")]
+    OtherComponents,
+    /// The scene cannot be encoded, so nothing can be hashed from there on.
+    #[error("the snapshot: {0}")]
+    Scene(#[from] ComponentError),
+}
+
+/// A snapshot that was given out: when, and the chain of hashes that led there.
+#[derive(Clone, Copy)]
+pub(super) struct Given {
+    revision: Revision,
+    at: SimTime,
+    head: StateHash,
+}
+
+/// Where a session stands: its scene, and the little that is not in there. Costs a few references, whatever the scene
+/// holds.
+pub struct Moment {
+    scene: Snapshot,
+    at: SimTime,
+    head: StateHash,
+    transfers: Arc<Transfers>,
+    slots: Vec<SlotMoment>,
+    operator: (EntityAllocator, u64),
+    given: Vec<Given>,
+    /// Only of the present.
+    present: Option<Present>,
+}
+
+struct SlotMoment {
+    name: String,
+    /// What it has heard of the events; of the past that follows from the time of its last tick.
+    cursor: Option<u64>,
+    allocator: EntityAllocator,
+    ailments: Ailments,
+}
+
+struct Present {
+    until: SimTime,
+    next_publish: SimTime,
+    next_stop_check: SimTime,
+    faults: FaultSchedule,
+    fault_log: FaultLog,
+}
+
+impl Moment {
+    /// The scene.
+    pub fn scene(&self) -> &Snapshot {
+        &self.scene
+    }
+    /// The time of the session; what is due then is still to come.
+    pub fn at(&self) -> SimTime {
+        self.at
+    }
+    /// Whether it is where the session stands, rather than where it once stood.
+    pub fn is_present(&self) -> bool {
+        self.present.is_some()
+    }
+
+    pub(super) fn core(&self, scene: Store, station: u16) -> ModelCore {
+        ModelCore::resume(scene, station, self.head, self.transfers.clone())
+    }
+}
+
+impl LockstepSession {
+    /// Where the session stands.
+    pub fn present(&self) -> Moment {
+        let slot = |slot: &Slot| SlotMoment {
+            name: slot.spec.name.clone(),
+            cursor: Some(slot.cursor),
+            allocator: slot.allocator.fork(),
+            ailments: slot.ailments,
+        };
+        Moment {
+            scene: self.core.view().clone(),
+            at: self.now,
+            head: self.core.hash(),
+            transfers: self.core.transfers().clone(),
+            slots: self.slots.iter().map(slot).collect(),
+            operator: (self.operator.allocator.fork(), self.operator.tick),
+            given: self.given.iter().copied().collect(),
+            present: Some(Present {
+                until: self.until,
+                next_publish: self.next_publish,
+                next_stop_check: self.next_stop_check,
+                faults: self.faults.clone(),
+                fault_log: self.fault_log.clone(),
+            }),
+        }
+    }
+
+    /// Where a session stood when its scene was `snapshot`: this one, one that it was branched from or into, or a
+    /// recorded one.
+    ///
+    /// The present is the [present](Self::present). Of the last 256 snapshots that this session and those before it
+    /// gave out the time is known; any other is taken to be complete at the time of its last batch. Who had heard
+    /// which events follows from the time, so that one of the last tick's instant may be heard twice; faults that were
+    /// planned for an earlier time and are over do not come again, those that last begin again.
+    ///
+    /// # Errors
+    /// [`BranchError`].
+    pub fn moment_of(&self, snapshot: &Snapshot) -> Result<Moment, BranchError> {
+        if !Arc::ptr_eq(snapshot.registry(), &self.registry) {
+            return Err(BranchError::OtherComponents);
+        }
+        let known = self.given.iter().find(|given| given.revision == snapshot.revision());
+        if known.is_some_and(|given| given.at == self.now)
+            && snapshot.revision() == self.core.view().revision()
+        {
+            return Ok(self.present());
+        }
+        let (at, head) = match known {
+            Some(given) => (given.at, given.head),
+            None => (SimTime(snapshot.time().0 + 1), Chain::begin(snapshot)?.head()),
+        };
+        let station = self.core.station();
+        let allocator = |writer: u16| {
+            let allocator = EntityAllocator::new(station, writer);
+            allocator.skip_to(snapshot.first_free(station, writer));
+            allocator
+        };
+        let slot = |slot: &Slot| SlotMoment {
+            name: slot.spec.name.clone(),
+            cursor: None,
+            allocator: allocator(slot.writer.0),
+            ailments: Ailments::default(),
+        };
+        Ok(Moment {
+            scene: snapshot.clone(),
+            at,
+            head,
+            transfers: Arc::default(),
+            slots: self.slots.iter().map(slot).collect(),
+            // Its number only has to be another one than before.
+            operator: (allocator(OPERATOR.0), self.operator.tick),
+            given: self.given.iter().filter(|given| given.at <= at).copied().collect(),
+            present: None,
+        })
+    }
+
+    /// Starts everybody of `spec` in the scene of a moment, at its time. `spec` is as for a new session of the same
+    /// controllers: its scene is the moment's, its peers stand where those of the moment stood.
+    ///
+    /// Nothing is shared with the session that the moment is of, but what never changes.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn resume(spec: SessionSpec, moment: Moment) -> Result<Self, SessionError> {
+        let scene = Store::from_snapshot(&moment.scene);
+        Self::begin(SessionSpec { scene, ..spec }, Some(moment))
+    }
+
+    /// Who else is stepped, in order.
+    pub fn peers(&self) -> impl Iterator<Item = &dyn Peer> {
+        self.peers.iter().map(|slot| &*slot.peer)
+    }
+
+    /// Takes over what a moment says, before anybody is built.
+    pub(super) fn go_on_from(&mut self, moment: Moment) {
+        let Moment { scene, at, slots, operator, given, present, .. } = moment;
+        self.resuming = true;
+        self.now = at;
+        for slot in &mut self.slots {
+            slot.skip_to(at);
+            let Some(known) = slots.iter().find(|known| known.name == slot.spec.name) else { continue };
+            let heard = || {
+                let last = slot.last_tick();
+                let unheard = scene.events().since(0).find(|(_, event)| event.at >= last);
+                unheard.map_or(scene.events().next(), |(number, _)| number)
+            };
+            slot.cursor = known.cursor.unwrap_or_else(heard);
+            slot.allocator = known.allocator.fork();
+            slot.ailments = known.ailments;
+        }
+        for slot in &mut self.peers {
+            let period = slot.peer.period_ns();
+            slot.next = SimTime(at.0.div_ceil(period) * period);
+        }
+        self.operator = OperatorDesk::new(operator.0, operator.1);
+        self.given = given.into();
+        match present {
+            Some(present) => {
+                self.until = present.until;
+                self.next_publish = present.next_publish;
+                self.next_stop_check = present.next_stop_check;
+                self.faults = present.faults;
+                self.fault_log = present.fault_log;
+            }
+            None => {
+                self.next_publish = at;
+                if let Some(stop) = &self.stop_when {
+                    let every = stop.every.0.max(1);
+                    self.next_stop_check = SimTime(at.0.div_ceil(every) * every);
+                }
+                self.faults.skip_to(at);
+            }
+        }
+    }
+
+    /// Remembers the snapshot that is being given out.
+    pub(super) fn remember(&mut self) {
+        let given = Given { revision: self.core.view().revision(), at: self.now, head: self.core.hash() };
+        if self.given.back().is_some_and(|last| (last.revision, last.at) == (given.revision, given.at)) {
+            return;
+        }
+        if self.given.len() == GIVEN_MAX {
+            self.given.pop_front();
+        }
+        self.given.push_back(given);
+    }
+}

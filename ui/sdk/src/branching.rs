@@ -1,0 +1,206 @@
+//! Sessions in virtual time that begin again, or go on from where another one stands.
+
+use std::any::Any;
+use std::sync::Arc;
+
+use thiserror::Error;
+use trocar_devices::HapticDevice;
+use trocar_kernel::lockstep::{LockstepSession, Moment};
+use trocar_kernel::spec::SessionSpec;
+use trocar_kernel::{BranchError as KernelError, SessionError};
+use trocar_scene::{Snapshot, Store};
+
+use crate::hands::{HandPort, OpenedHand, SteppedHand};
+use crate::session::{Running, Session};
+use crate::session_plan::{Bound, SessionPlan};
+
+/// Why a session cannot begin again or be branched.
+#[derive(Debug, Error)]
+pub enum BranchError {
+    /// Time passes by itself in it.
+    #[error("a session in real time can neither begin again nor be branched; open it in virtual time")]
+    Live,
+    /// A device that somebody holds, or that its driver does not know how to copy.
+    #[error("hand {0}: its device exists only once; virtual and replayed hands can be copied")]
+    Device(String),
+    /// A controller that is bound to the hands that it was made for.
+    #[error("controller '{0}' does not say how it serves other hands: Blueprint::for_hands")]
+    Controller(String),
+    /// The snapshot is none to go on from.
+    #[error(transparent)]
+    Snapshot(#[from] KernelError),
+    /// Somebody could not be built from the scene.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+}
+
+/// What a session in virtual time was made from.
+pub(crate) struct Origin {
+    pub plan: Arc<SessionPlan>,
+    /// A device as it was before it was opened, for each hand; `None` of one that exists only once.
+    pub prototypes: Vec<Option<Box<dyn HapticDevice>>>,
+    pub seed: u64,
+}
+
+impl Origin {
+    fn fork(&self) -> Self {
+        let fork = |device: &Option<Box<dyn HapticDevice>>| device.as_ref().and_then(|device| device.fork());
+        Self {
+            plan: self.plan.clone(),
+            prototypes: self.prototypes.iter().map(fork).collect(),
+            seed: self.seed,
+        }
+    }
+
+    fn prototypes<'a>(
+        &'a self,
+        ports: &'a [HandPort],
+    ) -> impl Iterator<Item = Result<(&'a HandPort, &'a dyn HapticDevice), BranchError>> {
+        ports.iter().zip(&self.prototypes).map(|(port, prototype)| match prototype {
+            Some(prototype) => Ok((port, &**prototype)),
+            None => Err(BranchError::Device(port.name.clone())),
+        })
+    }
+}
+
+impl From<Bound> for BranchError {
+    fn from(Bound(name): Bound) -> Self {
+        Self::Controller(name)
+    }
+}
+
+fn once(port: &HandPort) -> BranchError {
+    BranchError::Device(port.name.clone())
+}
+
+impl Session {
+    /// Begins again: the scene of the start, time zero, the same seed. Nothing is read or parsed again. A recording
+    /// ends here; what follows is not recorded.
+    ///
+    /// ```
+    /// use trocar::prelude::*;
+    ///
+    /// let mut session = Session::open("wall")?;
+    /// session.step(SimTime::from_millis(200));
+    /// let hash = session.hash();
+    /// session.reset()?;
+    /// assert_eq!(session.now(), SimTime::ZERO);
+    /// session.step(SimTime::from_millis(200));
+    /// assert_eq!(session.hash(), hash, "the same seed gives the same bits");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`BranchError`]; the session is as it was.
+    pub fn reset(&mut self) -> Result<(), BranchError> {
+        let (_, origin) = self.virtual_time()?;
+        let seed = origin.seed;
+        self.reset_with_seed(seed)
+    }
+
+    /// Begins again with another seed: another trainee's tremor, other random faults.
+    ///
+    /// # Errors
+    /// [`BranchError`]; the session is as it was.
+    pub fn reset_with_seed(&mut self, seed: u64) -> Result<(), BranchError> {
+        let (_, origin) = self.virtual_time()?;
+        let hands = origin
+            .prototypes(&self.hands)
+            .map(|hand| {
+                hand.and_then(|(port, device)| OpenedHand::anew(port, device).ok_or_else(|| once(port)))
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let (ports, mut spec) = cast(origin, seed, Store::from_snapshot(&origin.plan.scene), &hands)?;
+        spec.peers.extend(hands.into_iter().map(OpenedHand::into_peer));
+        let begun = Running::Lockstep(Box::new(LockstepSession::new(spec)?));
+        if let Running::Lockstep(before) = std::mem::replace(&mut self.running, begun) {
+            // Closes its recording, if it has one.
+            before.finish();
+        }
+        self.hands = ports;
+        self.fences_raised = false;
+        if let Some(origin) = &mut self.origin {
+            origin.seed = seed;
+        }
+        Ok(())
+    }
+
+    /// Another session that stands where this one does, and shares nothing with it but what never changes: the same
+    /// scene, time, score and state hash, every ring still held, the hands moving on. This one is as it was.
+    ///
+    /// Every controller is built anew from the scene, as it is after a failure; drivers, virtual hands and faults
+    /// under way are copied. A branch is not recorded. It costs less than a millisecond in the peg transfer.
+    ///
+    /// ```
+    /// use trocar::prelude::*;
+    ///
+    /// let mut session = Session::open("wall")?;
+    /// session.step(SimTime::from_millis(300));
+    /// let (mut one, mut other) = (session.branch()?, session.branch()?);
+    /// one.step(SimTime::from_millis(100));
+    /// other.step(SimTime::from_millis(100));
+    /// assert_eq!(one.hash(), other.hash());
+    /// assert_eq!(session.now(), SimTime::from_millis(300), "nobody has told this one");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`BranchError`].
+    pub fn branch(&self) -> Result<Self, BranchError> {
+        let (session, _) = self.virtual_time()?;
+        self.branch_at(session.present())
+    }
+
+    /// Another session that goes on from `snapshot`: one of this session, of one that it was branched from or into, or
+    /// of a recording of the same scenario.
+    ///
+    /// Of the present it is [`Session::branch`]. Of the past, hands and drivers go on from what the scene tells of
+    /// them: position and velocity as measured, the force as rendered, and the energy account as last written down.
+    /// The state hash goes on from that of the snapshot, if this session gave it out lately (the last 256), and begins
+    /// at the snapshot's scene otherwise.
+    ///
+    /// # Errors
+    /// [`BranchError`].
+    pub fn branch_from(&self, snapshot: &Snapshot) -> Result<Self, BranchError> {
+        let (session, _) = self.virtual_time()?;
+        self.branch_at(session.moment_of(snapshot)?)
+    }
+
+    fn branch_at(&self, moment: Moment) -> Result<Self, BranchError> {
+        let (session, origin) = self.virtual_time()?;
+        let hands = if moment.is_present() {
+            let stepped = session.peers().filter_map(|peer| (peer as &dyn Any).downcast_ref::<SteppedHand>());
+            let forks = self.hands.iter().zip(stepped);
+            forks.map(|(port, hand)| hand.fork().ok_or_else(|| once(port))).collect::<Result<Vec<_>, _>>()?
+        } else {
+            let resume = |(port, device)| {
+                OpenedHand::resumed(port, device, moment.scene(), moment.at()).ok_or_else(|| once(port))
+            };
+            origin.prototypes(&self.hands).map(|hand| hand.and_then(resume)).collect::<Result<Vec<_>, _>>()?
+        };
+        let scene = Store::from_snapshot(moment.scene());
+        let (ports, mut spec) = cast(origin, origin.seed, scene, &hands)?;
+        spec.peers.extend(hands.into_iter().map(OpenedHand::into_peer));
+        let running = Running::Lockstep(Box::new(LockstepSession::resume(spec, moment)?));
+        Ok(Self::new(running, ports, Vec::new(), Some(origin.fork())))
+    }
+
+    fn virtual_time(&self) -> Result<(&LockstepSession, &Origin), BranchError> {
+        match (&self.running, &self.origin) {
+            (Running::Lockstep(session), Some(origin)) => Ok((session, origin)),
+            _ => Err(BranchError::Live),
+        }
+    }
+}
+
+/// The controllers of the same plan for other hands.
+fn cast(
+    origin: &Origin,
+    seed: u64,
+    scene: Store,
+    hands: &[OpenedHand],
+) -> Result<(Vec<HandPort>, SessionSpec), BranchError> {
+    let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
+    let spec = origin.plan.other(seed, scene, &ports)?;
+    Ok((ports, spec))
+}

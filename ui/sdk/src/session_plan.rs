@@ -1,0 +1,122 @@
+//! What a session is made from, kept so that it can be made again without reading anything: begun anew, or branched.
+
+use std::sync::Arc;
+
+use trocar_kernel::faults::FaultPlan;
+use trocar_kernel::spec::{ControllerSpec, Factory, Fence, SessionSpec, StopWhen, ZeroForces};
+use trocar_kernel::supervision::RuntimeClass;
+use trocar_scene::{SimTime, Snapshot, Store, TaskState};
+
+use crate::app::{Blueprint, ForHands};
+use crate::hands::{HandFaults, HandPort};
+
+/// How often a session asks whether its exercise is over.
+const STOP_CHECK: SimTime = SimTime::from_millis(20);
+
+/// A session's controllers, scene and limits. Never changes, so that any number of sessions share it.
+pub(crate) struct SessionPlan {
+    pub scenario: String,
+    pub station: u16,
+    /// The scene at the start.
+    pub scene: Snapshot,
+    pub roles: Vec<Role>,
+    pub until: Option<SimTime>,
+    /// What shall go wrong; `None`: nothing.
+    pub faults: Option<FaultPlan>,
+}
+
+/// A controller of the session: its place, and how it is built.
+pub(crate) struct Role {
+    pub name: String,
+    pub writer: u16,
+    pub rate_hz: f64,
+    pub phase: SimTime,
+    pub class: RuntimeClass,
+    factory: Factory,
+    fences: Vec<Arc<dyn Fence>>,
+    for_hands: Option<ForHands>,
+}
+
+/// A controller that cannot serve other hands than those it was made for.
+#[derive(Debug)]
+pub(crate) struct Bound(pub String);
+
+impl Role {
+    pub fn new(name: &str, writer: u16, rate_hz: f64, blueprint: Blueprint) -> Self {
+        let Blueprint { class, factory, fences, for_hands, arrange: _ } = blueprint;
+        Self {
+            name: name.to_owned(),
+            writer,
+            rate_hz,
+            phase: SimTime::ZERO,
+            class,
+            factory,
+            fences,
+            for_hands,
+        }
+    }
+
+    fn spec(&self, (factory, fences): (Factory, Vec<Arc<dyn Fence>>)) -> ControllerSpec {
+        let mut spec =
+            ControllerSpec::new(&self.name, self.writer, self.class, self.rate_hz, move |context| {
+                factory(context)
+            });
+        spec.phase = self.phase;
+        spec.fences = fences;
+        spec
+    }
+
+    /// For the session that it was made for.
+    fn first(&self) -> ControllerSpec {
+        self.spec((self.factory.clone(), self.fences.clone()))
+    }
+
+    /// For a session with other hands.
+    fn other(&self, hands: &[HandPort]) -> Result<ControllerSpec, Bound> {
+        let bound = || Bound(self.name.clone());
+        match &self.for_hands {
+            Some(for_hands) => Ok(self.spec(for_hands(hands).ok_or_else(bound)?)),
+            // What fences a device serves one, whatever its kind says.
+            None if self.fences.is_empty() => Ok(self.first()),
+            None => Err(bound()),
+        }
+    }
+}
+
+impl SessionPlan {
+    /// The session that the plan was made for.
+    pub fn first(&self, seed: u64, hands: &[HandPort]) -> SessionSpec {
+        let controllers = self.roles.iter().map(Role::first).collect();
+        self.session(seed, Store::from_snapshot(&self.scene), controllers, hands)
+    }
+
+    /// Another session of the same controllers, beginning in `scene`.
+    pub fn other(&self, seed: u64, scene: Store, hands: &[HandPort]) -> Result<SessionSpec, Bound> {
+        let controllers = self.roles.iter().map(|role| role.other(hands)).collect::<Result<_, _>>()?;
+        Ok(self.session(seed, scene, controllers, hands))
+    }
+
+    fn session(
+        &self,
+        seed: u64,
+        scene: Store,
+        controllers: Vec<ControllerSpec>,
+        hands: &[HandPort],
+    ) -> SessionSpec {
+        let mut spec = SessionSpec::new(&self.scenario, seed, scene, controllers);
+        spec.station = self.station;
+        spec.until = self.until;
+        spec.stop_when = Some(StopWhen {
+            every: STOP_CHECK,
+            check: Arc::new(|scene| scene.iter::<TaskState>().any(|(_, task)| task.over)),
+        });
+        spec.faults = self.faults.clone().unwrap_or(spec.faults);
+        for port in hands {
+            let fence = port.slot.fence().clone();
+            let zero: ZeroForces = Arc::new(move || fence.zero_all_forces());
+            spec.zero_forces.push(zero);
+            spec.fault_sinks.push((port.fault_target(), HandFaults::sink(port)));
+        }
+        spec
+    }
+}
