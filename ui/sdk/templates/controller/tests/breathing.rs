@@ -35,9 +35,9 @@ fn respiration(scene: &Snapshot) -> Respiration {
 
 #[test]
 fn organs_rise_and_sink_with_every_breath() {
-    let (heights, scene) = heights(&app(), 5.0 * BREATH_SECS, None);
+    let (heights, scene) = heights(&app(), 5.0 * BREATH_SECS + 0.1, None);
     assert_eq!(respiration(&scene).breaths, 5);
-    for breath in heights.chunks((BREATH_SECS * 100.0) as usize) {
+    for breath in heights.chunks_exact((BREATH_SECS * 100.0) as usize) {
         let top = breath.iter().fold(f64::MIN, |top, height| top.max(*height)) - REST;
         assert!((top / EXCURSION - 1.0).abs() < VARIATION + 0.01, "{top}");
         let bottom = breath.iter().fold(f64::MAX, |bottom, height| bottom.min(*height)) - REST;
