@@ -8,7 +8,8 @@
 //!
 //! - nothing above the device's own limits is rendered, and no NaN;
 //! - a controller below the [`Fence`], or of an earlier generation than the newest, is refused;
-//! - a force that is not renewed fades from 5 ms and is zero at 20 ms; so does every force while the device
+//! - a force that is not renewed fades from 5 ms and is zero at 20 ms, at the motors: a step that would hold it
+//!   beyond that holds none; so does every force while the device
 //!   gives no valid reading;
 //! - force ramps in after a start, a restart, an interruption and a re-plug;
 //! - no force gives the hand energy that the hand has not paid, but for what [`PassivityConfig`] lends (unless the
@@ -18,7 +19,7 @@
 
 use crate::device::{DeviceError, DeviceState, HandIntent, HapticDevice, Wrench};
 use crate::faults::DeviceFaults;
-use crate::force_guard::{DECAY_END_NS, DECAY_START_NS, ForceGuard, GuardConfig, Request};
+use crate::force_guard::{DECAY_END_NS, DECAY_START_NS, ForceGuard, GuardConfig, Request, SLEW_STEP_MAX_NS};
 use crate::link::{DeviceCommand, DeviceSample, DriverEnd, DriverStatistics, Fence};
 use crate::passivity::{PassivityConfig, PassivityController, PortEnergy};
 
@@ -64,6 +65,7 @@ struct Accepted {
     epoch: u32,
     // When it was computed; moved back when its epoch is fenced, so that the fade starts at once.
     fresh_at_ns: u64,
+    taken_at_ns: u64,
     wrench: Wrench,
     passivity: bool,
 }
@@ -124,9 +126,9 @@ pub struct DriverCore {
     accepted: Option<Accepted>,
     epoch: u32,
     last_command_ns: Option<u64>,
+    last_step_ns: Option<u64>,
     opened_before: bool,
     statistics: DriverStatistics,
-    stepped_at_ns: u64,
 }
 
 /// What the scene tells of a driver at one moment: enough for another one to go on from there.
@@ -173,9 +175,9 @@ impl DriverCore {
             accepted: None,
             epoch: 0,
             last_command_ns: None,
+            last_step_ns: None,
             opened_before: false,
             statistics: DriverStatistics { since_command_ns: u64::MAX, ..DriverStatistics::default() },
-            stepped_at_ns: 0,
         }
     }
 
@@ -195,7 +197,7 @@ impl DriverCore {
             epoch: self.last_command_ns.map_or(0, |_| FIRST_EPOCH),
             ..*self
         };
-        fork.publish(self.stepped_at_ns);
+        fork.publish(self.last_step_ns.unwrap_or(0));
         fork
     }
 
@@ -205,7 +207,7 @@ impl DriverCore {
             resume;
         self.state = *state;
         self.sampled_at_ns = *sampled_at_ns;
-        self.stepped_at_ns = *sampled_at_ns;
+        self.last_step_ns = Some(*sampled_at_ns);
         self.last_reading_ns = *sampled_at_ns;
         self.opened_before = true;
         device.resume(*sampled_at_ns, state, intent);
@@ -223,6 +225,7 @@ impl DriverCore {
                 self.accepted = Some(Accepted {
                     epoch: FIRST_EPOCH,
                     fresh_at_ns: *commanded_at_ns,
+                    taken_at_ns: *commanded_at_ns,
                     wrench: *commanded,
                     // Until the controller says that it waives that.
                     passivity: true,
@@ -235,7 +238,7 @@ impl DriverCore {
     /// One step at session time `now_ns`, which must not decrease. Real-time safe if the device is.
     pub fn step(&mut self, now_ns: u64, device: &mut dyn HapticDevice) {
         self.statistics.steps += 1;
-        self.stepped_at_ns = now_ns;
+        let held = self.held_until(now_ns);
         self.sense(now_ns, device);
         if let Some(command) = self.take_command(now_ns)
             && let Some(intent) = &command.intent
@@ -244,7 +247,9 @@ impl DriverCore {
         }
         self.release_fenced(now_ns);
         let Decision { wrench, withheld } = self.decide(now_ns);
+        self.last_step_ns = Some(now_ns);
         self.actuate(now_ns, device, &wrench);
+        self.note_release(held);
         self.passivity.hold(now_ns, self.guard.applied(), &withheld);
         self.publish(now_ns);
     }
@@ -252,12 +257,34 @@ impl DriverCore {
     /// Leaves the device without force and closed, and publishes that it is gone.
     pub fn shut_down(&mut self, now_ns: u64, device: &mut dyn HapticDevice) {
         self.accepted = None;
+        let held = self.held_until(now_ns);
         let released = self.guard.release(now_ns);
+        self.note_release(held);
         if self.connection == Connection::Present && device.write(now_ns, &released).is_err() {
             self.statistics.device_errors += 1;
         }
         device.close();
         self.abandon(now_ns);
+    }
+
+    /// Age of the last accepted command, if its force was held until now.
+    fn held_until(&mut self, now_ns: u64) -> Option<u64> {
+        let age_ns = now_ns.saturating_sub(self.last_command_ns?);
+        if *self.guard.applied() == Wrench::ZERO {
+            return None;
+        }
+        self.statistics.force_age_max_ns = self.statistics.force_age_max_ns.max(age_ns);
+        Some(age_ns)
+    }
+
+    /// A force that was `held` is no more, and it is not that a new command says so.
+    fn note_release(&mut self, held: Option<u64>) {
+        let Some(age_ns) = held else { return };
+        let renewed = self.accepted.is_some_and(|accepted| self.last_step_ns == Some(accepted.taken_at_ns));
+        if *self.guard.applied() == Wrench::ZERO && !renewed {
+            self.statistics.releases += 1;
+            self.statistics.release_age_ns = age_ns;
+        }
     }
 
     /// Publishes that the device is gone without touching it: for a driver whose device panicked.
@@ -410,6 +437,7 @@ impl DriverCore {
         self.accepted = Some(Accepted {
             epoch: command.epoch,
             fresh_at_ns: command.time_ns.min(now_ns),
+            taken_at_ns: now_ns,
             wrench: command.wrench,
             passivity: command.passivity,
         });
@@ -438,6 +466,11 @@ impl DriverCore {
                         wrench: accepted.wrench,
                         command_age_ns: now_ns.saturating_sub(accepted.fresh_at_ns),
                         reading_age_ns: now_ns.saturating_sub(self.last_reading_ns),
+                        // As long as the step before was, but for one that came late.
+                        hold_ns: self
+                            .last_step_ns
+                            .map_or(0, |last| now_ns.saturating_sub(last))
+                            .min(SLEW_STEP_MAX_NS),
                         linear_velocity: self.state.linear_velocity,
                     },
                 );

@@ -16,7 +16,7 @@ pub const DECAY_START_NS: u64 = 5_000_000;
 pub const DECAY_END_NS: u64 = 20_000_000;
 
 /// Longest step \[ns\] for which the slew limit is granted; a driver that was late gets no bigger jump.
-const SLEW_STEP_MAX_NS: u64 = 2_000_000;
+pub(crate) const SLEW_STEP_MAX_NS: u64 = 2_000_000;
 
 /// How a [`ForceGuard`] limits what is felt.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,6 +55,8 @@ pub(crate) struct Request {
     pub command_age_ns: u64,
     /// Time since the device last gave a valid reading \[ns\].
     pub reading_age_ns: u64,
+    /// How long this step's wrench will be held, as far as can be told \[ns\].
+    pub hold_ns: u64,
     /// Measured velocity of the handle [m/s].
     pub linear_velocity: Vector3<f64>,
 }
@@ -150,7 +152,9 @@ impl ForceGuard {
     /// One step: the wrench that may be rendered.
     pub(crate) fn step(&mut self, now_ns: u64, request: &Request) -> Wrench {
         let fade = fade(request.command_age_ns) * fade(request.reading_age_ns);
-        if fade <= 0.0 || !request.wrench.is_finite() {
+        // It stays on the motors until the next step, and by then it would be too old.
+        let held_until = request.command_age_ns.max(request.reading_age_ns).saturating_add(request.hold_ns);
+        if fade <= 0.0 || held_until > DECAY_END_NS || !request.wrench.is_finite() {
             return self.release(now_ns);
         }
         let elapsed = self.last_step_ns.map_or(0, |last| now_ns.saturating_sub(last)).min(SLEW_STEP_MAX_NS);
@@ -248,6 +252,7 @@ mod tests {
             wrench: Wrench::from_force(Vector3::new(force_x, 0.0, 0.0)),
             command_age_ns: 0,
             reading_age_ns: 0,
+            hold_ns: 0,
             linear_velocity: Vector3::zeros(),
         }
     }

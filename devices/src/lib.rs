@@ -25,6 +25,7 @@ mod gripper;
 mod hand_config;
 mod hand_csv;
 mod jigsaws;
+mod lane_gate;
 mod link;
 mod oscillator;
 mod passivity;
@@ -32,6 +33,7 @@ mod reader;
 mod replay_hand;
 mod sched;
 mod spec;
+mod sync;
 mod trajectory;
 mod virtual_hand;
 

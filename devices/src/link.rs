@@ -8,7 +8,6 @@
 //! comes back when its link is dropped; if zombies hold them all, taking a link fails and the caller escalates.
 
 use std::fmt;
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::{Deserialize, Serialize};
@@ -16,6 +15,7 @@ use thiserror::Error;
 use triple_buffer::{Input, Output, triple_buffer};
 
 use crate::device::{DeviceState, HandIntent, Wrench};
+use crate::lane_gate::{ActiveLane, LowestEpoch};
 use crate::passivity::PortEnergy;
 
 /// How many generations of controllers can hold a link to one device at the same time.
@@ -70,6 +70,13 @@ pub struct DriverStatistics {
     pub torque_max: f64,
     /// Time since the last accepted command was computed \[ns\]; `u64::MAX` before the first.
     pub since_command_ns: u64,
+    /// Greatest age of the last command that was accepted, while a force was still held \[ns\]: measured in every
+    /// step, over the time for which the step before had held its force.
+    pub force_age_max_ns: u64,
+    /// How often a force fell to zero because nobody renewed it, or whoever did was fenced.
+    pub releases: u64,
+    /// Age of the last accepted command when that happened last \[ns\].
+    pub release_age_ns: u64,
     /// Ticks of a live driver that never ran.
     pub missed: u64,
     /// Greatest lateness of a live driver's tick \[ns\].
@@ -113,14 +120,14 @@ impl DeviceSample {
 /// Lowest epoch that a driver obeys. It only rises; anybody may raise it, at any time, without waiting.
 #[derive(Clone, Debug, Default)]
 pub struct Fence {
-    lowest: Arc<AtomicU32>,
+    lowest: Arc<LowestEpoch>,
 }
 
 impl Fence {
     /// Refuses every command of an epoch below `epoch`, from the driver's next step on. The force of a fenced
     /// controller fades to zero within 15 ms.
     pub fn raise(&self, epoch: u32) {
-        self.lowest.fetch_max(epoch, Ordering::AcqRel);
+        self.lowest.raise(epoch);
     }
 
     /// Emergency: no force at the driver's next step, and never again.
@@ -130,13 +137,12 @@ impl Fence {
 
     /// The lowest epoch that is obeyed; `u32::MAX` means that none is.
     pub fn lowest(&self) -> u32 {
-        self.lowest.load(Ordering::Acquire)
+        self.lowest.get()
     }
 
     /// Whether commands of this epoch are obeyed as far as the fence goes.
     pub fn admits(&self, epoch: u32) -> bool {
-        let lowest = self.lowest();
-        epoch >= lowest && lowest != u32::MAX
+        self.lowest.admits(epoch)
     }
 }
 
@@ -162,21 +168,6 @@ pub enum LinkError {
     /// Abandoned controllers hold every lane.
     #[error("all {LANES} lanes of the link are held by controllers that were abandoned")]
     LanesExhausted,
-}
-
-/// Which lane the driver obeys: `(epoch << 32) | (lane + 1)`, 0 before the first.
-#[derive(Debug, Default)]
-struct ActiveLane(AtomicU64);
-
-impl ActiveLane {
-    fn set(&self, epoch: u32, lane: usize) {
-        self.0.store((u64::from(epoch) << 32) | (lane as u64 + 1), Ordering::Release);
-    }
-    fn get(&self) -> Option<(u32, usize)> {
-        let packed = self.0.load(Ordering::Acquire);
-        let lane = (packed & u64::from(u32::MAX)).checked_sub(1)?;
-        Some(((packed >> 32) as u32, lane as usize))
-    }
 }
 
 struct ControllerLane {

@@ -76,6 +76,35 @@ fn a_force_that_is_not_renewed_fades_from_5_ms_and_is_zero_at_20_ms() {
 }
 
 #[test]
+fn the_driver_measures_for_how_long_a_force_was_held_and_it_is_at_most_20_ms() {
+    // Commands of any phase within the driver's period.
+    for offset_ns in [0, 1, MS / 4, MS / 2, 3 * MS / 4, MS - 1] {
+        let mut bench = bench();
+        let mut link = bench.slot.take(1).unwrap();
+        for _ in 0..100 {
+            link.command(force(1, bench.now_ns + MS - offset_ns, 2.0));
+            bench.step();
+        }
+        assert_eq!(bench.monitor.sample().statistics.force_age_max_ns, offset_ns + MS);
+        assert_eq!(bench.monitor.sample().statistics.releases, 0);
+        let last_command_ns = bench.now_ns - offset_ns;
+        let mut held_until_ns = 0;
+        for _ in 0..40 {
+            let held = bench.device.rendered != Wrench::ZERO;
+            bench.step();
+            if held {
+                held_until_ns = bench.now_ns;
+            }
+        }
+        let statistics = bench.monitor.sample().statistics;
+        let age_ns = held_until_ns - last_command_ns;
+        assert!(age_ns <= 20 * MS && age_ns > 18 * MS, "{offset_ns}: {age_ns} ns");
+        assert_eq!((statistics.force_age_max_ns, statistics.release_age_ns), (age_ns, age_ns));
+        assert_eq!(statistics.releases, 1);
+    }
+}
+
+#[test]
 fn force_ramps_in_at_the_start_and_after_an_interruption() {
     let mut bench = bench();
     let mut link = bench.slot.take(1).unwrap();

@@ -145,9 +145,9 @@ fn a_hand_feels_no_jump_where_a_session_is_branched() {
         let past = jumps(&mut past, ring, &before, 100);
         (present, past)
     });
-    let worst = |of: fn(&((f64, f64), (f64, f64))) -> f64| figures.iter().map(of).fold(0.0, f64::max);
-    let pose = [worst(|f| f.0.0), worst(|f| f.1.0)];
-    let force = [worst(|f| f.0.1), worst(|f| f.1.1)];
+    let worst = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
+    let pose = [worst(&mut figures.iter().map(|f| f.0.0)), worst(&mut figures.iter().map(|f| f.1.0))];
+    let force = [worst(&mut figures.iter().map(|f| f.0.1)), worst(&mut figures.iter().map(|f| f.1.1))];
     println!(
         "present, past: pose jump {:.3}, {:.3} mm; force jump {force:.3?} N",
         pose[0] * 1e3,

@@ -11,6 +11,7 @@ use trocar_scene::{BuildContext, Controller, ControllerError, Registry, SimTime,
 use crate::chain::StateHash;
 use crate::commit::CommitBuffer;
 use crate::faults::{FaultPlan, FaultRow};
+use crate::flow::FlowLimit;
 use crate::runtime::{ControllerReport, Permission};
 use crate::supervision::{ChildSpec, GroupSpec, Incident, RuntimeClass};
 
@@ -45,10 +46,13 @@ pub struct ControllerSpec {
     pub fences: Vec<Arc<dyn Fence>>,
     /// How many batches its ring holds.
     pub ring_capacity: usize,
+    /// How many commands it may send; what is above is refused at its own handle.
+    pub flow: FlowLimit,
 }
 
 impl ControllerSpec {
-    /// A controller with the default supervision of its class, no phase, no fence and a ring of 64.
+    /// A controller with the default supervision of its class and the default flow limit, no phase, no fence and a
+    /// ring of 64.
     pub fn new(
         name: impl Into<String>,
         writer: u16,
@@ -66,6 +70,7 @@ impl ControllerSpec {
             factory: Arc::new(factory),
             fences: Vec::new(),
             ring_capacity: 64,
+            flow: FlowLimit::default(),
         }
     }
     /// Time from one tick to the next, rounded to the nanosecond.
@@ -92,6 +97,8 @@ pub trait Peer: Any + Send {
     fn period_ns(&self) -> u64;
     /// One step at `now`.
     fn step(&mut self, now: SimTime);
+    /// The session is over; [`Self::step`] has seen that forces are to be zero.
+    fn finish(&mut self, _now: SimTime) {}
 }
 
 /// Takes the faults meant for one target that is not a controller: a device, a link, a disk.
@@ -280,11 +287,13 @@ pub enum FaultKind {
     Nan,
     /// Nothing can be written to the disk.
     DiskFull,
+    /// The disk takes so many bytes per second and no more.
+    DiskSlow,
 }
 
 impl FaultKind {
     /// All of them, in the order of the design.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Kill,
         Self::Stall,
         Self::Slow,
@@ -298,6 +307,7 @@ impl FaultKind {
         Self::QueueFull,
         Self::Nan,
         Self::DiskFull,
+        Self::DiskSlow,
     ];
     /// Its name in files.
     pub const fn name(self) -> &'static str {
@@ -315,7 +325,17 @@ impl FaultKind {
             Self::QueueFull => "queue_full",
             Self::Nan => "nan",
             Self::DiskFull => "disk_full",
+            Self::DiskSlow => "disk_slow",
         }
+    }
+    /// Whether it befalls messages on their way.
+    pub const fn is_of_link(self) -> bool {
+        use FaultKind as K;
+        matches!(self, K::Drop | K::Delay | K::Duplicate | K::Reorder | K::Corrupt | K::Partition)
+    }
+    /// Whether it befalls the recorder's disk rather than the recorder.
+    pub const fn is_of_disk(self) -> bool {
+        matches!(self, Self::DiskFull | Self::DiskSlow)
     }
     /// Whether it strikes once (and does not heal by itself ending).
     pub const fn is_instant(self) -> bool {
@@ -342,8 +362,12 @@ pub struct FaultOrder {
     pub begins: bool,
     /// Length of a stall, extra time per step of `slow`, extra latency of `delay`; ignored by the others.
     pub span: SimTime,
+    /// By how much the extra latency of `delay` varies, either way.
+    pub jitter: SimTime,
     /// Chance per message or batch, 0 to 1, of the kinds that strike some of them.
     pub probability: f64,
+    /// What a slow disk takes [bytes/s]; ignored by the others.
+    pub bytes_per_sec: f64,
     /// Seed of this fault's own randomness.
     pub seed: u64,
 }
@@ -359,6 +383,8 @@ pub struct FaultRecord {
     pub kind: FaultKind,
     /// When it struck.
     pub injected_secs: Option<f64>,
+    /// When it ended by itself.
+    pub healed_secs: Option<f64>,
     /// When the supervisor or the Model noticed.
     pub detected_secs: Option<f64>,
     /// When the replacement was built.

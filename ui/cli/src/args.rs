@@ -46,6 +46,8 @@ pub enum Command {
     },
     /// Run random fault plans in virtual time, on all cores, and check what must hold whatever they do
     Soak(SoakArgs),
+    /// Start a project of your own from a template: a crate with a program, a scenario and tests
+    New(NewArgs),
     /// Look at this machine: what limits the rates, and how to mend it
     Doctor(DoctorArgs),
     /// Print a JSON schema
@@ -149,6 +151,8 @@ pub enum Listed {
     Plans,
     /// Suites of `trocar bench`.
     Suites,
+    /// Templates of `trocar new`.
+    Templates,
 }
 
 /// `trocar replay`.
@@ -297,6 +301,23 @@ pub struct SoakArgs {
     pub json: bool,
 }
 
+/// `trocar new`.
+#[derive(Debug, Args)]
+pub struct NewArgs {
+    /// The new crate's name
+    pub name: String,
+    /// What to start from (see `trocar list templates`)
+    #[arg(long, short, default_value = "controller")]
+    pub template: String,
+    /// Folder of the project [default: ./NAME]
+    #[arg(long, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
+    pub path: Option<PathBuf>,
+    /// Where the project finds Trocar: a checkout, or the URL of a git repository [default: the checkout that
+    /// this program was built from]
+    #[arg(long, value_name = "PLACE", value_hint = ValueHint::DirPath)]
+    pub trocar: Option<String>,
+}
+
 /// `trocar doctor`.
 #[derive(Debug, Args)]
 pub struct DoctorArgs {
@@ -364,7 +385,7 @@ mod tests {
     fn word() -> impl Strategy<Value = String> {
         prop_oneof![
             2 => select(vec![
-                "run", "list", "replay", "graph", "bench", "doctor", "schema", "completions", "peg-transfer",
+                "run", "list", "replay", "graph", "bench", "new", "doctor", "schema", "completions", "peg-transfer",
                 "--seed", "--hand", "--seconds", "--after", "--skill", "--json", "--format", "--faults", "--", "-",
                 "-v", "-vvvv", "left=virtual", "=", "mermaid", "kernel", "1", "-1", "nan", "1e400", "0.0",
                 "18446744073709551616",

@@ -68,9 +68,12 @@ impl From<AppError> for Failure {
 impl From<RunError> for Failure {
     fn from(error: RunError) -> Self {
         match &error {
-            RunError::Assembly(AssemblyError::UnknownHand { .. } | AssemblyError::Spec { .. }) => {
-                Self::usage(error)
-            }
+            RunError::Assembly(
+                AssemblyError::UnknownHand { .. }
+                | AssemblyError::UnknownDevice { .. }
+                | AssemblyError::OwnDevice { .. }
+                | AssemblyError::Spec { .. },
+            ) => Self::usage(error),
             RunError::Assembly(_) | RunError::Recorder(_) | RunError::Session(_) => Self::invalid(error),
             RunError::Live(LiveError::Thread(_)) | RunError::Driver(_) => Self::internal(error),
             RunError::Live(_) => Self::invalid(error),

@@ -21,6 +21,7 @@ mod faults;
 mod graph;
 mod list;
 mod live_table;
+mod new;
 mod output;
 mod replay;
 mod report;
@@ -79,6 +80,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Tune(args) => tune::tune(&args),
         Command::Faults { command } => faults::faults(&command),
         Command::Soak(args) => soak::run(app, &args),
+        Command::New(args) => new::new(&args),
         Command::Doctor(args) => doctor::doctor(&args),
         Command::Schema(args) => {
             let schema = match args.of {

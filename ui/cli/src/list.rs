@@ -8,20 +8,13 @@ use trocar::app::{App, SCENARIOS};
 use trocar::plans::{self, PLANS};
 use trocar::run::{RunOptions, accesses};
 use trocar::summary::{Exit, SCHEMA};
+use trocar::templates::TEMPLATES;
 
 use crate::args::{ListArgs, Listed};
 use crate::bench;
 use crate::failure::Failure;
 use crate::output;
 use crate::report::short;
-
-/// Devices by the text that names them, and what they are.
-const DEVICES: [(&str, &str); 4] = [
-    ("virtual", "a virtual hand: the inertia and limits of a Phantom Omni, and a human arm"),
-    ("replay:FILE", "hand motion from CSV: t,x,y,z,qw,qx,qy,qz,gripper"),
-    ("jigsaws:FILE", "hand motion from JIGSAWS kinematics"),
-    ("recording:FILE", "the same hand as in a recording of this program"),
-];
 
 /// Something that is listed.
 struct Listing {
@@ -82,6 +75,7 @@ pub fn list(app: &App, args: &ListArgs) -> Result<Exit, Failure> {
         Listed::Devices,
         Listed::Plans,
         Listed::Suites,
+        Listed::Templates,
     ];
     let wanted: Vec<Listed> =
         all.into_iter().filter(|list| args.what.is_none_or(|what| what == *list)).collect();
@@ -116,6 +110,7 @@ fn title(what: Listed) -> &'static str {
         Listed::Devices => "devices",
         Listed::Plans => "plans",
         Listed::Suites => "suites",
+        Listed::Templates => "templates",
     }
 }
 
@@ -135,9 +130,12 @@ fn listings(app: &App, what: Listed) -> Result<Vec<Listing>, Failure> {
             .iter()
             .map(|(_, entry)| Listing::new(entry.name, component_about((entry.schema)().as_ref())))
             .collect(),
-        Listed::Devices => DEVICES.into_iter().map(pair).collect(),
+        Listed::Devices => app.devices().map(pair).collect(),
         Listed::Plans => PLANS.iter().map(|(name, text)| Listing::new(*name, plans::about(text))).collect(),
         Listed::Suites => bench::SUITES.into_iter().map(pair).collect(),
+        Listed::Templates => {
+            TEMPLATES.iter().map(|template| Listing::new(template.name, template.about)).collect()
+        }
     })
 }
 

@@ -145,6 +145,10 @@ fn table(
         let force = progress.scene.get::<DeviceState>(entity)?.applied_force.norm();
         Some(format!("{:<5} {:>5.2} N {}", hand.side.as_str(), force, gauge(force)))
     }));
+    lines.extend(progress.session.losses().into_iter().map(|loss| {
+        let line = printable(&loss);
+        style(line).yellow().for_stderr().to_string()
+    }));
     lines
 }
 

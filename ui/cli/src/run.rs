@@ -57,6 +57,11 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     options.faults = args.faults.as_deref().map(plan).transpose()?;
     options.record = record;
 
+    if options.lockstep && app.actors().next().is_some() {
+        let names = app.actors().collect::<Vec<_>>().join(", ");
+        tracing::warn!("in lock-step there is no real time, so these actors are left out: {names}");
+    }
+
     let mut display = Display::new(&scenario, &options, args.headless || args.json);
     let mut desk = Desk::new(app, &scenario, tuner);
     if !args.lockstep {
@@ -88,8 +93,8 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     }
     if !args.json {
         output::print_text(&text(&outcome.summary))?;
-        if !outcome.kernel.permission.fifo && !args.lockstep {
-            tracing::info!("{}", outcome.kernel.permission.refused);
+        for loss in &outcome.summary.losses {
+            tracing::warn!("{loss}");
         }
     }
     Ok((outcome.summary, exit))
@@ -225,9 +230,22 @@ pub fn text(summary: &RunSummary) -> String {
         short(summary.force_newtons_max),
         short(summary.penetration_max * 1e3)
     ));
+    if !summary.faults.is_empty() {
+        lines.push(format!(
+            "no force was held for longer than {} ms after its last fresh command; {} commands of zombies were refused",
+            short(summary.force_age_max_us * 1e-3),
+            summary.commands_refused
+        ));
+    }
+    for row in summary.controllers.iter().filter(|row| row.lost + row.delayed + row.duplicated > 0) {
+        lines.push(format!(
+            "{}: of {} batches {} were lost, {} came late, {} came twice",
+            row.name, row.sent, row.lost, row.delayed, row.duplicated
+        ));
+    }
     for fault in &summary.faults {
-        let state = match (fault.injected_secs, fault.resumed_secs) {
-            (Some(from), Some(to)) => format!("overcome in {:.1} ms", (to - from) * 1e3),
+        let state = match (fault.injected_secs, fault.recovery_secs()) {
+            (Some(_), Some(took)) => format!("overcome in {:.1} ms", took * 1e3),
             (Some(_), None) => "not overcome".to_owned(),
             (None, _) => "did not strike".to_owned(),
         };

@@ -15,6 +15,8 @@ use trocar_scene::{
     Snapshot,
 };
 
+use crate::actors::ActorKind;
+use crate::device_kinds::DeviceKind;
 use crate::hands::HandPort;
 use crate::kinds;
 use crate::run::RunOptions;
@@ -86,6 +88,15 @@ pub enum SetupError {
     /// A kind's name is taken.
     #[error("a controller of kind '{0}' exists already")]
     KindTaken(String),
+    /// A device's name is taken.
+    #[error("a device of kind '{0}' exists already")]
+    DeviceTaken(String),
+    /// A device's name that would be hard to write.
+    #[error("'{0}' cannot name a device; valid: lower-case letters, digits, '-' and '_'")]
+    DeviceName(String),
+    /// An actor's name is taken.
+    #[error("an actor '{0}' exists already")]
+    ActorTaken(String),
     /// A rate that no controller can have.
     #[error(
         "controller '{name}': {rate_hz} Hz is out of range ({} to {} Hz)",
@@ -144,7 +155,9 @@ pub struct App {
     kinds: BTreeMap<String, Kind>,
     about: BTreeMap<String, KindInfo>,
     joining: Vec<ControllerEntry>,
-    wrong: Option<SetupError>,
+    pub(crate) devices: BTreeMap<String, DeviceKind>,
+    pub(crate) actors: Vec<ActorKind>,
+    pub(crate) wrong: Option<SetupError>,
 }
 
 impl Default for App {
@@ -175,6 +188,8 @@ impl App {
             kinds,
             about,
             joining: Vec::new(),
+            devices: BTreeMap::new(),
+            actors: Vec::new(),
             wrong: wrong.map(SetupError::Registry),
         }
     }
@@ -263,8 +278,8 @@ impl App {
     pub fn kind_info(&self, name: &str) -> Option<&KindInfo> {
         self.about.get(name)
     }
-    /// The kind of that name.
-    pub(crate) fn kind_of(&self, name: &str) -> Option<&Kind> {
+    /// The kind of that name, to be used or wrapped.
+    pub fn kind_of(&self, name: &str) -> Option<&Kind> {
         self.kinds.get(name)
     }
 

@@ -4,15 +4,16 @@ use std::path::{Component, Path};
 use std::sync::Arc;
 
 use thiserror::Error;
-use trocar_devices::{BuildError, DeviceSpec, HapticDevice, ReplayHand, SpecError};
+use trocar_devices::{BuildError, SpecError};
 use trocar_kernel::spec::{SessionSpec, period_of};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::{Scenario, ScenarioError};
 use trocar_scene::{Commands, EntityAllocator, SCENARIO_SPAWNER, SimTime};
 
+use crate::actors::ActorKind;
 use crate::app::{App, KindContext};
 use crate::hands::{HandPort, OpenedHand};
-use crate::recorded_hand::{self, RecordedHandError};
+use crate::recorded_hand::RecordedHandError;
 use crate::run::RunOptions;
 use crate::session_plan::{Role, SessionPlan};
 
@@ -37,6 +38,26 @@ pub enum AssemblyError {
         hand: String,
         /// Why.
         source: SpecError,
+    },
+    /// A device that there is not.
+    #[error("hand {hand}: unknown device '{kind}'; there are: {known}")]
+    UnknownDevice {
+        /// The hand.
+        hand: String,
+        /// What was asked for.
+        kind: String,
+        /// What there is.
+        known: String,
+    },
+    /// A device of the program's own that cannot be named like that.
+    #[error("hand {hand}: {usage}: {reason}")]
+    OwnDevice {
+        /// The hand.
+        hand: String,
+        /// How it is written.
+        usage: String,
+        /// What is wrong.
+        reason: String,
     },
     /// A device that could not be made.
     #[error("hand {hand}: {source}")]
@@ -64,6 +85,8 @@ pub struct Assembly {
     pub hands: Vec<OpenedHand>,
     /// What others can be made from. What is changed in `spec` holds for this session only.
     pub(crate) plan: Arc<SessionPlan>,
+    /// Who joins when it runs live.
+    pub(crate) actors: Vec<ActorKind>,
 }
 
 impl Assembly {
@@ -109,7 +132,7 @@ impl Assembly {
             faults: options.faults.clone(),
         };
         let spec = plan.first(options.seed, &ports);
-        Ok(Self { spec, hands, plan: Arc::new(plan) })
+        Ok(Self { spec, hands, plan: Arc::new(plan), actors: app.actors.clone() })
     }
 }
 
@@ -146,21 +169,7 @@ fn open_hands(
                 "device: a file named in a scenario must lie below its folder; use --hand for others";
             return Err(scenario.error_at("hand", index, reason).into());
         }
-        let device: Box<dyn HapticDevice> = match text.strip_prefix("recording:") {
-            Some(file) => {
-                let (points, capabilities) = recorded_hand::read(app, Path::new(file), hand.entity)
-                    .map_err(|source| AssemblyError::Recording { hand: hand.name.clone(), source })?;
-                let replay = ReplayHand::from_recording(points).map_err(|error| {
-                    AssemblyError::Recording { hand: hand.name.clone(), source: error.into() }
-                })?;
-                Box::new(replay.with_capabilities(capabilities))
-            }
-            None => {
-                let spec: DeviceSpec =
-                    text.parse().map_err(|source| AssemblyError::Spec { hand: hand.name.clone(), source })?;
-                spec.build().map_err(|source| AssemblyError::Device { hand: hand.name.clone(), source })?
-            }
-        };
+        let device = app.make_device(&hand.name, hand.entity, text)?;
         opened.push(OpenedHand::new(&hand.name, hand.entity, device));
     }
     Ok(opened)

@@ -203,6 +203,9 @@ impl Peer for SteppedHand {
     fn step(&mut self, now: SimTime) {
         self.core.step(now.as_nanos(), self.device.as_mut());
     }
+    fn finish(&mut self, now: SimTime) {
+        self.core.shut_down(now.as_nanos(), self.device.as_mut());
+    }
 }
 
 /// Lets the kernel raise a driver's fence when the controller that serves it dies or stalls.

@@ -6,20 +6,23 @@ use thiserror::Error;
 use trocar_kernel::faults::{FaultPlan, FaultPlanError};
 
 /// Plans that are part of the program: (name, text).
-pub const PLANS: [(&str, &str); 17] = [
+pub const PLANS: [(&str, &str); 20] = [
     ("bad-day", include_str!("../../../faults/bad-day.toml")),
     ("device-stalled", include_str!("../../../faults/device-stalled.toml")),
     ("disk-full", include_str!("../../../faults/disk-full.toml")),
     ("dying-hand", include_str!("../../../faults/dying-hand.toml")),
     ("engine-killed", include_str!("../../../faults/engine-killed.toml")),
     ("engine-stalled", include_str!("../../../faults/engine-stalled.toml")),
+    ("flaky-network", include_str!("../../../faults/flaky-network.toml")),
     ("haptics-killed", include_str!("../../../faults/haptics-killed.toml")),
     ("haptics-stalled", include_str!("../../../faults/haptics-stalled.toml")),
     ("model-killed", include_str!("../../../faults/model-killed.toml")),
+    ("model-stalled", include_str!("../../../faults/model-stalled.toml")),
     ("nan-from-device", include_str!("../../../faults/nan-from-device.toml")),
     ("nan-from-physics", include_str!("../../../faults/nan-from-physics.toml")),
     ("queue-full", include_str!("../../../faults/queue-full.toml")),
     ("recorder-killed", include_str!("../../../faults/recorder-killed.toml")),
+    ("slow-disk", include_str!("../../../faults/slow-disk.toml")),
     ("slow-physics", include_str!("../../../faults/slow-physics.toml")),
     ("task-killed", include_str!("../../../faults/task-killed.toml")),
     ("trainee-killed", include_str!("../../../faults/trainee-killed.toml")),

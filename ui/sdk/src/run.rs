@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use thiserror::Error;
-use trocar_devices::DriverThreadError;
+use trocar_devices::{DriverStatistics, DriverThreadError};
 use trocar_kernel::SessionError;
 use trocar_kernel::faults::{FaultPlan, Measured};
 use trocar_kernel::live::LiveError;
@@ -41,6 +41,8 @@ pub struct RunOptions {
     pub faults: Option<FaultPlan>,
     /// File to record to.
     pub record: Option<PathBuf>,
+    /// How it is recorded.
+    pub recorder: RecorderOptions,
     /// Skill of the virtual trainee instead of the scenario's.
     pub skill: Option<String>,
     /// The trainee is left-handed.
@@ -58,6 +60,7 @@ impl Default for RunOptions {
             hands: Vec::new(),
             faults: None,
             record: None,
+            recorder: RecorderOptions::default(),
             skill: None,
             left_handed: false,
             stop: Arc::default(),
@@ -107,6 +110,8 @@ pub struct RunOutcome {
     pub reports: Vec<ControllerReport>,
     /// What the kernel says.
     pub kernel: SessionOutcome,
+    /// What each driver counted, hand by hand.
+    pub drivers: Vec<DriverStatistics>,
     /// Supervised children with their health just before the end.
     pub health: Vec<(String, &'static str)>,
     /// Who told whom what, with achieved rates.
@@ -132,7 +137,7 @@ pub fn start(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Ses
             extra: std::collections::BTreeMap::new(),
         };
         let scene = assembly.spec.scene.view();
-        Recorder::create(file, &head, scene, RecorderOptions::default())?.install(&mut assembly.spec);
+        Recorder::create(file, &head, scene, options.recorder)?.install(&mut assembly.spec);
     }
     let started = if options.lockstep { Session::lockstep(assembly) } else { Session::live(assembly) };
     if let (Err(_), Some(file)) = (&started, &options.record) {
@@ -199,7 +204,8 @@ pub fn run(
         plan.expect.failures(&finished.outcome.faults, &measured)
     });
     let reports = finished.outcome.controllers.clone();
-    Ok(RunOutcome { summary, trace, reports, kernel: finished.outcome, health, graph, failed_expectations })
+    let (kernel, drivers) = (finished.outcome, finished.drivers);
+    Ok(RunOutcome { summary, trace, reports, kernel, drivers, health, graph, failed_expectations })
 }
 
 fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wall_secs: f64) -> RunSummary {
@@ -222,6 +228,7 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
                 target: record.target,
                 kind: record.kind.name().to_owned(),
                 injected_secs: record.injected_secs,
+                healed_secs: record.healed_secs,
                 detected_secs: record.detected_secs,
                 restarted_secs: record.restarted_secs,
                 resumed_secs: record.resumed_secs,
@@ -229,10 +236,13 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
         })
         .collect();
     summary.force_newtons_max = finished.force_newtons_max;
+    summary.force_age_max_us = finished.force_age_max().as_nanos() as f64 * 1e-3;
+    summary.commands_refused = finished.commands_refused;
     summary.penetration_max =
         scene.iter::<CollisionList>().map(|(_, list)| list.penetration_max).fold(0.0, f64::max);
     summary.recording = options.record.as_ref().map(|file| file.display().to_string());
     summary.recording_complete = outcome.recording_complete.unwrap_or(false);
+    summary.losses = finished.losses.clone();
     let held = outcome.held.first().map(|(name, why)| format!("{name} was {why}"));
     summary.error = outcome.reason.clone().or(held).or_else(|| finished.driver_errors.first().cloned());
     summary

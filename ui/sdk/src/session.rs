@@ -1,23 +1,29 @@
 //! A running session, whichever way time passes.
 
+mod losses;
+
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use trocar_devices::DriverThread;
-use trocar_kernel::OperatorError;
-use trocar_kernel::live::{LiveSession, Operator};
+use trocar_devices::{DriverStatistics, DriverThread};
+use trocar_kernel::live::{Guest, HostedActor, LiveError, LiveSession, Operator};
 use trocar_kernel::lockstep::LockstepSession;
+use trocar_kernel::operator::{OPERATOR, OperatorError};
 use trocar_kernel::runtime::ControllerReport;
 use trocar_kernel::runtime::sched;
 use trocar_kernel::spec::SessionOutcome;
 use trocar_kernel::supervision::RuntimeClass;
-use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot};
+use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot, WriterId};
 
 use crate::assembly::Assembly;
 use crate::branching::Origin;
 use crate::hands::{HandPort, OpenedHand};
 use crate::run::RunError;
 
+/// Numbers of guests among the writers: above those of any scenario's controllers, below the operator's.
+const GUESTS_FROM: u16 = 0x8000;
+/// Batches of a guest that may wait for the Model.
+const GUEST_CAPACITY: usize = 64;
 /// Longest wait for the Model's answer to what is written from outside.
 const ANSWER_MAX: Duration = Duration::from_secs(1);
 
@@ -26,6 +32,8 @@ pub struct Session {
     pub(crate) running: Running,
     pub(crate) hands: Vec<HandPort>,
     drivers: Vec<DriverThread>,
+    actors: Vec<HostedActor>,
+    next_guest: u16,
     pub(crate) fences_raised: bool,
     /// In virtual time, what others can be made from.
     pub(crate) origin: Option<Origin>,
@@ -45,8 +53,19 @@ pub struct Finished {
     pub force_newtons_max: f64,
     /// Commands that drivers refused because a dead or abandoned controller had sent them.
     pub commands_refused: u64,
-    /// Ways in which drivers did not end well, in words.
+    /// What each driver counted, hand by hand.
+    pub drivers: Vec<DriverStatistics>,
+    /// Ways in which drivers and plain actors did not end well, in words.
     pub driver_errors: Vec<String>,
+    /// What the system refused or took away: [`Session::losses`].
+    pub losses: Vec<String>,
+}
+
+impl Finished {
+    /// Greatest age of the last command that a driver had accepted, while it still held a force.
+    pub fn force_age_max(&self) -> SimTime {
+        SimTime(self.drivers.iter().map(|driver| driver.force_age_max_ns).max().unwrap_or(0))
+    }
 }
 
 impl Session {
@@ -80,8 +99,15 @@ impl Session {
         for hand in assembly.hands {
             drivers.push(hand.into_thread(start, priority)?);
         }
-        let running = Running::Live(LiveSession::start_at(assembly.spec, start)?, None);
-        Ok(Self::new(running, hands, drivers, None))
+        let live = LiveSession::start_at(assembly.spec, start)?;
+        let mut session = Self::new(Running::Live(live, None), hands, drivers, None);
+        for actor in assembly.actors {
+            let id = session.number_of_a_guest()?;
+            let Running::Live(live, _) = &session.running else { break };
+            let hosted = (actor.start)(live, id)?;
+            session.actors.push(hosted);
+        }
+        Ok(session)
     }
 
     pub(crate) fn new(
@@ -90,7 +116,40 @@ impl Session {
         drivers: Vec<DriverThread>,
         origin: Option<Origin>,
     ) -> Self {
-        Self { running, hands, drivers, fences_raised: false, origin }
+        let (actors, next_guest) = (Vec::new(), GUESTS_FROM);
+        Self { running, hands, drivers, actors, next_guest, fences_raised: false, origin }
+    }
+
+    fn number_of_a_guest(&mut self) -> Result<WriterId, LiveError> {
+        // The last numbers are the operator's and the recorder's.
+        if self.next_guest >= OPERATOR.0 {
+            let reason = "there is no room for another one".to_owned();
+            return Err(LiveError::Controller { name: "guest".to_owned(), reason });
+        }
+        self.next_guest += 1;
+        Ok(WriterId(self.next_guest - 1))
+    }
+
+    /// Lets somebody take part in a live session without being ticked: from any thread it reads snapshots and
+    /// events, and sends batches that the Model checks like a controller's. It can slow nobody down.
+    ///
+    /// # Errors
+    /// When the session runs in lock-step, where nobody acts at a time of his own choice, when the name is taken,
+    /// or when `access` overlaps with what others write.
+    pub fn guest(&mut self, name: &str, access: &Access) -> Result<Guest, RunError> {
+        let id = self.number_of_a_guest()?;
+        match &self.running {
+            Running::Live(live, _) => Ok(live.guest(name, id, access, GUEST_CAPACITY)?),
+            Running::Lockstep(_) => {
+                let reason = "lock-step has no guests; a controller can take part in it".to_owned();
+                Err(LiveError::Controller { name: name.to_owned(), reason }.into())
+            }
+        }
+    }
+
+    /// The plain actors that take part.
+    pub fn actors(&self) -> &[HostedActor] {
+        &self.actors
     }
 
     /// The hands.
@@ -181,9 +240,7 @@ impl Session {
     /// How every controller keeps its rate so far.
     pub fn reports(&self) -> Vec<ControllerReport> {
         match &self.running {
-            Running::Lockstep(session) => {
-                session.statistics().map(|stats| stats.report(session.now())).collect()
-            }
+            Running::Lockstep(session) => session.reports(),
             Running::Live(session, _) => session.stats(),
         }
     }
@@ -237,6 +294,8 @@ impl Session {
     /// Ends the session: forces to zero, controllers down, recording closed, drivers stopped.
     pub fn finish(mut self) -> Finished {
         self.zero_forces();
+        let losses = self.losses();
+        self.actors.iter().for_each(HostedActor::ask_to_end);
         let outcome = match self.running {
             Running::Lockstep(session) => session.finish(),
             Running::Live(session, _) => session.stop(0),
@@ -247,12 +306,17 @@ impl Session {
                 driver_errors.push(error.to_string());
             }
         }
-        let samples = self.hands.iter().map(|hand| hand.monitor.sample().statistics);
-        let (mut force_newtons_max, mut commands_refused) = (0.0_f64, 0);
-        for statistics in samples {
-            force_newtons_max = force_newtons_max.max(statistics.force_newtons_max);
-            commands_refused += statistics.refused_epoch;
+        for actor in self.actors {
+            let name = actor.name().to_owned();
+            driver_errors.extend(actor.given_up().map(|why| format!("actor '{name}' was given up: {why}")));
+            if !actor.end() {
+                driver_errors.push(format!("actor '{name}' hung and was left behind"));
+            }
         }
-        Finished { outcome, force_newtons_max, commands_refused, driver_errors }
+        let drivers: Vec<DriverStatistics> =
+            self.hands.iter().map(|hand| hand.monitor.sample().statistics).collect();
+        let force_newtons_max = drivers.iter().map(|driver| driver.force_newtons_max).fold(0.0, f64::max);
+        let commands_refused = drivers.iter().map(|driver| driver.refused_epoch).sum();
+        Finished { outcome, force_newtons_max, commands_refused, drivers, driver_errors, losses }
     }
 }

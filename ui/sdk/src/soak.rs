@@ -58,8 +58,15 @@ pub fn random_plan(scenario: &Scenario, seed: u64) -> FaultPlan {
         if kind != FaultKind::Kill {
             at = at.lasting(secs(LASTING_MAX * (1 + pick(20)) as f64 / 20.0));
         }
+        let share = 0.05 * (1 + pick(20)) as f64;
         plan = match kind {
             FaultKind::Slow => at.slow(target, secs(0.0005 * (1 + pick(20)) as f64)),
+            FaultKind::Drop => at.drop(target, share),
+            FaultKind::Duplicate => at.duplicate(target, share),
+            FaultKind::Reorder => at.reorder(target, share),
+            FaultKind::Corrupt => at.corrupt(target, share),
+            FaultKind::Delay => at.jitter(target, secs(0.1 * share), secs(0.05 * share)),
+            FaultKind::DiskSlow => at.disk_slow(1e5 * share),
             kind => at.fault(kind, target),
         };
     }
@@ -187,15 +194,22 @@ mod tests {
             assert!((1..=FAULTS_MAX as usize).contains(&plan.faults.len()));
             kinds.extend(plan.faults.iter().map(|fault| fault.kind));
         }
-        // Everything that can befall this scenario, which has no network.
+        // Everything there is.
         let expected = [
             FaultKind::Kill,
             FaultKind::Stall,
             FaultKind::Slow,
             FaultKind::Unplug,
+            FaultKind::Drop,
+            FaultKind::Delay,
+            FaultKind::Duplicate,
+            FaultKind::Reorder,
+            FaultKind::Corrupt,
+            FaultKind::Partition,
             FaultKind::QueueFull,
             FaultKind::Nan,
             FaultKind::DiskFull,
+            FaultKind::DiskSlow,
         ];
         assert!(kinds.iter().eq(&expected), "{kinds:?}");
     }

@@ -81,6 +81,11 @@ pub struct RunSummary {
     pub faults: Vec<FaultSummary>,
     /// Largest force at any driver, after its clamp \[N\].
     pub force_newtons_max: f64,
+    /// Greatest age of the last accepted command while a driver still held a force \[µs\]: the promise is 20,000,
+    /// and on a machine that keeps drivers waiting that wait comes on top.
+    pub force_age_max_us: f64,
+    /// Commands that drivers refused because whoever sent them was dead or abandoned.
+    pub commands_refused: u64,
     /// Deepest penetration of two bodies \[m\].
     pub penetration_max: f64,
     /// File of the recording.
@@ -89,6 +94,9 @@ pub struct RunSummary {
     pub recording_complete: bool,
     /// File of the report.
     pub report: Option<String>,
+    /// What the run had to do without, one sentence each: real-time priority that the system refused, or that was
+    /// taken away on the way. Empty in virtual time.
+    pub losses: Vec<String>,
     /// What went wrong, in words.
     pub error: Option<String>,
 }
@@ -110,10 +118,13 @@ impl RunSummary {
             tuned: BTreeMap::new(),
             faults: Vec::new(),
             force_newtons_max: 0.0,
+            force_age_max_us: 0.0,
+            commands_refused: 0,
             penetration_max: 0.0,
             recording: None,
             recording_complete: false,
             report: None,
+            losses: Vec::new(),
             error: None,
         }
     }
@@ -168,12 +179,25 @@ pub struct FaultSummary {
     pub kind: String,
     /// When it struck \[s\].
     pub injected_secs: Option<f64>,
+    /// When it ended by itself \[s\].
+    pub healed_secs: Option<f64>,
     /// When somebody noticed \[s\].
     pub detected_secs: Option<f64>,
     /// When the replacement was built \[s\].
     pub restarted_secs: Option<f64>,
     /// When the target did good work again \[s\].
     pub resumed_secs: Option<f64>,
+}
+
+impl FaultSummary {
+    /// From the moment at which nothing but recovery was left to do, to the first good work \[s\].
+    pub fn recovery_secs(&self) -> Option<f64> {
+        let from = match (self.restarted_secs, self.healed_secs) {
+            (None, Some(healed)) => healed,
+            _ => self.injected_secs?,
+        };
+        Some(self.resumed_secs? - from)
+    }
 }
 
 /// Measured figures beside their floors and bars.

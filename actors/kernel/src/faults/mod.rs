@@ -3,12 +3,19 @@
 //! The three parts know no threads and no clock. A driver (live or lock-step) asks the [`FaultSchedule`]
 //! what is due, does it at the seam concerned, and tells the [`FaultLog`] what it sees.
 
+mod builder;
+mod link_faults;
 mod outcome;
+mod parcel;
 mod plan;
+mod random;
 mod schedule;
 
+pub use builder::{FaultAt, secs};
+pub use link_faults::{LINK_WAITING_MAX, LinkCounts, LinkFaults, Message};
 pub use outcome::{FaultLog, FaultRow, Measured};
-pub use plan::{During, Expect, FaultAt, FaultPlan, FaultPlanError, FaultSpec, secs};
+pub(crate) use parcel::Parcel;
+pub use plan::{During, Expect, FaultPlan, FaultPlanError, FaultSpec};
 pub use schedule::{FaultSchedule, TargetClass, Targets};
 
 pub use crate::spec::{FaultKind, FaultOrder, FaultRecord};

@@ -44,6 +44,7 @@ impl FaultRow {
             target: self.target.clone(),
             kind: self.kind,
             injected_secs: secs(self.injected),
+            healed_secs: secs(self.healed),
             detected_secs: secs(self.detected),
             restarted_secs: secs(self.restarted),
             resumed_secs: secs(self.resumed),
@@ -141,7 +142,7 @@ impl FaultLog {
     }
 
     fn disk_looked_at(&mut self, sound: bool, now: SimTime) {
-        let rows = self.rows.iter_mut().filter(|row| row.begun() && row.kind == FaultKind::DiskFull);
+        let rows = self.rows.iter_mut().filter(|row| row.begun() && row.kind.is_of_disk());
         for row in rows.filter(|row| row.target == RECORDER) {
             if !sound {
                 row.detected.get_or_insert(now);
@@ -186,9 +187,7 @@ impl FaultLog {
 
     /// What the target itself suffers from: a disk that is full is not mended by restarting who writes to it.
     fn begun(&mut self, target: &str) -> impl Iterator<Item = &mut FaultRow> {
-        self.rows
-            .iter_mut()
-            .filter(move |row| row.begun() && row.target == target && row.kind != FaultKind::DiskFull)
+        self.rows.iter_mut().filter(move |row| row.begun() && row.target == target && !row.kind.is_of_disk())
     }
 }
 
@@ -382,11 +381,19 @@ mod tests {
         let log = FaultLog::new(&plan());
         let json = serde_json::to_value(log.rows()[0].record()).expect("serialises");
         let keys: Vec<&str> = json.as_object().expect("object").keys().map(String::as_str).collect();
-        for key in
-            ["id", "target", "kind", "injected_secs", "detected_secs", "restarted_secs", "resumed_secs"]
-        {
+        let promised = [
+            "id",
+            "target",
+            "kind",
+            "injected_secs",
+            "healed_secs",
+            "detected_secs",
+            "restarted_secs",
+            "resumed_secs",
+        ];
+        for key in promised {
             assert!(keys.contains(&key), "{key}");
         }
-        assert_eq!(keys.len(), 7);
+        assert_eq!(keys.len(), promised.len());
     }
 }

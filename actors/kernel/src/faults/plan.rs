@@ -6,6 +6,7 @@ use serde::Deserialize;
 use thiserror::Error;
 use trocar_scene::{Grasp, SimTime, Snapshot};
 
+use super::random::SplitMix64;
 use crate::spec::FaultKind;
 
 /// Version of the file format that this library reads.
@@ -16,6 +17,8 @@ const MAX_FAULTS: usize = 1024;
 const MAX_FILE_BYTES: u64 = 1 << 20;
 /// Latest time of a fault, in seconds: well beyond any session, well within the clock.
 const MAX_SECS: f64 = 1e6;
+/// Fastest slow disk, in bytes per second: beyond any disk.
+const MAX_BYTES_PER_SEC: f64 = 1e12;
 
 /// Whether a fault of this kind can end by itself, and so may have `for_secs`.
 const fn can_heal(kind: FaultKind) -> bool {
@@ -64,6 +67,10 @@ pub struct FaultSpec {
     pub probability: f64,
     /// [`FaultKind::Delay`]: by how much messages are later.
     pub delay: SimTime,
+    /// [`FaultKind::Delay`]: by how much that varies, either way; at most the delay itself.
+    pub jitter: SimTime,
+    /// [`FaultKind::DiskSlow`]: what the disk takes [bytes/s].
+    pub bytes_per_sec: f64,
 }
 
 /// What a run under faults must still achieve; a figure left out is not checked.
@@ -206,24 +213,14 @@ struct FileFault {
     step_secs: Option<f64>,
     probability: Option<f64>,
     delay_secs: Option<f64>,
+    jitter_secs: Option<f64>,
+    bytes_per_sec: Option<f64>,
 }
 
 impl FaultPlan {
     /// An empty plan.
     pub fn new(seed: u64) -> Self {
         Self { seed, ..Self::default() }
-    }
-
-    /// Begins a fault at a time since the start of the session.
-    pub fn at(self, at: SimTime) -> FaultAt {
-        FaultAt { plan: self, at, lasting: None, during: None }
-    }
-
-    /// Begins a fault at a random time between two, chosen by the plan's seed.
-    pub fn between(self, from: SimTime, to: SimTime) -> FaultAt {
-        let unit = unit_of(seed_of(self.seed, self.faults.len()));
-        let at = from + SimTime::from_secs_f64(to.since(from).as_secs_f64() * unit);
-        self.at(at)
     }
 
     /// Sets what must hold.
@@ -320,12 +317,27 @@ impl FileFault {
         needed("step_secs", self.step_secs.is_none(), kind == FaultKind::Slow)?;
         only("delay_secs", self.delay_secs.is_some(), kind == FaultKind::Delay)?;
         needed("delay_secs", self.delay_secs.is_none(), kind == FaultKind::Delay)?;
+        only("jitter_secs", self.jitter_secs.is_some(), kind == FaultKind::Delay)?;
+        only("bytes_per_sec", self.bytes_per_sec.is_some(), kind == FaultKind::DiskSlow)?;
+        needed("bytes_per_sec", self.bytes_per_sec.is_none(), kind == FaultKind::DiskSlow)?;
         only("probability", self.probability.is_some(), takes_probability(kind))?;
         needed("probability", self.probability.is_none(), takes_probability(kind))?;
         let probability = self.probability.unwrap_or(1.0);
         if !(0.0..=1.0).contains(&probability) {
             let problem = format!("{probability} is not between 0 and 1");
             return Err(value_error(file, &id, "probability", &problem));
+        }
+        let bytes_per_sec = self.bytes_per_sec.unwrap_or(0.0);
+        if !(0.0..=MAX_BYTES_PER_SEC).contains(&bytes_per_sec) {
+            let problem =
+                format!("{bytes_per_sec} is not between 0 and {MAX_BYTES_PER_SEC} bytes per second");
+            return Err(value_error(file, &id, "bytes_per_sec", &problem));
+        }
+        let (delay, jitter) = (self.delay_secs.unwrap_or(0.0), self.jitter_secs.unwrap_or(0.0));
+        if jitter > delay {
+            let problem =
+                format!("{jitter} is more than delay_secs = {delay}: nothing arrives before it is sent");
+            return Err(value_error(file, &id, "jitter_secs", &problem));
         }
         let at = match (self.at_secs, self.between_secs) {
             (Some(at), None) => time("at_secs", at)?,
@@ -358,7 +370,9 @@ impl FileFault {
             during: self.during,
             lasting: self.for_secs.map(|secs| time("for_secs", secs)).transpose()?,
             step: time("step_secs", self.step_secs.unwrap_or(0.0))?,
-            delay: time("delay_secs", self.delay_secs.unwrap_or(0.0))?,
+            delay: time("delay_secs", delay)?,
+            jitter: time("jitter_secs", jitter)?,
+            bytes_per_sec,
             target: self.target,
             kind,
             probability,
@@ -377,94 +391,15 @@ pub(super) fn seed_of(plan_seed: u64, index: usize) -> u64 {
     plan_seed ^ (index as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15)
 }
 
-/// A number in [0, 1) from a seed: SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number
-/// generators", 2014).
-fn unit_of(seed: u64) -> f64 {
-    let mut z = seed.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-}
-
-/// Seconds as a time of the session; negative and non-finite values give zero.
-pub fn secs(secs: f64) -> SimTime {
-    SimTime::from_secs_f64(secs)
-}
-
-/// A fault whose time is said and whose kind is not yet.
-#[must_use]
-#[derive(Debug)]
-pub struct FaultAt {
-    plan: FaultPlan,
-    at: SimTime,
-    lasting: Option<SimTime>,
-    during: Option<During>,
-}
-
-impl FaultAt {
-    /// It waits until this goes on.
-    pub fn during(mut self, what: During) -> Self {
-        self.during = Some(what);
-        self
-    }
-    /// How long the fault lasts before it heals.
-    pub fn lasting(mut self, span: SimTime) -> Self {
-        self.lasting = Some(span);
-        self
-    }
-    /// The target panics.
-    pub fn kill(self, target: &str) -> FaultPlan {
-        self.fault(FaultKind::Kill, target)
-    }
-    /// The target's step does not return.
-    pub fn stall(self, target: &str) -> FaultPlan {
-        self.fault(FaultKind::Stall, target)
-    }
-    /// Each step of the target takes `step` longer.
-    pub fn slow(self, target: &str, step: SimTime) -> FaultPlan {
-        let mut plan = self.fault(FaultKind::Slow, target);
-        if let Some(fault) = plan.faults.last_mut() {
-            fault.step = step;
-        }
-        plan
-    }
-    /// The device is gone.
-    pub fn unplug(self, target: &str) -> FaultPlan {
-        self.fault(FaultKind::Unplug, target)
-    }
-    /// The writer's handle takes no batch.
-    pub fn queue_full(self, target: &str) -> FaultPlan {
-        self.fault(FaultKind::QueueFull, target)
-    }
-    /// Numbers that the target hands over are not finite.
-    pub fn nan(self, target: &str) -> FaultPlan {
-        self.fault(FaultKind::Nan, target)
-    }
-    /// The recorder's disk takes no byte.
-    pub fn disk_full(self) -> FaultPlan {
-        self.fault(FaultKind::DiskFull, "recorder")
-    }
-    /// A fault of any kind.
-    pub fn fault(self, kind: FaultKind, target: &str) -> FaultPlan {
-        let mut plan = self.plan;
-        plan.faults.push(FaultSpec {
-            id: format!("{kind} {target} at {} s", self.at.as_secs_f64()),
-            at: self.at,
-            during: self.during,
-            lasting: self.lasting,
-            target: target.to_owned(),
-            kind,
-            step: SimTime::ZERO,
-            probability: 1.0,
-            delay: SimTime::ZERO,
-        });
-        plan
-    }
+/// A number in [0, 1) from a seed.
+pub(super) fn unit_of(seed: u64) -> f64 {
+    SplitMix64::new(seed).unit()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::faults::secs;
 
     const PLAN: &str = r#"
 schema = 1
@@ -481,6 +416,42 @@ for_secs = 10.0
 target = "engine"
 kind = "slow"
 step_secs = 0.004
+[[fault]]
+at_secs = 6.0
+for_secs = 1.0
+target = "haptics.left"
+kind = "delay"
+delay_secs = 0.02
+jitter_secs = 0.01
+[[fault]]
+at_secs = 7.0
+target = "haptics.left"
+kind = "drop"
+probability = 0.05
+[[fault]]
+at_secs = 7.0
+target = "haptics.left"
+kind = "duplicate"
+probability = 0.25
+[[fault]]
+at_secs = 7.0
+target = "haptics.left"
+kind = "reorder"
+probability = 0.5
+[[fault]]
+at_secs = 7.0
+target = "haptics.left"
+kind = "corrupt"
+probability = 0.75
+[[fault]]
+at_secs = 8.0
+target = "haptics.left"
+kind = "partition"
+[[fault]]
+at_secs = 9.0
+target = "recorder"
+kind = "disk_slow"
+bytes_per_sec = 20000
 [expect]
 recovery_secs_max = 0.1
 force_newtons_max = 3.3
@@ -500,6 +471,21 @@ model_restarts_max = 0
             .at(secs(5.0))
             .lasting(secs(10.0))
             .slow("engine", SimTime::from_millis(4))
+            .at(secs(6.0))
+            .lasting(secs(1.0))
+            .jitter("haptics.left", SimTime::from_millis(20), SimTime::from_millis(10))
+            .at(secs(7.0))
+            .drop("haptics.left", 0.05)
+            .at(secs(7.0))
+            .duplicate("haptics.left", 0.25)
+            .at(secs(7.0))
+            .reorder("haptics.left", 0.5)
+            .at(secs(7.0))
+            .corrupt("haptics.left", 0.75)
+            .at(secs(8.0))
+            .partition("haptics.left")
+            .at(secs(9.0))
+            .disk_slow(20_000.0)
             .expecting(Expect {
                 recovery_secs_max: Some(0.1),
                 force_newtons_max: Some(3.3),
@@ -562,6 +548,10 @@ model_restarts_max = 0
         assert!(error(&fault("kind = 'kill'\nfor_secs = 1")).contains("for_secs"));
         assert!(error(&fault("kind = 'slow'")).contains("needs it"));
         assert!(error(&fault("kind = 'drop'\nprobability = 1.5")).contains("between 0 and 1"));
+        assert!(error(&fault("kind = 'delay'\ndelay_secs = 0.1\njitter_secs = 0.2")).contains("more than"));
+        assert!(error(&fault("kind = 'drop'\nprobability = 1\njitter_secs = 0.2")).contains("jitter_secs"));
+        assert!(error(&fault("kind = 'disk_slow'")).contains("needs it"));
+        assert!(error(&fault("kind = 'disk_slow'\nbytes_per_sec = -1")).contains("bytes per second"));
         assert!(error(&fault("kind = 'stall'\nfor_secs = -1")).contains("for_secs"));
         assert!(error(&fault("kind = 'stall'\nfor_secs = nan")).contains("for_secs"));
         assert!(error("schema = 1\n[expect]\nforce_newtons_max = nan").contains("force_newtons_max"));

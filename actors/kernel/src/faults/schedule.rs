@@ -10,7 +10,7 @@ use crate::spec::{FaultKind, FaultOrder, MODEL, RECORDER};
 /// What a target is, and so how it can fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TargetClass {
-    /// A controller and its handle.
+    /// A controller with its handle, and the link from there to the Model.
     Controller,
     /// A device and its driver.
     Device,
@@ -47,10 +47,22 @@ impl TargetClass {
     pub const fn kinds(self) -> &'static [FaultKind] {
         use FaultKind as K;
         match self {
-            Self::Controller => &[K::Kill, K::Stall, K::Slow, K::QueueFull, K::Nan],
+            Self::Controller => &[
+                K::Kill,
+                K::Stall,
+                K::Slow,
+                K::QueueFull,
+                K::Nan,
+                K::Drop,
+                K::Delay,
+                K::Duplicate,
+                K::Reorder,
+                K::Corrupt,
+                K::Partition,
+            ],
             Self::Device => &[K::Kill, K::Stall, K::Unplug, K::Nan],
-            Self::Model => &[K::Kill],
-            Self::Recorder => &[K::Kill, K::Stall, K::Slow, K::DiskFull],
+            Self::Model => &[K::Kill, K::Stall],
+            Self::Recorder => &[K::Kill, K::Stall, K::Slow, K::DiskFull, K::DiskSlow],
             Self::Link => &[K::Drop, K::Delay, K::Duplicate, K::Reorder, K::Corrupt, K::Partition],
         }
     }
@@ -209,7 +221,9 @@ fn order(seed: u64, index: usize, fault: &FaultSpec) -> FaultOrder {
         kind: fault.kind,
         begins: true,
         span,
+        jitter: fault.jitter,
         probability: fault.probability,
+        bytes_per_sec: fault.bytes_per_sec,
         seed: seed_of(seed, index),
     }
 }
@@ -336,6 +350,6 @@ mod tests {
         let message = error(FaultPlan::new(1).at(secs(1.0)).fault(FaultKind::Drop, "device.left"));
         assert!(message.contains("unplug"), "{message}");
         let message = error(FaultPlan::new(1).at(secs(1.0)).nan("recorder"));
-        assert!(message.contains("kill, stall, slow, disk_full"), "{message}");
+        assert!(message.contains("kill, stall, slow, disk_full, disk_slow"), "{message}");
     }
 }

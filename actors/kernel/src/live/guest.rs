@@ -10,7 +10,6 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use tokio::sync::oneshot::Receiver;
 use tokio::sync::oneshot::error::TryRecvError;
 use trocar_scene::{
     Access, CommandError, Commands, Entity, EntityAllocator, Event, SimTime, Snapshot, WriterId,
@@ -18,6 +17,7 @@ use trocar_scene::{
 
 use super::LiveError;
 use super::shared::Shared;
+use crate::flow::FlowLimit;
 use crate::handle::{LaneStatus, Submitted, WriterHandle};
 
 /// Longest wait for the Model's answer to somebody who introduces himself.
@@ -37,7 +37,6 @@ impl Invitation {
     /// Introduces the guest and waits for the Model's answer, at most a second.
     pub(super) fn accept(&self) -> Result<Guest, LiveError> {
         let refused = |reason: String| LiveError::Controller { name: self.name.clone(), reason };
-        let generation = self.shared.generation.load(Ordering::Acquire);
         let mut answer = self.shared.introduce(&self.name, self.id, &self.access);
         let until = Instant::now() + ANSWER_MAX;
         loop {
@@ -51,34 +50,25 @@ impl Invitation {
         }
         let status = Arc::<LaneStatus>::default();
         let seen = self.shared.published.load().events().next();
-        Ok(Guest {
-            handle: self.open(&status),
-            status,
-            generation,
-            rejoining: None,
-            invitation: self.clone(),
-            seen,
-            batches: 0,
-        })
+        Ok(Guest { handle: self.open(&status), status, invitation: self.clone(), seen, batches: 0 })
     }
 
     fn open(&self, status: &Arc<LaneStatus>) -> WriterHandle {
         let allocator = EntityAllocator::new(self.shared.station, self.id.0);
         allocator.skip_to(self.shared.published.load().first_free(self.shared.station, self.id.0));
-        self.shared.intake.open(self.id, 1, self.capacity, allocator, status.clone())
+        let bounds = (self.capacity, FlowLimit::UNLIMITED);
+        self.shared.intake.open(self.id, 1, bounds, allocator, status.clone())
     }
 }
 
-/// Takes part in a live session without being ticked; see the [module](self).
+/// Takes part in a live session without being ticked: reads the latest snapshot, and sends batches through a ring of
+/// its own. It can slow nobody down: reading is loading a pointer, and a full ring refuses its own batch only.
 ///
-/// It outlives a Model that died or had to be left behind: it introduces itself to the next one.
+/// It outlives a Model that died or had to be left behind: the next one knows it.
 pub struct Guest {
     invitation: Invitation,
     handle: WriterHandle,
     status: Arc<LaneStatus>,
-    generation: u32,
-    /// The answer of a Model that took over, while it is awaited.
-    rejoining: Option<Receiver<Result<(), String>>>,
     /// Number of the first event that it has not seen.
     seen: u64,
     batches: u64,
@@ -120,8 +110,7 @@ impl Guest {
     }
 
     /// Sends one batch: `command` sees the latest snapshot and fills the commands, which the Model applies as a
-    /// whole or not at all. Never waits: [`Submitted::Dropped`] means that the ring is full, or that a Model
-    /// has just taken over and does not know this guest yet.
+    /// whole or not at all. Never waits: [`Submitted::Dropped`] means that the ring is full.
     ///
     /// # Errors
     /// The first command that is wrong in itself, such as a number that is not finite; nothing is sent then.
@@ -129,9 +118,6 @@ impl Guest {
         &mut self,
         command: impl FnOnce(&Snapshot, &mut Commands),
     ) -> Result<Submitted, CommandError> {
-        if !self.is_known() {
-            return Ok(Submitted::Dropped);
-        }
         let (scene, now) = (self.invitation.shared.published.load(), self.now());
         let out = self.handle.begin(now);
         command(&scene, out);
@@ -142,36 +128,9 @@ impl Guest {
         Ok(self.handle.submit(self.batches, now, scene.revision()))
     }
 
-    /// Its bare way to the Model, for measurements; it ends with the Model that it was opened at.
+    /// Its bare way to the Model, for measurements.
     pub fn into_handle(self) -> WriterHandle {
         self.handle
-    }
-
-    /// Whether the present Model knows this guest. One that took over from a Model out of reach has to be told,
-    /// and to answer, first.
-    fn is_known(&mut self) -> bool {
-        let shared = &self.invitation.shared;
-        let generation = shared.generation.load(Ordering::Acquire);
-        if generation != self.generation {
-            self.generation = generation;
-            let Invitation { name, id, access, .. } = &self.invitation;
-            self.rejoining = Some(shared.introduce(name, *id, access));
-        }
-        let Some(answer) = &mut self.rejoining else { return true };
-        match answer.try_recv() {
-            Ok(Ok(())) => {
-                self.rejoining = None;
-                self.handle = self.invitation.open(&self.status);
-                true
-            }
-            Err(TryRecvError::Empty) | Ok(Err(_)) => false,
-            Err(TryRecvError::Closed) => {
-                // That Model is gone as well: ask whoever comes next.
-                let Invitation { name, id, access, .. } = &self.invitation;
-                self.rejoining = Some(shared.introduce(name, *id, access));
-                false
-            }
-        }
     }
 }
 

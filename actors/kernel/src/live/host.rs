@@ -82,7 +82,6 @@ async fn live(shared: &Shared, writer: &Writer, life: &Life) -> Cause {
     };
     let mut body = Body {
         handle: shared.open(writer, life),
-        generation: shared.generation.load(Ordering::Acquire),
         shared,
         writer,
         life,
@@ -155,7 +154,6 @@ struct Body<'a> {
     life: &'a Life,
     controller: Box<dyn Controller>,
     handle: WriterHandle,
-    generation: u32,
     jobs: Jobs,
     runner: JobRunner,
     resumed: bool,
@@ -218,8 +216,12 @@ impl Body<'_> {
                 Verdict::Keep => {}
                 Verdict::StopSpinning => ticker.set_spinning(false),
                 Verdict::Spin => ticker.set_spinning(true),
-                // It goes on without; the lateness in the report tells.
-                Verdict::Demote => drop(sched::normal_current()),
+                // It goes on without, and the report says so. Who had no such priority loses none.
+                Verdict::Demote => {
+                    if sched::is_real_time() && sched::normal_current().is_ok() {
+                        stats.demoted();
+                    }
+                }
             }
         }
     }
@@ -236,10 +238,6 @@ impl Body<'_> {
         }
         if let Some(span) = seam.slow() {
             std::thread::sleep(span.to_duration());
-        }
-        if self.generation != self.shared.generation.load(Ordering::Relaxed) {
-            self.generation = self.shared.generation.load(Ordering::Acquire);
-            self.handle = self.shared.open(self.writer, self.life);
         }
         self.runner.deliver(&self.jobs).map_err(Cause::Panic)?;
         let scene = self.shared.published.load();

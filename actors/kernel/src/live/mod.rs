@@ -26,10 +26,12 @@ use trocar_scene::{Access, ComponentError, EntityAllocator, SimTime, Snapshot, S
 
 use crate::chain::StateHash;
 use crate::faults::{FaultLog, FaultPlanError, FaultRow, FaultSchedule, TargetClass, Targets};
-use crate::handle::{Intake, LaneStatus};
+use crate::handle::LaneStatus;
+use crate::intake::Intake;
 use crate::model_core::ModelCore;
 use crate::operator::{OPERATOR, OperatorError};
 use crate::runtime::{Clock, ControllerReport, Permission, TickStats};
+use crate::signal::Signal;
 use crate::spec::{ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, SessionSpec};
 use crate::supervision::{
     ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Incident, Supervisor, TreeError,
@@ -209,7 +211,7 @@ impl LiveSession {
     /// One row per controller, in the order of the session, as it is now.
     pub fn stats(&self) -> Vec<ControllerReport> {
         let elapsed = self.elapsed();
-        self.order.iter().map(|index| self.shared.writers[*index].seat.stats.report(elapsed)).collect()
+        self.order.iter().map(|index| self.shared.writers[*index].report(elapsed)).collect()
     }
     /// What every controller has declared to the Model, with its rate \[Hz\], in the order of the session.
     pub fn accesses(&self) -> Vec<(String, f64, Access)> {
@@ -285,7 +287,8 @@ impl LiveSession {
     }
 
     /// Lets somebody take part who is no controller: a console, a viewer, a measurement. A guest is neither
-    /// ticked nor supervised. `capacity` is how many of its batches may wait for the Model.
+    /// ticked nor supervised, and has no flow limit but its ring. `capacity` is how many of its batches may wait for
+    /// the Model.
     ///
     /// # Errors
     /// When the name or number is taken, the access overlaps with others', or the Model does not answer.
@@ -335,6 +338,7 @@ impl LiveSession {
     /// recording. `code` is the exit code unless the supervisor has given up before.
     pub fn stop(mut self, code: i32) -> SessionOutcome {
         self.end(code);
+        self.shared.lose_rest();
         let status = lock(&self.board.status);
         let ended = status.ended.clone();
         let sim = ended.as_ref().map_or_else(|| self.shared.clock.now(), |ended| ended.at);
@@ -351,11 +355,7 @@ impl LiveSession {
             wall: SimTime::from(self.begun.elapsed()),
             hash: hash.unwrap_or(StateHash([0; 32])),
             snapshot,
-            controllers: self
-                .order
-                .iter()
-                .map(|index| self.shared.writers[*index].seat.stats.report(sim))
-                .collect(),
+            controllers: self.order.iter().map(|index| self.shared.writers[*index].report(sim)).collect(),
             model: self.shared.model.stats.report(sim),
             faults: status.faults.clone(),
             incidents: status.incidents.clone(),
@@ -459,6 +459,8 @@ fn share(
             lane: Arc::<LaneStatus>::default(),
             epoch: AtomicU32::new(1),
             applied: AtomicU64::new(0),
+            taken: AtomicU64::new(0),
+            unpublished: AtomicU64::new(0),
             next_tick: AtomicU64::new(0),
             events_seen: AtomicU64::new(0),
             declared: Mutex::new(None),
@@ -475,15 +477,15 @@ fn share(
         seed,
         station,
         published: Arc::new(ArcSwap::from_pointee(scene.snapshot())),
-        intake: Intake::new(scene.view().registry().clone(), Arc::new(move || ring.notify_one())),
+        intake: Intake::new(scene.view().registry().clone(), clock, Arc::new(move || ring.notify_one())),
         bell,
-        generation: AtomicU32::new(0),
         model,
         writers,
         reports,
         declares: Mutex::new(Vec::new()),
-        declares_waiting: AtomicBool::new(false),
-        fences_waiting: AtomicBool::new(false),
+        guests: Mutex::new(Vec::new()),
+        declares_waiting: Signal::default(),
+        fences_waiting: Signal::default(),
         has_sink: commit_sink.is_some(),
         sink: Mutex::new(commit_sink),
         published_hash: Mutex::new(None),

@@ -4,15 +4,18 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::task::{Context as TaskContext, Poll};
+use std::time::Duration;
 
 use actix::prelude::*;
 use tokio::sync::Notify;
 use tokio::sync::futures::OwnedNotified;
 use trocar_scene::{SimTime, Snapshot, Store, WriterId};
 
-use super::shared::{Life, Shared, lock};
+use super::shared::{Declare, Life, Shared, Visitor, lock};
+use crate::chain::StateHash;
 use crate::commit::CommitBuffer;
-use crate::handle::{LaneIndex, Lanes, Receipt};
+use crate::handle::Receipt;
+use crate::intake::{Arrival, LaneIndex, Lanes};
 use crate::model_core::{ModelCore, Outcome};
 use crate::retire::Retired;
 use crate::runtime::{guarded, sched};
@@ -20,6 +23,9 @@ use crate::supervision::{Cause, Event};
 
 /// Retired snapshots kept for their readers before the reaper gets them.
 const RETIRED_MAX: usize = 64;
+/// How often, and after which pause, a published scene is looked at for its hash.
+const HASH_TRIES: u32 = 200;
+const HASH_PAUSE: Duration = Duration::from_micros(100);
 
 /// Somebody rang.
 pub(super) struct Rung;
@@ -82,43 +88,54 @@ impl ModelActor {
         self.shared.model.stats.enter_thread(tid);
         if let Some(desk) = &mut self.desk {
             let culprit = self.culprit.take();
-            desk.core.recover(culprit.map(|(id, ..)| id));
+            let fell_back = desk.core.recover(culprit.map(|(id, ..)| id));
             if let Some((_, lane, tick)) = culprit {
                 desk.lanes.answer(lane, Receipt { tick, outcome: None });
             }
             if let Some(index) = culprit.and_then(|(id, ..)| self.shared.writer_index(id)) {
                 // The batch that killed it is not tried again.
-                self.shared.writers[index].seat.stats.rejected();
+                let writer = &self.shared.writers[index];
+                writer.seat.stats.rejected();
+                writer.taken.store(0, Ordering::Relaxed);
+            }
+            if fell_back {
+                self.shared.writers.iter().for_each(|writer| writer.lose_unpublished());
             }
             return Ok(());
         }
-        let core = match self.first.take() {
-            Some(core) => core,
-            None => self.rebuild()?,
-        };
+        // A predecessor that was left behind takes no batch any more.
+        let lanes = self.shared.intake.take();
         let retired = Retired::new(RETIRED_MAX).map_err(|error| error.to_string())?;
-        let mut desk = Desk {
-            core,
-            lanes: self.shared.intake.take(),
-            retired,
-            spare: CommitBuffer::new(),
-            last: self.shared.published.load_full(),
+        let (mut core, mut from) = match self.first.take() {
+            Some(core) => (core, self.shared.published.load_full()),
+            None => {
+                // What waits in the rings is ours now; what it had taken out of them and not published is gone.
+                self.shared.writers.iter().for_each(|writer| writer.lose_unpublished());
+                self.rebuild()?
+            }
+        };
+        let mut desk = loop {
+            // Takes the place of what an abandoned Model published, so that it can publish nothing any more.
+            let snapshot = core.publish();
+            let before = self.shared.published.compare_and_swap(&from, snapshot.clone());
+            if Arc::ptr_eq(&before, &from) {
+                break Desk { core, lanes, retired, spare: CommitBuffer::new(), last: snapshot };
+            }
+            // Its last words came while we were reading the ones before.
+            (core, from) = self.rebuild()?;
         };
         desk.core.keep_commits(self.shared.has_sink);
-        // Takes the place of what an abandoned Model published, so that it can publish nothing any more.
-        let snapshot = desk.core.publish();
-        let before = self.shared.published.swap(snapshot.clone());
-        desk.retired.retire(before);
-        desk.last = snapshot;
+        desk.retired.retire(from);
         self.desk = Some(desk);
         Ok(())
     }
 
-    /// A core for a Model whose predecessor is out of reach, from what everybody can see.
-    fn rebuild(&self) -> Result<ModelCore, String> {
-        let store = Store::from_snapshot(&self.shared.published.load());
-        let mut core = ModelCore::new(store, self.shared.station).map_err(|error| error.to_string())?;
-        if let Some(head) = *lock(&self.shared.published_hash) {
+    /// A core for a Model whose predecessor is out of reach, from what everybody can see; and what that is.
+    fn rebuild(&self) -> Result<(ModelCore, Arc<Snapshot>), String> {
+        let (scene, head) = self.published()?;
+        let mut core = ModelCore::new(Store::from_snapshot(&scene), self.shared.station)
+            .map_err(|error| error.to_string())?;
+        if let Some(head) = head {
             // The log goes on, and so does the chain over it.
             core = core.with_chain(head);
         }
@@ -127,10 +144,25 @@ impl ModelActor {
                 core.declare(&writer.seat.name, writer.id, access).map_err(|error| error.to_string())?;
             }
         }
-        // The rings went with the old Model: everybody opens new ones.
-        self.shared.generation.fetch_add(1, Ordering::Release);
-        self.shared.fences_waiting.store(true, Ordering::Release);
-        Ok(core)
+        for Visitor { name, id, access } in &*lock(&self.shared.guests) {
+            core.declare(name, *id, access).map_err(|error| error.to_string())?;
+        }
+        self.shared.fences_waiting.raise();
+        Ok((core, scene))
+    }
+
+    /// The published scene with its own hash; a predecessor may be just about to tell the hash.
+    fn published(&self) -> Result<(Arc<Snapshot>, Option<StateHash>), String> {
+        for _ in 0..HASH_TRIES {
+            let scene = self.shared.published.load_full();
+            match *lock(&self.shared.published_hash) {
+                None => return Ok((scene, None)),
+                Some((revision, hash)) if revision == scene.revision() => return Ok((scene, Some(hash))),
+                Some(_) => {}
+            }
+            std::thread::sleep(HASH_PAUSE);
+        }
+        Err("a Model that was left behind published a scene and not its hash".to_owned())
     }
 
     /// One pass: everything that waits, published in between as the rule says.
@@ -142,37 +174,48 @@ impl ModelActor {
         }
         if let Some(span) = shared.model.seam.take_stall() {
             super::host::stall(shared, span);
+            if life.is_abandoned() {
+                return;
+            }
             shared.model.seam.end_stall();
         }
         let mut now = shared.clock.now();
-        if shared.declares_waiting.swap(false, Ordering::AcqRel) {
+        if shared.declares_waiting.take() {
             // A new life that declares something else must not keep its predecessor's contributions alive.
             desk.raise_fences(shared, now);
             desk.hear_declarations(shared);
             // Who is new to the Model may have been fenced before.
-            shared.fences_waiting.store(true, Ordering::Release);
+            shared.fences_waiting.raise();
         }
         desk.lanes.begin_pass();
-        if shared.fences_waiting.swap(false, Ordering::AcqRel) {
+        if shared.fences_waiting.take() {
             desk.raise_fences(shared, now);
         }
-        while let Some((lane, mut batch)) = desk.lanes.next() {
+        while let Some(Arrival { lane, sealed_at, mut batch }) = desk.lanes.pop(now) {
             let id = batch.provenance.writer;
             let tick = batch.provenance.tick;
             self.culprit = Some((id, lane, tick));
             let writer = shared.writer_index(id).map(|index| &shared.writers[index]);
+            if let Some(writer) = writer {
+                writer.taken.store(1, Ordering::Relaxed);
+                writer.seat.stats.waited(now.since(sealed_at));
+            }
             // Raised between the pass's beginning and this batch: it must not slip through.
             if writer.is_some_and(|w| w.epoch.load(Ordering::Acquire) > batch.provenance.epoch) {
                 desk.raise_fences(shared, now);
             }
             let outcome = desk.core.apply(&mut batch, now);
-            // Guests have no row in the report.
-            if let Some(writer) = writer {
+            // Guests have no row in the report, and a Model that was left behind counts no more.
+            if let Some(writer) = writer.filter(|_| desk.lanes.is_current()) {
                 match &outcome {
-                    Outcome::Applied { .. } => drop(writer.applied.fetch_add(1, Ordering::Relaxed)),
+                    Outcome::Applied { .. } => {
+                        writer.applied.fetch_add(1, Ordering::Relaxed);
+                        writer.unpublished.fetch_add(1, Ordering::Relaxed);
+                    }
                     Outcome::Rejected(_) => writer.seat.stats.rejected(),
                     Outcome::Conflict(_) => writer.seat.stats.conflict(),
                 }
+                writer.taken.store(0, Ordering::Relaxed);
             }
             // Whoever waits for an answer may read the scene when it has it, and what it was told must stand.
             if desk.lanes.wants_receipt(lane) && desk.publish(shared) {
@@ -240,10 +283,17 @@ impl Desk {
     fn hear_declarations(&mut self, shared: &Shared) {
         for declare in std::mem::take(&mut *lock(&shared.declares)) {
             let answer = self.core.declare(&declare.name, declare.id, &declare.access);
-            if answer.is_ok()
-                && let Some(index) = shared.writer_index(declare.id)
-            {
-                *lock(&shared.writers[index].declared) = Some(declare.access);
+            if answer.is_ok() {
+                match shared.writer_index(declare.id) {
+                    Some(index) => *lock(&shared.writers[index].declared) = Some(declare.access),
+                    None => {
+                        let Declare { name, id, access, .. } = &declare;
+                        let guest = Visitor { name: name.clone(), id: *id, access: access.clone() };
+                        let mut guests = lock(&shared.guests);
+                        guests.retain(|known| known.id != guest.id);
+                        guests.push(guest);
+                    }
+                }
             }
             let _ = declare.reply.send(answer.map(|_| ()).map_err(|error| error.to_string()));
         }
@@ -268,7 +318,10 @@ impl Desk {
             return false;
         }
         drop(before);
-        *lock(&shared.published_hash) = Some(self.core.hash());
+        for writer in &shared.writers {
+            writer.unpublished.store(0, Ordering::Relaxed);
+        }
+        *lock(&shared.published_hash) = Some((snapshot.revision(), self.core.hash()));
         self.retired.retire(std::mem::replace(&mut self.last, snapshot));
         if shared.has_sink
             && let Some(sink) = lock(&shared.sink).as_mut()

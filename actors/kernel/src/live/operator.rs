@@ -26,7 +26,6 @@ pub struct Operator {
     shared: Arc<Shared>,
     handle: WriterHandle,
     answers: Consumer<Receipt>,
-    generation: u32,
 }
 
 impl Operator {
@@ -37,9 +36,8 @@ impl Operator {
         if taken.is_err() {
             return Err(OperatorError::TooMany(OPERATORS_MAX));
         }
-        let generation = shared.generation.load(Ordering::Acquire);
         let (handle, answers) = open(&shared);
-        Ok(Self { shared, handle, answers, generation })
+        Ok(Self { shared, handle, answers })
     }
 
     /// Writes what `write` commands as one batch, all of it or nothing, and waits for the Model's answer, at most
@@ -54,12 +52,6 @@ impl Operator {
         write: impl FnOnce(&mut Commands),
     ) -> Result<Revision, OperatorError> {
         let until = Instant::now() + limit;
-        let generation = self.shared.generation.load(Ordering::Acquire);
-        if generation != self.generation {
-            // The rings went with a Model that was left behind.
-            (self.handle, self.answers) = open(&self.shared);
-            self.generation = generation;
-        }
         // Answers that came too late.
         while self.answers.pop().is_ok() {}
         let now = self.shared.clock.now();

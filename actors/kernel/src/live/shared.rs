@@ -7,11 +7,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use arc_swap::ArcSwap;
 use tokio::sync::oneshot;
-use trocar_scene::{Access, EntityAllocator, SimTime, Snapshot, WriterId};
+use trocar_scene::{Access, EntityAllocator, Revision, SimTime, Snapshot, WriterId};
 
 use crate::chain::StateHash;
-use crate::handle::{Intake, LaneStatus, WriterHandle};
-use crate::runtime::{Clock, Permission, TickStats, guarded};
+use crate::handle::{LaneStatus, WriterHandle};
+use crate::heartbeat::Heartbeat;
+use crate::intake::{Arrival, Intake};
+use crate::runtime::{Account, Clock, ControllerReport, Permission, TickStats, guarded};
+use crate::signal::Signal;
 use crate::spec::{CommitSink, ControllerSpec, FaultKind, FaultOrder};
 use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
 
@@ -19,10 +22,7 @@ use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
 #[derive(Default)]
 pub(crate) struct Life {
     pub(crate) incarnation: u32,
-    /// Odd while a step is running.
-    pub(crate) beat: AtomicU64,
-    /// When it beat last \[ns of the session\].
-    pub(crate) beat_at: AtomicU64,
+    pub(crate) heart: Heartbeat,
     /// Thread number; 0 before it runs.
     pub(crate) tid: AtomicU32,
     /// Constructed: the watchdog may look.
@@ -47,8 +47,7 @@ impl Life {
     }
     /// A step begins or ends.
     pub(crate) fn bump(&self, now: SimTime) {
-        self.beat_at.store(now.0, Ordering::Relaxed);
-        self.beat.fetch_add(1, Ordering::Release);
+        self.heart.bump(now.0);
     }
 }
 
@@ -130,11 +129,43 @@ pub(crate) struct Writer {
     pub(crate) epoch: AtomicU32,
     /// Batches applied, for telling that a fault is over.
     pub(crate) applied: AtomicU64,
+    /// A batch is in the Model's hands.
+    pub(crate) taken: AtomicU64,
+    /// Batches that the Model has applied and not yet published.
+    pub(crate) unpublished: AtomicU64,
     /// Where the next life goes on.
     pub(crate) next_tick: AtomicU64,
     pub(crate) events_seen: AtomicU64,
     /// What the Model has been told that it writes.
     pub(crate) declared: Mutex<Option<Access>>,
+}
+
+impl Writer {
+    /// Its row of the report.
+    pub(crate) fn report(&self, elapsed: SimTime) -> ControllerReport {
+        self.seat.stats.set_account(Account {
+            sent: self.lane.sent(),
+            applied: self.applied.load(Ordering::Relaxed),
+            lost: self.lane.lost(),
+            delayed: self.lane.delayed(),
+            duplicated: self.lane.duplicated(),
+        });
+        self.seat.stats.report(elapsed)
+    }
+    /// What the Model had taken and not published went with it: nobody has seen it.
+    pub(crate) fn lose_unpublished(&self) {
+        let unpublished = self.unpublished.swap(0, Ordering::Relaxed);
+        self.applied.fetch_sub(unpublished, Ordering::Relaxed);
+        self.lane.lose(unpublished + self.taken.swap(0, Ordering::Relaxed));
+    }
+}
+
+/// Somebody who writes without being a controller, for a Model that takes over from one out of reach.
+#[derive(Clone)]
+pub(crate) struct Visitor {
+    pub(crate) name: String,
+    pub(crate) id: WriterId,
+    pub(crate) access: Access,
 }
 
 /// What all handles of the operator share.
@@ -179,20 +210,19 @@ pub(crate) struct Shared {
     pub(crate) published: Arc<ArcSwap<Snapshot>>,
     pub(crate) intake: Arc<Intake>,
     pub(crate) bell: Arc<tokio::sync::Notify>,
-    /// Raised when a Model could not be saved and its rings went with it: writers open new ones.
-    pub(crate) generation: AtomicU32,
     pub(crate) model: Seat,
     /// Ordered by writer id.
     pub(crate) writers: Vec<Arc<Writer>>,
     pub(crate) reports: SyncSender<Report>,
     pub(crate) declares: Mutex<Vec<Declare>>,
-    pub(crate) declares_waiting: AtomicBool,
+    pub(crate) guests: Mutex<Vec<Visitor>>,
+    pub(crate) declares_waiting: Signal,
     /// A fence was raised that the Model has not looked at.
-    pub(crate) fences_waiting: AtomicBool,
+    pub(crate) fences_waiting: Signal,
     pub(crate) sink: Mutex<Option<Box<dyn CommitSink>>>,
     pub(crate) has_sink: bool,
     /// The state hash of what is published, for a Model that takes over from one out of reach.
-    pub(crate) published_hash: Mutex<Option<StateHash>>,
+    pub(crate) published_hash: Mutex<Option<(Revision, StateHash)>>,
     /// Left behind by the Model when it ends.
     pub(crate) final_hash: Mutex<Option<StateHash>>,
     pub(crate) batches: AtomicU64,
@@ -233,7 +263,7 @@ impl Shared {
             let _ = guarded(|| fence.raise(epoch));
         }
         writer.epoch.fetch_max(epoch, Ordering::AcqRel);
-        self.fences_waiting.store(true, Ordering::Release);
+        self.fences_waiting.raise();
         self.bell.notify_one();
     }
 
@@ -245,12 +275,23 @@ impl Shared {
         self.report(Event::Died { child: seat.child, incarnation: life.incarnation, cause });
     }
 
+    /// The session is over: what nobody has taken by now nobody will.
+    pub(crate) fn lose_rest(&self) {
+        let mut lanes = self.intake.take();
+        lanes.begin_pass();
+        while let Some(Arrival { batch, .. }) = lanes.pop(SimTime(u64::MAX)) {
+            if let Some(index) = self.writer_index(batch.provenance.writer) {
+                self.writers[index].lane.lose(1);
+            }
+        }
+    }
+
     /// A new ring for this life of the writer.
     pub(crate) fn open(&self, writer: &Writer, life: &Life) -> WriterHandle {
         self.intake.open(
             writer.id,
             life.incarnation,
-            writer.spec.ring_capacity,
+            (writer.spec.ring_capacity, writer.spec.flow),
             writer.allocator.clone(),
             writer.lane.clone(),
         )
@@ -265,7 +306,7 @@ impl Shared {
     ) -> oneshot::Receiver<Result<(), String>> {
         let (reply, answer) = oneshot::channel();
         lock(&self.declares).push(Declare { name: name.to_owned(), id, access: access.clone(), reply });
-        self.declares_waiting.store(true, Ordering::Release);
+        self.declares_waiting.raise();
         self.bell.notify_one();
         answer
     }

@@ -65,6 +65,8 @@ struct Counters {
     dropped: u64,
     rejected: u64,
     slow: u64,
+    /// Batches that a bad link lost, delayed or doubled.
+    link: u64,
 }
 
 pub(super) struct Crew {
@@ -129,7 +131,8 @@ impl Crew {
     fn next_look(&self, now: SimTime, run: &Run) -> SimTime {
         let mut at = now + PAUSE_MAX;
         let checks = self.stop_when.as_ref().map(|_| run.next_check);
-        let looking = self.faults.is_open() || self.schedule.is_waiting(now);
+        let looking =
+            self.faults.is_open() || self.shared.intake.is_any_link_bad() || self.schedule.is_waiting(now);
         let looks = if looking { Some(now + FAULT_PAUSE) } else { self.schedule.next_waiting() };
         for next in [self.tree.next_deadline(now), self.schedule.next_at(), self.until, checks, looks] {
             at = at.min(next.unwrap_or(at));
@@ -302,6 +305,10 @@ impl Crew {
             }
             self.inject(&order);
         }
+        if self.shared.intake.is_any_link_bad() {
+            // Nobody rings for what is late.
+            self.shared.bell.notify_one();
+        }
         let open = self.faults.is_open();
         if open || run.faults_shown_open {
             self.look_at_faults(run, now);
@@ -334,6 +341,10 @@ impl Crew {
             if order.kind == FaultKind::QueueFull {
                 writer.lane.set_queue_full(order.begins);
             }
+            if order.kind.is_of_link() {
+                self.shared.intake.fault(writer.id, &writer.lane, order);
+                self.shared.bell.notify_one();
+            }
         }
         // The recorder is both: a controller, and the disk behind it.
         for (_, sink) in self.sinks.iter().filter(|(name, _)| *name == order.target) {
@@ -342,6 +353,9 @@ impl Crew {
     }
 
     fn counters(&self, target: &str) -> Counters {
+        if target == MODEL {
+            return Counters { good: self.shared.batches.load(Ordering::Relaxed), ..Counters::default() };
+        }
         let Some(writer) = self.shared.writers.iter().find(|w| w.seat.name == target) else {
             return Counters::default();
         };
@@ -358,11 +372,25 @@ impl Crew {
             .map(|row| (row.target.clone(), row.healed.is_some()))
             .collect();
         for (target, healed) in open {
+            if target == MODEL {
+                if self.shared.model.seam.take_stall_ended() {
+                    self.faults.stall_ended(MODEL, now);
+                }
+                let then = run.begun.get(MODEL).copied().unwrap_or_default();
+                if healed && self.counters(MODEL).good > then.good {
+                    self.faults.resumed(MODEL, now);
+                }
+                continue;
+            }
             let Some(writer) = self.shared.writers.iter().find(|w| w.seat.name == target).cloned() else {
                 continue;
             };
             let (then, is) = (run.begun.get(&target).copied().unwrap_or_default(), count(&writer));
-            if is.dropped > then.dropped || is.rejected > then.rejected || is.slow > then.slow {
+            if is.dropped > then.dropped
+                || is.rejected > then.rejected
+                || is.slow > then.slow
+                || is.link > then.link
+            {
                 self.faults.detected(&target, now);
             }
             if writer.seat.seam.take_stall_ended() {
@@ -454,6 +482,7 @@ fn count(writer: &Writer) -> Counters {
         dropped: writer.lane.dropped(),
         rejected: row.rejections(),
         slow: row.ticks_missed() + row.ticks_late(),
+        link: writer.lane.lost() + writer.lane.delayed() + writer.lane.duplicated(),
     }
 }
 

@@ -74,7 +74,7 @@ fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bo
         watch.since = now;
         return;
     }
-    let beat = watch.life.beat.load(Ordering::Acquire);
+    let (beat, beat_at) = watch.life.heart.look();
     let late = watch.life.late.load(Ordering::Relaxed);
     if late != watch.late {
         watch.late = late;
@@ -84,8 +84,7 @@ fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bo
     let resting = !seat.ticks && beat.is_multiple_of(2);
     if beat != watch.beat || resting || blind {
         watch.beat = beat;
-        let beat_at = SimTime(watch.life.beat_at.load(Ordering::Relaxed));
-        watch.since = if resting || blind { now } else { beat_at.min(now) };
+        watch.since = if resting || blind { now } else { SimTime(beat_at).min(now) };
         watch.cpu = cpu_of(&watch.life);
         return;
     }

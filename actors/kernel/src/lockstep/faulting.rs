@@ -2,11 +2,21 @@
 
 use std::sync::Arc;
 
-use trocar_scene::SimTime;
+use trocar_scene::{Batch, SimTime};
 
 use super::session::LockstepSession;
-use crate::faults::{FaultLog, TargetClass, Targets};
+use super::slot::NEVER;
+use crate::faults::{FaultLog, Parcel, TargetClass, Targets};
 use crate::spec::{FaultKind, FaultOrder, MODEL};
+use crate::supervision::Event;
+
+/// A Model in a step that does not end.
+#[derive(Clone, Copy)]
+pub(super) struct Hang {
+    until: SimTime,
+    /// When the watchdog gives up on it.
+    given_up_at: SimTime,
+}
 
 impl LockstepSession {
     /// Everything that faults can be aimed at in this session.
@@ -39,9 +49,13 @@ impl LockstepSession {
 
     fn inject(&mut self, order: &FaultOrder) {
         if order.target == MODEL {
-            if order.begins {
-                self.model_died(None, "killed by a fault".into());
+            match order.kind {
+                FaultKind::Kill if order.begins => self.model_kill = true,
+                FaultKind::Stall if order.begins => self.model_stall = order.span,
+                // Refused when the plan was read.
+                _ => {}
             }
+            self.harm_model();
             return;
         }
         if let Some(index) = self.slots.iter().position(|slot| slot.spec.name == order.target) {
@@ -52,6 +66,10 @@ impl LockstepSession {
                 FaultKind::Slow => ailments.slow = if order.begins { order.span } else { SimTime::ZERO },
                 FaultKind::QueueFull => ailments.queue_full = order.begins,
                 FaultKind::Nan => ailments.nan = order.begins,
+                kind if kind.is_of_link() => {
+                    self.slots[index].link.apply(order);
+                    self.deliver(index);
+                }
                 // Refused for controllers when the plan was read, or of the recorder's disk.
                 _ => {}
             }
@@ -60,6 +78,87 @@ impl LockstepSession {
         let sinks: Vec<_> = sinks.map(|(_, sink)| Arc::clone(sink)).collect();
         for sink in sinks {
             sink.fault(order);
+        }
+    }
+
+    /// Does to the Model what was ordered, as soon as there is one that it can be done to.
+    pub(super) fn harm_model(&mut self) {
+        if !self.model_up {
+            return;
+        }
+        if std::mem::take(&mut self.model_kill) {
+            self.model_died(None, "killed by a fault".into());
+        } else if self.model_stall > SimTime::ZERO {
+            let until = self.now + std::mem::take(&mut self.model_stall);
+            let limit = self.supervisor.spec(self.model).map_or(NEVER, |spec| spec.heartbeat_limit);
+            self.model_up = false;
+            self.model_hangs = Some(Hang { until, given_up_at: self.now + limit });
+        }
+    }
+
+    /// A Model that hangs gets on, or is given up; those that were given up end.
+    pub(super) fn look_at_model(&mut self) {
+        let before = self.model_zombies.len();
+        self.model_zombies.retain(|until| *until > self.now);
+        for _ in self.model_zombies.len()..before {
+            self.tell(Event::ZombieEnded);
+        }
+        if let Some(Hang { until, given_up_at }) = self.model_hangs {
+            if until <= self.now {
+                self.model_hangs = None;
+                self.model_up = true;
+                self.queued = true;
+                self.fault_log.stall_ended(MODEL, self.now);
+            } else if given_up_at <= self.now {
+                self.model_hangs = None;
+                self.model_resumed = false;
+                self.model_zombies.push(until);
+                self.fault_log.detected(MODEL, self.now);
+                let (child, incarnation) = (self.model, self.supervisor.incarnation(self.model));
+                self.tell(Event::Stalled { child, incarnation });
+            }
+        }
+        self.harm_model();
+    }
+
+    /// When [`Self::look_at_model`] has something to do.
+    pub(super) fn model_wakes_at(&self) -> SimTime {
+        let harmed = self.model_up && (self.model_kill || self.model_stall > SimTime::ZERO);
+        let at = if harmed { self.now } else { NEVER };
+        let hangs = self.model_hangs.map_or(NEVER, |hang| hang.until.min(hang.given_up_at));
+        self.model_zombies.iter().fold(at.min(hangs), |at, until| at.min(*until))
+    }
+
+    /// A batch of slot `index` goes onto its link.
+    pub(super) fn send(&mut self, index: usize, batch: Box<Batch>) {
+        let slot = &mut self.slots[index];
+        slot.sent += 1;
+        if slot.link.is_idle() {
+            self.arrive(index, batch);
+            return;
+        }
+        let before = slot.link.counts().sum();
+        slot.link.send(self.now, Parcel { sealed_at: self.now, batch, registry: self.registry.clone() });
+        if slot.link.counts().sum() > before && self.fault_log.is_open() {
+            self.fault_log.detected(&slot.spec.name, self.now);
+        }
+        self.step_is_over(index);
+        self.deliver(index);
+    }
+
+    /// What has come over the link of slot `index` by now.
+    pub(super) fn deliver(&mut self, index: usize) {
+        while let Some(parcel) = self.slots[index].link.due(self.now) {
+            self.arrive(index, parcel.batch);
+        }
+    }
+
+    fn arrive(&mut self, index: usize, batch: Box<Batch>) {
+        if self.model_up {
+            self.commit(index, batch);
+        } else {
+            self.queued = true;
+            self.slots[index].enqueue(batch);
         }
     }
 

@@ -5,11 +5,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
-use trocar_scene::{Batch, ComponentError, Controller, EntityAllocator, Registry, SimTime, Snapshot};
+use trocar_scene::{Batch, ComponentError, EntityAllocator, Registry, SimTime, Snapshot};
 
 use super::branching::{Given, Moment};
+use super::faulting::Hang;
 use super::operating::OperatorDesk;
-use super::slot::{NEVER, Pending, Slot, Ticked};
+use super::slot::{NEVER, Slot, Ticked, Zombie};
 use crate::chain::StateHash;
 use crate::commit::CommitBuffer;
 use crate::faults::{FaultLog, FaultPlanError, FaultSchedule};
@@ -66,13 +67,6 @@ pub(super) struct PeerSlot {
     pub(super) next: SimTime,
 }
 
-/// A life that was abandoned in the middle of a step.
-pub(super) struct Zombie {
-    pub(super) slot: usize,
-    pub(super) pending: Pending,
-    pub(super) controller: Box<dyn Controller>,
-}
-
 /// A session on one thread in virtual time.
 pub struct LockstepSession {
     pub(super) now: SimTime,
@@ -86,6 +80,13 @@ pub struct LockstepSession {
     pub(super) model: ChildId,
     pub(super) model_up: bool,
     pub(super) model_resumed: bool,
+    /// What a fault has ordered for the Model and could not be done yet.
+    pub(super) model_kill: bool,
+    pub(super) model_stall: SimTime,
+    /// It hangs.
+    pub(super) model_hangs: Option<Hang>,
+    /// When those that were given up end.
+    pub(super) model_zombies: Vec<SimTime>,
     /// Whether a batch may be waiting for the Model.
     pub(super) queued: bool,
     pub(super) zombies: Vec<Zombie>,
@@ -165,6 +166,10 @@ impl LockstepSession {
             model,
             model_up: false,
             model_resumed: true,
+            model_kill: false,
+            model_stall: SimTime::ZERO,
+            model_hangs: None,
+            model_zombies: Vec::new(),
             queued: false,
             zombies: Vec::new(),
             deadline: SimTime::ZERO,
@@ -259,6 +264,11 @@ impl LockstepSession {
         if self.exit.is_none() {
             self.tell(Event::ShutdownRequested { code: 0 });
         }
+        // The devices' next step, which finds that nothing may be rendered any more.
+        for slot in &mut self.peers {
+            slot.peer.step(slot.next);
+            slot.peer.finish(slot.next);
+        }
         // Whoever is stuck in a step is left behind when its limit is over.
         while self.exit.is_none() {
             let Some(at) = self.supervisor.next_deadline(self.now) else { break };
@@ -276,8 +286,8 @@ impl LockstepSession {
             wall: SimTime::from(self.begun.elapsed()),
             hash: self.core.hash(),
             snapshot,
-            controllers: self.slots.iter().map(|slot| self.row(&slot.stats)).collect(),
-            model: self.row(&self.model_stats),
+            controllers: self.reports(),
+            model: self.model_stats.report(self.now),
             faults: self.fault_log.rows().to_vec(),
             incidents: self.supervisor.incidents().to_vec(),
             held: self.supervisor.given_up(),
@@ -288,9 +298,10 @@ impl LockstepSession {
         }
     }
 
-    /// A row of the report. Lateness is zero by construction; step times are of the machine.
-    fn row(&self, stats: &TickStats) -> ControllerReport {
-        stats.report(self.now)
+    /// One row per controller, in the order of the session, as it is now. Lateness is zero by construction; step
+    /// times are of the machine.
+    pub fn reports(&self) -> Vec<ControllerReport> {
+        self.slots.iter().map(|slot| slot.report(self.now)).collect()
     }
 
     /// What every controller has counted so far, in the order of the session.
@@ -300,7 +311,7 @@ impl LockstepSession {
 
     /// When anything is due next.
     fn next_instant(&self) -> SimTime {
-        let mut at = self.deadline.min(self.next_publish);
+        let mut at = self.deadline.min(self.next_publish).min(self.model_wakes_at());
         if self.stop_when.is_some() {
             at = at.min(self.next_stop_check);
         }
@@ -326,11 +337,13 @@ impl LockstepSession {
         if self.deadline <= at {
             self.tell(Event::Tick);
         }
+        self.look_at_model();
         if self.queued && self.model_up {
             self.drain_queues();
         }
         self.zombies_finish();
         for index in 0..self.slots.len() {
+            self.deliver(index);
             self.finish_slow_step(index);
         }
         for slot in &mut self.peers {
@@ -416,14 +429,7 @@ impl LockstepSession {
                     self.did_good_work(index);
                 }
             }
-            Ticked::Ready(batch) => {
-                if self.model_up {
-                    self.commit(index, batch);
-                } else {
-                    self.queued = true;
-                    self.slots[index].enqueue(batch);
-                }
-            }
+            Ticked::Ready(batch) => self.send(index, batch),
         }
     }
 
@@ -433,6 +439,8 @@ impl LockstepSession {
         let slot = &mut self.slots[index];
         match outcome {
             Ok(Outcome::Applied { .. }) => {
+                slot.applied += 1;
+                slot.unpublished += 1;
                 slot.give_back(batch);
                 self.did_good_work(index);
             }
@@ -449,6 +457,7 @@ impl LockstepSession {
             }
             // The batch and whatever is in it goes no further.
             Err(text) => {
+                slot.stats.rejected();
                 let writer = slot.writer;
                 self.model_died(Some(writer), text);
             }
@@ -466,6 +475,7 @@ impl LockstepSession {
             return;
         }
         batch.commands.seal();
+        self.slots[index].sent += 1;
         if let Ok(Outcome::Rejected(_)) = self.decide(&mut batch) {
             self.slots[index].stats.rejected();
         }
@@ -491,6 +501,7 @@ impl LockstepSession {
     fn publish(&mut self) {
         self.next_publish = self.now + PUBLISH_EVERY;
         self.core.publish();
+        self.slots.iter_mut().for_each(|slot| slot.unpublished = 0);
         if let Some(sink) = &mut self.commit_sink {
             let commits = self.core.swap_commits(std::mem::take(&mut self.spare_commits));
             self.spare_commits = sink.committed(self.core.published(), commits);

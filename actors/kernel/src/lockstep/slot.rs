@@ -8,20 +8,73 @@ use trocar_scene::{
     Provenance, Registry, Revision, SimTime, Snapshot, Tick, WriterId,
 };
 
-use crate::runtime::TickStats;
+use crate::faults::{LinkCounts, LinkFaults, Parcel};
+use crate::flow::{TokenBucket, count};
 use crate::runtime::panics::guarded;
+use crate::runtime::{Account, ControllerReport, TickStats};
 use crate::spec::ControllerSpec;
 use crate::supervision::{Cause, ChildId};
 
 /// When something is due that never will be.
 pub(super) const NEVER: SimTime = SimTime(u64::MAX);
 
-/// A batch with the moment at which its tick ends.
+/// A step that is held up, as by a thread that does not get on: what it reads and says it does when it gets on.
+#[derive(Clone, Copy)]
 pub(super) struct Pending {
     pub(super) at: SimTime,
-    pub(super) batch: Box<Batch>,
-    /// The tick failed; what it commanded is discarded.
-    pub(super) failed: Option<Cause>,
+    number: u64,
+    due: SimTime,
+}
+
+/// A life that was abandoned in the middle of a step.
+pub(super) struct Zombie {
+    pub(super) slot: usize,
+    pub(super) pending: Pending,
+    controller: Box<dyn Controller>,
+    batch: Box<Batch>,
+    period: SimTime,
+    epoch: u32,
+    cursor: u64,
+    jobs: Jobs,
+}
+
+impl Zombie {
+    /// It gets on after all, does its step and is gone; what it says is in the batch.
+    pub(super) fn wake(mut self, scene: &Snapshot) -> Box<Batch> {
+        let tick = Tick {
+            time: self.pending.due,
+            period: self.period,
+            number: self.pending.number,
+            me: self.batch.commands.me(),
+            epoch: self.epoch,
+            events: Events::new(scene.events(), self.cursor),
+            jobs: &self.jobs,
+        };
+        let outcome = step(&mut *self.controller, &tick, scene, &mut self.batch);
+        let controller = self.controller;
+        let _ = guarded(move || drop(controller));
+        if outcome.is_some() {
+            self.batch.commands.clear();
+        }
+        self.batch
+    }
+}
+
+/// One step of a controller into a batch; why it failed, if it did.
+fn step(
+    controller: &mut dyn Controller,
+    tick: &Tick<'_>,
+    scene: &Snapshot,
+    batch: &mut Batch,
+) -> Option<Cause> {
+    batch.commands.clear();
+    batch.commands.begin(tick.time);
+    batch.provenance.epoch = tick.epoch;
+    batch.provenance.tick = tick.number;
+    batch.provenance.time = tick.time;
+    batch.provenance.based_on = scene.revision();
+    let commands = &mut batch.commands;
+    failure(guarded(|| controller.tick(tick, scene, commands)))
 }
 
 /// A finished job on its way back.
@@ -71,6 +124,15 @@ pub(super) struct Slot {
     pub(super) resumed: bool,
     pub(super) ailments: Ailments,
     pub(super) late: bool,
+    /// The way to the Model.
+    pub(super) link: LinkFaults<Parcel>,
+    flow: TokenBucket,
+    pub(super) sent: u64,
+    pub(super) applied: u64,
+    /// Batches applied since the last publication.
+    pub(super) unpublished: u64,
+    /// Batches that went with what the Model forgot.
+    pub(super) forgotten: u64,
 }
 
 /// What a tick came to.
@@ -107,6 +169,12 @@ impl Slot {
             resumed: false,
             ailments: Ailments::default(),
             late: false,
+            link: LinkFaults::default(),
+            flow: TokenBucket::new(spec.flow),
+            sent: 0,
+            applied: 0,
+            unpublished: 0,
+            forgotten: 0,
             child,
             spec,
         }
@@ -115,7 +183,8 @@ impl Slot {
     /// When something is to be done about this slot.
     pub(super) fn wakes_at(&self) -> SimTime {
         let pending = self.pending.as_ref().map_or(NEVER, |pending| pending.at);
-        self.next.min(pending).min(self.stalls_at)
+        let arrives = self.link.next_due().unwrap_or(NEVER);
+        self.next.min(pending).min(self.stalls_at).min(arrives)
     }
 
     /// A new life begins with this controller.
@@ -124,6 +193,7 @@ impl Slot {
         self.epoch = epoch;
         self.jobs = Jobs::default();
         self.deliveries.clear();
+        self.flow = TokenBucket::new(self.spec.flow);
         self.resumed = false;
         self.stopping = false;
     }
@@ -147,9 +217,19 @@ impl Slot {
         self.late = false;
     }
 
-    /// Leaves the stuck controller behind with the step it is stuck in.
-    pub(super) fn abandon(&mut self) -> Option<(Box<dyn Controller>, Pending)> {
+    /// Leaves the stuck controller behind with the step it is stuck in; `slot` is this slot's number.
+    pub(super) fn abandon(&mut self, slot: usize, registry: &Arc<Registry>) -> Option<Zombie> {
         let left = self.controller.take().zip(self.pending.take());
+        let left = left.map(|(controller, pending)| Zombie {
+            slot,
+            pending,
+            controller,
+            batch: blank(registry, &self.allocator, self.writer),
+            period: self.spec.period(),
+            epoch: self.epoch,
+            cursor: self.cursor,
+            jobs: std::mem::take(&mut self.jobs),
+        });
         self.end();
         left
     }
@@ -175,6 +255,19 @@ impl Slot {
         self.next = self.time_of(self.number);
     }
 
+    /// Its row of the report.
+    pub(super) fn report(&self, now: SimTime) -> ControllerReport {
+        let LinkCounts { lost, corrupted, delayed, duplicated, reordered } = *self.link.counts();
+        self.stats.set_account(Account {
+            sent: self.sent,
+            applied: self.applied,
+            lost: lost + corrupted + self.forgotten,
+            delayed: delayed + reordered,
+            duplicated,
+        });
+        self.stats.report(now)
+    }
+
     /// Moves on to the next due time and gives the number of the tick that is due now.
     pub(super) fn advance(&mut self) -> u64 {
         let number = self.number;
@@ -191,10 +284,44 @@ impl Slot {
         scene: &Snapshot,
         registry: &Arc<Registry>,
     ) -> Ticked {
-        let Some(controller) = self.controller.as_mut() else { return Ticked::Idle };
+        if !self.is_alive() {
+            return Ticked::Idle;
+        }
         if std::mem::take(&mut self.ailments.kill) {
             return Ticked::Died(Cause::Panic("killed by a fault".into()));
         }
+        let extra = self.ailments.slow + std::mem::take(&mut self.ailments.stall);
+        if extra > SimTime::ZERO {
+            self.pending = Some(Pending { at: now + extra, number, due: now });
+            self.stalls_at = if extra > self.spec.child.heartbeat_limit {
+                now + self.spec.child.heartbeat_limit
+            } else {
+                NEVER
+            };
+            return Ticked::Busy;
+        }
+        self.step((number, now), now, scene, registry)
+    }
+
+    /// Does the step that was held up.
+    pub(super) fn late_step(
+        &mut self,
+        pending: Pending,
+        now: SimTime,
+        scene: &Snapshot,
+        registry: &Arc<Registry>,
+    ) -> Ticked {
+        self.step((pending.number, pending.due), now, scene, registry)
+    }
+
+    fn step(
+        &mut self,
+        (number, due): (u64, SimTime),
+        now: SimTime,
+        scene: &Snapshot,
+        registry: &Arc<Registry>,
+    ) -> Ticked {
+        let Some(controller) = self.controller.as_mut() else { return Ticked::Idle };
         if !self.deliveries.is_empty() {
             for due in self.deliveries.extract_if(.., |delivery| delivery.at <= now) {
                 self.jobs.deliver(due.key, due.output);
@@ -204,10 +331,8 @@ impl Slot {
             Some(batch) => batch,
             None => blank(registry, &self.allocator, self.writer),
         };
-        batch.commands.clear();
-        batch.commands.begin(now);
         let tick = Tick {
-            time: now,
+            time: due,
             period: self.spec.period(),
             number,
             me: self.me,
@@ -215,40 +340,20 @@ impl Slot {
             events: Events::new(scene.events(), self.cursor),
             jobs: &self.jobs,
         };
-        let commands = &mut batch.commands;
-        let result = guarded(|| controller.tick(&tick, scene, commands));
+        let failed = step(&mut **controller, &tick, scene, &mut batch);
         self.cursor = scene.events().next();
-        batch.provenance = Provenance {
-            writer: self.writer,
-            epoch: self.epoch,
-            tick: number,
-            time: now,
-            based_on: scene.revision(),
-        };
-        let failed = failure(result);
         self.take_jobs(now);
-        let stall = std::mem::take(&mut self.ailments.stall);
-        let extra = self.ailments.slow + stall;
-        if extra > SimTime::ZERO {
-            self.pending = Some(Pending { at: now + extra, batch, failed });
-            self.stalls_at = if extra > self.spec.child.heartbeat_limit {
-                now + self.spec.child.heartbeat_limit
-            } else {
-                NEVER
-            };
-            return Ticked::Busy;
-        }
         match failed {
             Some(cause) => {
                 self.give_back(batch);
                 Ticked::Died(cause)
             }
-            None => self.hand_over(batch),
+            None => self.hand_over(batch, now),
         }
     }
 
     /// What leaves the controller's handle after a step.
-    pub(super) fn hand_over(&mut self, mut batch: Box<Batch>) -> Ticked {
+    fn hand_over(&mut self, mut batch: Box<Batch>, now: SimTime) -> Ticked {
         if self.ailments.nan {
             batch.commands.event("fault.nan", self.me, None, f64::NAN);
         }
@@ -256,7 +361,7 @@ impl Slot {
             self.give_back(batch);
             return Ticked::Idle;
         }
-        if self.ailments.queue_full {
+        if self.ailments.queue_full || !self.flow.admit(count(&batch.commands), now) {
             self.stats.dropped();
             self.give_back(batch);
             return Ticked::Idle;
@@ -270,6 +375,8 @@ impl Slot {
         if self.queue.len() < self.spec.ring_capacity {
             self.queue.push_back(batch);
         } else {
+            // Live it would not have got into the ring.
+            self.sent -= 1;
             self.stats.dropped();
         }
     }

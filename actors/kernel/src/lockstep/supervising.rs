@@ -2,8 +2,7 @@
 
 use trocar_scene::{BuildContext, Controller, ControllerError, SimTime, WriterId};
 
-use super::session::{LockstepSession, Zombie};
-use super::slot::Ticked;
+use super::session::LockstepSession;
 use crate::runtime::panics::guarded;
 use crate::supervision::{Action, Cause, ChildId, Event};
 
@@ -109,6 +108,7 @@ impl LockstepSession {
         let stopped = Event::Died { child, incarnation, cause: Cause::Stop };
         if child == self.model {
             self.model_up = false;
+            self.model_hangs = None;
             return Some(stopped);
         }
         let Some(index) = self.slot_of(child) else { return Some(stopped) };
@@ -122,9 +122,8 @@ impl LockstepSession {
 
     fn abandon(&mut self, child: ChildId) {
         let Some(index) = self.slot_of(child) else { return };
-        if let Some((controller, pending)) = self.slots[index].abandon() {
-            self.zombies.push(Zombie { slot: index, pending, controller });
-        }
+        let zombie = self.slots[index].abandon(index, &self.registry);
+        self.zombies.extend(zombie);
     }
 
     /// The life of slot `index` ended by `cause`.
@@ -147,10 +146,7 @@ impl LockstepSession {
         {
             slot.stalls_at = super::slot::NEVER;
             self.fault_log.stall_ended(&slot.spec.name, self.now);
-            let ticked = match pending.failed {
-                Some(cause) => Ticked::Died(cause),
-                None => slot.hand_over(pending.batch),
-            };
+            let ticked = slot.late_step(pending, self.now, self.core.view(), &self.registry);
             let (stopping, child) = (slot.stopping, slot.child);
             if stopping {
                 slot.end();
@@ -171,9 +167,9 @@ impl LockstepSession {
     /// Zombies whose step ends after all: what they send is refused, and they are gone.
     pub(super) fn zombies_finish(&mut self) {
         while let Some(at) = self.zombies.iter().position(|zombie| zombie.pending.at <= self.now) {
-            let Zombie { slot, pending, controller } = self.zombies.remove(at);
-            let _ = guarded(move || drop(controller));
-            self.apply_stale(slot, pending.batch);
+            let zombie = self.zombies.remove(at);
+            let (slot, batch) = (zombie.slot, zombie.wake(self.core.view()));
+            self.apply_stale(slot, batch);
             self.tell(Event::ZombieEnded);
         }
     }
@@ -187,7 +183,12 @@ impl LockstepSession {
 
     /// A batch, or a fault, made the Model panic.
     pub(super) fn model_died(&mut self, culprit: Option<WriterId>, text: String) {
-        self.core.recover(culprit);
+        if self.core.recover(culprit) {
+            for slot in &mut self.slots {
+                slot.applied -= slot.unpublished;
+                slot.forgotten += std::mem::take(&mut slot.unpublished);
+            }
+        }
         self.model_up = false;
         self.model_resumed = false;
         self.fault_log.detected(crate::spec::MODEL, self.now);

@@ -425,3 +425,97 @@ fn overhead_per_tick_is_microseconds() {
     println!("{nanos:.0} ns per tick");
     assert!(nanos < 50_000.0, "{nanos} ns per tick");
 }
+
+/// Every batch of every writer is in the scene, refused, or known to be lost.
+fn nothing_is_unaccounted_for(report: &SessionOutcome) {
+    for row in &report.controllers {
+        assert_eq!(row.unaccounted(), 0, "{row:?}");
+    }
+}
+
+#[test]
+fn a_model_that_hangs_is_replaced_and_what_waited_for_it_is_applied() {
+    let plan = FaultPlan::new(1).at(secs(0.5)).lasting(secs(0.3)).stall("model");
+    let mut session = start_with(two_counters(), &plan);
+    let limit =
+        session.supervisor().spec(session.supervisor().find("model").unwrap()).unwrap().heartbeat_limit;
+    session.step_until(secs(0.5) + limit);
+    assert_eq!(session.supervisor().zombies(), 0, "not yet");
+    session.step_until(secs(0.5) + limit + SimTime(1));
+    assert_eq!(session.supervisor().zombies(), 1);
+    session.step_until(secs(1.0));
+    assert_eq!(session.supervisor().zombies(), 0, "it came to its end after all");
+    assert_eq!(session.view().revision().0, 1 + 1_000 + 500, "every batch is applied");
+    let report = session.finish();
+    let row = &report.faults[0];
+    assert_eq!((row.detected, row.restarted), (Some(secs(0.5) + limit), Some(secs(0.5) + limit)));
+    assert!(row.resumed.expect("resumed") <= secs(0.5) + limit + SimTime::from_millis(2), "{row:?}");
+    assert_eq!((report.model.restarts, report.code), (1, 0));
+    nothing_is_unaccounted_for(&report);
+}
+
+#[test]
+fn a_model_that_hangs_for_a_moment_goes_on_by_itself() {
+    let plan =
+        FaultPlan::new(1).at(secs(0.5)).lasting(secs(0.02)).stall("model").at(secs(0.51)).kill("model");
+    let mut session = start_with(two_counters(), &plan);
+    session.step_until(secs(1.0));
+    assert_eq!(session.view().revision().0, 1 + 1_000 + 500, "every batch is applied");
+    let report = session.finish();
+    assert_eq!(report.faults[0].healed, Some(secs(0.52)));
+    assert_eq!(report.faults[1].detected, Some(secs(0.52)), "who hangs cannot be killed before");
+    assert_eq!(report.model.restarts, 1);
+}
+
+#[test]
+fn bad_links_lose_delay_double_and_garble_their_own_writers_batches_and_all_is_told() {
+    let plan = FaultPlan::new(3)
+        .at(secs(0.1))
+        .lasting(secs(0.1))
+        .drop("hand", 0.3)
+        .at(secs(0.3))
+        .lasting(secs(0.1))
+        .jitter("hand", SimTime::from_millis(10), SimTime::from_millis(5))
+        .at(secs(0.5))
+        .lasting(secs(0.1))
+        .duplicate("hand", 0.3)
+        .at(secs(0.7))
+        .lasting(secs(0.05))
+        .reorder("hand", 0.3)
+        .at(secs(0.8))
+        .lasting(secs(0.05))
+        .corrupt("hand", 0.3)
+        .at(secs(0.9))
+        .lasting(secs(0.05))
+        .partition("hand");
+    let report = run(two_counters(), &plan, 1.2);
+    let again = run(two_counters(), &plan, 1.2);
+    assert_eq!(report.hash, again.hash, "the seed decides");
+    let (hand, engine) = (&report.controllers[0], &report.controllers[1]);
+    assert!((15..50).contains(&(hand.lost - 50)), "of 100 dropped and 50 garbled, after 50: {}", hand.lost);
+    assert!((100..130).contains(&hand.delayed) && (15..50).contains(&hand.duplicated), "{hand:?}");
+    assert_eq!((engine.lost, engine.delayed, engine.duplicated, engine.applied), (0, 0, 0, 600));
+    nothing_is_unaccounted_for(&report);
+    for row in &report.faults {
+        let (injected, healed) = (row.injected.expect("begun"), row.healed.expect("ended"));
+        assert!(row.detected.expect("noticed").since(injected) <= SimTime::from_millis(20), "{row:?}");
+        assert!(row.resumed.expect("well again").since(healed) <= SimTime::from_millis(16), "{row:?}");
+    }
+}
+
+#[test]
+fn who_commands_too_much_is_refused_at_its_own_handle() {
+    let loud = ControllerSpec::new("loud", 2, RuntimeClass::Task, 100.0, |_| {
+        let access = Access::new().writes::<Count>(EntitySet::Own).spawns();
+        Ok(Box::new(Does(access, |_: &Tick<'_>, _: &Snapshot, out: &mut Commands| {
+            for _ in 0..9_000 {
+                out.spawn();
+            }
+            Ok(())
+        })))
+    });
+    let report = run(spec(vec![hand("hand", 1, 1_000.0, RING), loud]), &FaultPlan::new(0), 1.0);
+    let (hand, loud) = (&report.controllers[0], &report.controllers[1]);
+    assert_eq!((loud.dropped, loud.sent, loud.applied), (100, 0, 0));
+    assert_eq!((hand.dropped, hand.applied), (0, 1_000));
+}

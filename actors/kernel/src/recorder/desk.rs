@@ -102,6 +102,9 @@ impl Desk {
         }
         // Somebody who was fenced is just noticing it: what has come can wait for the next tick.
         let Some(mut papers) = self.papers() else { return Ok(()) };
+        if let Some(journal) = &mut papers.journal {
+            journal.resumed_at(now, pass);
+        }
         papers.take_publications(pen, pass);
         if let Some(journal) = &mut papers.journal {
             journal.passed(now, pass);
@@ -129,6 +132,7 @@ impl Desk {
         }
         papers.take_publications(&mut Pen::default(), pass);
         let Some(mut journal) = papers.journal.take() else { return false };
+        journal.wait(SimTime::from(limit), pass);
         let mut last = papers.last.take();
         if let Some(Lost { reason, snapshot, hash }) = lost {
             journal.begin_gap(reason.to_owned());
@@ -167,8 +171,11 @@ impl Fence for Desk {
 
 impl FaultSink for Desk {
     fn fault(&self, order: &FaultOrder) {
-        if order.kind == FaultKind::DiskFull {
-            self.gate.set_disk_full(order.begins);
+        match order.kind {
+            FaultKind::DiskFull => self.gate.set_disk_full(order.begins),
+            FaultKind::DiskSlow => self.gate.set_disk_slow(order.begins.then_some(order.bytes_per_sec)),
+            // The others befall the recorder itself.
+            _ => {}
         }
     }
     fn is_sound(&self) -> Option<bool> {

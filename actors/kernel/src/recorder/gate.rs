@@ -1,6 +1,9 @@
 //! Who may write to the disk: looked at before every write, so that an abandoned recorder writes no more.
 
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+
+/// A disk that is as fast as it is.
+const UNLIMITED: u64 = u64::MAX;
 
 /// The fence of a recording and the state of its disk, for threads that must not wait.
 pub(super) struct Gate {
@@ -8,6 +11,8 @@ pub(super) struct Gate {
     fence: AtomicU32,
     /// Fault hook: the disk takes nothing.
     full: AtomicBool,
+    /// Fault hook: what the disk takes [bytes/s].
+    bytes_per_sec: AtomicU64,
     /// Everything that should be written could be, the last time that anybody tried.
     sound: AtomicBool,
 }
@@ -21,7 +26,12 @@ pub(super) struct Pass<'a> {
 
 impl Gate {
     pub(super) fn new() -> Self {
-        Self { fence: AtomicU32::new(0), full: AtomicBool::new(false), sound: AtomicBool::new(true) }
+        Self {
+            fence: AtomicU32::new(0),
+            full: AtomicBool::new(false),
+            bytes_per_sec: AtomicU64::new(UNLIMITED),
+            sound: AtomicBool::new(true),
+        }
     }
     pub(super) fn raise(&self, epoch: u32) {
         self.fence.fetch_max(epoch, Ordering::AcqRel);
@@ -31,6 +41,10 @@ impl Gate {
     }
     pub(super) fn set_disk_full(&self, full: bool) {
         self.full.store(full, Ordering::Relaxed);
+    }
+    pub(super) fn set_disk_slow(&self, bytes_per_sec: Option<f64>) {
+        let rate = bytes_per_sec.map_or(UNLIMITED, |rate| rate as u64);
+        self.bytes_per_sec.store(rate, Ordering::Relaxed);
     }
     pub(super) fn set_sound(&self, sound: bool) {
         self.sound.store(sound, Ordering::Relaxed);
@@ -43,6 +57,11 @@ impl Gate {
 impl Pass<'_> {
     pub(super) fn is_valid(self) -> bool {
         self.epoch >= self.gate.fence.load(Ordering::Acquire)
+    }
+    /// What a slow disk takes [bytes/s].
+    pub(super) fn disk_rate(self) -> Option<f64> {
+        let rate = self.gate.bytes_per_sec.load(Ordering::Relaxed);
+        (rate != UNLIMITED).then_some(rate as f64)
     }
     pub(super) fn is_disk_full(self) -> bool {
         self.gate.full.load(Ordering::Relaxed)

@@ -60,6 +60,8 @@ pub(super) struct Journal {
     next_keyframe: SimTime,
     next_tf: SimTime,
     next_flush: SimTime,
+    /// When somebody last sat at it.
+    seen: SimTime,
     /// Nothing could be written since `revision`, and why.
     gap: Option<String>,
     complete: bool,
@@ -97,6 +99,7 @@ impl Journal {
             next_keyframe: SimTime::ZERO,
             next_tf: SimTime::ZERO,
             next_flush: options.flush_period,
+            seen: SimTime::ZERO,
             gap: None,
             complete: true,
             taking: None,
@@ -231,6 +234,18 @@ impl Journal {
     fn message(&mut self, channel: u16, data: &[u8]) {
         self.sequence = self.sequence.wrapping_add(1);
         self.chunk.message(channel, self.sequence, self.time.as_nanos(), data);
+    }
+
+    /// Somebody sits down to it at `now`: a slow disk has got on meanwhile.
+    pub(super) fn resumed_at(&mut self, now: SimTime, pass: Pass<'_>) {
+        let span = now.since(self.seen);
+        self.seen = self.seen.max(now);
+        self.wait(span, pass);
+    }
+
+    /// A slow disk gets `span` of time.
+    pub(super) fn wait(&mut self, span: SimTime, pass: Pass<'_>) {
+        self.spool.ration(pass.disk_rate().map(|rate| rate * span.as_secs_f64()));
     }
 
     /// Time has passed: closes the chunk when it has waited long enough, and gives the disk what it takes.

@@ -39,6 +39,8 @@ pub(super) struct Spool {
     written: u64,
     /// The disk was asked to write and has not answered; still set when that call panicked.
     asked: bool,
+    /// Bytes that a slow disk still takes before time passes.
+    ration: Option<f64>,
     disk: Box<dyn Disk>,
     /// What the disk said last, if it refused.
     pub(super) refusal: Option<io::Error>,
@@ -50,7 +52,7 @@ impl Spool {
     }
 
     pub(super) fn new(disk: Box<dyn Disk>) -> Self {
-        Self { waiting: Vec::new(), done: 0, written: 0, asked: false, disk, refusal: None }
+        Self { waiting: Vec::new(), done: 0, written: 0, asked: false, ration: None, disk, refusal: None }
     }
 
     /// Bytes that the disk has not taken yet.
@@ -66,6 +68,12 @@ impl Spool {
         self.waiting.extend_from_slice(bytes);
     }
 
+    /// Time has passed, in which the disk takes so many bytes; `None`: as many as it can.
+    pub(super) fn ration(&mut self, bytes: Option<f64>) {
+        // Time in which nothing was written is gone, but for the rest of a byte.
+        self.ration = bytes.map(|bytes| bytes + self.ration.map_or(0.0, f64::fract));
+    }
+
     /// Gives the disk what it takes; `true` when nothing is left. Who was fenced meanwhile stops.
     pub(super) fn drain(&mut self, pass: Pass<'_>) -> bool {
         self.refusal = None;
@@ -75,9 +83,13 @@ impl Spool {
             }
             let written = if pass.is_disk_full() {
                 Err(io::Error::new(io::ErrorKind::StorageFull, "no space left on device (injected fault)"))
+            } else if self.ration.is_some_and(|bytes| bytes < 1.0) {
+                Err(io::Error::new(io::ErrorKind::WouldBlock, "the disk is too slow (injected fault)"))
             } else {
+                let left = self.waiting.len() - self.done;
+                let takes = self.ration.map_or(left, |bytes| left.min(bytes as usize));
                 self.asked = true;
-                let answer = self.disk.write(&self.waiting[self.done..]);
+                let answer = self.disk.write(&self.waiting[self.done..self.done + takes]);
                 self.asked = false;
                 answer
             };
@@ -89,6 +101,7 @@ impl Spool {
                 Ok(count) => {
                     self.done += count;
                     self.written += count as u64;
+                    self.ration = self.ration.map(|bytes| bytes - count as f64);
                 }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => {

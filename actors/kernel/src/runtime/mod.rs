@@ -13,5 +13,5 @@ pub use histogram::{AtomicHistogram, Bars, Quantiles};
 pub use jobs::JobRunner;
 pub use panics::guarded;
 pub use sched::Permission;
-pub use stats::{ControllerReport, TickStats};
+pub use stats::{Account, ControllerReport, TickStats};
 pub use ticker::{Clock, Due, Schedule, Ticker};

@@ -75,6 +75,11 @@ pub fn normal_current() -> io::Result<()> {
     imp::set_normal(0)
 }
 
+/// Whether the calling thread has real-time priority now.
+pub fn is_real_time() -> bool {
+    imp::is_real_time()
+}
+
 /// Leaves thread `tid` only what nobody else wants (SCHED_IDLE). The number must be that of a thread of
 /// this process that is still there, or the error says so.
 ///
@@ -164,6 +169,11 @@ mod imp {
         // RESET_ON_FORK: threads that a controller spawns do not inherit the priority.
         set(tid, libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK, priority)
     }
+    pub(super) fn is_real_time() -> bool {
+        // SAFETY: 0 is the calling thread; nothing is passed by reference.
+        let policy = unsafe { libc::sched_getscheduler(0) };
+        policy >= 0 && policy & !libc::SCHED_RESET_ON_FORK == libc::SCHED_FIFO
+    }
     pub(super) fn set_normal(tid: u32) -> io::Result<()> {
         set(tid, libc::SCHED_OTHER | libc::SCHED_RESET_ON_FORK, 0)
     }
@@ -203,6 +213,9 @@ mod imp {
     pub(super) fn name_current(_: &str) {}
     pub(super) fn set_fifo(_: u32, _: i32) -> io::Result<()> {
         Err(unsupported())
+    }
+    pub(super) fn is_real_time() -> bool {
+        false
     }
     pub(super) fn set_normal(_: u32) -> io::Result<()> {
         Ok(())

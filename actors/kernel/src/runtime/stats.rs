@@ -19,13 +19,16 @@ pub struct TickStats {
     rate_hz: f64,
     lateness: AtomicHistogram,
     step: AtomicHistogram,
+    queue_age: AtomicHistogram,
     ran: AtomicU64,
     late: AtomicU64,
     missed: AtomicU64,
     rejected: AtomicU64,
     conflicts: AtomicU64,
     dropped: AtomicU64,
+    account: [AtomicU64; 5],
     restarts: AtomicU32,
+    demotions: AtomicU32,
     /// When the first tick was due and until when ticks were due, ns of the session; 0: none yet.
     first_due: AtomicU64,
     last_due: AtomicU64,
@@ -44,13 +47,16 @@ impl TickStats {
             rate_hz,
             lateness: AtomicHistogram::default(),
             step: AtomicHistogram::default(),
+            queue_age: AtomicHistogram::default(),
             ran: AtomicU64::new(0),
             late: AtomicU64::new(0),
             missed: AtomicU64::new(0),
             rejected: AtomicU64::new(0),
             conflicts: AtomicU64::new(0),
             dropped: AtomicU64::new(0),
+            account: Default::default(),
             restarts: AtomicU32::new(0),
+            demotions: AtomicU32::new(0),
             first_due: AtomicU64::new(u64::MAX),
             last_due: AtomicU64::new(0),
             thread: AtomicU32::new(0),
@@ -78,9 +84,20 @@ impl TickStats {
     pub fn missed(&self, count: u64) {
         self.missed.fetch_add(count, Ordering::Relaxed);
     }
-    /// A batch found its ring full.
+    /// A batch was refused at its own handle: its ring was full, or the writer sent too much.
     pub fn dropped(&self) {
         self.dropped.fetch_add(1, Ordering::Relaxed);
+    }
+    /// This long after it was sealed the Model took a batch.
+    pub fn waited(&self, age: SimTime) {
+        self.queue_age.record(age.0);
+    }
+    /// What became of all batches that were sent so far.
+    pub fn set_account(&self, account: Account) {
+        let Account { sent, applied, lost, delayed, duplicated } = account;
+        for (counter, value) in self.account.iter().zip([sent, applied, lost, delayed, duplicated]) {
+            counter.store(value, Ordering::Relaxed);
+        }
     }
     /// The Model refused a batch.
     pub fn rejected(&self) {
@@ -93,6 +110,10 @@ impl TickStats {
     /// A new life begins.
     pub fn restarted(&self) {
         self.restarts.fetch_add(1, Ordering::Relaxed);
+    }
+    /// Its real-time priority was taken away.
+    pub fn demoted(&self) {
+        self.demotions.fetch_add(1, Ordering::Relaxed);
     }
     /// From now on the thread `tid` does the work; called on that thread.
     pub fn enter_thread(&self, tid: u32) {
@@ -147,6 +168,8 @@ impl TickStats {
         };
         let on_time = ran - self.late.load(Ordering::Relaxed).min(ran);
         let ratio = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
+        let account = [0, 1, 2, 3, 4].map(|index| self.account[index].load(Ordering::Relaxed));
+        let [sent, applied, lost, delayed, duplicated] = account;
         ControllerReport {
             name: self.name.clone(),
             target_hz: self.rate_hz,
@@ -157,12 +180,42 @@ impl TickStats {
             step_us: self.step.quantiles(),
             missed,
             dropped: self.dropped.load(Ordering::Relaxed),
+            sent,
+            applied,
+            lost,
+            delayed,
+            duplicated,
+            queue_age_us: self.queue_age.quantiles(),
             rejected: self.rejected.load(Ordering::Relaxed),
             conflicts: self.conflicts.load(Ordering::Relaxed),
             restarts: self.restarts.load(Ordering::Relaxed),
+            demotions: self.demotions.load(Ordering::Relaxed),
             cpu_share: ratio(self.cpu().as_secs_f64(), elapsed.as_secs_f64()),
             lateness_bars: self.lateness.bars(),
         }
+    }
+}
+
+/// What became of the batches of one writer. None is unaccounted for: once nothing is on its way,
+/// `sent + duplicated = applied + rejected + conflicts + lost`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Account {
+    /// Left the handle.
+    pub sent: u64,
+    /// Are in the scene.
+    pub applied: u64,
+    /// Never reached it.
+    pub lost: u64,
+    /// Came late or were overtaken.
+    pub delayed: u64,
+    /// Came twice.
+    pub duplicated: u64,
+}
+
+impl ControllerReport {
+    /// Batches of which nobody knows what became of them, either way; those on their way are among them.
+    pub fn unaccounted(&self) -> u64 {
+        (self.sent + self.duplicated).abs_diff(self.applied + self.rejected + self.conflicts + self.lost)
     }
 }
 
@@ -188,8 +241,21 @@ pub struct ControllerReport {
     pub step_us: Quantiles,
     /// Ticks that never ran.
     pub missed: u64,
-    /// Batches refused at its handle.
+    /// Batches refused at its handle: its ring was full, or it sent more than it may.
     pub dropped: u64,
+    /// Batches that left its handle.
+    pub sent: u64,
+    /// Batches that are in the scene.
+    pub applied: u64,
+    /// Batches that were sent and never reached the scene: lost on a bad link, or with a Model that ended before
+    /// it had published them.
+    pub lost: u64,
+    /// Batches that came late, or were overtaken, on a bad link.
+    pub delayed: u64,
+    /// Batches that came twice.
+    pub duplicated: u64,
+    /// How long batches waited from being sealed to being taken by the Model; live only.
+    pub queue_age_us: Quantiles,
     /// Batches refused by the Model.
     pub rejected: u64,
     /// Batches whose precondition no longer held.
@@ -197,6 +263,9 @@ pub struct ControllerReport {
     /// How often it was started again.
     #[schemars(with = "u64")]
     pub restarts: u32,
+    /// How often its real-time priority was taken away, because its steps took too much of their periods.
+    #[schemars(with = "u64")]
+    pub demotions: u32,
     /// CPU time of its thread per time of the session, 0 to 1; for people, not in the machine-readable report.
     #[serde(skip)]
     pub cpu_share: f64,

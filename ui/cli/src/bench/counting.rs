@@ -11,18 +11,24 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-/// The system's allocator, with two counters per thread that `trocar bench` looks at.
+/// The system's allocator, with three counters per thread that `trocar bench` looks at.
 pub struct CountingAllocator;
 
 thread_local! {
     // Constant and without a destructor: safe to touch from within the allocator, at any time.
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
     static FREES: Cell<u64> = const { Cell::new(0) };
+    static HELD: Cell<isize> = const { Cell::new(0) };
 }
 
 /// Allocations and frees of the calling thread so far; a reallocation counts as both.
 pub fn counts() -> (u64, u64) {
     (ALLOCATIONS.with(Cell::get), FREES.with(Cell::get))
+}
+
+/// Bytes that the calling thread has allocated and not freed; what other threads free for it stays counted.
+pub fn held() -> isize {
+    HELD.with(Cell::get)
 }
 
 /// Whether the program's allocator is this one; without it nothing is counted.
@@ -32,35 +38,37 @@ pub fn is_counting() -> bool {
     counts() != before
 }
 
-fn allocated() {
+fn allocated(bytes: usize) {
     ALLOCATIONS.with(|count| count.set(count.get().wrapping_add(1)));
+    HELD.with(|held| held.set(held.get().wrapping_add_unsigned(bytes)));
 }
 
-fn freed() {
+fn freed(bytes: usize) {
     FREES.with(|count| count.set(count.get().wrapping_add(1)));
+    HELD.with(|held| held.set(held.get().wrapping_sub_unsigned(bytes)));
 }
 
 // SAFETY: every call is handed on to the system's allocator unchanged; counting touches a thread-local
 // integer only and neither allocates nor unwinds.
 unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        allocated();
+        allocated(layout.size());
         // SAFETY: the caller keeps the contract of `alloc`.
         unsafe { System.alloc(layout) }
     }
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        allocated();
+        allocated(layout.size());
         // SAFETY: the caller keeps the contract of `alloc_zeroed`.
         unsafe { System.alloc_zeroed(layout) }
     }
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        freed();
+        freed(layout.size());
         // SAFETY: the caller keeps the contract of `dealloc`.
         unsafe { System.dealloc(pointer, layout) }
     }
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        allocated();
-        freed();
+        allocated(size);
+        freed(layout.size());
         // SAFETY: the caller keeps the contract of `realloc`.
         unsafe { System.realloc(pointer, layout, size) }
     }
@@ -79,6 +87,13 @@ mod tests {
         drop(std::hint::black_box(Box::new(7_u64)));
         let after = counts();
         assert_eq!((after.0 - before.0, after.1 - before.1), (1, 1));
+        let before = held();
+        let mut list = std::hint::black_box(Vec::<u64>::with_capacity(8));
+        assert_eq!(held() - before, 64);
+        list.reserve_exact(16);
+        assert_eq!(held() - before, 128);
+        drop(list);
+        assert_eq!(held(), before);
         assert!(is_counting());
     }
 }

@@ -3,6 +3,7 @@
 mod allocation;
 pub mod counting;
 mod exercise;
+mod memory;
 mod session;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -15,12 +16,13 @@ use crate::output;
 use crate::report::short;
 
 /// Suites by name, and what they measure.
-pub const SUITES: [(&str, &str); 2] = [
+pub const SUITES: [(&str, &str); 3] = [
     (
         "kernel",
         "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step, sessions",
     ),
     ("session", "steps per second of sessions side by side, branches, new beginnings"),
+    ("memory", "what sessions hold over an hour of simulated time; takes about ten minutes"),
 ];
 
 /// A figure or a few, and what is shown while they are measured.
@@ -37,6 +39,12 @@ const KERNEL: [Part; 5] = [
 
 /// The part of it that is the suite `session`.
 const SESSION: [Part; 1] = [KERNEL[3]];
+
+/// The parts of the suite `memory`.
+const MEMORY: [Part; 2] = [
+    ("an hour of the exercise, again and again", memory::exercises),
+    ("an hour of one session", memory::session),
+];
 
 /// What the kernel measures of itself.
 fn kernel() -> Result<Vec<BenchResult>, Failure> {
@@ -66,7 +74,11 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         let hint = did_you_mean(&args.suite, names());
         return Err(Failure::usage(format!("no suite is called '{}'; there are: {known}{hint}", args.suite)));
     }
-    let parts: &[Part] = if args.suite == "session" { &SESSION } else { &KERNEL };
+    let parts: &[Part] = match args.suite.as_str() {
+        "session" => &SESSION,
+        "memory" => &MEMORY,
+        _ => &KERNEL,
+    };
     let bar = ProgressBar::new(parts.len() as u64);
     let style = ProgressStyle::with_template("{bar:24} {pos} of {len}  {msg}  {elapsed}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));

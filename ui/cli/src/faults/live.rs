@@ -11,35 +11,58 @@ use trocar::session::{Finished, Session};
 use trocar::soak::FORCE_MAX;
 use trocar::summary::{BenchResult, Better};
 use trocar_kernel::faults::{FaultPlan, FaultRow, secs};
+use trocar_kernel::runtime::sched;
 use trocar_kernel::spec::{MODEL, SessionSpec};
-use trocar_kernel::supervision::{Backoff, ChildSpec, GroupSpec, Intensity, Node, RuntimeClass};
+use trocar_kernel::supervision::{Backoff, GroupSpec, Intensity, Node, RuntimeClass};
+use trocar_scene::scenario::Scenario;
 use trocar_scene::{Controller, SimTime};
 
 use super::hostile::{NeverReturns, Nuisance};
-use super::lockstep::{ACTORS, SCENARIO};
+use super::lockstep::{ACTORS, SCENARIO, detection_bar};
+use super::{Plan, flood, forces, links, strikes};
 use crate::failure::Failure;
 use trocar_kernel::bench::median_and_spread as median;
 
 /// How often each fault strikes.
-const TIMES: usize = 20;
+pub const TIMES: usize = 20;
 /// Until then everybody has warmed up.
-const WARM: f64 = 2.0;
+pub const WARM: f64 = 2.0;
+/// How often drivers are looked at: less than the time between two faults.
+const LOOK_EVERY: SimTime = SimTime::from_millis(5);
 /// Length of a run that is compared with another one \[s\].
-const COMPARED_SECS: f64 = 5.0;
+pub const COMPARED_SECS: f64 = 5.0;
 
-/// One row after another, with `tell` called before each.
-pub fn rows(tell: &mut dyn FnMut(&str)) -> Result<Vec<BenchResult>, Failure> {
-    let mut rows = Vec::new();
-    tell("live_bare_thread_restart");
-    let floor = median(&bare_restarts());
-    rows.push(BenchResult::on_value("live_bare_thread_restart_p50", "ms", floor, None, Better::Lower));
-    tell("live kills");
-    rows.extend(kills()?);
-    tell("live stalls");
-    rows.extend(stalls()?);
-    tell("live_endless_loop");
-    rows.extend(endless_loop()?);
-    Ok(rows)
+/// The rows of this table.
+pub fn plan(plan: &mut Plan<'_>) {
+    plan.row("live_bare_thread_restart_p50", |name| {
+        Ok(BenchResult::on_value(name, "ms", median(&bare_restarts()), None, Better::Lower))
+    });
+    plan.row("live_bare_watchdog_lateness_p50", |name| {
+        Ok(BenchResult::on_value(name, "ms", median(&bare_wakes()), None, Better::Lower))
+    });
+    plan.rows("live kills", |_| kills());
+    plan.rows("live stalls", |_| stalls());
+    plan.rows("live endless loop", |_| endless_loop());
+    forces::live(plan);
+    strikes::live(plan);
+    links::live(plan);
+    flood::live(plan);
+}
+
+/// How late a bare thread of the watchdog's priority wakes up from sleeping to the end of a limit of 50 ms \[ms\]: no
+/// stall can be seen sooner than that.
+fn bare_wakes() -> Vec<f64> {
+    let sleeper = std::thread::spawn(|| {
+        let _ = sched::promote_current(RuntimeClass::Watchdog);
+        let limit = Duration::from_millis(50);
+        let late = |_| {
+            let begun = Instant::now();
+            std::thread::sleep(limit);
+            begun.elapsed().saturating_sub(limit).as_secs_f64() * 1e3
+        };
+        (0..TIMES).map(late).collect()
+    });
+    sleeper.join().unwrap_or_default()
 }
 
 /// What a bare thread needs from its panic until a replacement runs \[ms\].
@@ -81,6 +104,7 @@ fn kills() -> Result<Vec<BenchResult>, Failure> {
         let name = format!("live_kill_{actor}_resumed_p50");
         rows.push(BenchResult::on_value(name, "ms", median(&figures), Some(10.0), Better::Lower));
     }
+    rows.push(forces::longest("live_force_held_after_a_kill_max", &finished.drivers));
     let force = (finished.force_newtons_max, 0.0);
     rows.push(BenchResult::on_value("live_kills_force_max", "N", force, Some(FORCE_MAX), Better::Lower));
     Ok(rows)
@@ -98,15 +122,17 @@ fn stalls() -> Result<Vec<BenchResult>, Failure> {
             plan = plan.between(secs(at), secs(at + 0.02)).lasting(secs(span)).stall(actor);
         }
     }
-    let finished = run(&App::new(), plan, WARM + gap * TIMES as f64 + 1.0)?;
+    let app = App::new();
+    let scenario = app.scenario(SCENARIO)?;
+    let Watched { finished, released_ms } = watched(&app, &scenario, plan, WARM + gap * TIMES as f64 + 1.0)?;
     let mut rows = Vec::new();
     for (actor, class, rate_hz) in stalled() {
         let figures = figures(&finished, actor, |row| (row.injected, row.detected));
-        let limit = ChildSpec::new(*actor, *class, *rate_hz).heartbeat_limit.as_secs_f64();
-        let bar = (limit + 1.0 / rate_hz) * 1e3;
+        let bar = detection_bar(actor, *class, *rate_hz);
         let name = format!("live_stall_{actor}_detected_p50");
         rows.push(BenchResult::on_value(name, "ms", median(&figures), Some(bar), Better::Lower));
     }
+    rows.extend(forces::held_rows("live_force_held_after_a_stall", &released_ms, &finished.drivers));
     rows.push(BenchResult::on_value(
         "live_zombie_forces_refused",
         "commands",
@@ -119,7 +145,7 @@ fn stalls() -> Result<Vec<BenchResult>, Failure> {
     Ok(rows)
 }
 
-fn figures(
+pub fn figures(
     finished: &Finished,
     actor: &str,
     span: fn(&FaultRow) -> (Option<SimTime>, Option<SimTime>),
@@ -163,18 +189,51 @@ fn loops() -> Blueprint {
 }
 
 /// On-time share of the worse hand.
-fn worst_on_time(finished: &Finished) -> f64 {
+pub fn worst_on_time(finished: &Finished) -> f64 {
     let hands = finished.outcome.controllers.iter().filter(|row| row.name.starts_with("haptics."));
     hands.map(|row| row.on_time).fold(1.0, f64::min)
 }
 
-fn run(app: &App, plan: FaultPlan, seconds: f64) -> Result<Finished, Failure> {
-    let scenario = app.scenario(SCENARIO)?;
-    let options = RunOptions { seconds: Some(seconds), faults: Some(plan), ..RunOptions::default() };
-    let mut assembly = Assembly::new(app, &scenario, &options).map_err(RunError::from)?;
-    endure(&mut assembly.spec);
-    let mut session = Session::live(assembly)?;
+/// A session of that length; its drivers are not looked at while it runs.
+pub fn run(app: &App, plan: FaultPlan, seconds: f64) -> Result<Finished, Failure> {
+    let mut session = start(app, &app.scenario(SCENARIO)?, plan, seconds)?;
     session.run_until(SimTime::from_secs_f64(seconds));
+    finish(session)
+}
+
+/// A session, and what its drivers did in it.
+pub struct Watched {
+    pub finished: Finished,
+    /// Age of the last command each time that a driver let go of a force \[ms\].
+    pub released_ms: Vec<f64>,
+}
+
+/// A session of that length whose drivers are looked at again and again.
+pub fn watched(app: &App, scenario: &Scenario, plan: FaultPlan, seconds: f64) -> Result<Watched, Failure> {
+    let mut session = start(app, scenario, plan, seconds)?;
+    let mut seen = vec![0; session.hands().len()];
+    let (mut released_ms, mut next) = (Vec::new(), SimTime::ZERO);
+    while next < SimTime::from_secs_f64(seconds) && session.run_until(next) {
+        for (hand, seen) in session.hands().iter().zip(&mut seen) {
+            let driver = hand.monitor.sample().statistics;
+            if driver.releases > *seen {
+                *seen = driver.releases;
+                released_ms.push(driver.release_age_ns as f64 * 1e-6);
+            }
+        }
+        next = session.now() + LOOK_EVERY;
+    }
+    Ok(Watched { finished: finish(session)?, released_ms })
+}
+
+fn start(app: &App, scenario: &Scenario, plan: FaultPlan, seconds: f64) -> Result<Session, Failure> {
+    let options = RunOptions { seconds: Some(seconds), faults: Some(plan), ..RunOptions::default() };
+    let mut assembly = Assembly::new(app, scenario, &options).map_err(RunError::from)?;
+    endure(&mut assembly.spec);
+    Ok(Session::live(assembly)?)
+}
+
+fn finish(session: Session) -> Result<Finished, Failure> {
     let finished = session.finish();
     if finished.outcome.code != 0 {
         let reason = finished.outcome.reason.unwrap_or_default();

@@ -1,17 +1,20 @@
 //! The fault table in virtual time: exact, the same on every machine.
 
 use std::path::Path;
+use std::thread;
 
 use trocar::app::App;
 use trocar::run::{RunOptions, RunOutcome};
 use trocar::soak::{FORCE_MAX, is_finite};
 use trocar::summary::{BenchResult, Better};
 use trocar_kernel::faults::{During, Expect, FaultAt, FaultPlan, FaultRow, secs};
+use trocar_kernel::runtime::ControllerReport;
 use trocar_kernel::spec::MODEL;
 use trocar_kernel::supervision::{ChildSpec, RuntimeClass};
 use trocar_scene::SimTime;
 
 use super::hostile::{AlwaysFails, Floods, Nuisance, WritesNan};
+use super::{Plan, disks, forces, links};
 use crate::failure::Failure;
 
 /// What the faults strike.
@@ -19,13 +22,17 @@ pub const SCENARIO: &str = "peg-transfer";
 /// Time in which something is held at some moment, whatever the seed.
 const WINDOW: (f64, f64) = (3.0, 12.0);
 /// Length of a run: faults that wait for a grasp have struck and are overcome.
-const RUN_SECS: f64 = 20.0;
+pub const RUN_SECS: f64 = 20.0;
 /// Seeds of each row; the worst one counts.
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
 /// Longest way back from a death \[ms\].
-const RESUME_MS_MAX: f64 = 10.0;
+pub const RESUME_MS_MAX: f64 = 10.0;
+/// Longest way back from a plug that was put in again: the driver tries every 100 ms \[ms\].
+pub const REPLUG_MS_MAX: f64 = 150.0;
+/// Rate of the Model's fastest clients \[Hz\].
+const FASTEST_HZ: f64 = 1_000.0;
 /// Length of an injected stall.
-const STALL: f64 = 0.3;
+pub const STALL: f64 = 0.3;
 
 /// Who can die in the exercise; with the class and rate that its heartbeat limit follows from.
 pub const ACTORS: [(&str, RuntimeClass, f64); 6] = [
@@ -37,140 +44,146 @@ pub const ACTORS: [(&str, RuntimeClass, f64); 6] = [
     ("autopilot", RuntimeClass::Task, 100.0),
 ];
 
-/// One row after another, with `tell` called before each.
-pub fn rows(folder: &Path, tell: &mut dyn FnMut(&str)) -> Result<Vec<BenchResult>, Failure> {
-    let mut rows = Vec::new();
-    let mut add = |name: String, row: &mut dyn FnMut(&str) -> Result<BenchResult, Failure>| {
-        tell(&name);
-        rows.push(row(&name)?);
-        Ok::<(), Failure>(())
-    };
+/// The rows of this table.
+pub fn plan<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
+    kills(folder, plan);
+    stalls(plan);
+    strikes(plan);
+    guests(plan);
+    forces::lockstep(plan);
+    links::lockstep(plan);
+    disks::plan(folder, plan);
+}
+
+fn kills<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
     for (actor, _, _) in ACTORS {
-        add(format!("lockstep_kill_{actor}_resumed"), &mut |name| {
+        plan.row(format!("lockstep_kill_{actor}_resumed"), move |name| {
             worst(name, "ms", RESUME_MS_MAX, |seed| {
-                let plan = struck(seed).kill(actor);
-                let outcome = run(&App::new(), seed, plan, None)?;
+                let outcome = run(&App::new(), seed, struck(seed).kill(actor))?;
                 Ok(millis(row_of(&outcome)?.injected, row_of(&outcome)?.resumed))
             })
-        })?;
+        });
     }
-    add("lockstep_kill_recorder_resumed".into(), &mut |name| {
-        let file = folder.join("killed.mcap");
-        let mut complete = true;
-        let mut row = worst(name, "ms", 100.0, |seed| {
-            let outcome = run(&App::new(), seed, struck(seed).kill("recorder"), Some(&file))?;
-            complete &= outcome.summary.recording_complete;
-            Ok(millis(row_of(&outcome)?.injected, row_of(&outcome)?.resumed))
-        })?;
-        row.holds &= complete;
-        Ok(row)
-    })?;
-    for (actor, class, rate_hz) in ACTORS.into_iter().filter(|(_, class, _)| *class != RuntimeClass::Model) {
-        let limit = ChildSpec::new(actor, class, rate_hz).heartbeat_limit.as_secs_f64();
-        add(format!("lockstep_stall_{actor}_detected"), &mut |name| {
-            worst(name, "ms", (limit + 1.0 / rate_hz) * 1e3, |seed| {
-                let plan = struck(seed).lasting(secs(STALL)).stall(actor);
-                let outcome = run(&App::new(), seed, plan, None)?;
-                // The step that hangs is the first one after the injection.
-                Ok(millis(row_of(&outcome)?.injected, row_of(&outcome)?.detected))
-            })
-        })?;
-    }
-    add("lockstep_unplug_device_resumed".into(), &mut |name| {
-        worst(name, "ms", 150.0, |seed| {
-            let plan = struck(seed).lasting(secs(0.5)).unplug("device.left");
-            let outcome = run(&App::new(), seed, plan, None)?;
-            Ok(row_of(&outcome)?.recovery().map_or(f64::INFINITY, |span| span.as_secs_f64() * 1e3))
+    plan.row("lockstep_kill_recorder_resumed", move |name| {
+        worst(name, "ms", 100.0, |seed| {
+            let record = Some(folder.join(format!("killed-{seed}.mcap")));
+            let options = RunOptions { record, ..options(seed, struck(seed).kill("recorder")) };
+            let outcome = run_with(&App::new(), &options)?;
+            let whole = outcome.summary.recording_complete;
+            let figure = millis(row_of(&outcome)?.injected, row_of(&outcome)?.resumed);
+            Ok(if whole { figure } else { f64::INFINITY })
         })
-    })?;
+    });
+}
+
+fn stalls(plan: &mut Plan<'_>) {
+    for (actor, class, rate_hz) in ACTORS {
+        let bar = detection_bar(actor, class, rate_hz);
+        plan.row(format!("lockstep_stall_{actor}_detected"), move |name| {
+            worst(name, "ms", bar, |seed| {
+                let outcome = run(&App::new(), seed, struck(seed).lasting(secs(STALL)).stall(actor))?;
+                let unaccounted = outcome.reports.iter().map(ControllerReport::unaccounted).sum::<u64>();
+                let row = row_of(&outcome)?;
+                // The step that hangs is the first one after the injection.
+                let figure = millis(row.injected, row.detected);
+                Ok(if row.resumed.is_some() && unaccounted == 0 { figure } else { f64::INFINITY })
+            })
+        });
+    }
+}
+
+/// Heartbeat limit and one period \[ms\]; the Model has none of its own, so that of its fastest client.
+pub fn detection_bar(actor: &str, class: RuntimeClass, rate_hz: f64) -> f64 {
+    let limit = ChildSpec::new(actor, class, rate_hz).heartbeat_limit.as_secs_f64();
+    (limit + 1.0 / if rate_hz > 0.0 { rate_hz } else { FASTEST_HZ }) * 1e3
+}
+
+fn strikes(plan: &mut Plan<'_>) {
+    plan.row("lockstep_unplug_device_resumed", |name| {
+        worst(name, "ms", REPLUG_MS_MAX, |seed| {
+            let outcome = run(&App::new(), seed, struck(seed).lasting(secs(0.5)).unplug("device.left"))?;
+            Ok(recovery(row_of(&outcome)?))
+        })
+    });
     for target in ["engine", "device.left"] {
-        add(format!("lockstep_nan_from_{target}"), &mut |name| {
+        plan.row(format!("lockstep_nan_from_{target}"), move |name| {
             violations(name, |seed, wrong| {
-                let plan = struck(seed).lasting(secs(0.05)).nan(target);
-                let outcome = run(&App::new(), seed, plan, None)?;
+                let outcome = run(&App::new(), seed, struck(seed).lasting(secs(0.05)).nan(target))?;
                 let row = row_of(&outcome)?;
                 wrong.check(row.detected.is_some(), "nobody noticed");
                 wrong.check(row.resumed.is_some(), "it never worked again");
                 wrong.check(is_finite(&outcome.kernel.snapshot), "a number that is none is in the scene");
                 Ok(())
             })
-        })?;
+        });
     }
-    add("lockstep_nan_from_a_user".into(), &mut |name| {
+    plan.row("lockstep_queue_full_engine_resumed", |name| {
+        worst(name, "ms", RESUME_MS_MAX, |seed| {
+            let outcome = run(&App::new(), seed, struck(seed).lasting(secs(0.05)).queue_full("engine"))?;
+            Ok(recovery(row_of(&outcome)?))
+        })
+    });
+}
+
+fn guests(plan: &mut Plan<'_>) {
+    plan.row("lockstep_nan_from_a_user", |name| {
         violations(name, |seed, wrong| {
             let outcome = with_guest(seed, |app| app.controller_with("guest", |(): &(), _| Ok(WritesNan)))?;
-            let (guest, others) = guest_and_others(&outcome);
-            wrong.check(guest.0 == guest.1 && guest.0 > 0, "some of its batches got in");
-            wrong.check(others == 0, "somebody else's batch was refused");
+            let (guest, others) = split(&outcome.reports, "guest");
+            wrong
+                .check(guest.rejected == guest.scheduled && guest.rejected > 0, "some of its batches got in");
+            wrong.check(others.iter().all(|row| row.rejected == 0), "somebody else's batch was refused");
             Ok(())
         })
-    })?;
-    add("lockstep_error_on_every_tick".into(), &mut |name| {
+    });
+    plan.row("lockstep_error_on_every_tick", |name| {
         violations(name, |seed, wrong| {
             let outcome = with_guest(seed, |app| app.controller_with("guest", |(): &(), _| Ok(AlwaysFails)))?;
             let held: Vec<&str> = outcome.kernel.held.iter().map(|(name, _)| name.as_str()).collect();
             wrong.check(held == ["guest"], "it is not the one that is held");
             wrong.check(outcome.summary.error.is_some(), "the report does not say so");
             wrong.check(outcome.kernel.code == 0, "the session gave up");
-            let others = outcome.reports.iter().filter(|row| row.name != "guest");
-            wrong.check(others.clone().all(|row| row.missed == 0), "somebody else missed ticks");
-            wrong.check(others.clone().all(|row| row.restarts == 0), "somebody else was restarted");
+            let (_, others) = split(&outcome.reports, "guest");
+            wrong.check(others.iter().all(|row| row.missed == 0), "somebody else missed ticks");
+            wrong.check(others.iter().all(|row| row.restarts == 0), "somebody else was restarted");
             Ok(())
         })
-    })?;
-    add("lockstep_flood_of_1e6_commands_per_second".into(), &mut |name| {
+    });
+    plan.row("lockstep_flood_of_1e6_commands_per_second", |name| {
         violations(name, |seed, wrong| {
             let app = |app: App| app.controller_with("guest", |(): &(), _| Ok(Floods::new(5_000)));
             let outcome = with_guest(seed, app)?;
-            let (_, others) = guest_and_others(&outcome);
-            wrong.check(others == 0, "somebody else's batch was refused");
-            let others = outcome.reports.iter().filter(|row| row.name != "guest");
-            wrong.check(others.clone().all(|row| row.missed == 0), "somebody else missed ticks");
+            let (guest, others) = split(&outcome.reports, "guest");
+            wrong.check(guest.dropped > 0, "nothing was refused at its own handle");
+            let refused = |row: &ControllerReport| row.dropped + row.rejected + row.lost;
+            wrong.check(others.iter().all(|row| refused(row) == 0), "somebody else's batch was refused");
+            wrong.check(others.iter().all(|row| row.missed == 0), "somebody else missed ticks");
             Ok(())
         })
-    })?;
-    add("lockstep_queue_full_engine_resumed".into(), &mut |name| {
-        worst(name, "ms", RESUME_MS_MAX, |seed| {
-            let plan = struck(seed).lasting(secs(0.05)).queue_full("engine");
-            let outcome = run(&App::new(), seed, plan, None)?;
-            Ok(row_of(&outcome)?.recovery().map_or(f64::INFINITY, |span| span.as_secs_f64() * 1e3))
-        })
-    })?;
-    add("lockstep_full_disk_leaves_the_simulation_untouched".into(), &mut |name| {
-        violations(name, |seed, wrong| {
-            let file = folder.join("full.mcap");
-            let plan = FaultPlan::new(seed).at(secs(2.0)).lasting(secs(3.0)).disk_full();
-            let without = run(&App::new(), seed, FaultPlan::new(seed), None)?;
-            let with = run(&App::new(), seed, plan, Some(&file))?;
-            wrong.check(with.summary.state_hash == without.summary.state_hash, "the state hash differs");
-            wrong.check(row_of(&with)?.detected.is_some(), "nobody noticed");
-            wrong.check(row_of(&with)?.resumed.is_some(), "the recorder never wrote again");
-            Ok(())
-        })
-    })?;
-    Ok(rows)
+    });
 }
 
 /// A fault at a random moment at which something is held.
-fn struck(seed: u64) -> FaultAt {
+pub fn struck(seed: u64) -> FaultAt {
     let expect = Expect { force_newtons_max: Some(FORCE_MAX), ..Expect::default() };
     let plan = FaultPlan::new(seed).expecting(expect);
     plan.between(secs(WINDOW.0), secs(WINDOW.1)).during(During::Grasp)
 }
 
-fn run(app: &App, seed: u64, plan: FaultPlan, record: Option<&Path>) -> Result<RunOutcome, Failure> {
+/// A run of the exercise in virtual time, for as long as faults that wait for a grasp take.
+pub fn options(seed: u64, plan: FaultPlan) -> RunOptions {
+    RunOptions { lockstep: true, seconds: Some(RUN_SECS), seed, faults: Some(plan), ..RunOptions::default() }
+}
+
+pub fn run(app: &App, seed: u64, plan: FaultPlan) -> Result<RunOutcome, Failure> {
+    run_with(app, &options(seed, plan))
+}
+
+pub fn run_with(app: &App, options: &RunOptions) -> Result<RunOutcome, Failure> {
     let scenario = app.scenario(SCENARIO)?;
-    let options = RunOptions {
-        lockstep: true,
-        seconds: Some(RUN_SECS),
-        seed,
-        faults: Some(plan),
-        record: record.map(Path::to_owned),
-        ..RunOptions::default()
-    };
-    let outcome = trocar::run::run(app, &scenario, &options, &mut |_| {})?;
+    let outcome = trocar::run::run(app, &scenario, options, &mut |_| {})?;
     if let Some(failure) = outcome.failed_expectations.first() {
-        return Err(Failure::internal(format!("{SCENARIO}, seed {seed}: {failure}")));
+        return Err(Failure::internal(format!("{SCENARIO}, seed {}: {failure}", options.seed)));
     }
     Ok(outcome)
 }
@@ -178,39 +191,52 @@ fn run(app: &App, seed: u64, plan: FaultPlan, record: Option<&Path>) -> Result<R
 /// A run with a controller called `guest` at 100 Hz.
 fn with_guest(seed: u64, add: impl Fn(App) -> App) -> Result<RunOutcome, Failure> {
     let app = add(App::new().component::<Nuisance>()).joins("guest", 100.0);
-    run(&app, seed, FaultPlan::new(seed), None)
+    run(&app, seed, FaultPlan::new(seed))
 }
 
-/// The guest's rejected and scheduled batches, and the rejected batches of everybody else.
-fn guest_and_others(outcome: &RunOutcome) -> ((u64, u64), u64) {
-    let guest = outcome.reports.iter().find(|row| row.name == "guest");
-    let others = outcome.reports.iter().filter(|row| row.name != "guest").map(|row| row.rejected).sum();
-    (guest.map_or((0, 0), |row| (row.rejected, row.scheduled)), others)
+/// The row of `name` and those of everybody else.
+pub fn split<'a>(rows: &'a [ControllerReport], name: &str) -> (ControllerReport, Vec<&'a ControllerReport>) {
+    let guest = rows.iter().find(|row| row.name == name).cloned();
+    (guest.unwrap_or_default(), rows.iter().filter(|row| row.name != name).collect())
 }
 
-fn row_of(outcome: &RunOutcome) -> Result<&FaultRow, Failure> {
+/// From the moment at which a fault was over to the first good work \[ms\].
+pub fn recovery(row: &FaultRow) -> f64 {
+    row.recovery().map_or(f64::INFINITY, |span| span.as_secs_f64() * 1e3)
+}
+
+pub fn row_of(outcome: &RunOutcome) -> Result<&FaultRow, Failure> {
     let row = outcome.kernel.faults.first().filter(|row| row.injected.is_some());
     row.ok_or_else(|| Failure::internal("the fault did not strike"))
 }
 
-fn millis(from: Option<SimTime>, to: Option<SimTime>) -> f64 {
+pub fn millis(from: Option<SimTime>, to: Option<SimTime>) -> f64 {
     match (from, to) {
         (Some(from), Some(to)) => to.since(from).as_secs_f64() * 1e3,
         _ => f64::INFINITY,
     }
 }
 
+/// Every seed, side by side.
+fn each_seed<T: Send>(look: impl Fn(u64) -> Result<T, Failure> + Sync) -> Result<Vec<T>, Failure> {
+    let look = &look;
+    thread::scope(|scope| {
+        let runs: Vec<_> = SEEDS.map(|seed| scope.spawn(move || look(seed))).collect();
+        let join = |run: thread::ScopedJoinHandle<'_, Result<T, Failure>>| {
+            run.join().unwrap_or_else(|_| Err(Failure::internal("a run panicked")))
+        };
+        runs.into_iter().map(join).collect()
+    })
+}
+
 /// The largest figure over the seeds, held against a bar.
-fn worst(
+pub fn worst(
     name: &str,
     unit: &str,
     bar: f64,
-    mut figure: impl FnMut(u64) -> Result<f64, Failure>,
+    figure: impl Fn(u64) -> Result<f64, Failure> + Sync,
 ) -> Result<BenchResult, Failure> {
-    let mut figures = Vec::new();
-    for seed in SEEDS {
-        figures.push(figure(seed)?);
-    }
+    let figures = each_seed(figure)?;
     let largest = figures.iter().copied().fold(0.0, f64::max);
     let smallest = figures.iter().copied().fold(f64::INFINITY, f64::min);
     let spread = if largest > 0.0 && largest.is_finite() { (largest - smallest) / largest } else { 0.0 };
@@ -221,26 +247,30 @@ fn worst(
 
 /// Counts what must not be.
 #[derive(Default)]
-struct Wrong(Vec<String>);
+pub struct Wrong(Vec<String>);
 
 impl Wrong {
-    fn check(&mut self, holds: bool, otherwise: &str) {
+    pub fn check(&mut self, holds: bool, otherwise: &str) {
         if !holds {
             self.0.push(otherwise.to_owned());
         }
     }
+    /// What was found, as a row.
+    pub fn row(&self, name: &str) -> BenchResult {
+        for what in &self.0 {
+            tracing::warn!("{name}: {what}");
+        }
+        BenchResult::on_value(name, "violations", (self.0.len() as f64, 0.0), Some(0.0), Better::Lower)
+    }
 }
 
-fn violations(
+pub fn violations(
     name: &str,
-    mut look: impl FnMut(u64, &mut Wrong) -> Result<(), Failure>,
+    look: impl Fn(u64, &mut Wrong) -> Result<(), Failure> + Sync,
 ) -> Result<BenchResult, Failure> {
-    let mut wrong = Wrong::default();
-    for seed in SEEDS {
-        look(seed, &mut wrong)?;
-    }
-    for what in &wrong.0 {
-        tracing::warn!("{name}: {what}");
-    }
-    Ok(BenchResult::on_value(name, "violations", (wrong.0.len() as f64, 0.0), Some(0.0), Better::Lower))
+    let found = each_seed(|seed| {
+        let mut wrong = Wrong::default();
+        look(seed, &mut wrong).map(|()| wrong.0)
+    })?;
+    Ok(Wrong(found.into_iter().flatten().collect()).row(name))
 }

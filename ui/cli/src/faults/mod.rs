@@ -1,11 +1,15 @@
 //! `trocar faults verify`: what a session survives, shown by doing it.
 
+mod disks;
+mod flood;
+mod forces;
 mod hostile;
+mod links;
 mod live;
 mod lockstep;
 mod process;
-
-use std::path::Path;
+mod strikes;
+mod zombie;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use trocar::summary::{BenchResult, BenchSummary, Exit};
@@ -38,29 +42,54 @@ fn verify(args: &VerifyArgs) -> Result<Exit, Failure> {
     Ok(if summary.missed().next().is_none() { Exit::Ok } else { Exit::Failed })
 }
 
-fn measure(args: &VerifyArgs) -> Result<Vec<BenchResult>, Failure> {
-    let folder = tempfile::tempdir().map_err(Failure::internal)?;
-    let bar = ProgressBar::new_spinner();
-    let style = ProgressStyle::with_template("{spinner} {pos} rows  {msg}  {elapsed}");
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
-    bar.enable_steady_tick(std::time::Duration::from_millis(200));
-    let rows = parts(args, folder.path(), &mut |name| {
-        bar.set_message(name.to_owned());
-        bar.inc(1);
-    });
-    bar.finish_and_clear();
-    rows
+/// What a measurement gives.
+type Rows = Result<Vec<BenchResult>, Failure>;
+
+/// Rows to be measured, one after the other.
+pub struct Plan<'a>(Vec<Step<'a>>);
+
+/// A name for people, and what gives one row or several.
+struct Step<'a> {
+    name: String,
+    measure: Box<dyn FnOnce(&str) -> Rows + 'a>,
 }
 
-fn parts(args: &VerifyArgs, folder: &Path, tell: &mut dyn FnMut(&str)) -> Result<Vec<BenchResult>, Failure> {
+impl<'a> Plan<'a> {
+    /// One row of that name.
+    pub fn row(
+        &mut self,
+        name: impl Into<String>,
+        measure: impl FnOnce(&str) -> Result<BenchResult, Failure> + 'a,
+    ) {
+        self.rows(name, |name| Ok(vec![measure(name)?]));
+    }
+    /// Rows that one measurement gives.
+    pub fn rows(&mut self, name: impl Into<String>, measure: impl FnOnce(&str) -> Rows + 'a) {
+        self.0.push(Step { name: name.into(), measure: Box::new(measure) });
+    }
+}
+
+fn measure(args: &VerifyArgs) -> Rows {
+    let folder = tempfile::tempdir().map_err(Failure::internal)?;
+    let mut plan = Plan(Vec::new());
     let both = args.live == args.lockstep;
-    let mut rows = Vec::new();
     if both || args.lockstep {
-        rows.extend(lockstep::rows(folder, tell)?);
+        lockstep::plan(folder.path(), &mut plan);
     }
     if both || args.live {
-        rows.extend(live::rows(tell)?);
-        rows.extend(process::rows(folder, tell)?);
+        live::plan(&mut plan);
+        process::plan(folder.path(), &mut plan);
     }
+    let bar = ProgressBar::new(plan.0.len() as u64);
+    let style = ProgressStyle::with_template("{bar:30} {pos} of {len}  {msg}  {elapsed}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    bar.enable_steady_tick(std::time::Duration::from_millis(200));
+    let mut rows = Vec::new();
+    for Step { name, measure } in plan.0 {
+        bar.set_message(name.clone());
+        rows.extend(measure(&name)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
     Ok(rows)
 }

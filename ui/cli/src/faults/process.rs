@@ -8,15 +8,13 @@ use rustix::process::{Pid, Signal, kill_process};
 use trocar::summary::{BenchResult, Better};
 use trocar_kernel::recorder::Recording;
 
+use super::Plan;
 use crate::failure::Failure;
 
 /// Rows of this kind.
-pub fn rows(folder: &Path, tell: &mut dyn FnMut(&str)) -> Result<Vec<BenchResult>, Failure> {
-    tell("process_killed_recording_lacks");
-    let killed = killed(folder)?;
-    tell("process_terminated_with_a_zombie");
-    let terminated = terminated(folder)?;
-    Ok([killed, terminated].into_iter().flatten().collect())
+pub fn plan<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
+    plan.rows("process_killed_recording_lacks", |_| killed(folder));
+    plan.rows("process_terminated_with_a_zombie", |_| terminated(folder));
 }
 
 /// Runs this program on the exercise, live, and records.

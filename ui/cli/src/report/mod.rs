@@ -5,6 +5,7 @@ mod page;
 mod paths;
 mod scale;
 mod series;
+mod stages;
 mod svg;
 mod tables;
 mod timeline;

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use trocar::summary::Mode;
 
 use super::scale::short;
-use super::{Report, histogram, paths, series, tables, timeline};
+use super::{Report, histogram, paths, series, stages, tables, timeline};
 use crate::escape::{escape, escape_json};
 
 const STYLE: &str = include_str!("style.css");
@@ -53,7 +53,8 @@ pub fn html(report: &Report) -> String {
         section(&mut out, "Tuned: what was not as in the scenario at the end", "", &tables::tuned(report));
     }
     if !report.summary.faults.is_empty() {
-        section(&mut out, "Faults", "", &tables::faults(report));
+        let body = stages::stages(report) + &tables::faults(report);
+        section(&mut out, "Faults", stages::KEY, &body);
     }
     if !report.health.is_empty() {
         section(&mut out, "Supervisor", "", &tables::health(report));
@@ -106,6 +107,10 @@ fn tiles(out: &mut String, report: &Report) {
         (format!("{} mm", short(summary.penetration_max * 1e3)), "deepest penetration".to_owned()),
         (format!("{:.1} / {:.1} s", summary.sim_secs, summary.wall_secs), "simulated / wall time".to_owned()),
     ];
+    if !summary.faults.is_empty() {
+        let held = format!("{} ms", short(summary.force_age_max_us * 1e-3));
+        tiles.push((held, "longest force without a fresh command".to_owned()));
+    }
     if let (Some(worst), Mode::Live) = (worst, summary.mode) {
         tiles.push((format!("{:.2} %", 100.0 * worst.on_time), format!("least on time: {}", worst.name)));
     }
@@ -125,6 +130,16 @@ fn failures(out: &mut String, report: &Report) {
     }
     if !list.is_empty() {
         let _ = write!(out, "<section class=\"notice\"><h2>What went wrong</h2><ul>{list}</ul></section>");
+    }
+    let mut list = String::new();
+    for line in &report.summary.losses {
+        let _ = write!(list, "<li>{}</li>", escape(line));
+    }
+    if !list.is_empty() {
+        let _ = write!(
+            out,
+            "<section class=\"notice\"><h2>What it had to do without</h2><ul>{list}</ul></section>"
+        );
     }
 }
 

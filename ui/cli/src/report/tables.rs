@@ -25,6 +25,7 @@ pub fn controllers(report: &Report) -> String {
         "max",
         "missed",
         "dropped",
+        "lost",
         "rejected",
         "conflicts",
         "restarts",
@@ -45,7 +46,8 @@ fn controller_row(row: &ControllerSummary) -> Vec<Cell> {
     cells.extend([late.p50, late.p99, late.p999, late.max].map(Cell::number));
     cells.extend([row.step_us.p50, row.step_us.p99, row.step_us.max].map(Cell::number));
     cells.extend(
-        [row.missed, row.dropped, row.rejected, row.conflicts, u64::from(row.restarts)].map(Cell::count),
+        [row.missed, row.dropped, row.lost, row.rejected, row.conflicts, u64::from(row.restarts)]
+            .map(Cell::count),
     );
     cells
 }
@@ -62,15 +64,28 @@ pub fn tuned(report: &Report) -> String {
 
 /// What became of each fault.
 pub fn faults(report: &Report) -> String {
-    let head =
-        ["fault", "target", "kind", "injected [s]", "detected", "restarted", "resumed", "recovery [ms]"];
-    table(&head, report.summary.faults.iter().map(fault_row), "")
+    let head = [
+        "fault",
+        "target",
+        "kind",
+        "injected [s]",
+        "detected",
+        "restarted",
+        "over",
+        "resumed",
+        "recovery [ms]",
+    ];
+    table(
+        &head,
+        report.summary.faults.iter().map(fault_row),
+        "Over: when the fault ended by itself. Recovery is counted from there, or from the injection if somebody had \
+         to be restarted, to the first good work.",
+    )
 }
 
 fn fault_row(row: &FaultSummary) -> Vec<Cell> {
     let secs = |time: Option<f64>| Cell::plain(time.map_or("–".into(), |secs| format!("{secs:.3}")));
-    let recovery = row.injected_secs.zip(row.resumed_secs).map(|(from, to)| (to - from) * 1e3);
-    let last = match recovery {
+    let last = match row.recovery_secs().map(|secs| secs * 1e3) {
         Some(millis) => Cell::plain(format!("{millis:.1}")),
         None if row.injected_secs.is_some() => Cell::plain("not recovered".into()).warn(),
         None => Cell::plain("–".into()),
@@ -82,6 +97,7 @@ fn fault_row(row: &FaultSummary) -> Vec<Cell> {
         secs(row.injected_secs),
         secs(row.detected_secs),
         secs(row.restarted_secs),
+        secs(row.healed_secs),
         secs(row.resumed_secs),
         last,
     ]

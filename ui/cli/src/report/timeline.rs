@@ -74,16 +74,26 @@ fn phases(chart: &mut Chart, report: &Report, (top, bottom): (f64, f64)) {
     }
 }
 
-/// From injected to resumed, with the moment of the restart.
+/// From injected to resumed: how long it lasted, when it was seen, when its target was started anew.
 fn fault_track(chart: &mut Chart, report: &Report, (top, bottom): (f64, f64)) {
     label(chart, "faults", (top, bottom));
     let middle = 0.5 * (top + bottom);
     for fault in &report.summary.faults {
         let Some(injected) = fault.injected_secs else { continue };
         let over = fault.resumed_secs.unwrap_or(report.trace.secs);
-        let tip = format!("{}: {} {}", fault.id, fault.kind, fault.target);
+        let stage = |what: &str, secs: Option<f64>| secs.map(|secs| format!(", {what} at {secs:.3} s"));
+        let stages = [
+            ("detected", fault.detected_secs),
+            ("restarted", fault.restarted_secs),
+            ("over", fault.healed_secs),
+            ("resumed", fault.resumed_secs),
+        ];
+        let stages: String = stages.into_iter().filter_map(|(what, secs)| stage(what, secs)).collect();
+        let tip = format!("{}: {} {} at {injected:.3} s{stages}", fault.id, fault.kind, fault.target);
         let class = if fault.resumed_secs.is_some() { "fault" } else { "fault open" };
-        chart.rect(class, (chart.x.pixel(injected), top + 3.0), (chart.x.pixel(over), bottom - 3.0), &tip);
+        // However short it was, it can be pointed at.
+        let to = chart.x.pixel(over).max(chart.x.pixel(injected) + 3.0);
+        chart.rect(class, (chart.x.pixel(injected), top + 3.0), (to, bottom - 3.0), &tip);
         chart.cross("bad", (chart.x.pixel(injected), middle), &tip);
     }
     for incident in report.incidents {

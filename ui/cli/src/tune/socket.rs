@@ -28,18 +28,24 @@ pub fn folder() -> io::Result<PathBuf> {
         (_, Some(folder)) if !folder.is_empty() => PathBuf::from(folder).join("trocar"),
         _ => std::env::temp_dir().join(format!("trocar-{uid}")),
     };
-    match std::fs::DirBuilder::new().recursive(true).mode(0o700).create(&folder) {
+    private(&folder, uid)?;
+    Ok(folder)
+}
+
+/// Makes a folder that only `uid` can enter, or sees that it is one.
+fn private(folder: &Path, uid: u32) -> io::Result<()> {
+    match std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
         _ => {}
     }
     // Not followed: a link that somebody else has put there is no folder of ours.
-    let found = std::fs::symlink_metadata(&folder)?;
+    let found = std::fs::symlink_metadata(folder)?;
     if !found.is_dir() || found.uid() != uid || found.mode() & 0o022 != 0 {
         let reason =
             format!("{}: it must be a folder of this user that others cannot write to", folder.display());
         return Err(io::Error::new(io::ErrorKind::PermissionDenied, reason));
     }
-    Ok(folder)
+    Ok(())
 }
 
 /// A question with the way back for its answer.
@@ -219,6 +225,23 @@ mod tests {
         let _ = server.join();
         parrot.join().unwrap();
         lines
+    }
+
+    #[test]
+    fn a_folder_that_others_can_write_to_is_refused() {
+        use std::os::unix::fs::PermissionsExt;
+        let uid = rustix::process::getuid().as_raw();
+        let home = tempfile::tempdir().unwrap();
+        let folder = home.path().join("a/b");
+        private(&folder, uid).unwrap();
+        assert_eq!(std::fs::metadata(&folder).unwrap().mode() & 0o777, 0o700);
+        private(&folder, uid).unwrap();
+        assert!(private(&folder, uid + 1).is_err(), "somebody else's");
+        std::fs::set_permissions(&folder, std::fs::Permissions::from_mode(0o777)).unwrap();
+        assert!(private(&folder, uid).unwrap_err().to_string().contains("others cannot write to"));
+        let link = home.path().join("link");
+        std::os::unix::fs::symlink(home.path(), &link).unwrap();
+        assert!(private(&link, uid).is_err(), "a link may lead anywhere");
     }
 
     #[test]

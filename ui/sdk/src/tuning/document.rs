@@ -237,6 +237,8 @@ fn to_toml(value: &Value) -> Result<toml_edit::Value, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+    use proptest::sample::select;
     use serde_json::json;
     use trocar_scene::Entity;
 
@@ -309,5 +311,20 @@ rate_hz = 500
         }
         assert!(before.starts_with("# A ring."));
         assert!(ScenarioText::parse("a = [").is_err());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(1_000) })]
+
+        #[test]
+        fn any_key_leaves_a_document(
+            root in select(vec!["gravity", "task", "controller.engine.main", "controller.*", "hand", "entity", ""]),
+            rest in prop_oneof!["[a-z0-9.*]{0,12}", "\\PC{0,12}"],
+            value in select(vec![json!(1), json!(-0.5), json!(true), json!("a \"b\" \n"), json!(null)]),
+        ) {
+            let mut text = ScenarioText::parse(TEXT).unwrap();
+            let _ = text.set_key(&format!("{root}.{rest}"), &value);
+            prop_assert!(toml::from_str::<toml::Table>(&text.text()).is_ok(), "{}", text.text());
+        }
     }
 }

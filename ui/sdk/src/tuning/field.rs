@@ -396,6 +396,8 @@ fn shortened(names: &[String]) -> String {
 mod tests {
     use super::*;
     use crate::app::App;
+    use proptest::prelude::*;
+    use proptest::sample::select;
 
     fn scene() -> Snapshot {
         let app = App::new();
@@ -485,6 +487,57 @@ mod tests {
         assert_eq!(parse_assignment("a=.5"), Ok(("a".into(), Value::from(0.5))));
         for wrong in ["a", "=1", "a=", " = "] {
             assert!(parse_assignment(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    /// Pieces of names, in any order, and other letters.
+    fn name() -> impl Strategy<Value = String> {
+        let piece = select(vec![
+            "ring",
+            "1",
+            "*",
+            "rigid_body",
+            "mass",
+            "pose",
+            "translation",
+            "0",
+            "-1",
+            "99999999999999999999",
+            "",
+            "shape",
+            "torus",
+            "grasper",
+            "left",
+            "instrument",
+            "port",
+            "0:0:5",
+            "name",
+            "task_state",
+        ]);
+        prop_oneof![
+            4 => prop::collection::vec(piece, 0..8).prop_map(|pieces| pieces.join(".")),
+            1 => "\\PC{0,40}",
+        ]
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(2_000) })]
+
+        #[test]
+        fn any_text_names_a_field_or_is_refused(text in name(), value in "\\PC{0,12}") {
+            thread_local!(static SCENE: Snapshot = scene());
+            SCENE.with(|scene| {
+                let _ = parse_assignment(&format!("{text}={value}"));
+                match (find(scene, &text), list(scene, &text)) {
+                    (Ok(fields), listed) => {
+                        prop_assert!(!fields.is_empty() && listed.is_ok());
+                        let mut row = row(scene, &fields[0]).unwrap();
+                        let _ = write(&fields[0], &mut row, &parse_value(&value));
+                    }
+                    (Err(error), _) => prop_assert!(!error.to_string().is_empty()),
+                }
+                Ok(())
+            })?;
         }
     }
 }

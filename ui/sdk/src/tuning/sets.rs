@@ -178,6 +178,7 @@ fn check_name(name: &str) -> Result<(), SetsError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     const TEXT: &str = "schema = 1\n[sets.a]\n\"ring.*.rigid_body.mass\" = 0.005\n[sets.b]\nx = true\n";
 
@@ -214,5 +215,19 @@ mod tests {
         assert!(matches!(sets.keep("one-more", TuningSet::new()), Err(SetsError::Full)));
         sets.keep("s0", TuningSet::from([("x".to_owned(), Value::from(1))])).unwrap();
         assert!(matches!(sets.keep("base", TuningSet::new()), Err(SetsError::Name(_))));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(500) })]
+
+        #[test]
+        fn any_text_is_read_or_refused(at in 0..TEXT.len(), cut in 0usize..20, more in "\\PC{0,20}") {
+            let end = (at + cut).min(TEXT.len());
+            let text = format!("{}{more}{}", &TEXT[..at], &TEXT[end..]);
+            match TuningSets::parse(&text, "t.toml") {
+                Ok(sets) => prop_assert_eq!(TuningSets::parse(&sets.text(), "t.toml").unwrap(), sets),
+                Err(error) => prop_assert!(error.to_string().starts_with("t.toml: ")),
+            }
+        }
     }
 }

@@ -1,0 +1,381 @@
+//! A bad link: messages are lost, late, doubled, overtaken or garbled, or none passes at all.
+//!
+//! Sans-IO and generic over the message, after NetEm (Hemminger, "Network emulation with NetEm", 2005): messages
+//! go in with the time at which they were sent, and come out when they are due. The seed of each fault and the
+//! messages themselves decide everything, so the same messages at the same times suffer the same fate.
+//!
+//! A garbled message is garbled for real: its encoding gets flipped bits, and its checksum refuses it, as the
+//! receiver's would. A late one keeps its place in the line; only `reorder` lets one be overtaken.
+
+use std::collections::VecDeque;
+
+use trocar_scene::SimTime;
+
+use super::random::SplitMix64;
+use crate::spec::{FaultKind, FaultOrder};
+
+/// Most messages that wait on one link; what comes on top is lost and counted.
+pub const LINK_WAITING_MAX: usize = 1_024;
+/// Longest time for which an overtaken message waits for the one that overtakes it.
+const OVERTAKEN_MAX: SimTime = SimTime::from_millis(100);
+/// Most bits that are flipped in a garbled message.
+const FLIPS_MAX: u64 = 3;
+
+/// Something that travels over a link.
+pub trait Message: Sized {
+    /// A second one like it; `None` when there can be none.
+    fn duplicate(&self) -> Option<Self>;
+    /// What the receiver makes of it when `noise` has been at its encoded bytes; `None` when it is refused.
+    fn through(self, noise: &mut dyn FnMut(&mut [u8])) -> Option<Self>;
+}
+
+/// What became of the messages that did not just pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkCounts {
+    /// Never arrived: dropped, partitioned away, or one too many on the way.
+    pub lost: u64,
+    /// Garbled and refused by their checksum; these are lost as well, and not counted there.
+    pub corrupted: u64,
+    /// Arrived later than they would have.
+    pub delayed: u64,
+    /// Arrived twice.
+    pub duplicated: u64,
+    /// Were overtaken.
+    pub reordered: u64,
+}
+
+impl LinkCounts {
+    /// How often anything was done to a message.
+    pub fn sum(&self) -> u64 {
+        self.lost + self.corrupted + self.delayed + self.duplicated + self.reordered
+    }
+}
+
+/// One fault that acts on the link.
+#[derive(Clone, Debug)]
+struct Ailment {
+    index: u32,
+    kind: FaultKind,
+    span: SimTime,
+    jitter: SimTime,
+    probability: f64,
+    random: SplitMix64,
+}
+
+impl Ailment {
+    fn strikes(&mut self, kind: FaultKind) -> bool {
+        self.kind == kind && self.random.unit() < self.probability
+    }
+}
+
+#[derive(Debug)]
+struct Waiting<M> {
+    due: SimTime,
+    message: M,
+}
+
+/// The faults of one link, and the messages that are on their way over it.
+#[derive(Debug)]
+pub struct LinkFaults<M> {
+    ailments: Vec<Ailment>,
+    /// In the order of their due times.
+    waiting: VecDeque<Waiting<M>>,
+    /// Waits for the next message to pass, until its time at the latest.
+    overtaken: Option<Waiting<M>>,
+    counts: LinkCounts,
+}
+
+impl<M> Default for LinkFaults<M> {
+    fn default() -> Self {
+        let (ailments, waiting) = (Vec::new(), VecDeque::new());
+        Self { ailments, waiting, overtaken: None, counts: LinkCounts::default() }
+    }
+}
+
+impl<M: Message> LinkFaults<M> {
+    /// A fault begins or ends; one that is none of a link changes nothing.
+    pub fn apply(&mut self, order: &FaultOrder) {
+        if !order.kind.is_of_link() {
+            return;
+        }
+        self.ailments.retain(|ailment| ailment.index != order.index);
+        if order.begins {
+            self.ailments.push(Ailment {
+                index: order.index,
+                kind: order.kind,
+                span: order.span,
+                jitter: order.jitter,
+                probability: order.probability,
+                random: SplitMix64::new(order.seed),
+            });
+        } else if let Some(overtaken) = &mut self.overtaken {
+            // Nobody may come any more.
+            overtaken.due = SimTime::ZERO;
+        }
+    }
+
+    /// Nothing acts on the link and nothing is on its way: messages need not be shown to it.
+    pub fn is_idle(&self) -> bool {
+        self.ailments.is_empty() && self.waiting.is_empty() && self.overtaken.is_none()
+    }
+
+    /// What has been done to messages so far.
+    pub fn counts(&self) -> &LinkCounts {
+        &self.counts
+    }
+
+    /// A message is sent at `now`, which must not decrease. [`Self::due`] gives it back if it arrives.
+    pub fn send(&mut self, now: SimTime, message: M) {
+        if self.ailments.iter().any(|ailment| ailment.kind == FaultKind::Partition)
+            || self.strikes(FaultKind::Drop)
+        {
+            self.counts.lost += 1;
+            return;
+        }
+        let Some(message) = self.pass_noise(message) else {
+            self.counts.corrupted += 1;
+            return;
+        };
+        let late = self.delay();
+        let due = now + late;
+        if late > SimTime::ZERO {
+            self.counts.delayed += 1;
+        }
+        if self.strikes(FaultKind::Reorder) && self.overtaken.is_none() {
+            self.counts.reordered += 1;
+            self.overtaken = Some(Waiting { due: due + OVERTAKEN_MAX, message });
+            return;
+        }
+        let copy = if self.strikes(FaultKind::Duplicate) { message.duplicate() } else { None };
+        self.line_up(due, message);
+        if let Some(copy) = copy {
+            self.counts.duplicated += 1;
+            self.line_up(due, copy);
+        }
+        if let Some(Waiting { message, .. }) = self.overtaken.take() {
+            self.line_up(due, message);
+        }
+    }
+
+    /// The next message that has arrived by `now`; call it until it gives `None`.
+    pub fn due(&mut self, now: SimTime) -> Option<M> {
+        if let Some(Waiting { message, .. }) = self.overtaken.take_if(|overtaken| overtaken.due <= now) {
+            self.line_up(now, message);
+        }
+        let arrived = self.waiting.front().is_some_and(|first| first.due <= now);
+        if arrived { self.waiting.pop_front().map(|first| first.message) } else { None }
+    }
+
+    /// When the next message arrives.
+    pub fn next_due(&self) -> Option<SimTime> {
+        let first = self.waiting.front().map(|first| first.due);
+        let overtaken = self.overtaken.as_ref().map(|overtaken| overtaken.due);
+        first.into_iter().chain(overtaken).min()
+    }
+
+    /// How many messages are on their way.
+    pub fn len(&self) -> usize {
+        self.waiting.len() + usize::from(self.overtaken.is_some())
+    }
+
+    /// Whether no message is on its way.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Every fault of this kind gets its chance, so that one does not change the other's luck.
+    fn strikes(&mut self, kind: FaultKind) -> bool {
+        let mut struck = false;
+        for ailment in &mut self.ailments {
+            struck |= ailment.strikes(kind);
+        }
+        struck
+    }
+
+    fn pass_noise(&mut self, mut message: M) -> Option<M> {
+        for ailment in &mut self.ailments {
+            if ailment.strikes(FaultKind::Corrupt) {
+                let random = &mut ailment.random;
+                message = message.through(&mut |bytes| {
+                    let bits = 8 * bytes.len() as u64;
+                    for _ in 0..=random.below(FLIPS_MAX) {
+                        let bit = random.below(bits);
+                        if let Some(byte) = bytes.get_mut((bit / 8) as usize) {
+                            *byte ^= 1 << (bit % 8);
+                        }
+                    }
+                })?;
+            }
+        }
+        Some(message)
+    }
+
+    /// How late a message is: of every delay its latency, spread evenly by its jitter.
+    fn delay(&mut self) -> SimTime {
+        let mut late = SimTime::ZERO;
+        for ailment in self.ailments.iter_mut().filter(|ailment| ailment.kind == FaultKind::Delay) {
+            let spread = ailment.jitter.as_secs_f64() * (2.0 * ailment.random.unit() - 1.0);
+            late += SimTime::from_secs_f64(ailment.span.as_secs_f64() + spread);
+        }
+        late
+    }
+
+    /// Behind everybody who is on the way already: a link is one line.
+    fn line_up(&mut self, due: SimTime, message: M) {
+        if self.waiting.len() >= LINK_WAITING_MAX {
+            self.counts.lost += 1;
+            return;
+        }
+        let due = self.waiting.back().map_or(due, |last| due.max(last.due));
+        self.waiting.push_back(Waiting { due, message });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::faults::secs;
+
+    /// A number with its checksum.
+    #[derive(Clone, Debug, PartialEq)]
+    struct Letter(u64);
+    impl Message for Letter {
+        fn duplicate(&self) -> Option<Self> {
+            Some(self.clone())
+        }
+        fn through(self, noise: &mut dyn FnMut(&mut [u8])) -> Option<Self> {
+            let mut bytes = self.0.to_le_bytes();
+            let sum = crc32fast::hash(&bytes);
+            noise(&mut bytes);
+            (crc32fast::hash(&bytes) == sum).then_some(self)
+        }
+    }
+
+    fn order(index: u32, kind: FaultKind, probability: f64, span: f64, jitter: f64) -> FaultOrder {
+        FaultOrder {
+            index,
+            target: "hand".to_owned(),
+            kind,
+            begins: true,
+            span: secs(span),
+            jitter: secs(jitter),
+            probability,
+            bytes_per_sec: 0.0,
+            seed: 7 + u64::from(index),
+        }
+    }
+
+    /// One message per millisecond for a second; when each arrived \[ms\].
+    fn second(link: &mut LinkFaults<Letter>) -> Vec<(u64, u64)> {
+        let mut arrived = Vec::new();
+        for ms in 0..1_500 {
+            let now = SimTime::from_millis(ms);
+            if ms < 1_000 {
+                link.send(now, Letter(ms));
+            }
+            while let Some(Letter(number)) = link.due(now) {
+                arrived.push((number, ms));
+            }
+        }
+        arrived
+    }
+
+    #[test]
+    fn without_faults_everything_passes_at_once_and_in_order() {
+        let mut link = LinkFaults::default();
+        assert!(link.is_idle());
+        assert!(second(&mut link).into_iter().eq((0..1_000).map(|ms| (ms, ms))));
+        assert!(link.is_idle() && link.next_due().is_none() && link.counts().sum() == 0);
+    }
+
+    #[test]
+    fn drops_follow_their_probability_and_their_seed() {
+        let lossy = |seed: u64| {
+            let mut link = LinkFaults::default();
+            link.apply(&FaultOrder { seed, ..order(0, FaultKind::Drop, 0.05, 0.0, 0.0) });
+            let arrived = second(&mut link);
+            assert_eq!(arrived.len() as u64 + link.counts().lost, 1_000);
+            arrived
+        };
+        assert_eq!(lossy(1), lossy(1));
+        assert_ne!(lossy(1), lossy(2));
+        let lost: usize = (0..20).map(|seed| 1_000 - lossy(seed).len()).sum();
+        // Binomial, n = 20,000 and p = 0.05: four standard deviations are 123.
+        assert!((877..1_123).contains(&lost), "{lost} of 20,000");
+    }
+
+    #[test]
+    fn a_delay_keeps_the_order_and_its_jitter_stays_within_bounds() {
+        let mut link = LinkFaults::default();
+        link.apply(&order(0, FaultKind::Delay, 1.0, 0.020, 0.010));
+        let arrived = second(&mut link);
+        assert!(arrived.iter().map(|(number, _)| *number).eq(0..1_000));
+        let late: Vec<u64> = arrived.iter().map(|(number, at)| at - number).collect();
+        assert!(late.iter().all(|late| (10..=31).contains(late)), "{:?}", late.iter().max());
+        assert!(late.iter().any(|late| *late < 18) && late.iter().any(|late| *late > 25));
+        assert_eq!(link.counts().delayed, 1_000);
+    }
+
+    #[test]
+    fn some_come_twice_and_some_are_overtaken_by_exactly_one() {
+        let mut link = LinkFaults::default();
+        link.apply(&order(0, FaultKind::Duplicate, 0.1, 0.0, 0.0));
+        let arrived = second(&mut link);
+        assert_eq!(arrived.len() as u64, 1_000 + link.counts().duplicated);
+        assert!((60..140).contains(&link.counts().duplicated));
+        let mut link = LinkFaults::default();
+        link.apply(&order(0, FaultKind::Reorder, 0.1, 0.0, 0.0));
+        let arrived = second(&mut link);
+        assert_eq!(arrived.len(), 1_000);
+        let overtaken = arrived.windows(2).filter(|pair| pair[0].0 > pair[1].0).count() as u64;
+        // The last one may wait for nobody.
+        assert!(overtaken.abs_diff(link.counts().reordered) <= 1 && overtaken > 50, "{overtaken}");
+        assert!(arrived.iter().all(|(number, at)| at - number <= 100));
+    }
+
+    #[test]
+    fn what_is_garbled_is_refused_by_its_checksum_and_never_arrives() {
+        let mut link = LinkFaults::default();
+        link.apply(&order(0, FaultKind::Corrupt, 0.3, 0.0, 0.0));
+        let arrived = second(&mut link);
+        assert_eq!(arrived.len() as u64 + link.counts().corrupted, 1_000);
+        assert!((220..380).contains(&link.counts().corrupted));
+        assert!(arrived.iter().all(|(number, at)| number == at), "nothing wrong came through");
+    }
+
+    #[test]
+    fn a_partition_lets_nothing_pass_and_heals() {
+        let mut link = LinkFaults::default();
+        let partition = order(3, FaultKind::Partition, 1.0, 0.0, 0.0);
+        link.apply(&partition);
+        assert!(second(&mut link).is_empty() && !link.is_idle());
+        link.apply(&FaultOrder { begins: false, ..partition });
+        assert!(link.is_idle());
+        assert_eq!(second(&mut link).len(), 1_000);
+    }
+
+    #[test]
+    fn the_line_is_bounded_and_what_does_not_fit_is_counted() {
+        let mut link = LinkFaults::default();
+        link.apply(&order(0, FaultKind::Delay, 1.0, 10.0, 0.0));
+        for number in 0..2_000 {
+            link.send(SimTime::ZERO, Letter(number));
+        }
+        assert_eq!((link.len(), link.counts().lost), (LINK_WAITING_MAX, 2_000 - LINK_WAITING_MAX as u64));
+        assert_eq!(link.next_due(), Some(secs(10.0)));
+    }
+
+    #[test]
+    fn an_overtaken_message_is_set_free_when_the_fault_ends_or_nobody_comes() {
+        let mut link = LinkFaults::default();
+        let reorder = order(0, FaultKind::Reorder, 1.0, 0.0, 0.0);
+        link.apply(&reorder);
+        link.send(secs(1.0), Letter(1));
+        assert_eq!(link.due(secs(1.05)), None);
+        assert_eq!(link.due(secs(1.1)), Some(Letter(1)));
+        link.send(secs(2.0), Letter(2));
+        link.apply(&FaultOrder { begins: false, ..reorder });
+        assert_eq!(link.due(secs(2.0)), Some(Letter(2)));
+        assert!(link.is_idle());
+    }
+}

@@ -1,0 +1,547 @@
+//! The Model's ends of all rings. They belong to no Model: whoever drains them holds [`Lanes`], a ticket that the
+//! next drainer's takes the place of, so that what a dead or hung Model had not taken waits for its successor.
+//!
+//! The lock around them is held for the length of a pop. Only the drainer takes it; one that was superseded sees
+//! so before it tries.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use rtrb::{Consumer, Producer, RingBuffer};
+use trocar_scene::{Batch, EntityAllocator, Registry, SimTime, WriterId};
+
+use crate::faults::{FaultOrder, LinkCounts, LinkFaults, Parcel};
+use crate::flow::FlowLimit;
+use crate::handle::{Bell, Doorbell, Ends, LaneStatus, Receipt, Sealed, WriterHandle};
+use crate::runtime::Clock;
+
+/// The Model's end of one writer's rings.
+struct Lane {
+    writer: WriterId,
+    batches: Consumer<Sealed>,
+    returns: Producer<Box<Batch>>,
+    receipts: Option<Producer<Receipt>>,
+}
+
+impl Lane {
+    /// Its writer is gone and everything it sent has been drained.
+    fn is_spent(&self) -> bool {
+        self.batches.is_abandoned() && self.batches.is_empty()
+    }
+}
+
+/// A link on which faults act, between the rings of one writer and the Model.
+struct Link {
+    writer: WriterId,
+    status: Arc<LaneStatus>,
+    faults: LinkFaults<Parcel>,
+    counted: LinkCounts,
+}
+
+impl Link {
+    fn send(&mut self, now: SimTime, parcel: Parcel) {
+        self.faults.send(now, parcel);
+        self.status.count_link(&self.counted, self.faults.counts());
+        self.counted = *self.faults.counts();
+    }
+}
+
+/// What has been opened or ordered and the drainer has not seen yet.
+#[derive(Default)]
+struct Arrivals {
+    lanes: Vec<Lane>,
+    orders: Vec<(WriterId, Arc<LaneStatus>, FaultOrder)>,
+}
+
+#[derive(Default)]
+struct Active {
+    lanes: Vec<Lane>,
+    /// Where the next turn begins.
+    next: usize,
+    /// Hardly ever any: one per writer whose link is bad.
+    links: Vec<Link>,
+}
+
+/// Owns the Model's ends of all rings; outlives every Model.
+pub struct Intake {
+    registry: Arc<Registry>,
+    clock: Clock,
+    bell: Arc<Bell>,
+    arrivals: Mutex<Arrivals>,
+    /// Whether there are arrivals.
+    arrived: AtomicBool,
+    /// Number of the drainer whose word counts.
+    drainer: AtomicU64,
+    active: Mutex<Active>,
+    /// Whether any link is bad: what waits on it comes without anybody ringing.
+    is_any_link_bad: AtomicBool,
+}
+
+impl Intake {
+    /// Without writers; `bell` wakes the Model, `clock` tells when a batch was sealed.
+    pub fn new(registry: Arc<Registry>, clock: Clock, bell: Arc<dyn Doorbell>) -> Arc<Self> {
+        Arc::new(Self {
+            registry,
+            clock,
+            bell: Arc::new(Bell::new(bell)),
+            arrivals: Mutex::default(),
+            arrived: AtomicBool::new(false),
+            drainer: AtomicU64::new(0),
+            active: Mutex::default(),
+            is_any_link_bad: AtomicBool::new(false),
+        })
+    }
+
+    /// Gives a life of a writer rings of its own, for `capacity` batches (at least 1), and its flow limit.
+    ///
+    /// A writer that was fenced keeps its old rings, so that a zombie can neither disturb its successor nor
+    /// be disturbed; what it still sends is refused by its epoch. `allocator` and `status` are shared by all
+    /// lives of a writer.
+    pub fn open(
+        &self,
+        writer: WriterId,
+        epoch: u32,
+        (capacity, flow): (usize, FlowLimit),
+        allocator: EntityAllocator,
+        status: Arc<LaneStatus>,
+    ) -> WriterHandle {
+        self.open_lane(writer, epoch, (capacity, flow), allocator, status, None)
+    }
+
+    /// The same without a flow limit, for a writer that is told what became of its batches, once they are published.
+    /// It must have taken the receipts of all but `capacity` of them when it sends another; more are lost.
+    pub(crate) fn open_with_receipts(
+        &self,
+        writer: WriterId,
+        epoch: u32,
+        capacity: usize,
+        allocator: EntityAllocator,
+        status: Arc<LaneStatus>,
+    ) -> (WriterHandle, Consumer<Receipt>) {
+        let (receipts, answers) = RingBuffer::new(2 * capacity.max(1));
+        let bounds = (capacity, FlowLimit::UNLIMITED);
+        (self.open_lane(writer, epoch, bounds, allocator, status, Some(receipts)), answers)
+    }
+
+    fn open_lane(
+        &self,
+        writer: WriterId,
+        epoch: u32,
+        (capacity, flow): (usize, FlowLimit),
+        allocator: EntityAllocator,
+        status: Arc<LaneStatus>,
+        receipts: Option<Producer<Receipt>>,
+    ) -> WriterHandle {
+        let capacity = capacity.max(1);
+        let (batches, from_writer) = RingBuffer::new(capacity);
+        // Everything that can be in flight fits into the way back.
+        let (to_writer, returns) = RingBuffer::new(capacity + 2);
+        let lane = Lane { writer, batches: from_writer, returns: to_writer, receipts };
+        unpoisoned(&self.arrivals).lanes.push(lane);
+        self.arrived.store(true, Ordering::Release);
+        let (bell, clock, registry) = (self.bell.clone(), self.clock, self.registry.clone());
+        let ends = Ends { batches, returns, bell, clock, registry };
+        WriterHandle::new(writer, epoch, ends, (capacity, flow), allocator, status)
+    }
+
+    /// A fault of the link between a writer and the Model begins or ends, from the next pass on.
+    pub(crate) fn fault(&self, writer: WriterId, status: &Arc<LaneStatus>, order: &FaultOrder) {
+        unpoisoned(&self.arrivals).orders.push((writer, status.clone(), order.clone()));
+        self.arrived.store(true, Ordering::Release);
+    }
+
+    /// Whether something may be on its way for which nobody will ring.
+    pub(crate) fn is_any_link_bad(&self) -> bool {
+        self.is_any_link_bad.load(Ordering::Relaxed)
+    }
+
+    /// From here on the lanes are drained through what this returns, and no longer through what it returned
+    /// before.
+    pub fn take(self: &Arc<Self>) -> Lanes {
+        let ticket = self.drainer.fetch_add(1, Ordering::AcqRel) + 1;
+        // An unanswered ring of a dead drainer must not keep the bell silent.
+        self.bell.silence();
+        Lanes { intake: self.clone(), ticket }
+    }
+}
+
+/// Nothing under these locks is left half changed by a panic: it is only pushed to or popped from.
+fn unpoisoned<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Active {
+    fn welcome(&mut self, arrivals: &mut Arrivals) {
+        self.lanes.append(&mut arrivals.lanes);
+        for (writer, status, order) in arrivals.orders.drain(..) {
+            let known = self.links.iter().position(|link| link.writer == writer);
+            let at = known.unwrap_or_else(|| {
+                let (faults, counted) = (LinkFaults::default(), LinkCounts::default());
+                self.links.push(Link { writer, status, faults, counted });
+                self.links.len() - 1
+            });
+            self.links[at].faults.apply(&order);
+        }
+    }
+
+    /// The next batch that waits, one lane after the other.
+    fn in_turn(&mut self) -> Option<(usize, Sealed)> {
+        let count = self.lanes.len();
+        for step in 0..count {
+            let index = (self.next + step) % count;
+            if let Ok(sealed) = self.lanes[index].batches.pop() {
+                self.next = (index + 1) % count;
+                return Some((index, sealed));
+            }
+        }
+        None
+    }
+
+    fn next_off_links(&mut self, now: SimTime) -> Option<Arrival> {
+        for link in &mut self.links {
+            if let Some(Parcel { sealed_at, batch, .. }) = link.faults.due(now) {
+                let lane = self.lanes.iter().rposition(|lane| lane.writer == link.writer);
+                return Some(Arrival { lane: LaneIndex(lane.unwrap_or(usize::MAX)), sealed_at, batch });
+            }
+        }
+        None
+    }
+
+    fn pop(&mut self, now: SimTime, registry: &Arc<Registry>) -> Option<Arrival> {
+        loop {
+            if !self.links.is_empty()
+                && let Some(arrival) = self.next_off_links(now)
+            {
+                return Some(arrival);
+            }
+            let (index, Sealed { at, batch }) = self.in_turn()?;
+            let writer = self.lanes[index].writer;
+            match self.links.iter_mut().find(|link| link.writer == writer) {
+                Some(link) => {
+                    link.send(now, Parcel { sealed_at: at, batch, registry: registry.clone() });
+                }
+                None => return Some(Arrival { lane: LaneIndex(index), sealed_at: at, batch }),
+            }
+        }
+    }
+}
+
+/// The rings as one drainer sees them.
+pub struct Lanes {
+    intake: Arc<Intake>,
+    ticket: u64,
+}
+
+/// Which lane a batch came through.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LaneIndex(usize);
+
+/// A batch that has come.
+pub struct Arrival {
+    /// Through which lane.
+    pub lane: LaneIndex,
+    /// When its writer sealed it.
+    pub sealed_at: SimTime,
+    /// The batch.
+    pub batch: Box<Batch>,
+}
+
+impl Lanes {
+    /// Whether nobody else drains the lanes by now.
+    pub fn is_current(&self) -> bool {
+        self.intake.drainer.load(Ordering::Acquire) == self.ticket
+    }
+
+    fn active(&self) -> Option<MutexGuard<'_, Active>> {
+        // Before the lock, so that a thread that was left behind does not get in anybody's way; and again
+        // under it.
+        if !self.is_current() {
+            return None;
+        }
+        let active = unpoisoned(&self.intake.active);
+        self.is_current().then_some(active)
+    }
+
+    /// Begins a pass: from here on a submission rings the bell again. Call it before the first [`Self::pop`] of
+    /// a pass, so that nothing sent in between is missed.
+    pub fn begin_pass(&mut self) {
+        let Some(mut active) = self.active() else { return };
+        self.intake.bell.silence();
+        if self.intake.arrived.swap(false, Ordering::AcqRel) {
+            active.welcome(&mut unpoisoned(&self.intake.arrivals));
+        }
+        if active.lanes.iter().any(Lane::is_spent) {
+            active.lanes.retain(|lane| !lane.is_spent());
+            active.next = 0;
+        }
+        if !active.links.is_empty() {
+            active.links.retain(|link| !link.faults.is_idle());
+        }
+        self.intake.is_any_link_bad.store(!active.links.is_empty(), Ordering::Relaxed);
+    }
+
+    /// The next batch that has come by `now`, one lane in turn; `None` when there is none, or when somebody else
+    /// drains the lanes.
+    pub fn pop(&mut self, now: SimTime) -> Option<Arrival> {
+        self.active()?.pop(now, &self.intake.registry)
+    }
+
+    /// Whether the writer of this lane waits for answers.
+    pub(crate) fn wants_receipt(&self, lane: LaneIndex) -> bool {
+        let waits = |active: MutexGuard<'_, Active>| {
+            active.lanes.get(lane.0).is_some_and(|lane| lane.receipts.is_some())
+        };
+        self.active().is_some_and(waits)
+    }
+
+    /// Tells the writer what became of a batch, if it wants to know. Valid until the next
+    /// [`Self::begin_pass`].
+    pub(crate) fn answer(&mut self, lane: LaneIndex, receipt: Receipt) {
+        let Some(mut active) = self.active() else { return };
+        if let Some(receipts) = active.lanes.get_mut(lane.0).and_then(|lane| lane.receipts.as_mut()) {
+            // Full only when nobody reads it any more.
+            let _ = receipts.push(receipt);
+        }
+    }
+
+    /// Returns an applied or refused batch's buffers to its writer. Clears them here, so that values are
+    /// freed on the Model's thread and not on the writer's. Valid until the next [`Self::begin_pass`].
+    pub fn give_back(&mut self, lane: LaneIndex, mut batch: Box<Batch>) {
+        batch.commands.clear();
+        let Some(mut active) = self.active() else { return };
+        let writer = batch.provenance.writer;
+        if let Some(lane) = active.lanes.get_mut(lane.0).filter(|lane| lane.writer == writer) {
+            // Full only when the writer is gone, or when it got a copy's buffers as well.
+            let _ = lane.returns.push(batch);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+    use std::sync::atomic::AtomicUsize;
+
+    use super::*;
+    use crate::handle::{SPARES, Submitted};
+    use crate::spec::FaultKind;
+    use crate::testing::{Count, registry};
+    use trocar_scene::Revision;
+
+    struct Desk {
+        intake: Arc<Intake>,
+        rings: Arc<AtomicUsize>,
+    }
+
+    fn desk() -> Desk {
+        let rings = Arc::new(AtomicUsize::new(0));
+        let counter = rings.clone();
+        let bell: Arc<dyn Doorbell> = Arc::new(move || {
+            counter.fetch_add(1, Ordering::Relaxed);
+        });
+        Desk { intake: Intake::new(registry(), Clock::start(), bell), rings }
+    }
+
+    impl Desk {
+        fn open(&self, writer: u16, epoch: u32, capacity: usize) -> WriterHandle {
+            let allocator = EntityAllocator::new(0, writer);
+            self.open_limited(writer, epoch, capacity, FlowLimit::UNLIMITED, allocator)
+        }
+        fn open_limited(
+            &self,
+            writer: u16,
+            epoch: u32,
+            capacity: usize,
+            flow: FlowLimit,
+            allocator: EntityAllocator,
+        ) -> WriterHandle {
+            self.intake.open(WriterId(writer), epoch, (capacity, flow), allocator, Arc::default())
+        }
+        fn rings(&self) -> usize {
+            self.rings.load(Ordering::Relaxed)
+        }
+    }
+
+    fn send(handle: &mut WriterHandle, tick: u64) -> Submitted {
+        handle.begin(SimTime(tick)).contribute(Count(tick));
+        handle.submit(tick, SimTime(tick), Revision::ZERO)
+    }
+
+    fn drain(lanes: &mut Lanes) -> Vec<(u16, u64)> {
+        lanes.begin_pass();
+        let mut seen = Vec::new();
+        while let Some(Arrival { lane, batch, .. }) = lanes.pop(SimTime::ZERO) {
+            seen.push((batch.provenance.writer.0, batch.provenance.tick));
+            lanes.give_back(lane, batch);
+        }
+        seen
+    }
+
+    #[test]
+    fn a_flood_costs_only_its_sender() {
+        let desk = desk();
+        let (mut loud, mut quiet) = (desk.open(1, 1, 4), desk.open(2, 1, 4));
+        for tick in 0..10 {
+            send(&mut loud, tick);
+        }
+        assert_eq!(send(&mut quiet, 7), Submitted::Sent);
+        assert_eq!((loud.status().sent(), loud.status().dropped()), (4, 6));
+        let mut lanes = desk.intake.take();
+        assert_eq!(drain(&mut lanes), [(1, 0), (2, 7), (1, 1), (1, 2), (1, 3)], "in turn");
+    }
+
+    #[test]
+    fn the_bell_rings_once_until_the_model_begins_to_drain() {
+        let desk = desk();
+        let mut handle = desk.open(1, 1, 8);
+        let mut lanes = desk.intake.take();
+        for tick in 0..3 {
+            send(&mut handle, tick);
+        }
+        assert_eq!(desk.rings(), 1);
+        assert_eq!(drain(&mut lanes).len(), 3);
+        handle.begin(SimTime(0));
+        assert_eq!(handle.submit(3, SimTime(0), Revision::ZERO), Submitted::Empty);
+        assert_eq!(desk.rings(), 1, "nothing to say, nothing rung");
+        send(&mut handle, 4);
+        assert_eq!(desk.rings(), 2);
+    }
+
+    #[test]
+    fn batches_of_a_dead_model_wait_for_the_next_one() {
+        let desk = desk();
+        let mut handle = desk.open(1, 1, 8);
+        for tick in 0..4 {
+            send(&mut handle, tick);
+        }
+        let died = catch_unwind(AssertUnwindSafe(|| {
+            let mut lanes = desk.intake.take();
+            lanes.begin_pass();
+            let _first = lanes.pop(SimTime::ZERO);
+            std::panic::resume_unwind(Box::new("the Model dies"));
+        }));
+        assert!(died.is_err());
+        send(&mut handle, 4);
+        let mut lanes = desk.intake.take();
+        assert_eq!(drain(&mut lanes), [(1, 1), (1, 2), (1, 3), (1, 4)]);
+        let before = desk.rings();
+        send(&mut handle, 5);
+        assert_eq!(desk.rings(), before + 1, "the bell of a dead Model rings for the next one");
+    }
+
+    #[test]
+    fn a_new_life_gets_rings_of_its_own_and_spent_ones_go() {
+        let desk = desk();
+        let mut zombie = desk.open(1, 1, 2);
+        let mut lanes = desk.intake.take();
+        let mut reborn = desk.open(1, 2, 2);
+        for tick in 0..5 {
+            send(&mut zombie, tick);
+        }
+        assert_eq!(send(&mut reborn, 9), Submitted::Sent, "a zombie's flood does not fill it");
+        assert_eq!(drain(&mut lanes).len(), 3);
+        drop(zombie);
+        lanes.begin_pass();
+        assert_eq!(unpoisoned(&desk.intake.active).lanes.len(), 1);
+        send(&mut reborn, 10);
+        assert_eq!(drain(&mut lanes), [(1, 10)]);
+    }
+
+    #[test]
+    fn queue_full_is_a_fault_that_can_be_injected() {
+        let desk = desk();
+        let mut handle = desk.open(1, 1, 8);
+        handle.status().clone().set_queue_full(true);
+        assert_eq!(send(&mut handle, 0), Submitted::Dropped);
+        handle.status().clone().set_queue_full(false);
+        assert_eq!(send(&mut handle, 1), Submitted::Sent);
+    }
+
+    #[test]
+    fn buffers_come_back_and_are_used_again() {
+        let desk = desk();
+        let mut handle = desk.open(1, 1, 8);
+        let mut lanes = desk.intake.take();
+        let mut addresses = Vec::new();
+        for tick in 0..50 {
+            send(&mut handle, tick);
+            lanes.begin_pass();
+            let Arrival { lane, batch, .. } = lanes.pop(SimTime::ZERO).expect("sent");
+            addresses.push(std::ptr::from_ref(&*batch) as usize);
+            lanes.give_back(lane, batch);
+        }
+        addresses.sort_unstable();
+        addresses.dedup();
+        assert!(addresses.len() <= SPARES + 1, "{} buffers for one batch in flight", addresses.len());
+    }
+
+    #[test]
+    fn a_drainer_that_was_left_behind_gets_nothing_and_what_waits_is_its_successors() {
+        let desk = desk();
+        let mut handle = desk.open(1, 1, 8);
+        let mut old = desk.intake.take();
+        old.begin_pass();
+        for tick in 0..3 {
+            send(&mut handle, tick);
+        }
+        let taken = old.pop(SimTime::ZERO).expect("sent");
+        let mut new = desk.intake.take();
+        assert!(!old.is_current() && new.is_current());
+        assert_eq!(drain(&mut old), []);
+        assert_eq!(drain(&mut new), [(1, 1), (1, 2)], "only the one that was taken is gone");
+        old.give_back(taken.lane, taken.batch);
+        send(&mut handle, 3);
+        assert_eq!(drain(&mut new), [(1, 3)]);
+    }
+
+    #[test]
+    fn who_sends_more_commands_than_it_may_is_refused_at_its_own_handle() {
+        let desk = desk();
+        let limit = FlowLimit { commands_per_sec: 1e-3, burst: 10 };
+        let mut loud = desk.open_limited(1, 1, 64, limit, EntityAllocator::new(0, 1));
+        let mut quiet = desk.open(2, 1, 64);
+        for tick in 0..20 {
+            send(&mut loud, tick);
+            send(&mut quiet, tick);
+        }
+        assert_eq!((loud.status().sent(), loud.status().dropped()), (10, 10));
+        assert_eq!((quiet.status().sent(), quiet.status().dropped()), (20, 0));
+        let commands = loud.begin(SimTime::ZERO);
+        (0..11).for_each(|_| {
+            commands.spawn();
+        });
+        assert_eq!(loud.submit(20, SimTime::ZERO, Revision::ZERO), Submitted::Dropped, "too many at once");
+    }
+
+    #[test]
+    fn a_bad_link_touches_its_own_writer_only_and_outlives_a_drainer() {
+        let desk = desk();
+        let (mut near, mut far) = (desk.open(1, 1, 64), desk.open(2, 1, 64));
+        let delay = FaultOrder {
+            index: 0,
+            target: "far".to_owned(),
+            kind: FaultKind::Delay,
+            begins: true,
+            span: SimTime::from_millis(20),
+            jitter: SimTime::ZERO,
+            probability: 1.0,
+            bytes_per_sec: 0.0,
+            seed: 1,
+        };
+        desk.intake.fault(WriterId(2), far.status(), &delay);
+        let mut lanes = desk.intake.take();
+        send(&mut near, 0);
+        send(&mut far, 0);
+        assert_eq!(drain(&mut lanes), [(1, 0)]);
+        assert!(desk.intake.is_any_link_bad());
+        let mut lanes = desk.intake.take();
+        lanes.begin_pass();
+        assert!(lanes.pop(SimTime::from_millis(19)).is_none());
+        let late = lanes.pop(SimTime::from_millis(20)).expect("it has come");
+        assert_eq!((late.batch.provenance.writer.0, far.status().delayed()), (2, 1));
+        desk.intake.fault(WriterId(2), far.status(), &FaultOrder { begins: false, ..delay });
+        send(&mut far, 1);
+        assert_eq!(drain(&mut lanes), [(2, 1)]);
+        assert!(!desk.intake.is_any_link_bad());
+    }
+}

@@ -1,0 +1,3 @@
+//! The atomics under this crate's own protocols. `tests/loom` builds those protocols on loom's instead.
+
+pub(crate) use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

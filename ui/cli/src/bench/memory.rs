@@ -1,0 +1,92 @@
+//! What sessions hold over an hour of simulated time: live bytes, counted by the program's own allocator.
+
+use trocar::app::App;
+use trocar::run::{self, RunOptions};
+use trocar::summary::{BenchResult, Better};
+use trocar_scene::SimTime;
+
+use super::counting;
+use crate::failure::Failure;
+
+const HOUR: SimTime = SimTime::from_millis(3_600_000);
+/// Between two looks at an exercise.
+const LOOK: SimTime = SimTime::from_millis(10_000);
+/// Between two looks at a long session, and when the first of them counts: logs are full by then.
+const MINUTE: SimTime = SimTime::from_millis(60_000);
+const WARM: SimTime = SimTime::from_millis(300_000);
+/// Most that live bytes may be off.
+const DRIFT_MAX: f64 = 0.01;
+
+fn options(seconds: Option<f64>) -> RunOptions {
+    RunOptions { lockstep: true, seconds, ..RunOptions::default() }
+}
+
+fn check_counting() -> Result<(), Failure> {
+    if counting::is_counting() {
+        return Ok(());
+    }
+    Err(Failure::internal("this program does not count its allocations; its main has to name the allocator"))
+}
+
+fn row(name: &str, drift: f64) -> BenchResult {
+    BenchResult::on_value(name, "share", (drift, 0.0), Some(DRIFT_MAX), Better::Lower)
+}
+
+/// How far `bytes` are from `reference`, relatively.
+fn off(bytes: isize, reference: isize) -> f64 {
+    (bytes as f64 / reference as f64 - 1.0).abs()
+}
+
+/// The exercise from start to end, again and again: at the same moment of each the same is held.
+pub fn exercises() -> Result<Vec<BenchResult>, Failure> {
+    check_counting()?;
+    let app = App::new();
+    let scenario = app.scenario(super::exercise::SCENARIO)?;
+    let before = counting::held();
+    let once = || -> Result<(SimTime, Vec<isize>), Failure> {
+        let mut session = run::start(&app, &scenario, &options(None))?;
+        let (mut next, mut held) = (LOOK, Vec::new());
+        while session.run_until(next) {
+            held.push(counting::held());
+            next += LOOK;
+        }
+        let ended = session.now();
+        session.finish();
+        held.push(counting::held());
+        Ok((ended, held))
+    };
+    // The first one fills what is kept for good.
+    let (mut simulated, _) = once()?;
+    let (length, reference) = once()?;
+    simulated += length;
+    let mut worst = 0.0_f64;
+    while simulated < HOUR {
+        let (length, held) = once()?;
+        simulated += length;
+        for (bytes, reference) in held.iter().zip(&reference) {
+            // What lies outside of sessions is no yardstick for them.
+            worst = worst.max(off(bytes - before, (reference - before).max(1 << 16)));
+        }
+    }
+    Ok(vec![row("live_bytes_drift_over_an_hour_of_exercises", worst)])
+}
+
+/// One session for an hour: every minute the same is held as after five.
+pub fn session() -> Result<Vec<BenchResult>, Failure> {
+    check_counting()?;
+    let app = App::new();
+    let scenario = app.scenario("wall")?;
+    let before = counting::held();
+    let mut session = run::start(&app, &scenario, &options(None))?;
+    let (mut next, mut reference, mut worst) = (WARM, None, 0.0_f64);
+    while next <= HOUR && session.run_until(next) {
+        let held = counting::held() - before;
+        worst = worst.max(off(held, *reference.get_or_insert(held)));
+        next += MINUTE;
+    }
+    if session.now() < HOUR {
+        return Err(Failure::internal(format!("the session ended after {} already", session.now())));
+    }
+    session.finish();
+    Ok(vec![row("live_bytes_drift_over_an_hour_of_one_session", worst)])
+}

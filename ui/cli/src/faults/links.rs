@@ -1,0 +1,149 @@
+//! Bad links between a controller and the Model.
+
+use trocar::app::App;
+use trocar::plans;
+use trocar::run::RunOptions;
+use trocar::soak::is_finite;
+use trocar::summary::{BenchResult, Better};
+use trocar_kernel::bench::median_and_spread as median;
+use trocar_kernel::faults::{FaultAt, FaultKind, FaultPlan, FaultRow, secs};
+use trocar_kernel::runtime::ControllerReport;
+use trocar_kernel::spec::MODEL;
+use trocar_scene::SimTime;
+
+use super::Plan;
+use super::live::{TIMES, WARM, watched};
+use super::lockstep::{self, RESUME_MS_MAX, options, recovery, row_of, run, run_with, split, struck};
+use crate::failure::Failure;
+
+const KINDS: [FaultKind; 6] = [
+    FaultKind::Drop,
+    FaultKind::Delay,
+    FaultKind::Duplicate,
+    FaultKind::Reorder,
+    FaultKind::Corrupt,
+    FaultKind::Partition,
+];
+/// Whose link is bad.
+const WHO: &str = "haptics.left";
+/// Share of its batches that suffers.
+const SHARE: f64 = 0.5;
+/// How late they are, and how much that varies.
+const DELAY: SimTime = SimTime::from_millis(20);
+const JITTER: SimTime = SimTime::from_millis(10);
+
+fn of_kind(kind: FaultKind, at: FaultAt) -> FaultPlan {
+    match kind {
+        FaultKind::Drop => at.drop(WHO, SHARE),
+        FaultKind::Delay => at.jitter(WHO, DELAY, JITTER),
+        FaultKind::Duplicate => at.duplicate(WHO, SHARE),
+        FaultKind::Reorder => at.reorder(WHO, SHARE),
+        FaultKind::Corrupt => at.corrupt(WHO, SHARE),
+        _ => at.partition(WHO),
+    }
+}
+
+/// Longest way back once the link is good again \[ms\]: what was late before still is.
+fn bar(kind: FaultKind) -> f64 {
+    let late = if kind == FaultKind::Delay { DELAY + JITTER } else { SimTime::ZERO };
+    RESUME_MS_MAX + late.as_secs_f64() * 1e3
+}
+
+/// How many batches a writer's row says this kind has touched.
+fn touched(kind: FaultKind, row: &ControllerReport) -> u64 {
+    match kind {
+        FaultKind::Delay | FaultKind::Reorder => row.delayed,
+        FaultKind::Duplicate => row.duplicated,
+        _ => row.lost,
+    }
+}
+
+/// Rows in virtual time.
+pub fn lockstep(plan: &mut Plan<'_>) {
+    for kind in KINDS {
+        plan.row(format!("lockstep_link_{kind}_resumed"), move |name| {
+            lockstep::worst(name, "ms", bar(kind), |seed| {
+                let outcome = run(&App::new(), seed, of_kind(kind, struck(seed).lasting(secs(0.3))))?;
+                let (hand, others) = split(&outcome.reports, WHO);
+                let told = touched(kind, &hand) > 0 && row_of(&outcome)?.detected.is_some();
+                let apart = others.iter().all(|row| row.lost + row.delayed + row.duplicated == 0);
+                let whole = outcome.reports.iter().all(|row| row.unaccounted() == 0);
+                let well = told && apart && whole && is_finite(&outcome.kernel.snapshot);
+                Ok(if well { recovery(row_of(&outcome)?) } else { f64::INFINITY })
+            })
+        });
+    }
+    plan.row("lockstep_flaky_network", |name| {
+        lockstep::violations(name, |seed, wrong| {
+            let plan = FaultPlan { seed, ..plans::plan("flaky-network").map_err(Failure::internal)? };
+            let options = RunOptions {
+                seconds: None,
+                ..options(seed, FaultPlan { expect: Default::default(), ..plan.clone() })
+            };
+            let outcome = run_with(&App::new(), &options)?;
+            let summary = &outcome.summary;
+            let honest = summary.task.completed || !summary.task.errors.is_empty();
+            wrong.check(honest, "the exercise failed and does not say why");
+            wrong.check(outcome.kernel.code == 0 && outcome.kernel.held.is_empty(), "somebody gave up");
+            wrong.check(outcome.kernel.model.restarts == 0, "the Model was restarted");
+            wrong.check(is_finite(&outcome.kernel.snapshot), "a number that is none is in the scene");
+            wrong.check(
+                outcome.reports.iter().all(|row| row.unaccounted() == 0),
+                "batches are unaccounted for",
+            );
+            let behind = ["haptics.left", "haptics.right", "autopilot"];
+            let far = outcome.reports.iter().filter(|row| behind.contains(&row.name.as_str()));
+            wrong.check(
+                far.clone().count() == 3 && far.clone().all(|row| row.lost > 0),
+                "the network was good",
+            );
+            let limit = plan.expect.force_newtons_max.unwrap_or(0.0);
+            wrong.check(summary.force_newtons_max <= limit, "a force was above its limit");
+            wrong.check(
+                outcome.kernel.faults.iter().all(|row| row.resumed.is_some()),
+                "a fault was not overcome",
+            );
+            Ok(())
+        })
+    });
+}
+
+/// Rows in real time: every kind strikes again and again, all in one session.
+pub fn live(plan: &mut Plan<'_>) {
+    plan.rows("live links", |_| {
+        let (gap, span) = (0.12, 0.05);
+        let mut plan = FaultPlan::new(1);
+        for time in 0..TIMES {
+            for (index, kind) in KINDS.into_iter().enumerate() {
+                let at = WARM + gap * (time * KINDS.len() + index) as f64;
+                plan = of_kind(kind, plan.between(secs(at), secs(at + 0.3 * gap)).lasting(secs(span)));
+            }
+        }
+        let app = App::new();
+        let scenario = app.scenario(lockstep::SCENARIO)?;
+        let seconds = WARM + gap * (TIMES * KINDS.len()) as f64 + 1.0;
+        let outcome = watched(&app, &scenario, plan, seconds)?.finished.outcome;
+        let (hand, others) = split(&outcome.controllers, WHO);
+        let apart = others.iter().all(|row| row.lost + row.delayed + row.duplicated == 0);
+        let mut rows = Vec::new();
+        for kind in KINDS {
+            let struck = |row: &&FaultRow| row.kind == kind && row.target != MODEL;
+            let figures: Vec<f64> =
+                outcome.faults.iter().filter(struck).map(|row| recovery(row).min(1e4)).collect();
+            let name = format!("live_link_{kind}_resumed_p50");
+            let mut row = BenchResult::on_value(name, "ms", median(&figures), Some(bar(kind)), Better::Lower);
+            row.holds &= apart && touched(kind, &hand) > 0;
+            rows.push(row);
+        }
+        let unaccounted: u64 = outcome.controllers.iter().map(ControllerReport::unaccounted).sum();
+        let name = "live_links_batches_unaccounted_for";
+        rows.push(BenchResult::on_value(
+            name,
+            "batches",
+            (unaccounted as f64, 0.0),
+            Some(0.0),
+            Better::Lower,
+        ));
+        Ok(rows)
+    });
+}

@@ -1,0 +1,156 @@
+//! A haptics controller that hangs in its step, is fenced and replaced, then wakes up and commands 100 N through
+//! its old link, again and again.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use nalgebra::Vector3;
+use trocar::app::{App, Blueprint, KindContext};
+use trocar::hands::HandPort;
+use trocar_devices::{DeviceCommand, DeviceLink, Wrench};
+use trocar_kernel::spec::Peer;
+use trocar_scene::scenario::Scenario;
+use trocar_scene::{Access, Commands, Controller, ControllerError, SimTime, Snapshot, Tick};
+
+use crate::failure::Failure;
+
+/// Whom it stands for.
+pub const VICTIM: &str = "haptics.left";
+/// What it commands while it is well \[N\].
+pub const GENTLE: f64 = 0.5;
+/// What it commands as a zombie \[N\].
+const BRUTAL: f64 = 100.0;
+/// How often it does.
+pub const WRITES: u64 = 300;
+/// A step this late is one that hung.
+const LATE: SimTime = SimTime::from_millis(40);
+/// Period of a zombie that has a thread of its own.
+const PERIOD: SimTime = SimTime::from_millis(1);
+
+/// What goes on after the life is over.
+#[derive(Default)]
+pub struct Haunting {
+    /// The old link, on its way from the step that hung to a thread in virtual time.
+    link: Mutex<Option<DeviceLink>>,
+    written: AtomicU64,
+}
+
+impl Haunting {
+    /// How often 100 N were commanded.
+    pub fn written(&self) -> u64 {
+        self.written.load(Ordering::Relaxed)
+    }
+    fn link(&self) -> MutexGuard<'_, Option<DeviceLink>> {
+        self.link.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+    fn command(&self, link: &mut DeviceLink, now_ns: u64) {
+        link.command(command(link.epoch(), now_ns, BRUTAL));
+        self.written.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+fn command(epoch: u32, time_ns: u64, force: f64) -> DeviceCommand {
+    let wrench = Wrench::from_force(Vector3::new(force, 0.0, 0.0));
+    DeviceCommand { epoch, time_ns, wrench, passivity: false, intent: None }
+}
+
+/// Which lives of the controller are the zombie's, and where it goes on.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Habit {
+    /// The first life only; in virtual time a [`Haunter`] goes on with its link.
+    Once,
+    /// Every life, each on the thread that it hung on.
+    Always,
+}
+
+/// The program with such a controller for the left hand, and the exercise in which it takes part.
+pub fn possessed(habit: Habit, haunting: &Arc<Haunting>) -> Result<(App, Scenario), Failure> {
+    let haptics = App::new().kind_of("haptics").cloned();
+    let haptics = haptics.ok_or_else(|| Failure::internal("there is no kind 'haptics'"))?;
+    let haunting = haunting.clone();
+    let kind = move |context: &KindContext<'_>| {
+        let mut blueprint: Blueprint = haptics(context)?;
+        let port = context.hands.iter().find(|hand| hand.controller() == context.entry.name);
+        if let Some(port) = port.cloned() {
+            let (well, haunting) = (blueprint.factory.clone(), haunting.clone());
+            blueprint.factory = Arc::new(move |build| {
+                if habit == Habit::Once && build.epoch > 1 {
+                    return well(build);
+                }
+                let link = port.slot.take(build.epoch);
+                let link = link.map_err(|error| ControllerError::Device(error.to_string()))?;
+                let zombie =
+                    Zombie { link: Some(link), port: port.clone(), habit, haunting: haunting.clone() };
+                Ok(Box::new(zombie) as Box<dyn Controller>)
+            });
+        }
+        Ok(blueprint)
+    };
+    let app = App::new().kind("zombie", Arc::new(kind));
+    let mut scenario = app.scenario(super::lockstep::SCENARIO)?;
+    for entry in scenario.controllers.iter_mut().filter(|entry| entry.name == VICTIM) {
+        "zombie".clone_into(&mut entry.kind);
+    }
+    Ok((app, scenario))
+}
+
+struct Zombie {
+    link: Option<DeviceLink>,
+    port: HandPort,
+    habit: Habit,
+    haunting: Arc<Haunting>,
+}
+
+impl Controller for Zombie {
+    fn access(&self) -> Access {
+        Access::new()
+    }
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, _: &mut Commands) -> Result<(), ControllerError> {
+        let Some(link) = &mut self.link else { return Ok(()) };
+        if scene.time().since(tick.time) < LATE {
+            link.command(command(link.epoch(), tick.time.as_nanos(), GENTLE));
+            return Ok(());
+        }
+        match self.habit {
+            // Nothing can be waited for in virtual time.
+            Habit::Once => *self.haunting.link() = self.link.take(),
+            Habit::Always => {
+                for _ in 0..WRITES {
+                    let now_ns = self.port.monitor.sample().published_at_ns;
+                    self.haunting.command(link, now_ns);
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The zombie's thread in virtual time.
+pub struct Haunter {
+    haunting: Arc<Haunting>,
+    /// Without, it wakes up and keeps quiet.
+    loud: bool,
+}
+
+impl Haunter {
+    pub fn new(haunting: &Arc<Haunting>, loud: bool) -> Self {
+        Self { haunting: haunting.clone(), loud }
+    }
+}
+
+impl Peer for Haunter {
+    fn name(&self) -> &'static str {
+        "haunter"
+    }
+    fn period_ns(&self) -> u64 {
+        PERIOD.as_nanos()
+    }
+    fn step(&mut self, now: SimTime) {
+        let mut link = self.haunting.link();
+        if let Some(link) = link.as_mut().filter(|_| self.loud && self.haunting.written() < WRITES) {
+            self.haunting.command(link, now.as_nanos());
+        }
+    }
+}
