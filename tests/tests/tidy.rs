@@ -201,6 +201,14 @@ fn every_crate_lies_in_its_room_and_takes_the_lints_of_the_workspace() {
 }
 
 #[test]
+fn the_readmes_session_is_the_example_that_the_tests_build() {
+    let read = |name: &str| std::fs::read_to_string(root().join(name)).expect("a readable file");
+    let (readme, example) = (read("README.md"), read("ui/sdk/examples/slippery.rs"));
+    let (_, program) = example.split_once("\n\n").expect("a head and a program");
+    assert!(readme.contains(&format!("```rust\n{program}```\n")), "the README shows another session");
+}
+
+#[test]
 fn the_readmes_program_is_the_example_that_the_tests_build() {
     let read = |name: &str| std::fs::read_to_string(root().join(name)).expect("a readable file");
     let (readme, example) = (read("README.md"), read("ui/cli/examples/haste.rs"));
