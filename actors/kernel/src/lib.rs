@@ -26,6 +26,7 @@ pub mod supervision;
 mod sync;
 #[cfg(test)]
 mod testing;
+mod verdict;
 
 /// actix, in the version that [`live::LiveSession::actor`] takes.
 pub use actix;
