@@ -16,22 +16,7 @@ use crate::commit::CommitBuffer;
 use crate::operator::{OPERATOR, OPERATOR_EPOCH, OPERATOR_NAME, OPERATOR_WRITES_MAX};
 use crate::publish::{PublishClock, PublishRule};
 use crate::verdict::TRANSFERS_MAX;
-pub use crate::verdict::{DeclareError, Outcome, Rejection};
-
-/// What the Model counts for each writer.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct WriterCounts {
-    /// Batches applied.
-    pub applied: u64,
-    /// Batches rejected.
-    pub rejected: u64,
-    /// Batches whose preconditions did not hold.
-    pub conflicts: u64,
-    /// Batches that made the Model panic.
-    pub quarantined: u64,
-    /// Applied batches that were undone before anybody saw them, because a later one made the Model panic.
-    pub undone: u64,
-}
+pub use crate::verdict::{DeclareError, Outcome, Rejection, WriterCounts};
 
 struct Writer {
     name: Arc<str>,

@@ -1,4 +1,4 @@
-//! What the Model says of a batch, and of a writer that introduces itself.
+//! What the Model says of a batch or a writer, and what it counts.
 
 use thiserror::Error;
 use trocar_scene::{AccessOverlap, ComponentError, Entity, Refusal, RegistryError, Revision};
@@ -96,4 +96,19 @@ pub enum DeclareError {
     /// Two writers of one row.
     #[error(transparent)]
     Overlap(#[from] AccessOverlap),
+}
+
+/// What the Model counts for each writer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WriterCounts {
+    /// Batches applied.
+    pub applied: u64,
+    /// Batches rejected.
+    pub rejected: u64,
+    /// Batches whose preconditions did not hold.
+    pub conflicts: u64,
+    /// Batches that made the Model panic.
+    pub quarantined: u64,
+    /// Applied batches that were undone before anybody saw them, because a later one made the Model panic.
+    pub undone: u64,
 }
