@@ -95,7 +95,7 @@ impl Controller for Maker {
         let old = mine.take(scene.iter::<Contacts>().count().saturating_sub(40));
         old.for_each(|entity| out.despawn(entity));
         if tick.number % 6_000 == 599 {
-            return Err(ControllerError::new("every now and then"));
+            return Err(ControllerError::Failed("every now and then".to_owned()));
         }
         Ok(())
     }

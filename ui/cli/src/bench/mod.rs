@@ -3,6 +3,7 @@
 mod allocation;
 pub mod counting;
 mod exercise;
+mod idle;
 mod memory;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -27,11 +28,12 @@ pub const SUITES: [(&str, &str); 2] = [
 type Part = (&'static str, fn() -> Result<Vec<BenchResult>, Failure>);
 
 /// The parts of the suite `kernel`.
-const KERNEL: [Part; 4] = [
+const KERNEL: [Part; 5] = [
     ("rates, reads and writes of the kernel", kernel),
     ("allocations of a haptic tick", allocation::haptic_ticks),
     ("the exercise in lock-step", exercise::lockstep),
     ("the exercise live, beside bare timer loops", exercise::live),
+    ("a paused session", idle::paused),
 ];
 
 /// The parts of the suite `memory`.
