@@ -187,13 +187,14 @@ fn a_reader_that_stalls_holding_a_snapshot_costs_one_copy_of_the_scene_and_no_mo
     stalled.encode(&mut bytes).expect("encodes");
     let (copy, one_copy) = peak_of(|| Store::load(stalled.registry(), &bytes).map(|(store, _)| store));
     drop((copy, bytes));
-    let held_up = run_to(&mut session, 310);
+    // By then everything that it shares has been replaced: rows at once, the log of events after 205 s.
+    let held_up = run_to(&mut session, 540);
     assert!(held_up - before <= 1.5 * one_copy as f64, "{} bytes, a scene has {one_copy}", held_up - before);
-    for minute in 6..=20 {
+    for minute in 10..=30 {
         let now = run_to(&mut session, minute * 60);
         assert!((now / held_up - 1.0).abs() <= 0.01, "{held_up} bytes, {now} after {minute} minutes");
     }
     drop(stalled);
-    let after = run_to(&mut session, 1_260);
+    let after = run_to(&mut session, 1_860);
     assert!((after / before - 1.0).abs() <= 0.01, "{before} bytes before, {after} after the reader let go");
 }
