@@ -5,6 +5,7 @@
 //! is stopped or dropped it leaves the device without force; a device that panics ends the thread and nothing
 //! else, after one more attempt to render zero.
 
+use std::fmt;
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,6 +27,34 @@ const RATE_MAX_HZ: f64 = 10_000.0;
 /// How long a stop waits for a device that hangs before the thread is abandoned.
 const STOP_LIMIT: Duration = Duration::from_millis(200);
 
+/// Between two steps while the session's time stands still \[ns\]: enough to notice that the device is gone.
+const STILL_PERIOD_NS: u64 = 50_000_000;
+
+/// The session's own time, from what has passed since its start \[ns\], and whether it stands still. Called at every
+/// step: it must neither wait nor allocate.
+#[derive(Clone)]
+pub struct SessionTime(Arc<dyn Fn(u64) -> (u64, bool) + Send + Sync>);
+
+impl SessionTime {
+    /// Time as `of_elapsed` tells it; it must never decrease.
+    pub fn new(of_elapsed: impl Fn(u64) -> (u64, bool) + Send + Sync + 'static) -> Self {
+        Self(Arc::new(of_elapsed))
+    }
+}
+
+/// Time that never stands still.
+impl Default for SessionTime {
+    fn default() -> Self {
+        Self::new(|elapsed_ns| (elapsed_ns, false))
+    }
+}
+
+impl fmt::Debug for SessionTime {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("SessionTime").finish_non_exhaustive()
+    }
+}
+
 /// How a [`DriverThread`] runs.
 #[derive(Clone, Debug)]
 pub struct DriverThreadConfig {
@@ -39,12 +68,22 @@ pub struct DriverThreadConfig {
     pub spin_ns: u64,
     /// Start of the session: instant at which session time is zero. The same for all who talk to the driver.
     pub session_start: Instant,
+    /// What becomes of the time since then. While it stands still the driver steps 20 times per second.
+    pub session_time: SessionTime,
 }
 
 impl DriverThreadConfig {
     /// 1 kHz, 30 µs of spin, ordinary scheduler.
     pub fn new(name: impl Into<String>, session_start: Instant) -> Self {
-        Self { name: name.into(), rate_hz: 1_000.0, priority: None, spin_ns: 30_000, session_start }
+        let session_time = SessionTime::default();
+        Self {
+            name: name.into(),
+            rate_hz: 1_000.0,
+            priority: None,
+            spin_ns: 30_000,
+            session_start,
+            session_time,
+        }
     }
 }
 
@@ -201,22 +240,30 @@ fn run(
     let origin_ns = origin_of(config.session_start);
     let period_ns = (1e9 / config.rate_hz).round() as u64;
     let spin_ns = config.spin_ns.min(period_ns * 3 / 10);
+    let session_time = |now_ns: u64| (config.session_time.0)(now_ns.saturating_sub(origin_ns));
     let outcome = catch_unwind(AssertUnwindSafe(|| {
         let mut deadline_ns = sched::monotonic_ns();
         while !stop.load(Ordering::Acquire) {
             let now_ns = wait_for(deadline_ns, spin_ns);
+            let (session_ns, still) = session_time(now_ns);
+            if still {
+                // Without time no force is renewed: whatever was rendered has faded before it stood still.
+                core.step(session_ns, device.as_mut());
+                deadline_ns = now_ns + STILL_PERIOD_NS;
+                continue;
+            }
             let lateness_ns = now_ns.saturating_sub(deadline_ns);
             let missed = lateness_ns / period_ns;
             core.note_timing(missed, lateness_ns);
-            core.step(now_ns.saturating_sub(origin_ns), device.as_mut());
+            core.step(session_ns, device.as_mut());
             deadline_ns += (missed + 1) * period_ns;
         }
-        core.shut_down(sched::monotonic_ns().saturating_sub(origin_ns), device.as_mut());
+        core.shut_down(session_time(sched::monotonic_ns()).0, device.as_mut());
     }));
     match outcome {
         Ok(()) => Ok(*core.statistics()),
         Err(payload) => {
-            let now_ns = sched::monotonic_ns().saturating_sub(origin_ns);
+            let now_ns = session_time(sched::monotonic_ns()).0;
             core.abandon(now_ns);
             // The device is in an unknown state; it may panic again, which must not unwind further.
             let _ = catch_unwind(AssertUnwindSafe(|| {

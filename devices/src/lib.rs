@@ -39,7 +39,7 @@ mod virtual_hand;
 
 pub use device::{Capabilities, DeviceError, DeviceState, Dofs, HandIntent, HapticDevice, Workspace, Wrench};
 pub use driver_core::{DriverConfig, DriverCore, DriverResume};
-pub use driver_thread::{DriverThread, DriverThreadConfig, DriverThreadError, Scheduling};
+pub use driver_thread::{DriverThread, DriverThreadConfig, DriverThreadError, Scheduling, SessionTime};
 pub use faults::DeviceFaults;
 pub use force_guard::{DECAY_END_NS, DECAY_START_NS, ForceGuard, GuardConfig};
 pub use gripper::FingerFollower;

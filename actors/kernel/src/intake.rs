@@ -139,7 +139,7 @@ impl Intake {
         let lane = Lane { writer, batches: from_writer, returns: to_writer, receipts };
         unpoisoned(&self.arrivals).lanes.push(lane);
         self.arrived.store(true, Ordering::Release);
-        let (bell, clock, registry) = (self.bell.clone(), self.clock, self.registry.clone());
+        let (bell, clock, registry) = (self.bell.clone(), self.clock.clone(), self.registry.clone());
         let ends = Ends { batches, returns, bell, clock, registry };
         WriterHandle::new(writer, epoch, ends, (capacity, flow), allocator, status)
     }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use trocar_devices::{
     Capabilities, DeviceFaults, DeviceMonitor, DeviceSlot, DeviceState as Measured, DriverConfig, DriverCore,
     DriverResume, DriverThread, DriverThreadConfig, DriverThreadError, Fence as DeviceFence, HandIntent,
-    HapticDevice, PortEnergy, Wrench, link,
+    HapticDevice, PortEnergy, SessionTime, Wrench, link,
 };
 use trocar_kernel::spec::{FaultKind, FaultOrder, FaultSink, Fence, Peer};
 use trocar_scene::{
@@ -115,9 +115,11 @@ impl OpenedHand {
     pub fn into_thread(
         self,
         session_start: Instant,
+        session_time: SessionTime,
         priority: u8,
     ) -> Result<DriverThread, DriverThreadError> {
         let mut config = DriverThreadConfig::new(self.port.fault_target(), session_start);
+        config.session_time = session_time;
         config.rate_hz = DRIVER_RATE_HZ;
         config.priority = Some(priority);
         DriverThread::spawn(self.core, self.device, config)

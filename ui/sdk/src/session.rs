@@ -1,6 +1,7 @@
 //! A running session, whichever way time passes.
 
 mod losses;
+mod pause;
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -9,8 +10,8 @@ use trocar_devices::{DriverStatistics, DriverThread};
 use trocar_kernel::live::{Guest, HostedActor, LiveError, LiveSession, Operator};
 use trocar_kernel::lockstep::LockstepSession;
 use trocar_kernel::operator::{OPERATOR, OperatorError};
-use trocar_kernel::runtime::ControllerReport;
 use trocar_kernel::runtime::sched;
+use trocar_kernel::runtime::{Clock, ControllerReport, Standstill};
 use trocar_kernel::spec::SessionOutcome;
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot, WriterId};
@@ -92,14 +93,14 @@ impl Session {
     /// When the session's specification is contradictory, or the system starts no thread.
     pub fn live(assembly: Assembly) -> Result<Self, RunError> {
         let hands: Vec<HandPort> = assembly.hands.iter().map(|hand| hand.port().clone()).collect();
-        let start = Instant::now();
+        let (start, still) = (Instant::now(), Arc::<Standstill>::default());
         let priority =
             sched::fifo_priority(RuntimeClass::Driver).and_then(|p| u8::try_from(p).ok()).unwrap_or(1);
         let mut drivers = Vec::with_capacity(hands.len());
         for hand in assembly.hands {
-            drivers.push(hand.into_thread(start, priority)?);
+            drivers.push(hand.into_thread(start, pause::device_time(&still), priority)?);
         }
-        let live = LiveSession::start_at(assembly.spec, start)?;
+        let live = LiveSession::start_on(assembly.spec, Clock::standing(start, still))?;
         let mut session = Self::new(Running::Live(live, None), hands, drivers, None);
         for actor in assembly.actors {
             let id = session.number_of_a_guest()?;
@@ -166,13 +167,16 @@ impl Session {
     }
 
     /// Lets the session run until `until`: computes in virtual time, waits in real time. False when it has
-    /// ended.
+    /// ended. Returns at once while the session is paused.
     pub fn run_until(&mut self, until: SimTime) -> bool {
         match &mut self.running {
             Running::Lockstep(session) => session.step_until(until),
             Running::Live(session, _) => {
                 // Waiting wakes up at once when the session ends.
-                while session.elapsed() < until && !session.wait((until - session.elapsed()).to_duration()) {}
+                while session.elapsed() < until
+                    && !session.is_paused()
+                    && !session.wait((until - session.elapsed()).to_duration())
+                {}
                 !session.has_ended()
             }
         }

@@ -76,7 +76,7 @@ async fn live(shared: &Shared, writer: &Writer, life: &Life) -> Cause {
         return drop_after(controller, Cause::Error(error));
     }
     let schedule = schedule(shared, writer, life);
-    let ticker = match Ticker::new(schedule, shared.clock) {
+    let ticker = match Ticker::new(schedule, shared.clock.clone()) {
         Ok(ticker) => ticker,
         Err(error) => return drop_after(controller, Cause::Error(format!("timer: {error}"))),
     };
@@ -166,6 +166,14 @@ impl Body<'_> {
         let mut budget = Budget::new(self.writer.spec.period(), ticker::LEAD);
         ticker.set_spinning(budget.may_spin());
         loop {
+            if self.shared.resting.load(Ordering::Acquire) {
+                if let Err(error) = self.rest(&mut ticker).await {
+                    return Cause::Error(format!("timer: {error}"));
+                }
+                if self.life.should_end() {
+                    return Cause::Stop;
+                }
+            }
             let due = ticker.next().await;
             if self.life.should_end() {
                 return Cause::Stop;
@@ -224,6 +232,22 @@ impl Body<'_> {
                 }
             }
         }
+    }
+
+    /// No ticks until the session goes on, or this life ends.
+    async fn rest(&self, ticker: &mut Ticker) -> std::io::Result<()> {
+        self.life.at_rest.store(true, Ordering::Release);
+        let mut outcome = Ok(());
+        while outcome.is_ok() && self.shared.resting.load(Ordering::Acquire) && !self.life.should_end() {
+            outcome = ticker.rest().await;
+        }
+        ticker.skip_to_now();
+        // From here on the watchdog looks again: a beat tells it that this life has just begun to work.
+        let now = self.shared.clock.now();
+        self.life.bump(now);
+        self.life.bump(now);
+        self.life.at_rest.store(false, Ordering::Release);
+        outcome
     }
 
     /// One step, from the snapshot to the ring. Once warmed it allocates nothing of its own.

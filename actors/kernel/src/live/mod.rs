@@ -9,6 +9,7 @@ mod guest;
 mod host;
 mod model;
 mod operator;
+mod pause;
 mod shared;
 mod supervise;
 mod watchdog;
@@ -106,7 +107,15 @@ impl LiveSession {
     /// # Errors
     /// [`LiveError`]; nothing is left running then.
     pub fn start_at(spec: SessionSpec, origin: Instant) -> Result<Self, LiveError> {
-        let mut session = Self::launch(spec, Clock::since(origin))?;
+        Self::start_on(spec, Clock::since(origin))
+    }
+
+    /// Like [`Self::start_at`], with the clock that the session goes by: device drivers stand still with it.
+    ///
+    /// # Errors
+    /// [`LiveError`]; nothing is left running then.
+    pub fn start_on(spec: SessionSpec, clock: Clock) -> Result<Self, LiveError> {
+        let mut session = Self::launch(spec, clock)?;
         let limit = Instant::now() + Duration::from_secs(30);
         loop {
             let status = lock(&session.board.status);
@@ -379,6 +388,8 @@ impl LiveSession {
             return;
         }
         self.stopped = true;
+        // Limits of time count for the end as well.
+        self.shared.clock.go_on();
         let asked = self.shared.reports.try_send(Report::Event(Event::ShutdownRequested { code })).is_ok();
         let ended = if asked { self.wait(STOP_MAX) } else { self.has_ended() };
         if !ended {
@@ -473,7 +484,7 @@ fn share(
     let bell = Arc::new(Notify::new());
     let ring = bell.clone();
     Ok(Arc::new(Shared {
-        clock,
+        clock: clock.clone(),
         seed,
         station,
         published: Arc::new(ArcSwap::from_pointee(scene.snapshot())),
@@ -493,6 +504,7 @@ fn share(
         batches: AtomicU64::new(0),
         operator: OperatorSeat::new(operator),
         over: AtomicBool::new(false),
+        resting: AtomicBool::new(false),
     }))
 }
 

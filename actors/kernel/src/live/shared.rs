@@ -33,6 +33,8 @@ pub(crate) struct Life {
     pub(crate) abandoned: AtomicBool,
     /// It misses ticks.
     pub(crate) late: AtomicBool,
+    /// It does not tick, because the session rests.
+    pub(crate) at_rest: AtomicBool,
 }
 
 impl Life {
@@ -229,6 +231,8 @@ pub(crate) struct Shared {
     pub(crate) operator: OperatorSeat,
     /// The session has ended: injected stalls let go.
     pub(crate) over: AtomicBool,
+    /// The session rests: no controller ticks.
+    pub(crate) resting: AtomicBool,
 }
 
 /// Nothing is left half changed under these locks by a panic: they guard single values.

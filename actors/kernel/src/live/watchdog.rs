@@ -18,6 +18,8 @@ const PAUSE_MAX: SimTime = SimTime::from_millis(10);
 const PAUSE_LAST: SimTime = SimTime::from_micros(50);
 /// Limits after which even a thread that is only kept waiting is replaced.
 const STARVED_MAX: u64 = 20;
+/// Between two looks at a session that rests.
+const PAUSE_RESTING: Duration = Duration::from_millis(100);
 
 /// What was seen of one child last time.
 #[derive(Clone)]
@@ -51,6 +53,10 @@ fn watch(shared: &Shared) {
     let mut next = now + pause;
     while !shared.over.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_nanos(next.since(last).max(PAUSE_LAST).0));
+        while shared.resting.load(Ordering::Relaxed) && !shared.over.load(Ordering::Relaxed) {
+            std::thread::sleep(PAUSE_RESTING);
+            last = SimTime::ZERO;
+        }
         let now = shared.clock.now();
         // When this thread itself was kept waiting, the others may have been as well: count anew.
         let blind = now.since(last).0 > 4 * pause.0;
@@ -70,7 +76,8 @@ fn watch(shared: &Shared) {
 }
 
 fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bool) {
-    if !watch.life.running.load(Ordering::Acquire) || seat.seam.is_held() {
+    let at_rest = watch.life.at_rest.load(Ordering::Acquire);
+    if !watch.life.running.load(Ordering::Acquire) || at_rest || seat.seam.is_held() {
         watch.since = now;
         return;
     }

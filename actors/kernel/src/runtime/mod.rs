@@ -5,6 +5,7 @@ pub mod histogram;
 pub mod jobs;
 pub mod panics;
 pub mod sched;
+mod standstill;
 pub mod stats;
 pub mod ticker;
 
@@ -13,5 +14,6 @@ pub use histogram::{AtomicHistogram, Bars, Quantiles};
 pub use jobs::JobRunner;
 pub use panics::guarded;
 pub use sched::Permission;
+pub use standstill::Standstill;
 pub use stats::{Account, ControllerReport, TickStats};
 pub use ticker::{Clock, Due, Schedule, Ticker};

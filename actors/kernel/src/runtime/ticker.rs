@@ -2,9 +2,12 @@
 //! spin. `tokio::time` counts in milliseconds and serves only far below 100 Hz.
 
 use std::io;
+use std::sync::Arc;
 use std::time::Instant;
 
 use trocar_scene::SimTime;
+
+use super::standstill::Standstill;
 
 /// How early the timer is armed: the rest is spent spinning.
 pub const LEAD: SimTime = SimTime::from_micros(30);
@@ -13,10 +16,11 @@ pub const WAIT_MAX: SimTime = SimTime::from_millis(50);
 /// After so many ticks without a wait the runtime gets its turn.
 const YIELD_EVERY: u32 = 16;
 
-/// Time since the start of the session, on the system's monotonic clock.
-#[derive(Clone, Copy, Debug)]
+/// Time since the start of the session, on the system's monotonic clock; clones tell the same time.
+#[derive(Clone, Debug)]
 pub struct Clock {
     start: Instant,
+    still: Arc<Standstill>,
 }
 
 impl Clock {
@@ -26,10 +30,25 @@ impl Clock {
     }
     /// A session that started then: shared with whoever else counts from that instant.
     pub fn since(start: Instant) -> Self {
-        Self { start }
+        Self::standing(start, Arc::default())
     }
-    /// Time since then.
+    /// The same, with somebody else who stops it.
+    pub fn standing(start: Instant, still: Arc<Standstill>) -> Self {
+        Self { start, still }
+    }
+    /// Time since then, without the spans in which it stood still.
     pub fn now(&self) -> SimTime {
+        self.still.at(self.elapsed())
+    }
+    /// It stands from now on, for everybody who reads it.
+    pub fn stop(&self) {
+        self.still.stop(self.elapsed());
+    }
+    /// It goes on where it stood.
+    pub fn go_on(&self) {
+        self.still.go_on(self.elapsed());
+    }
+    fn elapsed(&self) -> SimTime {
         SimTime(self.start.elapsed().as_nanos() as u64)
     }
 }
@@ -70,6 +89,10 @@ impl Schedule {
     pub fn next_number(&self) -> u64 {
         self.next
     }
+    /// The next tick is the first that is due at `now` or later.
+    pub fn skip_to(&mut self, now: SimTime) {
+        self.next = self.next.max(now.since(self.start).0.div_ceil(self.period.0));
+    }
     /// The tick to run at `now`: the latest that is due. Those before it are skipped, so that a late
     /// controller never runs a burst. `None` when none is due yet.
     pub fn take(&mut self, now: SimTime) -> Option<Due> {
@@ -104,6 +127,17 @@ impl Ticker {
     /// Whether to spin for the last microseconds or to sleep through.
     pub fn set_spinning(&mut self, spins: bool) {
         self.spins = spins;
+    }
+    /// Waits for [`WAIT_MAX`] without a tick, whatever the clock says: it may stand still.
+    ///
+    /// # Errors
+    /// When the system's timer fails.
+    pub async fn rest(&mut self) -> io::Result<()> {
+        self.timer.sleep(SimTime::ZERO, WAIT_MAX).await
+    }
+    /// Ticks that were due before now are not run and not counted as missed: nobody wanted them.
+    pub fn skip_to_now(&mut self) {
+        self.schedule.skip_to(self.clock.now());
     }
     /// The schedule.
     pub fn schedule(&self) -> &Schedule {
@@ -337,7 +371,8 @@ mod tests {
         runtime.block_on(async {
             for spins in [true, false] {
                 let next = clock.now().0 / MS.0 + 1;
-                let mut ticker = Ticker::new(Schedule::new(SimTime::ZERO, MS, next), clock).expect("a timer");
+                let mut ticker =
+                    Ticker::new(Schedule::new(SimTime::ZERO, MS, next), clock.clone()).expect("a timer");
                 ticker.set_spinning(spins);
                 let (mut ran, mut missed) = (0, 0);
                 while ran + missed < 50 {

@@ -3,6 +3,7 @@
 mod allocation;
 pub mod counting;
 mod exercise;
+mod idle;
 mod memory;
 mod session;
 
@@ -29,12 +30,13 @@ pub const SUITES: [(&str, &str); 3] = [
 type Part = (&'static str, fn() -> Result<Vec<BenchResult>, Failure>);
 
 /// The parts of the suite `kernel`.
-const KERNEL: [Part; 5] = [
+const KERNEL: [Part; 6] = [
     ("rates, reads and writes of the kernel", kernel),
     ("allocations of a haptic tick", allocation::haptic_ticks),
     ("the exercise in lock-step", exercise::lockstep),
     ("sessions side by side, branches and new beginnings", session::sessions),
     ("the exercise live, beside bare timer loops", exercise::live),
+    ("a paused session", idle::paused),
 ];
 
 /// The part of it that is the suite `session`.
