@@ -254,6 +254,25 @@ impl DriverCore {
         self.publish(now_ns);
     }
 
+    /// One step while the session's time stands still at `now_ns`: the device is read, and rendered nothing, whatever is
+    /// commanded. A controller that hung since before the pause may wake up in it, and at a time that does not pass its
+    /// command would be fresh for ever. Afterwards force grows from nothing.
+    pub fn rest(&mut self, now_ns: u64, device: &mut dyn HapticDevice) {
+        self.statistics.steps += 1;
+        let held = self.held_until(now_ns);
+        self.sense(now_ns, device);
+        let (command, superseded) = self.end.intake();
+        self.statistics.refused_epoch += superseded;
+        self.statistics.refused_stale += u64::from(command.is_some());
+        self.accepted = None;
+        let released = self.guard.release(now_ns);
+        self.last_step_ns = Some(now_ns);
+        self.actuate(now_ns, device, &released);
+        self.note_release(held);
+        self.passivity.hold(now_ns, self.guard.applied(), &Wrench::ZERO);
+        self.publish(now_ns);
+    }
+
     /// Leaves the device without force and closed, and publishes that it is gone.
     pub fn shut_down(&mut self, now_ns: u64, device: &mut dyn HapticDevice) {
         self.accepted = None;

@@ -247,8 +247,7 @@ fn run(
             let now_ns = wait_for(deadline_ns, spin_ns);
             let (session_ns, still) = session_time(now_ns);
             if still {
-                // Without time no force is renewed: whatever was rendered has faded before it stood still.
-                core.step(session_ns, device.as_mut());
+                core.rest(session_ns, device.as_mut());
                 deadline_ns = now_ns + STILL_PERIOD_NS;
                 continue;
             }

@@ -56,6 +56,28 @@ fn force_lets_go_at_once_and_grows_by_at_most_two_newtons_per_millisecond() {
 }
 
 #[test]
+fn nothing_is_rendered_while_time_stands_still_whoever_wakes_up_and_commands_it() {
+    let mut bench = bench();
+    let mut link = bench.slot.take(1).unwrap();
+    bench.push(&mut link, 3.0, 100 * MS);
+    assert!((bench.device.rendered.force.x - 3.0).abs() < 1e-12);
+    let now_ns = bench.now_ns;
+    for awake in 0..50 {
+        // Every one of them is younger than the one before, and as young as can be.
+        link.command(force(1, now_ns + awake, 3.0));
+        let sample = bench.rest();
+        assert_eq!((bench.device.rendered, sample.applied), (Wrench::ZERO, Wrench::ZERO));
+        assert_eq!(sample.published_at_ns, now_ns);
+    }
+    assert_eq!(bench.monitor.sample().statistics.refused_stale, 50);
+    // Time goes on: force grows from nothing.
+    bench.push(&mut link, 3.0, 2 * MS);
+    assert!(bench.device.rendered.force.norm() < 0.5, "{:?}", bench.device.rendered);
+    bench.push(&mut link, 3.0, 100 * MS);
+    assert!((bench.device.rendered.force.x - 3.0).abs() < 1e-12);
+}
+
+#[test]
 fn a_force_that_is_not_renewed_fades_from_5_ms_and_is_zero_at_20_ms() {
     let mut bench = bench();
     bench.period_ns = MS / 10;

@@ -99,6 +99,12 @@ impl<D: HapticDevice> Bench<D> {
         self.monitor.sample()
     }
 
+    /// One step of the driver at the time at which it stands; what it published.
+    pub fn rest(&mut self) -> DeviceSample {
+        self.core.rest(self.now_ns, &mut self.device);
+        self.monitor.sample()
+    }
+
     /// Steps for a while with nobody commanding.
     pub fn idle(&mut self, span_ns: u64) -> DeviceSample {
         (0..span_ns / self.period_ns).fold(self.monitor.sample(), |_, _| self.step())
