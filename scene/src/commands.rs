@@ -119,6 +119,12 @@ impl Commands {
         }
     }
 
+    /// Empty buffers of the same writer: entities that are spawned through either are counted in one.
+    #[must_use]
+    pub fn another(&self) -> Self {
+        Self::new(self.registry.clone(), self.allocator.clone())
+    }
+
     /// The writer's own entity, which carries its contributions and its resume state.
     pub fn me(&self) -> Entity {
         self.allocator.me()

@@ -207,7 +207,7 @@ impl Active {
         None
     }
 
-    fn pop(&mut self, now: SimTime, registry: &Arc<Registry>) -> Option<Arrival> {
+    fn pop(&mut self, now: SimTime) -> Option<Arrival> {
         loop {
             if !self.links.is_empty()
                 && let Some(arrival) = self.next_off_links(now)
@@ -217,9 +217,7 @@ impl Active {
             let (index, Sealed { at, batch }) = self.in_turn()?;
             let writer = self.lanes[index].writer;
             match self.links.iter_mut().find(|link| link.writer == writer) {
-                Some(link) => {
-                    link.send(now, Parcel { sealed_at: at, batch, registry: registry.clone() });
-                }
+                Some(link) => link.send(now, Parcel { sealed_at: at, batch }),
                 None => return Some(Arrival { lane: LaneIndex(index), sealed_at: at, batch }),
             }
         }
@@ -283,7 +281,7 @@ impl Lanes {
     /// The next batch that has come by `now`, one lane in turn; `None` when there is none, or when somebody else
     /// drains the lanes.
     pub fn pop(&mut self, now: SimTime) -> Option<Arrival> {
-        self.active()?.pop(now, &self.intake.registry)
+        self.active()?.pop(now)
     }
 
     /// Whether the writer of this lane waits for answers.

@@ -246,6 +246,7 @@ pub fn text(summary: &RunSummary) -> String {
     for fault in &summary.faults {
         let state = match (fault.injected_secs, fault.recovery_secs()) {
             (Some(_), Some(took)) => format!("overcome in {:.1} ms", took * 1e3),
+            (Some(_), None) if fault.is_under_way() => "lasted to the end".to_owned(),
             (Some(_), None) => "not overcome".to_owned(),
             (None, _) => "did not strike".to_owned(),
         };

@@ -8,6 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 pub use trocar_kernel::bench::{Better, Row as BenchResult};
 pub use trocar_kernel::runtime::{ControllerReport as ControllerSummary, Quantiles};
+use trocar_kernel::spec::FaultKind;
 
 /// Version of the objects in this file; it rises when a field changes its meaning or goes away.
 pub const SCHEMA: u32 = 1;
@@ -190,6 +191,12 @@ pub struct FaultSummary {
 }
 
 impl FaultSummary {
+    /// Whether it was still under way when the run ended.
+    pub fn is_under_way(&self) -> bool {
+        let lasts = FaultKind::ALL.iter().any(|kind| kind.name() == self.kind && !kind.is_instant());
+        lasts && self.injected_secs.is_some() && self.healed_secs.or(self.resumed_secs).is_none()
+    }
+
     /// From the moment at which nothing but recovery was left to do, to the first good work \[s\].
     pub fn recovery_secs(&self) -> Option<f64> {
         let from = match (self.restarted_secs, self.healed_secs) {

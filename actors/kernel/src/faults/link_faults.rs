@@ -119,6 +119,21 @@ impl<M: Message> LinkFaults<M> {
         self.ailments.is_empty() && self.waiting.is_empty() && self.overtaken.is_none()
     }
 
+    /// A link of its own in the same state, for a branch of a session: the same faults with the same luck, and the
+    /// messages that are on their way, as `copy` makes second ones of them. What cannot be copied is lost on it.
+    pub fn fork(&self, copy: impl Fn(&M) -> Option<M>) -> Self {
+        let mut lost = 0;
+        let mut copied = |waiting: &Waiting<M>| {
+            let message = copy(&waiting.message);
+            lost += u64::from(message.is_none());
+            message.map(|message| Waiting { due: waiting.due, message })
+        };
+        let waiting = self.waiting.iter().filter_map(&mut copied).collect();
+        let overtaken = self.overtaken.as_ref().and_then(&mut copied);
+        let counts = LinkCounts { lost, ..LinkCounts::default() };
+        Self { ailments: self.ailments.clone(), waiting, overtaken, counts }
+    }
+
     /// What has been done to messages so far.
     pub fn counts(&self) -> &LinkCounts {
         &self.counts
@@ -352,6 +367,26 @@ mod tests {
         link.apply(&FaultOrder { begins: false, ..partition });
         assert!(link.is_idle());
         assert_eq!(second(&mut link).len(), 1_000);
+    }
+
+    #[test]
+    fn a_fork_has_the_same_luck_and_the_same_messages_on_their_way() {
+        let mut link = LinkFaults::default();
+        link.apply(&order(0, FaultKind::Delay, 1.0, 0.020, 0.010));
+        link.apply(&order(1, FaultKind::Drop, 0.3, 0.0, 0.0));
+        link.apply(&order(2, FaultKind::Reorder, 0.3, 0.0, 0.0));
+        second(&mut link);
+        (0..5).for_each(|number| link.send(secs(2.0), Letter(number)));
+        let mut fork = link.fork(Letter::duplicate);
+        assert!(link.len() > 1 && fork.len() == link.len() && fork.counts().sum() == 0);
+        let rest = |link: &mut LinkFaults<Letter>| {
+            (5..100).for_each(|number| link.send(secs(2.1), Letter(number)));
+            std::iter::from_fn(|| link.due(secs(3.0))).collect::<Vec<_>>()
+        };
+        assert_eq!(rest(&mut link), rest(&mut fork));
+        link.send(secs(4.0), Letter(1));
+        let waiting = link.len() as u64;
+        assert_eq!(link.fork(|_| None).counts().lost, waiting);
     }
 
     #[test]

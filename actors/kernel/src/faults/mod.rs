@@ -14,7 +14,7 @@ mod schedule;
 pub use builder::{FaultAt, secs};
 pub use link_faults::{LINK_WAITING_MAX, LinkCounts, LinkFaults, Message};
 pub use outcome::{FaultLog, FaultRow, Measured};
-pub(crate) use parcel::Parcel;
+pub(crate) use parcel::{Parcel, second_of};
 pub use plan::{During, Expect, FaultPlan, FaultPlanError, FaultSpec};
 pub use schedule::{FaultSchedule, TargetClass, Targets};
 

@@ -14,6 +14,8 @@ pub struct FaultRow {
     pub target: String,
     /// What went wrong.
     pub kind: FaultKind,
+    /// How long it was to last; `None` for one that strikes once, or lasts to the end.
+    pub lasting: Option<SimTime>,
     /// When it took effect.
     pub injected: Option<SimTime>,
     /// When it ended by itself.
@@ -34,6 +36,12 @@ impl FaultRow {
             _ => self.injected?,
         };
         Some(self.resumed?.since(from))
+    }
+
+    /// Whether a session that ended at `ended` cut it off before its time was up.
+    fn is_cut_off(&self, ended: SimTime) -> bool {
+        let until = self.injected.zip(self.lasting).map(|(from, span)| from + span);
+        self.healed.is_none() && until.is_some_and(|until| until > ended)
     }
 
     /// The row of the report.
@@ -86,6 +94,7 @@ impl FaultLog {
             id: fault.id.clone(),
             target: fault.target.clone(),
             kind: fault.kind,
+            lasting: fault.lasting.filter(|_| !fault.kind.is_instant()),
             injected: None,
             healed: None,
             detected: None,
@@ -241,6 +250,7 @@ fn recovery_failure(row: &FaultRow, limit: f64, ended: SimTime, failures: &mut V
             span.as_secs_f64()
         )),
         // Cut off by the end of the run before its time was up: nothing can be said.
+        None if row.is_cut_off(ended) => {}
         None if ended.since(row.healed.unwrap_or(injected)).as_secs_f64() < limit => {}
         None => failures.push(format!("fault '{}': '{}' never resumed", row.id, row.target)),
     }
@@ -322,6 +332,21 @@ mod tests {
         log.healed(1, secs(3.0));
         log.looked_at("device.left", true, secs(3.01));
         assert_eq!(log.rows()[1].resumed, Some(secs(3.01)));
+    }
+
+    #[test]
+    fn of_a_fault_that_outlasts_the_run_nothing_can_be_said() {
+        let mut log = FaultLog::new(&plan());
+        log.injected(1, secs(2.0));
+        let lasting = log.rows()[1].lasting.expect("it heals");
+        let expect = Expect { recovery_secs_max: Some(0.01), ..Expect::default() };
+        let judged = |log: &FaultLog, ended: SimTime| {
+            let measured =
+                Measured { force_newtons_max: 0.0, model_restarts: 0, task_completed: false, ended };
+            expect.failures(&log.rows()[1..=1], &measured).len()
+        };
+        assert_eq!(judged(&log, secs(2.5)), 0);
+        assert_eq!(judged(&log, secs(2.0) + lasting + secs(1.0)), 1, "it should have healed");
     }
 
     #[test]

@@ -1,48 +1,46 @@
 //! A batch on its way from its writer to the Model, as links see it.
 
-use std::sync::Arc;
-
-use trocar_scene::{Batch, Commands, EntityAllocator, Registry, SimTime};
+use trocar_scene::{Batch, Commands, SimTime};
 
 use super::link_faults::Message;
 
-/// A sealed batch, with what it takes to read it back from bytes.
+/// A sealed batch.
 pub(crate) struct Parcel {
     /// When it was sealed.
     pub(crate) sealed_at: SimTime,
     pub(crate) batch: Box<Batch>,
-    pub(crate) registry: Arc<Registry>,
 }
 
-impl Parcel {
-    fn encoded(&self) -> Option<Vec<u8>> {
-        let mut bytes = Vec::new();
-        self.batch.commands.encode(&mut bytes).ok()?;
-        Some(bytes)
+/// A second batch like this one, by way of its encoding, in `empty` buffers. Of one with preconditions there is none:
+/// they are no part of the encoding.
+pub(crate) fn second_of(batch: &Batch, empty: Commands) -> Option<Box<Batch>> {
+    if batch.commands.error().is_some() || !batch.commands.conditions().is_empty() {
+        return None;
     }
+    read_back(batch, &encoded(batch)?, empty)
+}
 
-    fn decoded(&self, bytes: &[u8]) -> Option<Self> {
-        let me = self.batch.commands.me();
-        let allocator = EntityAllocator::new(me.station(), me.spawner());
-        let mut commands = Commands::new(self.registry.clone(), allocator);
-        commands.decode(bytes).ok()?;
-        commands.seal();
-        let batch = Box::new(Batch { provenance: self.batch.provenance, commands });
-        Some(Self { sealed_at: self.sealed_at, batch, registry: self.registry.clone() })
-    }
+fn encoded(batch: &Batch) -> Option<Vec<u8>> {
+    let mut bytes = Vec::new();
+    batch.commands.encode(&mut bytes).ok()?;
+    Some(bytes)
+}
+
+fn read_back(batch: &Batch, bytes: &[u8], mut empty: Commands) -> Option<Box<Batch>> {
+    empty.decode(bytes).ok()?;
+    empty.seal();
+    Some(Box::new(Batch { provenance: batch.provenance, commands: empty }))
 }
 
 impl Message for Parcel {
-    /// Of one with preconditions there is none: they are no part of the encoding.
     fn duplicate(&self) -> Option<Self> {
-        if self.batch.commands.error().is_some() || !self.batch.commands.conditions().is_empty() {
-            return None;
-        }
-        self.decoded(&self.encoded()?)
+        // Its buffers go to the writer in the end, who spawns through them.
+        let batch = second_of(&self.batch, self.batch.commands.another())?;
+        Some(Self { batch, ..*self })
     }
 
     fn through(self, noise: &mut dyn FnMut(&mut [u8])) -> Option<Self> {
-        let sent = self.encoded()?;
+        let sent = encoded(&self.batch)?;
         let mut bytes = sent.clone();
         noise(&mut bytes);
         if bytes == sent {
@@ -50,7 +48,11 @@ impl Message for Parcel {
             return Some(self);
         }
         // Should the checksum ever miss it, the Model's own checks are what is left.
-        if crc32fast::hash(&bytes) == crc32fast::hash(&sent) { self.decoded(&bytes) } else { None }
+        if crc32fast::hash(&bytes) != crc32fast::hash(&sent) {
+            return None;
+        }
+        let batch = read_back(&self.batch, &bytes, self.batch.commands.another())?;
+        Some(Self { batch, ..self })
     }
 }
 
@@ -58,11 +60,10 @@ impl Message for Parcel {
 mod tests {
     use super::*;
     use crate::testing::{Count, Level, registry};
-    use trocar_scene::{Provenance, Revision, WriterId};
+    use trocar_scene::{EntityAllocator, Provenance, Revision, WriterId};
 
     fn parcel() -> Parcel {
-        let registry = registry();
-        let mut commands = Commands::new(registry.clone(), EntityAllocator::new(2, 5));
+        let mut commands = Commands::new(registry(), EntityAllocator::new(2, 5));
         let entity = commands.spawn();
         commands.put(entity, Count(7));
         commands.put(entity, Level(0.5));
@@ -75,16 +76,19 @@ mod tests {
             time: SimTime(9),
             based_on: Revision::ZERO,
         };
-        Parcel { sealed_at: SimTime(10), batch: Box::new(Batch { provenance, commands }), registry }
+        Parcel { sealed_at: SimTime(10), batch: Box::new(Batch { provenance, commands }) }
     }
 
     #[test]
     fn a_duplicate_says_the_same_to_the_byte() {
         let first = parcel();
         let second = first.duplicate().expect("can be copied");
-        assert_eq!(first.encoded(), second.encoded());
+        assert_eq!(encoded(&first.batch), encoded(&second.batch));
         assert_eq!(first.batch.provenance, second.batch.provenance);
         assert_eq!(first.batch.commands.me(), second.batch.commands.me());
+        let (mut first, mut second) = (first, second);
+        let spawned = [&mut first, &mut second].map(|parcel| parcel.batch.commands.spawn());
+        assert_ne!(spawned[0], spawned[1], "one writer, one counter");
     }
 
     #[test]
@@ -97,7 +101,7 @@ mod tests {
 
     #[test]
     fn any_three_flipped_bits_are_seen() {
-        let length = parcel().encoded().expect("encodes").len();
+        let length = encoded(&parcel().batch).expect("encodes").len();
         for bit in 0..8 * length {
             let garbled = parcel().through(&mut |bytes| {
                 for flip in [bit, (bit * 7 + 3) % (8 * length), (bit * 13 + 5) % (8 * length)] {

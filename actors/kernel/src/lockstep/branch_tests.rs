@@ -215,6 +215,44 @@ fn faults_that_are_planned_or_under_way_come_to_the_branch_as_well() {
 }
 
 #[test]
+fn what_is_on_its_way_over_a_bad_link_arrives_in_the_branch_as_well() {
+    let faulty = || {
+        let mut spec = spec();
+        // The one that was killed sends from its second life; in a branch that is its first.
+        let plan = FaultPlan::new(1).at(secs(0.1)).kill("late");
+        let plan = plan.at(secs(0.2)).lasting(secs(0.4)).jitter("late", secs(0.05), secs(0.02));
+        spec.faults = plan.at(secs(0.2)).lasting(secs(0.4)).delay("fast", secs(0.03));
+        spec
+    };
+    let mut parent = LockstepSession::new(faulty()).expect("starts");
+    parent.step_until(secs(0.45));
+    let mut branch = LockstepSession::resume(faulty(), parent.present()).expect("resumes");
+    for session in [&mut parent, &mut branch] {
+        session.step_until(secs(1.0));
+    }
+    for writer in [1, 2] {
+        assert_eq!(pairs(&branch, writer), pairs(&parent, writer));
+    }
+    assert_eq!(branch.view().revision(), parent.view().revision(), "every batch has arrived");
+    let counts = |session: &LockstepSession| [RING, PEG].map(|on| session.view().get::<Count>(on).copied());
+    assert_eq!(counts(&branch), counts(&parent));
+    assert!(branch.finish().controllers.iter().all(|row| row.rejected == 0 && row.lost == 0));
+}
+
+#[test]
+fn a_batch_that_came_twice_does_not_lead_to_names_that_are_given_out_twice() {
+    let mut spec = spec();
+    spec.faults = FaultPlan::new(1).at(secs(0.1)).lasting(secs(0.4)).duplicate("fast", 1.0);
+    let mut session = LockstepSession::new(spec).expect("starts");
+    session.step_until(secs(1.0));
+    let outcome = session.finish();
+    // Copies of batches that spawn are refused, as what they spawn is there; every tenth does.
+    assert_eq!(outcome.controllers[0].rejected, 40);
+    let spawned = outcome.snapshot.entities().filter(|entity| entity.spawner() == 1).count();
+    assert_eq!(spawned, 100);
+}
+
+#[test]
 fn rows_that_were_handed_over_stay_where_they_are() {
     let mut parent = at(0.1);
     parent.apply(|out| out.transfer::<Count>(RING, WriterId(2))).expect("applied");

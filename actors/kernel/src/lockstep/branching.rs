@@ -2,18 +2,20 @@
 //!
 //! What a controller needs to resume is in the scene, so a branch starts everybody anew from a snapshot, as a restart
 //! does. Beside the scene there is little: whose tick is due when, which events each has heard, which names have been
-//! given out, what has been handed over, which faults are under way. That is a [`Moment`]. Devices are not the
+//! given out, what has been handed over, which faults are under way, what is on its way over a bad link. That is a
+//! [`Moment`]. Devices are not the
 //! kernel's: whoever branches a session brings peers that stand where those of the other one do.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use thiserror::Error;
-use trocar_scene::{ComponentError, EntityAllocator, Revision, SimTime, Snapshot, Store};
+use trocar_scene::{Batch, Commands, ComponentError, EntityAllocator, Revision, SimTime, Snapshot, Store};
 
 use super::session::LockstepSession;
 use super::slot::{Ailments, Slot};
 use crate::chain::{Chain, StateHash};
-use crate::faults::{FaultLog, FaultSchedule};
+use crate::faults::{FaultLog, FaultSchedule, LinkFaults, Parcel, second_of};
 use crate::model_core::{ModelCore, Transfers};
 use crate::operator::OPERATOR;
 use crate::spec::{Peer, SessionSpec};
@@ -63,6 +65,20 @@ struct SlotMoment {
     cursor: Option<u64>,
     allocator: EntityAllocator,
     ailments: Ailments,
+    /// What is on its way to the Model, or waits for one that is down.
+    link: LinkFaults<Parcel>,
+    queue: VecDeque<Box<Batch>>,
+}
+
+/// Epoch of the first life of a controller in a session.
+const FIRST_EPOCH: u32 = 1;
+
+/// A second batch like one of the present life of its writer, as the writer's first life in a branch would send it.
+/// What an earlier life sent would be refused here, and is left behind.
+fn for_a_branch(batch: &Batch, epoch: u32, empty: impl FnOnce() -> Commands) -> Option<Box<Batch>> {
+    let mut second = (batch.provenance.epoch == epoch).then(|| second_of(batch, empty()))??;
+    second.provenance.epoch = FIRST_EPOCH;
+    Some(second)
 }
 
 struct Present {
@@ -95,11 +111,18 @@ impl Moment {
 impl LockstepSession {
     /// Where the session stands.
     pub fn present(&self) -> Moment {
-        let slot = |slot: &Slot| SlotMoment {
-            name: slot.spec.name.clone(),
-            cursor: Some(slot.cursor),
-            allocator: slot.allocator.fork(),
-            ailments: slot.ailments,
+        let slot = |slot: &Slot| {
+            let allocator = slot.allocator.fork();
+            let empty = || Commands::new(self.registry.clone(), allocator.clone());
+            let second = |batch: &Batch| for_a_branch(batch, slot.epoch, empty);
+            SlotMoment {
+                name: slot.spec.name.clone(),
+                cursor: Some(slot.cursor),
+                ailments: slot.ailments,
+                link: slot.link.fork(|parcel| Some(Parcel { batch: second(&parcel.batch)?, ..*parcel })),
+                queue: slot.queue.iter().filter_map(|batch| second(batch)).collect(),
+                allocator,
+            }
         };
         Moment {
             scene: self.core.view().clone(),
@@ -154,6 +177,8 @@ impl LockstepSession {
             cursor: None,
             allocator: allocator(slot.writer.0),
             ailments: Ailments::default(),
+            link: LinkFaults::default(),
+            queue: VecDeque::new(),
         };
         Ok(Moment {
             scene: snapshot.clone(),
@@ -187,12 +212,12 @@ impl LockstepSession {
 
     /// Takes over what a moment says, before anybody is built.
     pub(super) fn go_on_from(&mut self, moment: Moment) {
-        let Moment { scene, at, slots, operator, given, present, .. } = moment;
+        let Moment { scene, at, mut slots, operator, given, present, .. } = moment;
         self.resuming = true;
         self.now = at;
         for slot in &mut self.slots {
             slot.skip_to(at);
-            let Some(known) = slots.iter().find(|known| known.name == slot.spec.name) else { continue };
+            let Some(known) = slots.iter_mut().find(|known| known.name == slot.spec.name) else { continue };
             let heard = || {
                 let last = slot.last_tick();
                 let unheard = scene.events().since(0).find(|(_, event)| event.at >= last);
@@ -201,6 +226,9 @@ impl LockstepSession {
             slot.cursor = known.cursor.unwrap_or_else(heard);
             slot.allocator = known.allocator.fork();
             slot.ailments = known.ailments;
+            slot.link = std::mem::take(&mut known.link);
+            slot.queue = std::mem::take(&mut known.queue);
+            self.queued |= !slot.queue.is_empty();
         }
         for slot in &mut self.peers {
             let period = slot.peer.period_ns();

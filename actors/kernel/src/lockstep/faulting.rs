@@ -138,7 +138,7 @@ impl LockstepSession {
             return;
         }
         let before = slot.link.counts().sum();
-        slot.link.send(self.now, Parcel { sealed_at: self.now, batch, registry: self.registry.clone() });
+        slot.link.send(self.now, Parcel { sealed_at: self.now, batch });
         if slot.link.counts().sum() > before && self.fault_log.is_open() {
             self.fault_log.detected(&slot.spec.name, self.now);
         }

@@ -87,6 +87,7 @@ fn fault_row(row: &FaultSummary) -> Vec<Cell> {
     let secs = |time: Option<f64>| Cell::plain(time.map_or("–".into(), |secs| format!("{secs:.3}")));
     let last = match row.recovery_secs().map(|secs| secs * 1e3) {
         Some(millis) => Cell::plain(format!("{millis:.1}")),
+        None if row.is_under_way() => Cell::plain("to the end".into()),
         None if row.injected_secs.is_some() => Cell::plain("not recovered".into()).warn(),
         None => Cell::plain("–".into()),
     };
