@@ -6,6 +6,7 @@
 use trocar::app::App;
 use trocar::run::{RunOptions, RunOutcome, run};
 use trocar_scene::scenario::Scenario;
+use trocar_scene::{Entity, Snapshot};
 
 /// The program with everything that comes with Trocar.
 pub fn app() -> App {
@@ -72,4 +73,21 @@ pub fn median(values: &[f64]) -> f64 {
     sorted.sort_by(f64::total_cmp);
     let half = sorted.len() / 2;
     if sorted.len() % 2 == 1 { sorted[half] } else { (sorted[half - 1] + sorted[half]) / 2.0 }
+}
+
+/// The instruments and hands of the peg transfer, left and right.
+pub struct Names {
+    /// The graspers.
+    pub instruments: [Entity; 2],
+    /// The hands.
+    pub hands: [Entity; 2],
+}
+
+/// Finds them.
+pub fn names(scene: &Snapshot) -> Names {
+    let find = |name: &str| scene.find(name).expect("a name of the scenario");
+    Names {
+        instruments: [find("grasper.left"), find("grasper.right")],
+        hands: [find("hand.left"), find("hand.right")],
+    }
 }

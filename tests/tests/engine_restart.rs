@@ -4,22 +4,9 @@ use trocar::run::{RunOptions, start};
 use trocar::session::Session;
 use trocar_kernel::faults::FaultPlan;
 use trocar_scene::{DeviceForce, Entity, Grasp, Pose, SimTime, Snapshot};
-use trocar_tests::{app, for_seeds, lockstep, peg_transfer};
+use trocar_tests::{Names, app, for_seeds, lockstep, names, peg_transfer};
 
 const TICK: SimTime = SimTime::from_millis(2);
-
-struct Names {
-    instruments: [Entity; 2],
-    hands: [Entity; 2],
-}
-
-fn names(scene: &Snapshot) -> Names {
-    let find = |name: &str| scene.find(name).expect("a name of the scenario");
-    Names {
-        instruments: [find("grasper.left"), find("grasper.right")],
-        hands: [find("hand.left"), find("hand.right")],
-    }
-}
 
 /// The ring that both instruments hold.
 fn held_by_both(scene: &Snapshot, names: &Names) -> Option<Entity> {

@@ -4,22 +4,9 @@ use nalgebra::Vector3;
 use trocar::prelude::*;
 use trocar::run::RunOptions;
 use trocar_kernel::recorder::{Recording, Replay};
-use trocar_tests::{app, finish, for_seeds, lockstep, peg_transfer};
+use trocar_tests::{Names, app, finish, for_seeds, lockstep, names, peg_transfer};
 
 const MS: SimTime = SimTime::from_millis(1);
-
-struct Names {
-    instruments: [Entity; 2],
-    hands: [Entity; 2],
-}
-
-fn names(scene: &Snapshot) -> Names {
-    let find = |name: &str| scene.find(name).expect("a name of the scenario");
-    Names {
-        instruments: [find("grasper.left"), find("grasper.right")],
-        hands: [find("hand.left"), find("hand.right")],
-    }
-}
 
 /// The ring that some instrument holds above the board.
 fn carried(scene: &Snapshot, names: &Names) -> Option<Entity> {

@@ -4,14 +4,16 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use trocar_devices::{
-    Capabilities, DeviceFaults, DeviceMonitor, DeviceSlot, DeviceState as Measured, DriverConfig, DriverCore,
-    DriverResume, DriverThread, DriverThreadConfig, DriverThreadError, Fence as DeviceFence, HandIntent,
-    HapticDevice, PortEnergy, SessionTime, Wrench, link,
+    Capabilities, DeviceFaults, DeviceMonitor, DeviceSlot, DriverConfig, DriverCore, DriverResume,
+    DriverThread, DriverThreadConfig, DriverThreadError, Fence as DeviceFence, HandIntent, HapticDevice,
+    PortEnergy, SessionTime, Wrench, link,
 };
 use trocar_kernel::spec::{FaultKind, FaultOrder, FaultSink, Fence, Peer};
 use trocar_scene::{
     DeviceForce, DeviceInfo, DeviceState, Entity, HandTarget, HapticStatus, SimTime, Snapshot,
 };
+
+use crate::recorded_hand::measured;
 
 /// Steps per second of a driver, live and in lock-step \[Hz\].
 pub const DRIVER_RATE_HZ: f64 = 1_000.0;
@@ -143,14 +145,7 @@ pub fn device_info(capabilities: &Capabilities) -> DeviceInfo {
 /// What the scene tells of a hand's driver at `time`, if it has been measured at all.
 fn driver_resume(scene: &Snapshot, hand: Entity, time: SimTime) -> Option<DriverResume> {
     let state = scene.get::<DeviceState>(hand)?;
-    let measured = Measured {
-        pose_in_device: state.handle_in_device.isometry(),
-        linear_velocity: state.velocity_in_device.linear,
-        angular_velocity: state.velocity_in_device.angular,
-        gripper: state.gripper,
-        buttons: state.buttons,
-        connected: state.connected,
-    };
+    let measured = measured(state);
     let commanded = scene.get::<DeviceForce>(hand).copied().unwrap_or_default();
     let wanted = scene.get::<HandTarget>(hand);
     let status = scene.get::<HapticStatus>(hand).copied().unwrap_or_default();

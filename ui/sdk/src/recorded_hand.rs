@@ -58,7 +58,8 @@ pub fn read(
     Ok((points, capabilities(&info)))
 }
 
-fn measured(state: &DeviceState) -> Measured {
+/// What a device had measured, as the scene tells it.
+pub(crate) fn measured(state: &DeviceState) -> Measured {
     Measured {
         pose_in_device: state.handle_in_device.isometry(),
         linear_velocity: state.velocity_in_device.linear,

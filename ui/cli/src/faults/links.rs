@@ -16,14 +16,11 @@ use super::live::{TIMES, WARM, watched};
 use super::lockstep::{self, RESUME_MS_MAX, options, recovery, row_of, run, run_with, split, struck};
 use crate::failure::Failure;
 
-const KINDS: [FaultKind; 6] = [
-    FaultKind::Drop,
-    FaultKind::Delay,
-    FaultKind::Duplicate,
-    FaultKind::Reorder,
-    FaultKind::Corrupt,
-    FaultKind::Partition,
-];
+/// Everything that befalls links.
+fn kinds() -> impl Iterator<Item = FaultKind> {
+    FaultKind::ALL.into_iter().filter(|kind| kind.is_of_link())
+}
+
 /// Whose link is bad.
 const WHO: &str = "haptics.left";
 /// Share of its batches that suffers.
@@ -60,7 +57,7 @@ fn touched(kind: FaultKind, row: &ControllerReport) -> u64 {
 
 /// Rows in virtual time.
 pub fn lockstep(plan: &mut Plan<'_>) {
-    for kind in KINDS {
+    for kind in kinds() {
         plan.row(format!("lockstep_link_{kind}_resumed"), move |name| {
             lockstep::worst(name, "ms", bar(kind), |seed| {
                 let outcome = run(&App::new(), seed, of_kind(kind, struck(seed).lasting(secs(0.3))))?;
@@ -114,19 +111,19 @@ pub fn live(plan: &mut Plan<'_>) {
         let (gap, span) = (0.12, 0.05);
         let mut plan = FaultPlan::new(1);
         for time in 0..TIMES {
-            for (index, kind) in KINDS.into_iter().enumerate() {
-                let at = WARM + gap * (time * KINDS.len() + index) as f64;
+            for (index, kind) in kinds().enumerate() {
+                let at = WARM + gap * (time * kinds().count() + index) as f64;
                 plan = of_kind(kind, plan.between(secs(at), secs(at + 0.3 * gap)).lasting(secs(span)));
             }
         }
         let app = App::new();
         let scenario = app.scenario(lockstep::SCENARIO)?;
-        let seconds = WARM + gap * (TIMES * KINDS.len()) as f64 + 1.0;
+        let seconds = WARM + gap * (TIMES * kinds().count()) as f64 + 1.0;
         let outcome = watched(&app, &scenario, plan, seconds)?.finished.outcome;
         let (hand, others) = split(&outcome.controllers, WHO);
         let apart = others.iter().all(|row| row.lost + row.delayed + row.duplicated == 0);
         let mut rows = Vec::new();
-        for kind in KINDS {
+        for kind in kinds() {
             let struck = |row: &&FaultRow| row.kind == kind && row.target != MODEL;
             let figures: Vec<f64> =
                 outcome.faults.iter().filter(struck).map(|row| recovery(row).min(1e4)).collect();
