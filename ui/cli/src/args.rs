@@ -276,6 +276,9 @@ pub struct VerifyArgs {
     /// Only in real time: medians, and what becomes of the process itself
     #[arg(long)]
     pub live: bool,
+    /// Only measurements whose name has this in it: `disk`, `link`, `kill_engine`
+    #[arg(long, value_name = "TEXT")]
+    pub only: Option<String>,
     /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)
     #[arg(long)]
     pub json: bool,

@@ -22,7 +22,7 @@ pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
     let style = ProgressStyle::with_template("{bar:30} {pos} of {len} plans  {msg}  {elapsed}, {eta} left");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     let next = AtomicU64::new(0);
-    let done: Mutex<Vec<Result<Soaked, Failure>>> = Mutex::new(Vec::new());
+    let done: Mutex<Vec<Soaked>> = Mutex::new(Vec::new());
     let workers = thread::available_parallelism().map_or(1, usize::from);
     thread::scope(|scope| {
         for worker in 0..workers {
@@ -35,36 +35,61 @@ pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
                         break;
                     }
                     let seed = args.from.wrapping_add(number);
-                    let soaked = soak(app, scenario, seed, args.seconds, &file).map_err(Failure::from);
+                    let soaked = soak(app, scenario, seed, args.seconds, &file).unwrap_or_else(|error| {
+                        // The other plans' hour is not thrown away for it.
+                        Soaked {
+                            seed,
+                            faults: Vec::new(),
+                            completed: false,
+                            violations: vec![error.to_string()],
+                        }
+                    });
+                    if is_broken(&soaked) {
+                        let told = told(args, &soaked);
+                        // Said at once: whoever waits for hours may begin to look.
+                        bar.suspend(|| eprintln!("{told}"));
+                    }
                     let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
                     done.push(soaked);
-                    let broken = |row: &&Result<Soaked, Failure>| {
-                        row.as_ref().map_or(true, |soaked| !soaked.violations.is_empty())
-                    };
-                    bar.set_message(format!("{} broke something", done.iter().filter(broken).count()));
+                    let broken = done.iter().filter(|row| is_broken(row)).count();
+                    bar.set_message(format!("{broken} broke something"));
                     bar.inc(1);
                 }
             });
         }
     });
     bar.finish_and_clear();
-    let done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
-    let mut rows = done.into_iter().collect::<Result<Vec<Soaked>, Failure>>()?;
+    let mut rows = done.into_inner().unwrap_or_else(PoisonError::into_inner);
     rows.sort_by_key(|row| row.seed);
     report(args, &rows)
 }
 
-fn report(args: &SoakArgs, rows: &[Soaked]) -> Result<Exit, Failure> {
-    let broken: Vec<&Soaked> = rows.iter().filter(|row| !row.violations.is_empty()).collect();
-    let completed = rows.iter().filter(|row| row.completed).count();
+fn is_broken(row: &Soaked) -> bool {
+    !row.violations.is_empty()
+}
+
+/// The command that runs this plan alone.
+fn again(args: &SoakArgs, seed: u64) -> String {
     let seconds = args.seconds.map_or(String::new(), |seconds| format!(" --seconds {seconds}"));
-    let again = |seed: u64| format!("trocar soak {} --plans 1 --from {seed}{seconds}", args.scenario);
+    format!("trocar soak {} --plans 1 --from {seed}{seconds}", args.scenario)
+}
+
+/// What a plan broke, in words.
+fn told(args: &SoakArgs, row: &Soaked) -> String {
+    let Soaked { seed, faults, violations, .. } = row;
+    let again = again(args, *seed);
+    format!("seed {seed}: {}\n    {}\n    {again}", violations.join("; "), faults.join(", "))
+}
+
+fn report(args: &SoakArgs, rows: &[Soaked]) -> Result<Exit, Failure> {
+    let broken: Vec<&Soaked> = rows.iter().filter(|row| is_broken(row)).collect();
+    let completed = rows.iter().filter(|row| row.completed).count();
     if args.json {
         let violations: Vec<_> = broken
             .iter()
             .map(|row| {
                 json!({ "seed": row.seed, "faults": row.faults, "violations": row.violations,
-                        "reproduce": again(row.seed) })
+                        "reproduce": again(args, row.seed) })
             })
             .collect();
         output::print_json(&json!({
@@ -72,16 +97,12 @@ fn report(args: &SoakArgs, rows: &[Soaked]) -> Result<Exit, Failure> {
             "broken": violations, "error": null,
         }))?;
     } else {
+        let all = rows.len();
+        let broke = broken.len();
         let mut lines = vec![format!(
-            "{} random plans: {} broke something, {completed} exercises were completed",
-            rows.len(),
-            broken.len()
+            "{all} random plans: {broke} broke something, {completed} exercises were completed"
         )];
-        for row in &broken {
-            lines.push(format!("seed {}: {}", row.seed, row.violations.join("; ")));
-            lines.push(format!("    {}", row.faults.join(", ")));
-            lines.push(format!("    {}", again(row.seed)));
-        }
+        lines.extend(broken.iter().map(|row| told(args, row)));
         output::print_text(&lines.join("\n"))?;
     }
     Ok(if broken.is_empty() { Exit::Ok } else { Exit::Failed })

@@ -3,12 +3,16 @@
 use std::path::Path;
 
 use trocar::app::App;
-use trocar::run::RunOptions;
-use trocar_kernel::faults::{FaultPlan, secs};
+use trocar::run::{RunOptions, RunOutcome};
+use trocar::summary::{BenchResult, Better};
+use trocar_kernel::bench::median_and_spread as median;
+use trocar_kernel::faults::{FaultAt, FaultPlan, secs};
 use trocar_kernel::recorder::{RecorderOptions, Recording, Replay};
+use trocar_scene::SimTime;
 
-use super::Plan;
-use super::lockstep::{options, row_of, run, run_with, violations};
+use super::live::WARM;
+use super::lockstep::{Wrong, options, recovery, run, run_with, violations};
+use super::{Plan, Rows};
 use crate::failure::Failure;
 
 /// What may wait for the disk [bytes]: little, so that something has to be given up.
@@ -18,26 +22,120 @@ const SLOW: f64 = 200_000.0;
 /// How long it is full or slow \[s\].
 const LASTING: f64 = 6.0;
 
+/// In real time: how many sessions with a bad disk are held against one with a good one, how often the disk is bad in
+/// each, for how long, and how long apart \[s\].
+const SESSIONS: u64 = 3;
+const STRIKES: usize = 8;
+const STRIKE: f64 = 0.3;
+const APART: f64 = 0.6;
+/// How often it is written then: several times while the disk is bad.
+const FLUSH: SimTime = SimTime::from_millis(100);
+/// Longest until the recorder writes again once it can \[ms\]: it looks every 20 ms, and what waits for it comes first.
+const RESUME_MS_MAX: f64 = 100.0;
+
+/// Adds a bad disk to a plan.
+type Strike = fn(FaultAt) -> FaultPlan;
+
+/// What can be wrong with a disk.
+const KINDS: [(&str, Strike); 2] = [("full", |at| at.disk_full()), ("slow", |at| at.disk_slow(SLOW))];
+
 /// Rows in virtual time.
-pub fn plan<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
-    plan.row("lockstep_full_disk_leaves_the_simulation_untouched", move |name| {
-        violations(name, |seed, wrong| {
-            bad_disk(&folder.join(format!("full-{seed}.mcap")), seed, wrong, |at| at.disk_full())
-        })
-    });
-    plan.row("lockstep_slow_disk_leaves_the_simulation_untouched", move |name| {
-        violations(name, |seed, wrong| {
-            bad_disk(&folder.join(format!("slow-{seed}.mcap")), seed, wrong, |at| at.disk_slow(SLOW))
-        })
+pub fn lockstep<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
+    for (kind, fault) in KINDS {
+        plan.row(format!("lockstep_{kind}_disk_leaves_the_simulation_untouched"), move |name| {
+            violations(name, |seed, wrong| {
+                bad_disk(&folder.join(format!("{kind}-{seed}.mcap")), seed, wrong, fault)
+            })
+        });
+    }
+}
+
+/// Rows in real time.
+pub fn live<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
+    plan.rows("live disks", |_| {
+        let file = folder.join("live.mcap");
+        let (mut good, mut rows) = (Vec::new(), Vec::new());
+        for seed in 1..=SESSIONS {
+            good.push(worst_on_time(&recorded(&file, seed, FaultPlan::new(seed))?));
+        }
+        for (kind, fault) in KINDS {
+            rows.extend(bad_disks(kind, fault, &file, &good)?);
+        }
+        Ok(rows)
     });
 }
 
-fn bad_disk(
+/// A session in real time that is recorded through a small backlog.
+fn recorded(file: &Path, seed: u64, plan: FaultPlan) -> Result<RunOutcome, Failure> {
+    let seconds = WARM + APART * STRIKES as f64 + 1.0;
+    let recorder =
+        RecorderOptions { backlog_max: BACKLOG_MAX, flush_period: FLUSH, ..RecorderOptions::default() };
+    let record = Some(file.to_owned());
+    let options =
+        RunOptions { lockstep: false, seconds: Some(seconds), record, recorder, ..options(seed, plan) };
+    run_with(&App::new(), &options)
+}
+
+fn worst_on_time(outcome: &RunOutcome) -> f64 {
+    let hands = outcome.reports.iter().filter(|row| row.name.starts_with("haptics."));
+    hands.map(|row| row.on_time).fold(1.0, f64::min)
+}
+
+/// The same sessions with a disk that is bad again and again.
+fn bad_disks(kind: &str, fault: Strike, file: &Path, good: &[f64]) -> Rows {
+    let (mut resumed, mut costs, mut wrong) = (Vec::new(), Vec::new(), Wrong::default());
+    for (seed, good) in (1..).zip(good) {
+        let plan = (0..STRIKES).fold(FaultPlan::new(seed), |plan, time| {
+            let at = WARM + APART * time as f64;
+            fault(plan.between(secs(at), secs(at + 0.1)).lasting(secs(STRIKE)))
+        });
+        let outcome = recorded(file, seed, plan)?;
+        resumed.extend(outcome.kernel.faults.iter().map(|row| recovery(row).min(1e4)));
+        costs.push((good - worst_on_time(&outcome)) * 100.0);
+        wrong.check(outcome.reports.iter().all(|row| row.unaccounted() == 0), "batches are unaccounted for");
+        wrong.check(outcome.kernel.model.restarts == 0, "the Model was restarted");
+        check_recording(file, &outcome, STRIKES, &mut wrong)?;
+    }
+    let (cost, spread) = median(&costs);
+    let resumed = median(&resumed);
+    let name = |what: &str| format!("live_{kind}_disk_{what}");
+    Ok(vec![
+        BenchResult::on_value(name("resumed_p50"), "ms", resumed, Some(RESUME_MS_MAX), Better::Lower),
+        BenchResult::on_value(
+            name("on_time_lost"),
+            "points",
+            (cost.max(0.0), spread),
+            Some(2.0),
+            Better::Lower,
+        ),
+        wrong.row(&name("leaves_the_session_untouched")),
+    ])
+}
+
+/// What was given up is declared, and what follows a gap can be replayed.
+fn check_recording(
     file: &Path,
-    seed: u64,
-    wrong: &mut super::lockstep::Wrong,
-    fault: impl Fn(trocar_kernel::faults::FaultAt) -> FaultPlan,
+    outcome: &RunOutcome,
+    gaps_min: usize,
+    wrong: &mut Wrong,
 ) -> Result<(), Failure> {
+    wrong.check(!outcome.summary.recording_complete, "the recording is said to be complete");
+    wrong.check(outcome.kernel.faults.iter().all(|row| row.detected.is_some()), "nobody noticed");
+    wrong.check(
+        outcome.kernel.faults.iter().all(|row| row.resumed.is_some()),
+        "the recorder never wrote again",
+    );
+    let recording = Recording::open(file).map_err(Failure::internal)?;
+    let app = App::new();
+    let mut replay = Replay::new(&recording, app.registry()).map_err(Failure::internal)?;
+    // A gap that no keyframe follows could not be replayed across.
+    let end = replay.run_to_end().map_err(Failure::internal)?;
+    wrong.check(replay.gaps().len() >= gaps_min, "a gap is not declared");
+    wrong.check(Some(end.to_string()) == outcome.summary.state_hash, "the recording ends in another state");
+    Ok(())
+}
+
+fn bad_disk(file: &Path, seed: u64, wrong: &mut Wrong, fault: Strike) -> Result<(), Failure> {
     let app = App::new();
     let without = run(&app, seed, FaultPlan::new(seed))?;
     let options = RunOptions {
@@ -47,14 +145,5 @@ fn bad_disk(
     };
     let with = run_with(&app, &options)?;
     wrong.check(with.summary.state_hash == without.summary.state_hash, "the state hash differs");
-    wrong.check(!with.summary.recording_complete, "the recording is said to be complete");
-    wrong.check(row_of(&with)?.detected.is_some(), "nobody noticed");
-    wrong.check(row_of(&with)?.resumed.is_some(), "the recorder never wrote again");
-    let recording = Recording::open(file).map_err(Failure::internal)?;
-    let mut replay = Replay::new(&recording, app.registry()).map_err(Failure::internal)?;
-    // A gap that no keyframe follows could not be replayed across.
-    let end = replay.run_to_end().map_err(Failure::internal)?;
-    wrong.check(!replay.gaps().is_empty(), "no gap is declared");
-    wrong.check(Some(end.to_string()) == with.summary.state_hash, "the recording ends in another state");
-    Ok(())
+    check_recording(file, &with, 1, wrong)
 }

@@ -2,7 +2,7 @@
 
 use trocar::app::App;
 use trocar::plans;
-use trocar::run::RunOptions;
+use trocar::run::{RunOptions, RunOutcome};
 use trocar::soak::is_finite;
 use trocar::summary::{BenchResult, Better};
 use trocar_kernel::bench::median_and_spread as median;
@@ -13,7 +13,7 @@ use trocar_scene::SimTime;
 
 use super::Plan;
 use super::live::{TIMES, WARM, watched};
-use super::lockstep::{self, RESUME_MS_MAX, options, recovery, row_of, run, run_with, split, struck};
+use super::lockstep::{self, RESUME_MS_MAX, Wrong, options, recovery, row_of, run, run_with, split, struck};
 use crate::failure::Failure;
 
 /// Everything that befalls links.
@@ -77,32 +77,27 @@ pub fn lockstep(plan: &mut Plan<'_>) {
                 seconds: None,
                 ..options(seed, FaultPlan { expect: Default::default(), ..plan.clone() })
             };
-            let outcome = run_with(&App::new(), &options)?;
-            let summary = &outcome.summary;
-            let honest = summary.task.completed || !summary.task.errors.is_empty();
-            wrong.check(honest, "the exercise failed and does not say why");
-            wrong.check(outcome.kernel.code == 0 && outcome.kernel.held.is_empty(), "somebody gave up");
-            wrong.check(outcome.kernel.model.restarts == 0, "the Model was restarted");
-            wrong.check(is_finite(&outcome.kernel.snapshot), "a number that is none is in the scene");
-            wrong.check(
-                outcome.reports.iter().all(|row| row.unaccounted() == 0),
-                "batches are unaccounted for",
-            );
-            let behind = ["haptics.left", "haptics.right", "autopilot"];
-            let far = outcome.reports.iter().filter(|row| behind.contains(&row.name.as_str()));
-            wrong.check(
-                far.clone().count() == 3 && far.clone().all(|row| row.lost > 0),
-                "the network was good",
-            );
-            let limit = plan.expect.force_newtons_max.unwrap_or(0.0);
-            wrong.check(summary.force_newtons_max <= limit, "a force was above its limit");
-            wrong.check(
-                outcome.kernel.faults.iter().all(|row| row.resumed.is_some()),
-                "a fault was not overcome",
-            );
+            check_flaky(&plan, &run_with(&App::new(), &options)?, wrong);
             Ok(())
         })
     });
+}
+
+/// What must hold of an exercise behind the flaky network.
+fn check_flaky(plan: &FaultPlan, outcome: &RunOutcome, wrong: &mut Wrong) {
+    let summary = &outcome.summary;
+    let honest = summary.task.completed || !summary.task.errors.is_empty();
+    wrong.check(honest, "the exercise failed and does not say why");
+    wrong.check(outcome.kernel.code == 0 && outcome.kernel.held.is_empty(), "somebody gave up");
+    wrong.check(outcome.kernel.model.restarts == 0, "the Model was restarted");
+    wrong.check(is_finite(&outcome.kernel.snapshot), "a number that is none is in the scene");
+    wrong.check(outcome.reports.iter().all(|row| row.unaccounted() == 0), "batches are unaccounted for");
+    let behind = ["haptics.left", "haptics.right", "autopilot"];
+    let far = outcome.reports.iter().filter(|row| behind.contains(&row.name.as_str()));
+    wrong.check(far.clone().count() == 3 && far.clone().all(|row| row.lost > 0), "the network was good");
+    let limit = plan.expect.force_newtons_max.unwrap_or(0.0);
+    wrong.check(summary.force_newtons_max <= limit, "a force was above its limit");
+    wrong.check(outcome.kernel.faults.iter().all(|row| row.resumed.is_some()), "a fault was not overcome");
 }
 
 /// Rows in real time: every kind strikes again and again, all in one session.
@@ -142,5 +137,16 @@ pub fn live(plan: &mut Plan<'_>) {
             Better::Lower,
         ));
         Ok(rows)
+    });
+    plan.row("live_flaky_network", |name| {
+        let plan = plans::plan("flaky-network").map_err(Failure::internal)?;
+        let options = RunOptions {
+            lockstep: false,
+            seconds: None,
+            ..options(1, FaultPlan { expect: Default::default(), ..plan.clone() })
+        };
+        let mut wrong = Wrong::default();
+        check_flaky(&plan, &run_with(&App::new(), &options)?, &mut wrong);
+        Ok(wrong.row(name))
     });
 }

@@ -52,7 +52,7 @@ pub fn plan<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
     guests(plan);
     forces::lockstep(plan);
     links::lockstep(plan);
-    disks::plan(folder, plan);
+    disks::lockstep(folder, plan);
 }
 
 fn kills<'a>(folder: &'a Path, plan: &mut Plan<'a>) {

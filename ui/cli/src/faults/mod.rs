@@ -77,8 +77,16 @@ fn measure(args: &VerifyArgs) -> Rows {
         lockstep::plan(folder.path(), &mut plan);
     }
     if both || args.live {
-        live::plan(&mut plan);
+        live::plan(folder.path(), &mut plan);
         process::plan(folder.path(), &mut plan);
+    }
+    if let Some(text) = &args.only {
+        let names: Vec<String> = plan.0.iter().map(|step| step.name.clone()).collect();
+        plan.0.retain(|step| step.name.contains(text));
+        if plan.0.is_empty() {
+            let message = format!("no measurement has '{text}' in its name; there are: {}", names.join(", "));
+            return Err(Failure::usage(message));
+        }
     }
     let bar = ProgressBar::new(plan.0.len() as u64);
     let style = ProgressStyle::with_template("{bar:30} {pos} of {len}  {msg}  {elapsed}");
