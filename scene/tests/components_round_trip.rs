@@ -244,6 +244,18 @@ fn hands_and_tasks(formats: &mut Formats) {
         },
         true,
     );
+    formats.check(
+        PersonInput {
+            source: 3,
+            in_charge: Side::Right,
+            left: PersonHand { moved: [0.1, -0.2, 0.3], rolled: 0.4, opening: Some(0.5) },
+            right: PersonHand { moved: [1.0, 2.0, -3.0], rolled: -0.7, opening: None },
+            held: PersonActions { grip: 0.25, fine: 1.0, ..PersonActions::default() },
+            view: Some(PersonView { world_from_view: pose(), field_of_view: 0.9 }),
+            sampled_at: SimTime(9),
+        },
+        true,
+    );
     let primitives = [
         Primitive::Shape(1),
         Primitive::Triangle(2),
