@@ -3,9 +3,11 @@
 mod decoder;
 #[cfg(target_os = "linux")]
 mod evdev;
+#[cfg(target_os = "linux")]
 mod reader;
 
 pub use decoder::{AbsRange, GamepadDecoder, INPUT_EVENT_BYTES};
+#[cfg(target_os = "linux")]
 pub use reader::{GamepadReader, GamepadReaderError, GamepadSource, PluggedGamepad, RESCAN_NS};
 
 #[cfg(target_os = "linux")]

@@ -105,6 +105,9 @@ pub struct RunArgs {
     /// Virtual time on one thread, as fast as it goes: the same seed gives the same bits
     #[arg(long)]
     pub lockstep: bool,
+    /// A person moves the hands with mouse, keyboard or gamepad, in the place of the virtual trainee
+    #[arg(long, conflicts_with = "skill")]
+    pub play: bool,
     /// Fault plan: what shall go wrong, and what must hold all the same; a name (see `trocar list plans`)
     /// or a TOML file
     #[arg(long, value_name = "PLAN", value_hint = ValueHint::FilePath)]

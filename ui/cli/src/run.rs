@@ -56,10 +56,17 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     options.seconds = args.seconds;
     options.faults = args.faults.as_deref().map(plan).transpose()?;
     options.record = record;
+    options.play = args.play;
 
     if options.lockstep && app.actors().next().is_some() {
         let names = app.actors().collect::<Vec<_>>().join(", ");
         tracing::warn!("in lock-step there is no real time, so these actors are left out: {names}");
+    }
+
+    if options.play {
+        tracing::warn!(
+            "nobody drives the hands yet: they rest until a window or a program writes 'person_input'"
+        );
     }
 
     let mut display = Display::new(&scenario, &options, args.headless || args.json);

@@ -80,7 +80,8 @@ impl ManualController {
             .iter::<PersonInput>()
             .next()
             .ok_or_else(|| wrong("no entity has the component 'person_input'"))?;
-        let of_side = |side| scene.iter::<Hand>().find(|(_, hand)| hand.side == side).map(|(entity, _)| entity);
+        let of_side =
+            |side| scene.iter::<Hand>().find(|(_, hand)| hand.side == side).map(|(entity, _)| entity);
         let hands = [of_side(Side::Left), of_side(Side::Right)];
         if hands == [None, None] {
             return Err(wrong(NoHands));
@@ -171,7 +172,8 @@ impl Controller for ManualController {
                 continue;
             };
             let rig = rig_of(scene, entity)?;
-            let workspace = scene.get::<DeviceInfo>(entity).map_or_else(Vector3::zeros, |info| info.workspace.into());
+            let workspace =
+                scene.get::<DeviceInfo>(entity).map_or_else(Vector3::zeros, |info| info.workspace.into());
             let reach = Reach { rig: &rig, workspace };
             if let Some(input) = input {
                 let actual = scene.world_pose(rig.instrument).translation.vector;

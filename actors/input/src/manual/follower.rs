@@ -33,8 +33,11 @@ impl<const D: usize> Follower<D> {
         let travel_secs = (length / speed_max).min(dt_secs);
         if travel_secs > 0.0 {
             self.filter(&(way * (speed_max / length)), travel_secs, rate);
-            self.reference =
-                if travel_secs < dt_secs { *goal } else { self.reference + way * (speed_max * dt_secs / length) };
+            self.reference = if travel_secs < dt_secs {
+                *goal
+            } else {
+                self.reference + way * (speed_max * dt_secs / length)
+            };
         }
         if travel_secs < dt_secs {
             self.filter(&SVector::zeros(), dt_secs - travel_secs, rate);
@@ -48,8 +51,7 @@ impl<const D: usize> Follower<D> {
         let slope = self.velocity - reference_velocity;
         let bend = slope + offset * rate;
         let decay = exp(-rate * secs);
-        self.position =
-            self.reference + reference_velocity * secs - lag + (offset + bend * secs) * decay;
+        self.position = self.reference + reference_velocity * secs - lag + (offset + bend * secs) * decay;
         self.velocity = reference_velocity + (slope - bend * (rate * secs)) * decay;
     }
 }

@@ -232,9 +232,7 @@ impl ManualHand {
 
 /// The point of the workspace next to `point`; no axis is limited that has no extent.
 fn within(point: &Vector3<f64>, workspace: &Vector3<f64>) -> Vector3<f64> {
-    point.zip_map(workspace, |x, extent| {
-        if extent > 0.0 { x.clamp(-0.5 * extent, 0.5 * extent) } else { x }
-    })
+    point.zip_map(workspace, |x, extent| if extent > 0.0 { x.clamp(-0.5 * extent, 0.5 * extent) } else { x })
 }
 
 /// `point` \[m\] after its picture has moved by `moved` (right, down, away; see [`PersonHand::moved`]).

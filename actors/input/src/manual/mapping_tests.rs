@@ -102,7 +102,10 @@ fn what_is_pressed_against_something_gets_no_farther_and_comes_back_at_once() {
     assert!(far > 0.9 * limits.lead_max);
     wish.moved[1] -= 0.05;
     hand.ask(&wish, Some(&view()), &stuck, &reach, &limits);
-    assert!((hand.goal_in_world - stuck).norm() < far - 0.005, "what was pushed in vain is not pulled back first");
+    assert!(
+        (hand.goal_in_world - stuck).norm() < far - 0.005,
+        "what was pushed in vain is not pulled back first"
+    );
 }
 
 #[test]
