@@ -47,8 +47,11 @@ pub fn person(scene: &Snapshot) -> Option<Entity> {
     scene.iter::<PersonInput>().next().map(|(entity, _)| entity)
 }
 
-/// The scenario with a person in the place of its virtual trainee.
-pub(crate) fn played(scenario: &Scenario) -> Result<Scenario, AssemblyError> {
+/// The scenario with a person in the place of its virtual trainee, or beside everybody where there is none.
+///
+/// # Errors
+/// [`AssemblyError::NoHands`] when there is nothing to drive.
+pub fn played(scenario: &Scenario) -> Result<Scenario, AssemblyError> {
     if scenario.hands.is_empty() {
         return Err(AssemblyError::NoHands(scenario.name.clone()));
     }
