@@ -3,14 +3,17 @@
 //! The person is a script that sees what a person sees, where things are in the picture, and does what a
 //! person can do: move the pointer, turn the wheel, press buttons and keys, sixty times per second.
 
+use std::time::Duration;
+
 use nalgebra::{Point3, Vector3};
 use trocar::play::{Bindings, Control, Controls, person};
+use trocar::run::{RunOptions, start};
 use trocar::session::Session;
 use trocar_kernel::faults::FaultPlan;
 use trocar_scene::{
     Camera, Entity, Grasp, HandTarget, PersonInput, PersonView, Side, SimTime, Snapshot, Velocity,
 };
-use trocar_tests::{Names, names};
+use trocar_tests::{Names, app, names};
 
 /// Between two pictures.
 const FRAME: SimTime = SimTime::from_micros(16_667);
@@ -255,6 +258,37 @@ fn a_window_that_is_opened_anew_moves_nothing_and_its_motion_counts_from_the_fir
     assert!((target(&mut person) - before).norm() > 0.001);
     let scene = person.scene();
     assert_eq!(scene.get::<PersonInput>(person.me).expect("a person").source, 2);
+}
+
+#[test]
+fn in_real_time_a_window_writes_from_a_thread_of_its_own() {
+    let app = app();
+    let scenario = app.scenario("peg-transfer").expect("a scenario");
+    let options = RunOptions { play: true, ..RunOptions::default() };
+    let mut session = start(&app, &scenario, &options).expect("it starts");
+    let scene = session.snapshot();
+    let (me, hand) = (person(&scene).expect("somebody plays"), names(&scene).hands[0]);
+    let mut controls = Controls::new(Bindings::default(), &scene);
+    let mut operator = session.operator().expect("room for one").expect("real time");
+    let window = std::thread::spawn(move || {
+        for _ in 0..60 {
+            controls.pointer_moved(0.003, 0.0);
+            let input = controls.input(None, SimTime::ZERO);
+            operator.apply(Duration::from_secs(30), |out| out.put(me, input)).expect("written");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    });
+    window.join().expect("the window does not panic");
+    let moved = |scene: &Snapshot| {
+        let target = scene.get::<HandTarget>(hand);
+        target.map_or(0.0, |target| target.handle_in_device.translation.norm())
+    };
+    // However slow the machine is.
+    while moved(&session.snapshot()) < 0.01 && session.now() < SimTime::from_millis(60_000) {
+        session.step(SimTime::from_millis(10));
+    }
+    assert!(moved(&session.snapshot()) >= 0.01);
+    assert_eq!(session.finish().outcome.code, 0);
 }
 
 #[test]

@@ -95,8 +95,7 @@ impl Default for Bindings {
 }
 
 /// The controls of each action, unless a file says something else.
-const DEFAULTS: [(PersonAction, &[&str]); 16] = [
-    (PersonAction::PersonAction, &[&str]),
+const DEFAULTS: [(PersonAction, &[&str]); 15] = [
     (PersonAction::MoveLeft, &["KeyA", "ArrowLeft", "PadLeftStickLeft"]),
     (PersonAction::MoveRight, &["KeyD", "ArrowRight", "PadLeftStickRight"]),
     (PersonAction::MoveUp, &["KeyW", "ArrowUp", "PadLeftStickUp"]),
