@@ -11,7 +11,8 @@ use trocar::run::{RunOptions, start};
 use trocar::session::Session;
 use trocar_kernel::faults::FaultPlan;
 use trocar_scene::{
-    Camera, Entity, Grasp, HandTarget, PersonInput, PersonView, Side, SimTime, Snapshot, Velocity,
+    Camera, DeviceState, Entity, Grasp, HandTarget, PersonInput, PersonView, Side, SimTime, Snapshot,
+    TaskState, Velocity,
 };
 use trocar_tests::{Names, app, names};
 
@@ -145,35 +146,116 @@ fn carry_a_ring(seed: u64) -> (Person, Entity) {
     (person, ring)
 }
 
+/// Leads a held ring's centre to a place, by the tip that holds it.
+fn lead_ring(person: &mut Person, ring: Entity, to: &Vector3<f64>, tolerance: f64) -> bool {
+    let tip = person.names.instruments[person.controls.in_charge() as usize];
+    let goal = |scene: &Snapshot| {
+        scene.world_pose(tip).translation.vector + to - scene.world_pose(ring).translation.vector
+    };
+    person.lead(goal, tolerance, 600)
+}
+
 #[test]
-fn a_person_with_a_mouse_takes_a_ring_carries_it_and_puts_it_down() {
+fn a_person_with_a_mouse_takes_a_ring_carries_it_and_puts_it_back() {
     let (mut person, ring) = carry_a_ring(3);
-    // Between two pegs of the same board, where it lies flat.
-    let from = person.tip(Side::Left).translation.vector;
-    let before = person.scene().world_pose(ring).translation.vector;
-    let place = Vector3::new(-0.026, 0.0, 0.0);
-    let over = Vector3::new(from.x + place.x - before.x, from.y + place.y - before.y, from.z);
-    assert!(person.lead(|_| over, 0.002, 600), "carried: {:?}", person.tip(Side::Left));
+    let held = person.scene().world_pose(ring).translation.vector;
+    let away = Vector3::new(-0.020, 0.012, held.z);
+    assert!(
+        lead_ring(&mut person, ring, &away, 0.002),
+        "carried away: {:?}",
+        person.scene().world_pose(ring)
+    );
+    // Around another peg, which its own ring has left free: the one where it was taken.
+    let peg = Vector3::new(-0.012, -0.015, 0.0);
+    let over = peg + Vector3::z() * held.z;
+    assert!(
+        lead_ring(&mut person, ring, &over, 0.0015),
+        "over the peg: {:?}",
+        person.scene().world_pose(ring)
+    );
     assert_eq!(person.holds(Side::Left), Some(ring));
-    let low = person.scene().world_pose(ring).translation.z - 0.008;
-    let down = person.tip(Side::Left).translation.vector - Vector3::z() * low;
-    assert!(person.lead(|_| down, 0.002, 600), "lowered: {:?}", person.tip(Side::Left));
+    let low = peg + Vector3::z() * 0.004;
+    assert!(lead_ring(&mut person, ring, &low, 0.002), "lowered: {:?}", person.scene().world_pose(ring));
     person.press("MouseLeft", false);
     person.wait(60);
     assert_eq!(person.holds(Side::Left), None, "let go");
     let clear = person.tip(Side::Left).translation.vector + Vector3::z() * 0.03;
     assert!(person.lead(|_| clear, 0.002, 600), "withdrawn");
     let scene = person.scene();
-    let (lies, speed) = (
-        scene.world_pose(ring).translation.vector,
-        scene.get::<Velocity>(ring).expect("it moves").linear.norm(),
-    );
-    assert!(lies.z.abs() < 0.006 && speed < 0.01, "it lies on the board: {lies:?}, {speed} m/s");
-    assert!((lies - before).xy().norm() > 0.008, "somewhere else than it was: {lies:?}");
-    assert_eq!(person.session.task().errors.len(), 0, "{:?}", person.session.task().errors);
+    let lies = scene.world_pose(ring).translation.vector;
+    let speed = scene.get::<Velocity>(ring).expect("it moves").linear.norm();
+    assert!(lies.z.abs() < 0.003 && speed < 0.01, "it lies on the board: {lies:?}, {speed} m/s");
+    assert!((lies - peg).xy().norm() < 0.0065, "around its peg: {lies:?}");
+    assert_eq!(person.session.task().errors, [], "the referee has seen nothing wrong");
     // The other hand has kept still through all of it.
     let target = scene.get::<HandTarget>(person.names.hands[1]).expect("a target");
     assert!(target.handle_in_device.translation.norm() < 1e-9, "{target:?}");
+}
+
+#[test]
+fn a_person_with_a_mouse_hands_a_ring_over_and_puts_it_on_the_other_board() {
+    let (mut person, ring) = carry_a_ring(4);
+    let held = person.scene().world_pose(ring).translation.vector;
+    let meeting = Vector3::new(0.0, 0.0, held.z);
+    assert!(lead_ring(&mut person, ring, &meeting, 0.002), "brought: {:?}", person.scene().world_pose(ring));
+    // The left hand keeps its grip, whatever becomes of the button.
+    person.press("Tab", true);
+    person.press("Tab", false);
+    person.press("MouseLeft", false);
+    let instrument = person.names.instruments[Side::Right as usize];
+    let outwards = Vector3::new(1.0, 0.0, 0.0);
+    let before = |scene: &Snapshot| {
+        let back = scene.world_pose(instrument).rotation * Vector3::z() * -0.02;
+        grasp_point(scene, ring, instrument, &outwards) + back
+    };
+    assert!(person.lead(before, 0.001, 900), "before the ring: {:?}", person.tip(Side::Right));
+    let at = |scene: &Snapshot| {
+        let deeper = scene.world_pose(instrument).rotation * Vector3::z() * 0.001;
+        grasp_point(scene, ring, instrument, &outwards) + deeper
+    };
+    assert!(person.lead(at, 0.0006, 900), "at the ring: {:?}", person.tip(Side::Right));
+    person.press("MouseLeft", true);
+    person.wait(30);
+    assert_eq!([Side::Left, Side::Right].map(|side| person.holds(side)), [Some(ring); 2], "both hold it");
+    // Back to the left hand, which opens and goes.
+    person.press("Tab", true);
+    person.press("Tab", false);
+    person.press("MouseLeft", false);
+    person.wait(10);
+    assert_eq!(
+        [Side::Left, Side::Right].map(|side| person.holds(side)),
+        [Some(ring); 2],
+        "both hold it still"
+    );
+    person.press("MouseLeft", true);
+    person.press("MouseLeft", false);
+    person.wait(30);
+    assert_eq!([Side::Left, Side::Right].map(|side| person.holds(side)), [None, Some(ring)], "handed over");
+    let tip = person.tip(Side::Left);
+    let clear = tip.translation.vector + tip.rotation * Vector3::z() * -0.03;
+    assert!(person.lead(|_| clear, 0.003, 600), "withdrawn");
+    person.press("Tab", true);
+    person.press("Tab", false);
+    let peg = Vector3::new(0.040, -0.015, 0.0);
+    let over = peg + Vector3::z() * 0.036;
+    assert!(
+        lead_ring(&mut person, ring, &over, 0.0015),
+        "over the peg: {:?}",
+        person.scene().world_pose(ring)
+    );
+    let low = peg + Vector3::z() * 0.006;
+    assert!(lead_ring(&mut person, ring, &low, 0.002), "lowered: {:?}", person.scene().world_pose(ring));
+    person.press("MouseLeft", true);
+    person.press("MouseLeft", false);
+    person.wait(60);
+    let tip = person.tip(Side::Right);
+    let clear = tip.translation.vector + tip.rotation * Vector3::z() * -0.03;
+    assert!(person.lead(|_| clear, 0.003, 600), "withdrawn");
+    person.wait(60);
+    assert_eq!(person.session.task().errors, [], "the referee has seen nothing wrong");
+    let scene = person.scene();
+    let (_, task) = scene.iter::<TaskState>().next().expect("an exercise");
+    assert_eq!(task.done, 1, "one ring is done: {:?}", scene.world_pose(ring));
 }
 
 #[test]
@@ -185,37 +267,64 @@ fn the_same_person_does_the_same_to_the_bit() {
     assert_eq!(hash(), hash());
 }
 
-/// Targets of the left hand, millisecond by millisecond, of a person who drags, presses and drags on.
-fn dragged(faults: Option<FaultPlan>) -> Vec<(Vector3<f64>, f64)> {
-    let mut builder = Session::builder().seed(2).play();
-    if let Some(plan) = faults {
-        builder = builder.faults(plan);
-    }
-    let mut person = Person::sits_down(builder.open("peg-transfer").expect("the session opens"));
-    let mut targets = Vec::new();
-    for frame in 0..90 {
-        person.controls.pointer_moved(0.003, if frame < 45 { 0.002 } else { -0.002 });
-        person.controls.scrolled(0.05);
-        if frame == 30 {
-            person.press("MouseLeft", true);
+/// What the left hand is told and what it does, millisecond by millisecond, while a person drags, presses and drags on.
+struct Drag {
+    targets: Vec<HandTarget>,
+    handles: Vec<Vector3<f64>>,
+}
+
+impl Drag {
+    fn of(faults: Option<FaultPlan>) -> Self {
+        let mut builder = Session::builder().seed(2).play();
+        if let Some(plan) = faults {
+            builder = builder.faults(plan);
         }
-        let input = person.controls.input(Some(person.view), person.session.now());
-        let me = person.me;
-        person.session.apply(|out| out.put(me, input)).expect("written");
-        for _ in 0..16 {
-            person.session.step(SimTime::from_millis(1));
-            let hand = person.names.hands[0];
-            if let Some(target) = person.scene().get::<HandTarget>(hand) {
-                targets.push((target.handle_in_device.translation, target.gripper));
+        let mut person = Person::sits_down(builder.open("peg-transfer").expect("the session opens"));
+        let mut drag = Drag { targets: Vec::new(), handles: Vec::new() };
+        for frame in 0..90 {
+            person.controls.pointer_moved(0.003, if frame < 45 { 0.002 } else { -0.002 });
+            person.controls.scrolled(0.05);
+            if frame == 30 {
+                person.press("MouseLeft", true);
+            }
+            let input = person.controls.input(Some(person.view), person.session.now());
+            let me = person.me;
+            person.session.apply(|out| out.put(me, input)).expect("written");
+            for _ in 0..16 {
+                person.session.step(SimTime::from_millis(1));
+                let (scene, hand) = (person.scene(), person.names.hands[0]);
+                drag.targets.extend(scene.get::<HandTarget>(hand).copied());
+                let state = scene.get::<DeviceState>(hand).copied().unwrap_or_default();
+                drag.handles.push(state.handle_in_device.translation);
             }
         }
+        drag
     }
-    targets
+
+    /// Largest way of the target between two changes, by the time between them \[m/s\].
+    fn target_speed(&self) -> f64 {
+        let place = |index: usize| self.targets[index].handle_in_device.translation;
+        let (mut changed, mut speed) = (None, 0.0_f64);
+        for index in 1..self.targets.len() {
+            let way = (place(index) - place(index - 1)).norm();
+            if way > 0.0 {
+                let millis = changed.map_or(10, |before| index - before);
+                speed = speed.max(way / (millis as f64 * 1e-3));
+                changed = Some(index);
+            }
+        }
+        speed
+    }
+
+    /// Largest way of the handle in a millisecond \[m\].
+    fn handle_step(&self) -> f64 {
+        self.handles.windows(2).map(|pair| (pair[1] - pair[0]).norm()).fold(0.0, f64::max)
+    }
 }
 
 #[test]
 fn a_controller_that_dies_in_the_middle_of_a_drag_goes_on_without_a_jump() {
-    let undisturbed = dragged(None);
+    let undisturbed = Drag::of(None);
     // In mid drag, and while the jaws close.
     let plan = FaultPlan::new(2)
         .at(SimTime::from_millis(300))
@@ -224,17 +333,20 @@ fn a_controller_that_dies_in_the_middle_of_a_drag_goes_on_without_a_jump() {
         .kill("manual")
         .at(SimTime::from_millis(1_001))
         .kill("manual");
-    let killed = dragged(Some(plan));
-    assert_eq!(undisturbed.len(), killed.len());
-    let step = |targets: &[(Vector3<f64>, f64)]| {
-        targets.windows(2).map(|pair| (pair[1].0 - pair[0].0).norm()).fold(0.0, f64::max)
-    };
-    let moved = (undisturbed[undisturbed.len() - 1].0 - undisturbed[0].0).norm();
+    let killed = Drag::of(Some(plan));
+    assert_eq!(undisturbed.targets.len(), killed.targets.len());
+    let (first, last) = (undisturbed.targets[0], undisturbed.targets[undisturbed.targets.len() - 1]);
+    let moved = (last.handle_in_device.translation - first.handle_in_device.translation).norm();
     assert!(moved > 0.01, "the drag goes somewhere: {moved} m");
-    // A tick that was missed is made up for by the next one, and by nothing more.
-    assert!(step(&killed) <= 3.0 * step(&undisturbed), "{} {}", step(&killed), step(&undisturbed));
-    let (last, same) = (undisturbed[undisturbed.len() - 1], killed[killed.len() - 1]);
-    assert!((last.0 - same.0).norm() < 1e-6 && (last.1 - same.1).abs() < 1e-6, "{last:?} {same:?}");
+    // The time that was missed is made up for, and nothing more; the hand itself hardly notices.
+    let speeds = [undisturbed.target_speed(), killed.target_speed()];
+    assert!(speeds[1] <= 1.1 * speeds[0], "{speeds:?} m/s");
+    let steps = [undisturbed.handle_step(), killed.handle_step()];
+    println!("targets at most {speeds:?} m/s, the handle at most {steps:?} m in a millisecond");
+    assert!(steps[1] <= 0.25e-3, "{steps:?} m");
+    let same = killed.targets[killed.targets.len() - 1];
+    let apart = (last.handle_in_device.translation - same.handle_in_device.translation).norm();
+    assert!(apart < 1e-6 && (last.gripper - same.gripper).abs() < 1e-6, "{last:?} {same:?}");
 }
 
 #[test]
