@@ -128,8 +128,12 @@ impl Controls {
         }
     }
 
-    /// What the gamepad says now; `None` without one.
+    /// What the gamepad says now; `None` without one. One that is unplugged moves nothing on, and leaves the jaws as
+    /// they are.
     pub fn gamepad(&mut self, pad: Option<&GamepadState>) {
+        if pad.is_none() && self.pad != GamepadState::default() {
+            self.owns_grip = false;
+        }
         let (pad, before) = (pad.copied().unwrap_or_default(), self.pad);
         // Only what has changed: another control of the same action may be down.
         for (button, name) in GamepadButton::ALL.into_iter().zip(PAD_BUTTONS) {
@@ -366,8 +370,12 @@ mod tests {
         let pad = |trigger| GamepadState { triggers: [0.0, trigger], ..GamepadState::default() };
         controls.gamepad(Some(&pad(0.5)));
         assert!((state(&mut controls).left.opening.expect("told") - 0.29).abs() < 1e-12);
-        controls.gamepad(None);
+        controls.gamepad(Some(&pad(0.0)));
         assert!((state(&mut controls).left.opening.expect("told") - 0.58).abs() < 1e-12);
+        // What it holds it keeps when the pad is unplugged.
+        controls.gamepad(Some(&pad(1.0)));
+        controls.gamepad(None);
+        assert_eq!(state(&mut controls).left.opening, Some(0.0));
     }
 
     #[test]
