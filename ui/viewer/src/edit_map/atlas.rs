@@ -25,6 +25,7 @@ pub struct Atlas {
     /// Corners in texels, per triangle; `None` for a triangle that cannot be drawn.
     corners: Vec<Option<[[f32; 2]; 3]>>,
     shared: usize,
+    left_out: usize,
     /// Kept from one build to the next.
     distances: Vec<f32>,
 }
@@ -39,12 +40,14 @@ impl Atlas {
             owners: vec![NOBODY; texels],
             corners: Vec::new(),
             shared: 0,
+            left_out: 0,
             distances: vec![f32::MAX; texels],
         }
     }
 
     /// Gives the texels to the triangles of another topology. A triangle with a corner that has no texture
-    /// coordinate, or none that is finite, gets no texels; what lies outside of the unit square is cut off.
+    /// coordinate, or none that is finite, gets no texels; what lies outside of the unit square is cut off. Where
+    /// triangles lie upon each other dozens of times over, the last of them get none: the time is bounded.
     pub fn assign(&mut self, triangles: &[[u32; 3]], uv: &[Vector2<f64>]) {
         self.owners.fill(NOBODY);
         self.distances.fill(f32::MAX);
@@ -61,9 +64,19 @@ impl Atlas {
             }
             Some(corners)
         }));
+        // Charts that do not overlap need about two visits per texel, small triangles a margin of their own.
+        let mut budget = 64 * (self.owners.len() as u64 + triangles.len() as u64);
         for index in 0..self.corners.len() {
-            self.claim(index);
+            let cost = self.bounds(index).map_or(0, |rect| u64::from(rect.width) * u64::from(rect.height));
+            match budget.checked_sub(cost) {
+                Some(left) => {
+                    budget = left;
+                    self.claim(index);
+                }
+                None => self.corners[index] = None,
+            }
         }
+        self.left_out = self.corners.iter().filter(|corners| corners.is_none()).count();
     }
 
     fn claim(&mut self, index: usize) {
@@ -121,6 +134,11 @@ impl Atlas {
     /// The triangle that a texel belongs to.
     pub fn owner(&self, texel: usize) -> Option<usize> {
         self.owners.get(texel).copied().filter(|owner| *owner != NOBODY).map(|owner| owner as usize)
+    }
+
+    /// Triangles that got no texels.
+    pub fn left_out(&self) -> usize {
+        self.left_out
     }
 
     /// Texels that lie inside of more than one triangle: texture coordinates that overlap cannot tell where on the
@@ -217,6 +235,16 @@ mod tests {
     }
 
     #[test]
+    fn a_pile_of_triangles_takes_bounded_time() {
+        let uv = uv(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]);
+        let mut atlas = Atlas::new(512, 512);
+        // One visit per texel and triangle would be 10¹¹ of them.
+        atlas.assign(&vec![[0, 1, 2]; 400_000], &uv);
+        assert!(atlas.left_out() > 399_000, "{}", atlas.left_out());
+        assert_eq!(atlas.owner(10 * 512 + 300), Some(0));
+    }
+
+    #[test]
     fn bad_triangles_get_no_texels_and_harm_nobody() {
         let uv =
             uv(&[[0.1, 0.1], [0.9, 0.1], [0.5, 0.9], [f64::NAN, 0.0], [1e300, 0.5], [-1e5, 1e5], [0.1, 0.1]]);
@@ -232,5 +260,6 @@ mod tests {
         });
         assert!(finite);
         assert!(atlas.visit(6, |_, _| {}).is_some());
+        assert_eq!(atlas.left_out(), 3);
     }
 }

@@ -67,10 +67,30 @@ fn cell(x: f64) -> usize {
     ((x * GRID as f64).max(0.0) as usize).min(GRID - 1)
 }
 
-fn cells([a, b]: &[Vector2<f64>; 2]) -> impl Iterator<Item = usize> + use<> {
-    let columns = cell(a.x.min(b.x) - TOLERANCE)..=cell(a.x.max(b.x) + TOLERANCE);
+/// The cells that an edge passes, row by row: those of its bounding box would be too many.
+fn cells(&[a, b]: &[Vector2<f64>; 2]) -> impl Iterator<Item = usize> + use<> {
     let rows = cell(a.y.min(b.y) - TOLERANCE)..=cell(a.y.max(b.y) + TOLERANCE);
-    rows.flat_map(move |row| columns.clone().map(move |column| row * GRID + column))
+    rows.flat_map(move |row| {
+        // The outermost rows hold what lies beyond them as well.
+        let low = if row == 0 { f64::NEG_INFINITY } else { row as f64 / GRID as f64 };
+        let high = if row + 1 == GRID { f64::INFINITY } else { (row + 1) as f64 / GRID as f64 };
+        let (from, to) = span_between(a, b, low - TOLERANCE, high + TOLERANCE);
+        (cell(from - TOLERANCE)..=cell(to + TOLERANCE)).map(move |column| row * GRID + column)
+    })
+}
+
+/// The smallest and the largest x of the part of a segment that lies between two heights.
+pub(super) fn span_between(a: Vector2<f64>, b: Vector2<f64>, low: f64, high: f64) -> (f64, f64) {
+    let rise = b.y - a.y;
+    let at = |y: f64| {
+        let share = if rise == 0.0 { f64::NAN } else { (y - a.y) / rise };
+        // A level segment lies between them as a whole or not at all.
+        if share.is_nan() { None } else { Some(a.x + (b.x - a.x) * share.clamp(0.0, 1.0)) }
+    };
+    match (at(low), at(high)) {
+        (Some(p), Some(q)) => (p.min(q), p.max(q)),
+        _ => (a.x.min(b.x), a.x.max(b.x)),
+    }
 }
 
 impl Grid {
@@ -148,6 +168,32 @@ mod tests {
         let mut finer = SQUARE.to_vec();
         finer.push([0.5, 0.1]);
         assert!(finder.update(&[[0, 4, 2], [4, 1, 2], [0, 2, 3]], &uv(&finer)).is_empty());
+    }
+
+    #[test]
+    fn the_part_of_a_segment_between_two_heights() {
+        let (a, b) = (Vector2::new(0.0, 0.0), Vector2::new(1.0, 2.0));
+        assert_eq!(span_between(a, b, 0.5, 1.0), (0.25, 0.5));
+        assert_eq!(span_between(b, a, 0.5, 9.0), (0.25, 1.0));
+        assert_eq!(span_between(a, Vector2::new(-3.0, 0.0), -1.0, 1.0), (-3.0, 0.0));
+        assert_eq!(span_between(a, b, f64::NEG_INFINITY, f64::INFINITY), (0.0, 1.0));
+    }
+
+    #[test]
+    fn every_point_of_a_border_is_found_again() {
+        let mut mixer = crate::texture::noise::Mixer::new(6);
+        for _ in 0..200 {
+            let mut point =
+                || Vector2::new(f64::from(mixer.unit()) * 1.4 - 0.2, f64::from(mixer.unit()) * 1.4 - 0.2);
+            let edges: Vec<[Vector2<f64>; 2]> = (0..5).map(|_| [point(), point()]).collect();
+            let grid = Grid::new(&edges);
+            for [a, b] in &edges {
+                for k in 0..=100 {
+                    assert!(grid.is_on_an_edge(&edges, a + (b - a) * (f64::from(k) / 100.0)));
+                }
+            }
+            assert!(!grid.is_on_an_edge(&edges, Vector2::new(5.0, 0.5)));
+        }
     }
 
     #[test]

@@ -194,7 +194,7 @@ impl EditMap {
     /// Marks a line in texture space as cut, `width` texels wide and softened at its edge; returns what has to be
     /// uploaded.
     pub fn mark_cut(&mut self, polyline: &[Vector2<f64>], width: f32) -> Option<DirtyRect> {
-        if !(width > 0.0) {
+        if width.is_nan() || width <= 0.0 {
             return None;
         }
         let (columns, rows) = (self.image.width, self.image.height);
@@ -212,8 +212,10 @@ impl EditMap {
                 first..((high + reach).max(0.0).ceil() as u32).min(count)
             };
             for y in range(a.y.min(b.y), a.y.max(b.y), rows) {
-                for x in range(a.x.min(b.x), a.x.max(b.x), columns) {
-                    let center = Vector2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
+                let row = f64::from(y) + 0.5;
+                let (from, to) = cuts::span_between(a, b, row - reach, row + reach);
+                for x in range(from, to, columns) {
+                    let center = Vector2::new(f64::from(x) + 0.5, row);
                     let length = along.norm_squared();
                     let share =
                         if length > 0.0 { ((center - a).dot(&along) / length).clamp(0.0, 1.0) } else { 0.0 };

@@ -14,7 +14,7 @@ fn patch(n: u32, seed: u64) -> (Vec<[u32; 3]>, Vec<Vector2<f64>>) {
     for (i, j) in (0..n).flat_map(|j| (0..n).map(move |i| (i, j))) {
         let a = j * (n + 1) + i;
         let (b, c, d) = (a + 1, a + n + 2, a + n + 1);
-        triangles.extend(if mixer.next() & 1 == 0 { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] });
+        triangles.extend(if mixer.bits() & 1 == 0 { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] });
     }
     (triangles, uv)
 }
@@ -100,8 +100,8 @@ fn painting_step_by_step_gives_the_same_as_painting_once() {
     stepwise.set_surface(&triangles, &uv);
     let mut omega = vec![0.0; uv.len()];
     for _ in 0..60 {
-        let vertex = mixer.next() as usize % omega.len();
-        omega[vertex] += f64::from(mixer.unit()) * 10f64.powi((mixer.next() % 4) as i32);
+        let vertex = mixer.bits() as usize % omega.len();
+        omega[vertex] += f64::from(mixer.unit()) * 10f64.powi((mixer.bits() % 4) as i32);
         stepwise.paint(&burned(&omega));
     }
     let mut once = EditMap::new(100, 60).expect("a valid size");
@@ -119,10 +119,10 @@ fn no_untouched_texel_bleeds_into_a_burned_surface() {
     map.paint(&burned(&vec![1e5; uv.len()]));
     let mut mixer = Mixer::new(1);
     for _ in 0..20_000 {
-        let corners = triangles[mixer.next() as usize % triangles.len()].map(|v| uv[v as usize]);
+        let corners = triangles[mixer.bits() as usize % triangles.len()].map(|v| uv[v as usize]);
         let (a, b) = (f64::from(mixer.unit()), f64::from(mixer.unit()));
         let (a, b) = if a + b > 1.0 { (1.0 - a, 1.0 - b) } else { (a, b) };
-        let on_rim = if mixer.next() & 1 == 0 { 0.0 } else { b };
+        let on_rim = if mixer.bits() & 1 == 0 { 0.0 } else { b };
         let at = corners[0] + (corners[1] - corners[0]) * a + (corners[2] - corners[0]) * on_rim;
         assert!(map.sample(at)[0] > 0.999_999, "{at}");
     }

@@ -124,12 +124,12 @@ mod tests {
         for bytes in [&png, &jpeg] {
             for _ in 0..400 {
                 let mut damaged = bytes.clone();
-                for _ in 0..1 + mixer.next() % 4 {
-                    let at = mixer.next() as usize % damaged.len();
-                    damaged[at] = mixer.next() as u8;
+                for _ in 0..1 + mixer.bits() % 4 {
+                    let at = mixer.bits() as usize % damaged.len();
+                    damaged[at] = mixer.bits() as u8;
                 }
                 damaged.truncate(
-                    bytes.len() - (mixer.next() as usize % bytes.len()) * (mixer.next() % 2) as usize,
+                    bytes.len() - (mixer.bits() as usize % bytes.len()) * (mixer.bits() % 2) as usize,
                 );
                 std::fs::write(&target, &damaged).expect("the file is written");
                 match load(&target, 64) {

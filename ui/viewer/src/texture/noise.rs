@@ -21,7 +21,7 @@ impl Mixer {
     }
 
     /// The next number.
-    pub fn next(&mut self) -> u64 {
+    pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
         z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -31,7 +31,7 @@ impl Mixer {
 
     /// The next number as a fraction in \[0, 1).
     pub fn unit(&mut self) -> f32 {
-        (self.next() >> 40) as f32 / (1u64 << 24) as f32
+        (self.bits() >> 40) as f32 / (1u64 << 24) as f32
     }
 }
 
@@ -101,7 +101,7 @@ impl Perlin {
         let origin = [mixer.unit(), mixer.unit()];
         let gradients = (0..cells[0] as usize * cells[1] as usize)
             .map(|_| {
-                let random = mixer.next() >> 60;
+                let random = mixer.bits() >> 60;
                 let [x, y] = QUARTER[(random & 3) as usize];
                 match random >> 2 {
                     0 => [x, y],

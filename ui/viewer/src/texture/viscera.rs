@@ -96,12 +96,12 @@ fn stomach(canvas: &Canvas) -> Painter {
             mix([0.50, 0.15, 0.14], [0.86, 0.47, 0.40], smoothstep(0.0, 1.0, crest + 0.18 * tone));
         color =
             mix(color, [0.93, 0.62, 0.53], 0.4 * smoothstep(0.75, 1.0, crest) * smoothstep(-0.1, 0.5, tone));
-        color = mix(color, [0.68, 0.24, 0.21], 0.42 * (1.0 - field));
+        color = mix(color, [0.68, 0.24, 0.21], 0.26 * (1.0 - field));
         color = mix(color, [0.78, 0.30, 0.26], 0.25 * pit.value);
         Texel {
             color,
             alpha: 1.0,
-            height: 0.06 + 0.8 * crest + 0.016 * field + 0.04 * tone,
+            height: 0.06 + 0.8 * crest + 0.009 * field + 0.04 * tone,
             roughness: 0.26 + 0.06 * (1.0 - field),
             wetness: 0.95,
             metalness: 0.0,

@@ -150,7 +150,7 @@ mod tests {
         let mut mixer = crate::texture::noise::Mixer::new(4);
         for _ in 0..200 {
             let segments: Vec<[u32; 2]> =
-                (0..mixer.next() % 40).map(|_| [0, 1].map(|_| (mixer.next() % 14) as u32)).collect();
+                (0..mixer.bits() % 40).map(|_| [0, 1].map(|_| (mixer.bits() % 14) as u32)).collect();
             let mut expected: Vec<[u32; 2]> = segments
                 .iter()
                 .map(|[a, b]| [*a.min(b), *a.max(b)])

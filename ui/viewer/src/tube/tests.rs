@@ -188,11 +188,11 @@ fn random_threads_are_sound() {
     let mut mixer = crate::texture::noise::Mixer::new(77);
     let mut tube = Tube::new(TubeStyle::default());
     for round in 0..300 {
-        let count = 2 + (mixer.next() % 12) as u32;
+        let count = 2 + (mixer.bits() % 12) as u32;
         let points: Vec<Point3<f64>> = (0..count)
             .map(|_| Point3::from([0, 1, 2].map(|_| f64::from((mixer.unit() * 6.0).floor()) * 0.01)))
             .collect();
-        let closed = count > 2 && mixer.next() & 1 == 0;
+        let closed = count > 2 && mixer.bits() & 1 == 0;
         let segments: Vec<[u32; 2]> =
             (0..if closed { count } else { count - 1 }).map(|k| [k, (k + 1) % count]).collect();
         tube.update(&segments, &points, 0.001);
