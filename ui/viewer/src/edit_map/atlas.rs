@@ -81,16 +81,25 @@ impl Atlas {
 
     fn claim(&mut self, index: usize) {
         let Some((corners, rect)) = self.corners[index].zip(self.bounds(index)) else { return };
+        let sides = Sides::of(&corners);
         for y in rect.y..rect.y + rect.height {
             for x in rect.x..rect.x + rect.width {
                 let center = [x as f32 + 0.5, y as f32 + 0.5];
-                let (weights, nearest) = closest(center, &corners);
-                let distance = (nearest[0] - center[0]).powi(2) + (nearest[1] - center[1]).powi(2);
+                let depth = sides.depth(center);
+                let distance = if depth >= 0.0 {
+                    0.0
+                } else if depth * depth > REACH {
+                    continue;
+                } else {
+                    let nearest = closest(center, &corners).1;
+                    (nearest[0] - center[0]).powi(2) + (nearest[1] - center[1]).powi(2)
+                };
                 if distance > REACH {
                     continue;
                 }
                 let texel = y as usize * self.width as usize + x as usize;
-                if distance == 0.0 && self.distances[texel] == 0.0 && weights.iter().all(|w| *w > 1e-3) {
+                // Texels on a common side are not meant.
+                if depth > 1e-2 && self.distances[texel] == 0.0 {
                     self.shared += 1;
                 }
                 if distance < self.distances[texel] {
@@ -145,6 +154,33 @@ impl Atlas {
     /// surface something was burned, and the first triangle's state is shown on all of them.
     pub fn shared(&self) -> usize {
         self.shared
+    }
+}
+
+/// The lines through a triangle's sides: `normal · p + offset` is the distance from one, above 0 inside.
+struct Sides([[f32; 3]; 3]);
+
+impl Sides {
+    fn of([a, b, c]: &[[f32; 2]; 3]) -> Self {
+        let double_area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
+        let side = |s: &[f32; 2], t: &[f32; 2]| {
+            let length = ((t[0] - s[0]).powi(2) + (t[1] - s[1]).powi(2)).sqrt();
+            let scale = double_area.signum() / length;
+            let normal = [(s[1] - t[1]) * scale, (t[0] - s[0]) * scale];
+            [normal[0], normal[1], -(normal[0] * s[0] + normal[1] * s[1])]
+        };
+        // Without area nothing is inside, and everything has to be looked at.
+        if double_area.abs() > 1e-9 {
+            Self([side(a, b), side(b, c), side(c, a)])
+        } else {
+            Self([[0.0, 0.0, -1e-3]; 3])
+        }
+    }
+
+    /// Distance from the nearest side inside; outside, less than 0 and no farther than the triangle is.
+    fn depth(&self, [x, y]: [f32; 2]) -> f32 {
+        let [a, b, c] = self.0.map(|side| side[0] * x + side[1] * y + side[2]);
+        a.min(b).min(c)
     }
 }
 
