@@ -9,11 +9,12 @@
 //! - the link between a driver and its controller: [`DeviceSlot`], [`DeviceLink`], [`Fence`],
 //!   [`DeviceMonitor`], [`DeviceFaults`];
 //! - [`VirtualHand`] and [`ReplayHand`], devices without hardware, and the readers of recorded hands;
+//! - [`gamepad`]: what a gamepad says, and the reader of those of this machine;
 //! - [`DeviceSpec`], the text by which a command line or a scenario names a device.
 //!
 //! Conventions: SI units; time in nanoseconds since the start of the session (`*_ns: u64`), given by the
 //! caller; forces in newtons along the axes of the device's frame, acting on the hand at the handle's origin.
-//! Only [`DriverThread`] reads a clock, and only `sched` holds unsafe code.
+//! Only [`DriverThread`] and the reader of gamepads read a clock; only `sched` and `gamepad/evdev` hold unsafe code.
 
 mod device;
 mod driver_core;
@@ -21,6 +22,7 @@ mod driver_thread;
 mod energy_observer;
 mod faults;
 mod force_guard;
+pub mod gamepad;
 mod gripper;
 mod hand_config;
 mod hand_csv;

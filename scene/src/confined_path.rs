@@ -7,7 +7,7 @@ use std::path::{Component, Path, PathBuf};
 ///
 /// # Errors
 /// The reason, without the path.
-pub(crate) fn below(folder: &Path, relative: &str) -> Result<PathBuf, &'static str> {
+pub fn below(folder: &Path, relative: &str) -> Result<PathBuf, &'static str> {
     if relative.is_empty() {
         return Err("a path must not be empty");
     }

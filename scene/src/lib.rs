@@ -13,7 +13,7 @@ pub mod column;
 pub mod commands;
 pub mod component;
 pub mod components;
-mod confined_path;
+pub mod confined_path;
 pub mod controller;
 pub mod entity;
 pub mod event;

@@ -123,6 +123,10 @@ fn matter_and_looks(formats: &mut Formats) {
             base_color: [0.1, 0.2, 0.3, 0.4],
             roughness: 0.9,
             metalness: 1.0,
+            wetness: 0.6,
+            tiling: [2.0, 3.0],
+            relief: 0.0005,
+            shader: Some("looks/glow.wgsl".into()),
             color_map: Some(Texture::File("liver.png".into())),
             normal_map: Some(Texture::Procedural("bumps".into())),
             edit_map: None,
@@ -130,8 +134,9 @@ fn matter_and_looks(formats: &mut Formats) {
         },
         true,
     );
-    formats.check(Light { color: [1.0, 0.5, 0.25], intensity: 3.0, cone_angle: 0.5 }, true);
+    formats.check(Light { color: [1.0, 0.5, 0.25], intensity: 3.0, cone_angle: 0.5, shadows: false }, true);
     formats.check(Camera { field_of_view: 0.7, near: 0.02, far: 2.0, aspect: 1.5 }, true);
+    formats.check(Optics { tilt: 0.52, turn: -1.0, distortion: 0.1, vignette: 0.4 }, true);
     formats.check(
         RigidBody {
             motion: Motion::Dynamic,
@@ -241,6 +246,18 @@ fn hands_and_tasks(formats: &mut Formats) {
             dissipated: 0.2,
             stale_samples: 3,
             ..HapticStatus::default()
+        },
+        true,
+    );
+    formats.check(
+        PersonInput {
+            source: 3,
+            in_charge: Side::Right,
+            left: PersonHand { moved: [0.1, -0.2, 0.3], rolled: 0.4, opening: Some(0.5) },
+            right: PersonHand { moved: [1.0, 2.0, -3.0], rolled: -0.7, opening: None },
+            held: PersonActions { grip: 0.25, fine: 1.0, ..PersonActions::default() },
+            view: Some(PersonView { world_from_view: pose(), field_of_view: 0.9 }),
+            sampled_at: SimTime(9),
         },
         true,
     );

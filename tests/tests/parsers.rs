@@ -291,19 +291,24 @@ fn check_recording(bytes: &[u8]) -> Checked {
     })
 }
 
-/// One value of every component that a peg transfer has on its way: its NAME and its bytes.
+/// One value of every component that a peg transfer has on its way, be it a trainee's or a person's: its NAME and its
+/// bytes.
 fn components() -> Vec<(&'static str, Vec<u8>)> {
     APP.with(|app| {
-        let options = RunOptions { lockstep: true, seconds: Some(0.05), ..RunOptions::default() };
-        let scene = finish(app, &edited(app, "peg-transfer", &[]), &options).kernel.snapshot;
-        let registry = app.registry();
-        let mut found = Vec::new();
-        for (id, entry) in registry.iter() {
-            let (mut first, mut bytes) = (None, Vec::new());
-            let column = scene.erased_column(id);
-            column.for_each_entity(&mut |entity| first = first.or(Some(entity)));
-            if first.is_some_and(|entity| column.encode_row(entity, &mut bytes).expect("encodes")) {
-                found.push((entry.name, bytes));
+        let mut found: Vec<(&'static str, Vec<u8>)> = Vec::new();
+        for play in [false, true] {
+            let options = RunOptions { lockstep: true, seconds: Some(0.05), play, ..RunOptions::default() };
+            let scene = finish(app, &edited(app, "peg-transfer", &[]), &options).kernel.snapshot;
+            for (id, entry) in app.registry().iter() {
+                let (mut first, mut bytes) = (None, Vec::new());
+                let column = scene.erased_column(id);
+                column.for_each_entity(&mut |entity| first = first.or(Some(entity)));
+                let known = found.iter().any(|(name, _)| *name == entry.name);
+                if !known
+                    && first.is_some_and(|entity| column.encode_row(entity, &mut bytes).expect("encodes"))
+                {
+                    found.push((entry.name, bytes));
+                }
             }
         }
         assert!(found.len() >= 15, "{} components", found.len());

@@ -6,8 +6,7 @@ use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand, find_rings};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, Controller, ControllerError, Entity, EntitySet, Grasp,
-    HandTarget, Instrument, JawState, Parent, Pose, RegistryBuilder, RegistryError, Side, Snapshot, Tick,
-    Velocity,
+    HandTarget, Instrument, JawState, Parent, Pose, Side, Snapshot, Tick, Velocity,
 };
 
 use crate::autopilot::Autopilot;
@@ -39,15 +38,6 @@ pub struct AutopilotState {
 }
 impl Component for AutopilotState {
     const NAME: &'static str = "autopilot_state";
-}
-
-/// Registers this crate's own components.
-///
-/// # Errors
-/// When a name is already taken by another type.
-pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
-    builder.register::<AutopilotState>()?;
-    Ok(())
 }
 
 /// Moves two virtual hands through the peg transfer; to be run at 100 Hz. Writes [`HandTarget`] only.

@@ -6,6 +6,7 @@ pub mod graph;
 pub mod instrument;
 pub mod matter;
 pub mod mesh;
+pub mod person;
 pub mod shape;
 pub mod task;
 pub mod visual;
@@ -22,9 +23,10 @@ pub use mesh::{
     BoundingVolumeNode, BoundingVolumeTree, LineMesh, SurfaceMesh, TetMesh, TextureCoordinates,
     VertexPositions,
 };
+pub use person::{PERSON_TOTAL_MAX, PersonAction, PersonActions, PersonHand, PersonInput, PersonView};
 pub use shape::Shape;
 pub use task::{TaskError, TaskState, VitalSigns};
-pub use visual::{Camera, Light, Texture, VisualMaterial};
+pub use visual::{Camera, Light, Optics, Texture, VisualMaterial};
 
 use crate::registry::{RegistryBuilder, RegistryError};
 
@@ -64,6 +66,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<VisualMaterial>()?;
     builder.register::<Light>()?;
     builder.register::<Camera>()?;
+    builder.register::<Optics>()?;
     builder.register::<RigidBody>()?;
     builder.register::<TissueMaterial>()?;
     builder.register::<Temperature>()?;
@@ -81,6 +84,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<DeviceForce>()?;
     builder.register::<HandTarget>()?;
     builder.register::<HapticStatus>()?;
+    builder.register::<PersonInput>()?;
     builder.register::<CollisionList>()?;
     builder.register::<TaskState>()?;
     builder.register::<VitalSigns>()?;

@@ -3,6 +3,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::component::{Component, ComponentError};
+use crate::finite;
+
 /// An image: a file below the scenario's folder, or one that is computed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
@@ -23,6 +26,14 @@ pub struct VisualMaterial {
     pub roughness: f64,
     /// Metalness in \[0, 1\].
     pub metalness: f64,
+    /// Film of liquid on the surface in \[0, 1\]: how much of it glistens.
+    pub wetness: f64,
+    /// How often the maps repeat over the unit square of texture coordinates; the edit map never does.
+    pub tiling: [f64; 2],
+    /// Depth of the relief that the normal map's height stands for \[m\]; 0 leaves the surface flat.
+    pub relief: f64,
+    /// A WGSL file below the scenario's folder whose function `surface` changes what is shaded.
+    pub shader: Option<String>,
     /// Colour map.
     pub color_map: Option<Texture>,
     /// Normal (bump or relief) map.
@@ -38,6 +49,10 @@ impl Default for VisualMaterial {
             base_color: [0.8, 0.8, 0.8, 1.0],
             roughness: 0.5,
             metalness: 0.0,
+            wetness: 0.0,
+            tiling: [1.0, 1.0],
+            relief: 0.0,
+            shader: None,
             color_map: None,
             normal_map: None,
             edit_map: None,
@@ -45,7 +60,23 @@ impl Default for VisualMaterial {
         }
     }
 }
-super::component!(VisualMaterial, "visual_material");
+impl Component for VisualMaterial {
+    const NAME: &'static str = "visual_material";
+    fn check(&self) -> Result<(), ComponentError> {
+        finite::check(self)?;
+        let share = |field, value| ComponentError::range(field, value, 0.0..=1.0, "0 to 1");
+        self.base_color.iter().try_for_each(|part| share("base_color", *part))?;
+        share("roughness", self.roughness)?;
+        share("metalness", self.metalness)?;
+        share("wetness", self.wetness)?;
+        let repeat = |value: f64| ComponentError::range("tiling", value, 1e-3..=1e4, "1e-3 to 1e4");
+        self.tiling.iter().try_for_each(|repeats| repeat(*repeats))?;
+        ComponentError::range("relief", self.relief, 0.0..=0.05, "0 to 0.05 m")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
+}
 
 /// A light at the entity's pose, shining along its +z axis.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -57,10 +88,12 @@ pub struct Light {
     pub intensity: f64,
     /// Half angle of the cone \[rad\]; π for a point light.
     pub cone_angle: f64,
+    /// Whether what it shines on throws a shadow; only a cone of less than a right angle can.
+    pub shadows: bool,
 }
 impl Default for Light {
     fn default() -> Self {
-        Self { color: [1.0; 3], intensity: 1.0, cone_angle: std::f64::consts::PI }
+        Self { color: [1.0; 3], intensity: 1.0, cone_angle: std::f64::consts::PI, shadows: true }
     }
 }
 super::component!(Light, "light");
@@ -84,3 +117,29 @@ impl Default for Camera {
     }
 }
 super::component!(Camera, "camera");
+
+/// The optics of a laparoscope, on the entity of its [`Camera`]: the scope's axis is the entity's +z.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Optics {
+    /// Angle between the scope's axis and the line of sight \[rad\]: 0, 30° or 45° are common.
+    pub tilt: f64,
+    /// How far the scope is turned about its axis \[rad\]; the tilted line of sight turns with it, the picture does not.
+    pub turn: f64,
+    /// Barrel distortion: radial displacement at the picture's corner as a share of its half diagonal.
+    pub distortion: f64,
+    /// Loss of light at the picture's corner in \[0, 1\].
+    pub vignette: f64,
+}
+impl Component for Optics {
+    const NAME: &'static str = "optics";
+    fn check(&self) -> Result<(), ComponentError> {
+        finite::check(self)?;
+        ComponentError::range("tilt", self.tilt, 0.0..=2.1, "0 to 2.1 rad")?;
+        ComponentError::range("distortion", self.distortion, 0.0..=0.5, "0 to 0.5")?;
+        ComponentError::range("vignette", self.vignette, 0.0..=1.0, "0 to 1")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
+}

@@ -131,6 +131,11 @@ impl Scenario {
         load::parse(file, text.to_owned(), registry)
     }
 
+    /// The folder below which the files lie that it refers to.
+    pub fn folder(&self) -> &Path {
+        self.source.file.parent().unwrap_or(Path::new(""))
+    }
+
     /// The text of the file.
     pub fn text(&self) -> &str {
         &self.source.text

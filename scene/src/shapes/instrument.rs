@@ -30,8 +30,7 @@ pub struct InstrumentSurface {
 impl InstrumentSurface {
     /// `instrument_from_hinge` of jaw A (`side` +1) or jaw B (−1) when the jaws are open by `jaw_angle` \[rad\] in all.
     pub fn instrument_from_jaw(&self, side: f64, jaw_angle: f64) -> Isometry3<f64> {
-        let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), side.signum() * 0.5 * jaw_angle);
-        Isometry3::from_parts(Translation3::new(0.0, 0.0, -self.jaw_length), rotation)
+        instrument_from_hinge(self.jaw_length, side, jaw_angle)
     }
 
     /// All parts in the instrument's frame with the jaws open by `jaw_angle` \[rad\] in all: one body each.
@@ -44,6 +43,13 @@ impl InstrumentSurface {
         }
         whole
     }
+}
+
+/// `instrument_from_hinge` of jaw A (`side` +1) or jaw B (−1) of an instrument whose jaws are `jaw_length` \[m\] long
+/// and open by `jaw_angle` \[rad\] in all.
+pub fn instrument_from_hinge(jaw_length: f64, side: f64, jaw_angle: f64) -> Isometry3<f64> {
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), side.signum() * 0.5 * jaw_angle);
+    Isometry3::from_parts(Translation3::new(0.0, 0.0, -jaw_length), rotation)
 }
 
 /// Shape of a blade as a share of its full size at the tip, and how far it bends sideways.

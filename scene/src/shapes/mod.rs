@@ -14,7 +14,7 @@ mod polygon;
 use thiserror::Error;
 
 pub use cuboid::cuboid;
-pub use instrument::{InstrumentSurface, instrument_surface};
+pub use instrument::{InstrumentSurface, instrument_from_hinge, instrument_surface};
 pub use lathe::{capsule, cylinder, sphere, torus};
 pub use peg_board::{PegBoard, peg_board};
 

@@ -105,6 +105,9 @@ pub struct RunArgs {
     /// Virtual time on one thread, as fast as it goes: the same seed gives the same bits
     #[arg(long)]
     pub lockstep: bool,
+    /// A person moves the hands with mouse, keyboard or gamepad, in the place of the virtual trainee
+    #[arg(long, conflicts_with = "skill")]
+    pub play: bool,
     /// Fault plan: what shall go wrong, and what must hold all the same; a name (see `trocar list plans`)
     /// or a TOML file
     #[arg(long, value_name = "PLAN", value_hint = ValueHint::FilePath)]
@@ -121,9 +124,71 @@ pub struct RunArgs {
     /// Write no report
     #[arg(long, conflicts_with = "report")]
     pub no_report: bool,
+    /// Pictures.
+    #[command(flatten)]
+    pub pictures: PictureArgs,
     /// Print exactly one JSON object on stdout (`trocar schema run` describes it)
     #[arg(long)]
     pub json: bool,
+}
+
+/// What is seen, drawn without a window.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Pictures")]
+pub struct PictureArgs {
+    /// A picture of the last moment (PNG)
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub picture: Option<PathBuf>,
+    /// A film: FILE.gif, FILE.png (animated), or a folder for single frames
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::AnyPath)]
+    pub film: Option<PathBuf>,
+    /// Frames of the film per second of the session
+    #[arg(long = "fps", value_name = "HZ", default_value_t = 25.0, value_parser = frames)]
+    pub frames_per_second: f64,
+    /// The camera to look through [default: the first one]
+    #[arg(long, value_name = "NAME")]
+    pub camera: Option<String>,
+    /// Width and height \[pixels\]
+    #[arg(long, value_name = "WxH", default_value = "960x720", value_parser = size)]
+    pub size: (u32, u32),
+    /// One eye, or how two of them share the picture
+    #[arg(long, default_value = "one")]
+    pub eyes: Eyes,
+    /// Between the two eyes \[m\]
+    #[arg(long, default_value_t = 0.0048, value_parser = length)]
+    pub interocular: f64,
+    /// Depth at which both eyes see the same \[m\]
+    #[arg(long, default_value_t = 0.2, value_parser = length)]
+    pub convergence: f64,
+    /// How much care goes into a picture
+    #[arg(long = "quality", default_value = "fine")]
+    pub care: Care,
+}
+
+/// One eye, or two of them in one picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Eyes {
+    /// One.
+    One,
+    /// Left and right beside each other.
+    SideBySide,
+    /// Left above right.
+    TopBottom,
+    /// Row by row: polarised monitors.
+    Rows,
+    /// Red and cyan glasses.
+    Anaglyph,
+}
+
+/// How much care goes into a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Care {
+    /// Base colours and one highlight: fast without a graphics card.
+    Plain,
+    /// Maps, wet highlights, shadows.
+    Full,
+    /// That with smooth edges.
+    Fine,
 }
 
 /// `trocar list`.
@@ -164,6 +229,12 @@ pub struct ReplayArgs {
     /// Report (HTML, one file)
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub report: Option<PathBuf>,
+    /// Pictures.
+    #[command(flatten)]
+    pub pictures: PictureArgs,
+    /// The folder of the scenario, where it has textures in files
+    #[arg(long, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
+    pub folder: Option<PathBuf>,
     /// Print exactly one JSON object on stdout
     #[arg(long)]
     pub json: bool,
@@ -352,6 +423,29 @@ fn hand(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
         Some((name, spec)) if !name.is_empty() && !spec.is_empty() => Ok((name.to_owned(), spec.to_owned())),
         _ => Err("NAME=SPEC is expected, such as left=virtual".to_owned()),
+    }
+}
+
+fn size(text: &str) -> Result<(u32, u32), String> {
+    let sides =
+        text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
+    match sides {
+        Some((width @ 1..=16_384, height @ 1..=16_384)) => Ok((width, height)),
+        _ => Err("WIDTHxHEIGHT is expected, each side 1 to 16384 pixels, such as 1280x960".to_owned()),
+    }
+}
+
+fn frames(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.1..=240.0).contains(&value) => Ok(value),
+        _ => Err("0.1 to 240 frames per second are possible".to_owned()),
+    }
+}
+
+fn length(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (1e-6..=100.0).contains(&value) => Ok(value),
+        _ => Err("a length above 0, at most 100 m, is expected".to_owned()),
     }
 }
 

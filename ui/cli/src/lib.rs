@@ -23,6 +23,7 @@ mod list;
 mod live_table;
 mod new;
 mod output;
+mod pictures;
 mod replay;
 mod report;
 mod run;

@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use trocar::app::{App, SCENARIOS};
 use trocar::plans::{self, PLANS};
-use trocar::run::{RunOptions, accesses};
+use trocar::run::{RunError, RunOptions, accesses};
 use trocar::summary::{Exit, SCHEMA};
 use trocar::templates::TEMPLATES;
 
@@ -150,8 +150,14 @@ fn controllers(app: &App) -> Result<Vec<Listing>, Failure> {
             Listing { controller: Some(usage), ..Listing::new(kind, about) }
         })
         .collect();
+    let mut scenarios = Vec::with_capacity(2 * SCENARIOS.len());
     for (name, _) in SCENARIOS {
         let scenario = app.scenario(name)?;
+        // Some kinds only take part where a person plays.
+        let played = trocar::play::played(&scenario).map_err(RunError::from)?;
+        scenarios.extend([scenario, played]);
+    }
+    for scenario in scenarios {
         let accesses = accesses(app, &scenario, &RunOptions::default())?;
         for entry in &scenario.controllers {
             let usage =

@@ -12,6 +12,7 @@ use trocar_scene::{CollisionList, DeviceState, SimTime};
 
 use crate::args::ReplayArgs;
 use crate::failure::Failure;
+use crate::pictures::Photographer;
 use crate::report::{self, Report};
 use crate::{output, run};
 
@@ -44,6 +45,7 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
     summary.seed = recording.metadata().seed;
     let mut trace = RunTrace::new();
     let mut replay = Replay::new(&recording, app.registry()).map_err(Failure::invalid)?;
+    let mut photographer = Photographer::new(&args.pictures, args.folder.as_deref(), replay.view())?;
     let mut next = SimTime::ZERO;
     let mut force_newtons_max = 0.0_f64;
     let diverged = loop {
@@ -52,6 +54,9 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
                 if time >= next {
                     trace.sample(replay.view());
                     next = time + SAMPLE_EVERY;
+                }
+                if let Some(photographer) = &mut photographer {
+                    photographer.look(replay.view(), time);
                 }
                 let forces = replay.view().iter::<DeviceState>().map(|(_, state)| state.applied_force.norm());
                 force_newtons_max = forces.fold(force_newtons_max, f64::max);
@@ -62,6 +67,9 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
         }
     };
     trace.sample(replay.view());
+    if let Some(photographer) = photographer {
+        summary.pictures = photographer.finish(replay.view())?;
+    }
     summary.sim_secs = replay.time().as_secs_f64();
     summary.state_hash = Some(replay.hash().to_string());
     summary.task = task_summary(replay.view());

@@ -17,6 +17,7 @@ use crate::args::{RunArgs, SessionArgs};
 use crate::failure::{Failure, did_you_mean};
 use crate::live_table::Display;
 use crate::output;
+use crate::pictures::Photographer;
 use crate::report::{self, Report, short};
 use crate::tune::{self, Desk};
 
@@ -56,10 +57,17 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     options.seconds = args.seconds;
     options.faults = args.faults.as_deref().map(plan).transpose()?;
     options.record = record;
+    options.play = args.play;
 
     if options.lockstep && app.actors().next().is_some() {
         let names = app.actors().collect::<Vec<_>>().join(", ");
         tracing::warn!("in lock-step there is no real time, so these actors are left out: {names}");
+    }
+
+    if options.play {
+        tracing::warn!(
+            "nobody drives the hands yet: they rest until a window or a program writes 'person_input'"
+        );
     }
 
     let mut display = Display::new(&scenario, &options, args.headless || args.json);
@@ -68,13 +76,21 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
         // In virtual time a session is over before anybody could say something to it.
         desk.open();
     }
+    let first = scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot();
+    let mut photographer = Photographer::new(&args.pictures, Some(scenario.folder()), &first)?;
     let outcome = trocar::run::run(app, &scenario, &options, &mut |progress| {
         desk.serve(progress.session);
         display.update(progress);
+        if let Some(photographer) = &mut photographer {
+            photographer.look(progress.scene, progress.now);
+        }
     });
     desk.close();
     display.clear();
     let mut outcome = outcome?;
+    if let Some(photographer) = photographer {
+        outcome.summary.pictures = photographer.finish(&outcome.kernel.snapshot)?;
+    }
     outcome.summary.tuned = desk.tuned(&outcome.kernel.snapshot);
 
     if let Some(file) = report_file {

@@ -259,7 +259,7 @@ fn lists_graphs_schemas_and_completions_are_printed() {
     let listed: Value = serde_json::from_str(&text(&["list", "controllers", "--json"])).expect("JSON");
     let kinds = listed["controllers"].as_array().expect("a list");
     let names: Vec<&str> = kinds.iter().filter_map(|kind| kind["name"].as_str()).collect();
-    assert_eq!(names, ["autopilot", "haptics", "peg-transfer", "rapier"]);
+    assert_eq!(names, ["autopilot", "haptics", "manual", "peg-transfer", "rapier"]);
     for kind in kinds {
         assert!(kind["about"].as_str().is_some_and(|about| about.len() > 20), "{kind}");
         assert!(kind["rate_hz"].as_f64().is_some_and(|hz| hz >= 100.0), "{kind}");
@@ -357,6 +357,28 @@ fn a_fault_that_is_survived_is_told_and_a_missed_expectation_fails_the_run() {
     let missed = run("strict.toml");
     assert_eq!(missed.status.code(), Some(1), "{}", stderr(&missed));
     assert!(object(&missed)["error"].as_str().is_some_and(|error| error.contains("expectation")));
+}
+
+#[test]
+fn a_session_that_nobody_drives_yet_rests_and_says_so() {
+    let folder = here();
+    let quiet = ["--lockstep", "--seconds", "0.5", "--no-record", "--no-report", "--json"];
+    let output = trocar(folder.path(), &[&["run", "peg-transfer", "--play"], &quiet[..]].concat());
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(stderr(&output).contains("nobody drives the hands yet"), "{}", stderr(&output));
+    let summary = object(&output);
+    assert_valid("run", &summary);
+    let names: Vec<&str> = summary["controllers"]
+        .as_array()
+        .expect("controllers")
+        .iter()
+        .filter_map(|row| row["name"].as_str())
+        .collect();
+    assert!(names.contains(&"manual") && !names.contains(&"autopilot"), "{names:?}");
+    std::fs::write(folder.path().join("empty.toml"), "schema = 1\nname = \"empty\"\n").expect("a file");
+    let output = trocar(folder.path(), &[&["run", "empty.toml", "--play"], &quiet[..]].concat());
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    assert!(stderr(&output).contains("has no hands"), "{}", stderr(&output));
 }
 
 #[test]

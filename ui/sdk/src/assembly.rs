@@ -13,6 +13,7 @@ use trocar_scene::{Commands, EntityAllocator, SCENARIO_SPAWNER, SimTime};
 use crate::actors::ActorKind;
 use crate::app::{App, KindContext};
 use crate::hands::{HandPort, OpenedHand};
+use crate::play;
 use crate::recorded_hand::RecordedHandError;
 use crate::run::RunOptions;
 use crate::session_plan::{Role, SessionPlan};
@@ -31,6 +32,9 @@ pub enum AssemblyError {
         /// What there is.
         known: String,
     },
+    /// A scenario that nobody can play.
+    #[error("the scenario '{0}' has no hands, so nobody can play it: it needs a [[hand]]")]
+    NoHands(String),
     /// A device that cannot be named like that.
     #[error("hand {hand}: {source}")]
     Spec {
@@ -95,10 +99,15 @@ impl Assembly {
     /// # Errors
     /// [`AssemblyError`] names file, place and valid choices.
     pub fn new(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Self, AssemblyError> {
+        let played = options.play.then(|| play::played(scenario)).transpose()?;
+        let scenario = played.as_ref().unwrap_or(scenario);
         let hands = open_hands(app, scenario, options)?;
         let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
         let mut store = scenario.spawn(app.registry())?;
-        let mut commands = Commands::new(app.registry().clone(), EntityAllocator::new(0, SCENARIO_SPAWNER));
+        let allocator = EntityAllocator::new(0, SCENARIO_SPAWNER);
+        // What is added to the scene is numbered after what the file has.
+        allocator.skip_to(store.view().first_free(0, SCENARIO_SPAWNER));
+        let mut commands = Commands::new(app.registry().clone(), allocator);
         for hand in &hands {
             commands.put(hand.port().entity, hand.info());
         }

@@ -8,7 +8,8 @@ use serde::de::{DeserializeOwned, IntoDeserializer};
 use trocar_engine::{EngineController, EngineSettings};
 use trocar_haptics::renderer::RendererConfig;
 use trocar_haptics::{HapticsConfig, HapticsController};
-use trocar_input::{AutopilotConfig, AutopilotController, Skill};
+use trocar_input::manual::controller::sit_down;
+use trocar_input::{AutopilotConfig, AutopilotController, ManualConfig, ManualController, Skill};
 use trocar_kernel::spec::{Factory, Fence};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::{Params, ScenarioError};
@@ -18,6 +19,11 @@ use trocar_tasks::{PegTransferConfig, PegTransferController};
 
 use crate::app::{Blueprint, Kind, KindContext, KindInfo};
 use crate::hands::{HandFence, HandPort};
+
+/// The kind of controller through which a person moves the hands.
+pub(crate) const MANUAL: &str = "manual";
+/// The kind of the virtual trainee, whose place a person takes.
+pub(crate) const AUTOPILOT: &str = "autopilot";
 
 /// Every standard kind with its name.
 pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
@@ -38,9 +44,14 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
             Arc::new(peg_transfer),
         ),
         (
-            "autopilot",
+            AUTOPILOT,
             KindInfo::new("a virtual trainee: moves two hands through the peg transfer", 100.0),
             Arc::new(autopilot),
+        ),
+        (
+            MANUAL,
+            KindInfo::new("lets a person move the hands with mouse, keyboard or gamepad", 100.0),
+            Arc::new(manual),
         ),
     ]
 }
@@ -155,4 +166,13 @@ fn autopilot(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     }
     config.left_handed |= peg_transfer_config(context)?.left_handed;
     Ok(plain(RuntimeClass::Task, move |context| AutopilotController::new(&config, context)))
+}
+
+fn manual(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: ManualConfig = parse_or_default(&context.entry.params)?;
+    config.check().map_err(|reason| context.entry.params.error(reason))?;
+    let mut blueprint = plain(RuntimeClass::Task, move |context| ManualController::new(&config, context));
+    // Without a hand the controller says so itself when it is built.
+    blueprint.arrange = Some(Box::new(|scene, out| sit_down(scene, out).unwrap_or_default()));
+    Ok(blueprint)
 }

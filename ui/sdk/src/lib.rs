@@ -85,6 +85,7 @@ mod kinds;
 pub mod open;
 pub mod outline;
 pub mod plans;
+pub mod play;
 pub mod prelude;
 pub mod recorded_hand;
 pub mod run;

@@ -95,6 +95,11 @@ impl<'a> SessionBuilder<'a> {
         self.options.left_handed = true;
         self
     }
+    /// A person moves the hands, in the place of the virtual trainee: see [`crate::play`].
+    pub fn play(mut self) -> Self {
+        self.options.play = true;
+        self
+    }
     /// Leaves a controller of the scenario out, to do its work through [`Session::apply`].
     pub fn without(mut self, controller: &str) -> Self {
         self.without.push(controller.to_owned());

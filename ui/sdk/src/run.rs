@@ -47,6 +47,8 @@ pub struct RunOptions {
     pub skill: Option<String>,
     /// The trainee is left-handed.
     pub left_handed: bool,
+    /// A person moves the hands, in the place of the virtual trainee: see [`crate::play`].
+    pub play: bool,
     /// Set by somebody else to end the run early.
     pub stop: Arc<AtomicBool>,
 }
@@ -63,6 +65,7 @@ impl Default for RunOptions {
             recorder: RecorderOptions::default(),
             skill: None,
             left_handed: false,
+            play: false,
             stop: Arc::default(),
         }
     }

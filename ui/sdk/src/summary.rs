@@ -95,6 +95,8 @@ pub struct RunSummary {
     pub recording_complete: bool,
     /// File of the report.
     pub report: Option<String>,
+    /// Files of pictures and films.
+    pub pictures: Vec<String>,
     /// What the run had to do without, one sentence each: real-time priority that the system refused, or that was
     /// taken away on the way. Empty in virtual time.
     pub losses: Vec<String>,
@@ -125,6 +127,7 @@ impl RunSummary {
             recording: None,
             recording_complete: false,
             report: None,
+            pictures: Vec::new(),
             losses: Vec::new(),
             error: None,
         }

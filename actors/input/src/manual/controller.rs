@@ -1,0 +1,191 @@
+//! The controller that schedules [`ManualHand`]: what a person has asked for → targets of the hands, and nothing else.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+use trocar_scene::kinematics::hand_rig::HandRig;
+use trocar_scene::{
+    Access, BuildContext, Camera, Commands, Component, Controller, ControllerError, DeviceInfo, DeviceState,
+    Entity, EntitySet, Hand, HandTarget, Instrument, Name, Parent, PersonInput, PersonView, Port, Pose, Side,
+    SimTime, Snapshot, Tick,
+};
+
+use nalgebra::{Isometry3, Vector3};
+
+use super::mapping::{HandLimits, ManualHand, Reach};
+
+/// Longest time that a hand catches up with \[s\]: what a controller that was away has missed.
+const CATCH_UP_MAX_SECS: f64 = 0.1;
+/// Name of the entity that [`sit_down`] creates.
+pub const PERSON: &str = "person";
+
+/// Parameters of a person's hands in a scenario: [`HandLimits`].
+pub type ManualConfig = HandLimits;
+
+/// A scene in which there is nothing to drive.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+#[error("nobody can play a scene without hands: no entity has the component 'hand'")]
+pub struct NoHands;
+
+/// Everything that is needed to go on after a restart; lives on the controller's own entity.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ManualState {
+    /// Whose totals were seen last: [`PersonInput::source`].
+    pub source: u32,
+    /// Until when the hands have moved.
+    pub stepped_at: SimTime,
+    /// The hands: left, right; none where the scene has none.
+    pub hands: [Option<ManualHand>; 2],
+}
+impl Component for ManualState {
+    const NAME: &'static str = "manual_state";
+}
+
+/// Gives a scene its person, with a hand that exists in charge; one that has a person keeps it.
+///
+/// # Errors
+/// [`NoHands`] when there is nothing to drive.
+pub fn sit_down(scene: &Snapshot, out: &mut Commands) -> Result<(), NoHands> {
+    let side = scene.iter::<Hand>().map(|(_, hand)| hand.side).min().ok_or(NoHands)?;
+    if scene.iter::<PersonInput>().next().is_none() {
+        let person = out.spawn();
+        out.put(person, Name(PERSON.to_owned()));
+        out.put(person, PersonInput { in_charge: side, ..PersonInput::default() });
+    }
+    Ok(())
+}
+
+/// Moves the hands as a person asks by [`PersonInput`]; to be run at 100 Hz. Writes [`HandTarget`] only.
+pub struct ManualController {
+    limits: HandLimits,
+    person: Entity,
+    /// Left, right.
+    hands: [Option<Entity>; 2],
+    state: ManualState,
+}
+
+fn wrong(what: impl std::fmt::Display) -> ControllerError {
+    ControllerError::Scene(format!("manual: {what}"))
+}
+
+impl ManualController {
+    /// Finds the person and the hands in the scene, and goes on where an earlier life stopped; a first one takes the
+    /// hands over where they are.
+    ///
+    /// # Errors
+    /// Names what the scene lacks or what of the parameters is wrong.
+    pub fn new(limits: &ManualConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        limits.check().map_err(wrong)?;
+        let scene = context.scene;
+        let (person, input) = scene
+            .iter::<PersonInput>()
+            .next()
+            .ok_or_else(|| wrong("no entity has the component 'person_input'"))?;
+        let of_side =
+            |side| scene.iter::<Hand>().find(|(_, hand)| hand.side == side).map(|(entity, _)| entity);
+        let hands = [of_side(Side::Left), of_side(Side::Right)];
+        if hands == [None, None] {
+            return Err(wrong(NoHands));
+        }
+        let state = match scene.get::<ManualState>(context.me) {
+            Some(state) => state.clone(),
+            None => {
+                let take = |side: Side| {
+                    let taken = hands[side as usize].map(|hand| take_over(scene, hand, side, input, limits));
+                    taken.transpose()
+                };
+                let hands = [take(Side::Left)?, take(Side::Right)?];
+                ManualState { source: input.source, stepped_at: context.time, hands }
+            }
+        };
+        Ok(Self { limits: *limits, person, hands, state })
+    }
+}
+
+fn rig_of(scene: &Snapshot, hand: Entity) -> Result<HandRig, ControllerError> {
+    HandRig::read(scene, hand).map_err(wrong)
+}
+
+/// A hand as the scene has it now.
+fn take_over(
+    scene: &Snapshot,
+    hand: Entity,
+    side: Side,
+    input: &PersonInput,
+    limits: &HandLimits,
+) -> Result<ManualHand, ControllerError> {
+    let rig = rig_of(scene, hand)?;
+    let axis = scene.world_pose(rig.instrument).rotation * Vector3::z();
+    let target = scene.get::<HandTarget>(hand).map(|target| (target.handle_in_device, target.gripper));
+    let measured = scene.get::<DeviceState>(hand).map(|state| (state.handle_in_device, state.gripper));
+    // Where nothing was ever measured the handle is at its device's origin, and the jaws may open to begin with.
+    let (handle, jaw, goal_jaw) = match target.or(measured) {
+        Some((handle, jaw)) => (handle.isometry(), jaw, jaw),
+        None => (Isometry3::identity(), 0.0, limits.opening * rig.jaw_angle_max),
+    };
+    let tip = rig.tip_in_world(&handle, &axis);
+    Ok(ManualHand::at(&tip, jaw, goal_jaw, *input.hand(side)))
+}
+
+/// From where the person looks: as it says itself, or else as the scene's first camera.
+fn view_of(scene: &Snapshot, input: &PersonInput) -> Option<PersonView> {
+    let camera = || {
+        let (entity, camera) = scene.iter::<Camera>().next()?;
+        let field_of_view = camera.field_of_view.clamp(0.01, 3.0);
+        Some(PersonView { world_from_view: scene.world_pose(entity).into(), field_of_view })
+    };
+    input.view.or_else(camera)
+}
+
+impl Controller for ManualController {
+    fn access(&self) -> Access {
+        Access::new()
+            .reads::<PersonInput>()
+            .reads::<Pose>()
+            .reads::<Parent>()
+            .reads::<Hand>()
+            .reads::<Instrument>()
+            .reads::<Port>()
+            .reads::<Camera>()
+            .reads::<DeviceInfo>()
+            .reads::<DeviceState>()
+            .writes::<HandTarget>(EntitySet::Of(self.hands.iter().flatten().copied().collect()))
+            .writes::<ManualState>(EntitySet::Own)
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        // A person who was taken out of the scene asks for nothing more.
+        let input = scene.get::<PersonInput>(self.person);
+        let dt_secs = tick.time.since(self.state.stepped_at).as_secs_f64().min(CATCH_UP_MAX_SECS);
+        if let Some(input) = input
+            && input.source != self.state.source
+        {
+            self.state.source = input.source;
+            for hand in self.state.hands.iter_mut().flatten() {
+                hand.seen = Default::default();
+            }
+        }
+        let view = input.and_then(|input| view_of(scene, input));
+        for side in [Side::Left, Side::Right] {
+            let (Some(entity), Some(hand)) =
+                (self.hands[side as usize], &mut self.state.hands[side as usize])
+            else {
+                continue;
+            };
+            let rig = rig_of(scene, entity)?;
+            let workspace =
+                scene.get::<DeviceInfo>(entity).map_or_else(Vector3::zeros, |info| info.workspace.into());
+            let reach = Reach { rig: &rig, workspace };
+            if let Some(input) = input {
+                let actual = scene.world_pose(rig.instrument).translation.vector;
+                hand.ask(input.hand(side), view.as_ref(), &actual, &reach, &self.limits);
+            }
+            hand.advance(dt_secs, &self.limits);
+            let place = hand.place(&reach);
+            let handle_in_device = place.handle_in_device.into();
+            out.put(entity, HandTarget { handle_in_device, gripper: place.gripper });
+        }
+        self.state.stepped_at = tick.time;
+        out.put(tick.me, self.state.clone());
+        Ok(())
+    }
+}

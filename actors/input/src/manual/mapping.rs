@@ -1,0 +1,265 @@
+//! From what a person asks for in the picture to where a handle has to be.
+//!
+//! A person thinks of the tip. The tip's goal moves in the picture by as much as the pointer does: in the camera's
+//! projective coordinates `(x/z, y/z, log z)`, so that the tip stays under the pointer at any depth, and the wheel
+//! moves it along the ray through its own picture. From the goal the handle follows through the port, with
+//! the shaft swung by the least rotation from where it was at the start, and rolled about itself.
+
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector1, Vector3};
+use serde::{Deserialize, Serialize};
+use trocar_scene::kinematics::coupling::InstrumentCoupling;
+use trocar_scene::kinematics::hand_rig::HandRig;
+use trocar_scene::kinematics::spatial::minimal_rotation;
+use trocar_scene::{PersonHand, PersonView, Pose};
+
+use super::follower::{Follower, exp};
+
+/// Depths between which the tip can be moved along the line of sight \[m\].
+const DEPTH_MIN: f64 = 0.02;
+const DEPTH_MAX: f64 = 2.0;
+/// How often a goal is put back between the limits, which bend with the fulcrum.
+const PASSES: usize = 4;
+/// Where the eye is when no camera says it: so far before the tip \[m\].
+const FALLBACK_DEPTH: f64 = 0.25;
+
+/// Limits and smoothness of a hand that a person drives.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct HandLimits {
+    /// Way of the tip's picture for a way of the pointer.
+    pub pointer_gain: f64,
+    /// Largest speed of the tip \[m/s\].
+    pub speed_max: f64,
+    /// Largest speed of rolling \[rad/s\].
+    pub roll_speed_max: f64,
+    /// Largest speed of the jaws' opening \[rad/s\].
+    pub jaw_speed_max: f64,
+    /// By how much the hand lags behind a steady motion \[s\]: what makes it smooth.
+    pub smoothing_secs: f64,
+    /// How far a motion may lead the tip that is really there \[m\]: what is pressed against something gets no farther.
+    pub lead_max: f64,
+    /// Largest roll to either side \[rad\].
+    pub roll_max: f64,
+    /// Opening of the jaws at the start of a session, as a share of the largest one.
+    pub opening: f64,
+}
+
+impl Default for HandLimits {
+    fn default() -> Self {
+        Self {
+            pointer_gain: 1.0,
+            speed_max: 0.25,
+            roll_speed_max: 6.0,
+            jaw_speed_max: 4.0,
+            smoothing_secs: 0.04,
+            lead_max: 0.04,
+            roll_max: 3.0,
+            opening: 0.5,
+        }
+    }
+}
+
+impl HandLimits {
+    /// Whether every figure makes sense.
+    ///
+    /// # Errors
+    /// Names the first one that does not, and its range.
+    pub fn check(&self) -> Result<(), String> {
+        let figures = [
+            ("pointer_gain", self.pointer_gain, 0.01, 10.0),
+            ("speed_max", self.speed_max, 0.001, 2.0),
+            ("roll_speed_max", self.roll_speed_max, 0.01, 50.0),
+            ("jaw_speed_max", self.jaw_speed_max, 0.01, 50.0),
+            ("smoothing_secs", self.smoothing_secs, 0.002, 1.0),
+            ("lead_max", self.lead_max, 0.001, 1.0),
+            ("roll_max", self.roll_max, 0.0, 3.1),
+            ("opening", self.opening, 0.0, 1.0),
+        ];
+        for (field, value, min, max) in figures {
+            // Written so that a NaN fails.
+            if !(min..=max).contains(&value) {
+                return Err(format!("{field} = {value} is out of range ({min} to {max})"));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A hand as its device allows it to move.
+#[derive(Clone, Copy, Debug)]
+pub struct Reach<'a> {
+    /// Device, handle, port, tip.
+    pub rig: &'a HandRig,
+    /// Full extent of the device's workspace about its origin \[m\]; zero where nothing is known.
+    pub workspace: Vector3<f64>,
+}
+
+/// A hand that a person drives: where it shall go, and how far it has come.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ManualHand {
+    /// `world_from_tip` of the shaft before it was swung and rolled.
+    pub rest_in_world: UnitQuaternion<f64>,
+    /// Where the tip shall go \[m\].
+    pub goal_in_world: Vector3<f64>,
+    /// The roll that it shall have \[rad\].
+    pub goal_roll: f64,
+    /// Opening that the jaws shall have \[rad\].
+    pub goal_jaw: f64,
+    /// The tip on its way \[m\].
+    pub tip_in_world: Follower<3>,
+    /// The roll on its way \[rad\].
+    pub roll: Follower<1>,
+    /// The jaws on their way \[rad\].
+    pub jaw: Follower<1>,
+    /// What has been done of what the person asked for.
+    pub seen: PersonHand,
+}
+
+/// Where a hand shall be now.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HandPlace {
+    /// `device_from_handle`.
+    pub handle_in_device: Isometry3<f64>,
+    /// Opening of the gripper \[rad\].
+    pub gripper: f64,
+}
+
+impl ManualHand {
+    /// A hand at rest, of which everything that was asked for before is done.
+    pub fn at(tip_in_world: &Isometry3<f64>, jaw: f64, goal_jaw: f64, seen: PersonHand) -> Self {
+        let position = tip_in_world.translation.vector;
+        Self {
+            rest_in_world: tip_in_world.rotation,
+            goal_in_world: position,
+            goal_roll: 0.0,
+            goal_jaw,
+            tip_in_world: Follower::at(position),
+            roll: Follower::at(Vector1::zeros()),
+            jaw: Follower::at(Vector1::new(jaw)),
+            seen,
+        }
+    }
+
+    /// Takes what the person has asked for since the last time, as it is seen from `view`; `actual` is where the tip
+    /// really is.
+    pub fn ask(
+        &mut self,
+        asked: &PersonHand,
+        view: Option<&PersonView>,
+        actual: &Vector3<f64>,
+        reach: &Reach<'_>,
+        limits: &HandLimits,
+    ) {
+        let moved = Vector3::from(asked.moved) - Vector3::from(self.seen.moved);
+        if moved != Vector3::zeros() {
+            let fallback;
+            let view = match view {
+                Some(view) => view,
+                None => {
+                    fallback = looking_ahead(&self.goal_in_world);
+                    &fallback
+                }
+            };
+            let goal = moved_in_picture(&self.goal_in_world, &moved, view, limits.pointer_gain);
+            let goal = self.within_reach(&goal, reach);
+            // Never farther from the real tip than it was, once it is beyond the lead.
+            let lead = goal - actual;
+            let allowed = limits.lead_max.max((self.goal_in_world - actual).norm());
+            let length = lead.norm();
+            self.goal_in_world = if length > allowed { actual + lead * (allowed / length) } else { goal };
+        }
+        let roll = self.goal_roll + (asked.rolled - self.seen.rolled);
+        self.goal_roll = roll.clamp(-limits.roll_max, limits.roll_max);
+        if let Some(opening) = asked.opening {
+            self.goal_jaw = opening * reach.rig.jaw_angle_max;
+        }
+        self.seen = *asked;
+    }
+
+    /// Lets `dt_secs` pass.
+    pub fn advance(&mut self, dt_secs: f64, limits: &HandLimits) {
+        let rate = 2.0 / limits.smoothing_secs;
+        self.tip_in_world.advance(&self.goal_in_world, dt_secs, limits.speed_max, rate);
+        self.roll.advance(&Vector1::new(self.goal_roll), dt_secs, limits.roll_speed_max, rate);
+        self.jaw.advance(&Vector1::new(self.goal_jaw), dt_secs, limits.jaw_speed_max, rate);
+    }
+
+    /// Where the hand shall be now.
+    pub fn place(&self, reach: &Reach<'_>) -> HandPlace {
+        let tip = self.tip_pose(&self.tip_in_world.position, reach.rig);
+        let mut handle = reach.rig.handle_in_device(&tip);
+        handle.translation.vector = within(&handle.translation.vector, &reach.workspace);
+        HandPlace {
+            handle_in_device: handle,
+            gripper: self.jaw.position.x.clamp(0.0, reach.rig.jaw_angle_max),
+        }
+    }
+
+    /// `world_from_tip` of a tip at `position`, with the roll that it has now.
+    fn tip_pose(&self, position: &Vector3<f64>, rig: &HandRig) -> Isometry3<f64> {
+        let rest_axis = self.rest_in_world * Vector3::z();
+        let swing = match &rig.coupling {
+            InstrumentCoupling::Fulcrum(fulcrum) => {
+                let inside = position - fulcrum.port_in_world();
+                let axis = inside.try_normalize(1e-9).unwrap_or(rest_axis);
+                minimal_rotation(&rest_axis, &axis)
+            }
+            InstrumentCoupling::Free(_) => UnitQuaternion::identity(),
+        };
+        let roll = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), self.roll.position.x);
+        Isometry3::from_parts((*position).into(), swing * self.rest_in_world * roll)
+    }
+
+    /// The tip position next to `goal` that the device's workspace and the port's insertion allow.
+    fn within_reach(&self, goal: &Vector3<f64>, reach: &Reach<'_>) -> Vector3<f64> {
+        let mut goal = *goal;
+        for _ in 0..PASSES {
+            let tip = self.tip_pose(&goal, reach.rig);
+            let mut handle = reach.rig.handle_in_device(&tip);
+            let inside = within(&handle.translation.vector, &reach.workspace);
+            let is_inside = inside == handle.translation.vector;
+            handle.translation.vector = inside;
+            let axis = tip.rotation * Vector3::z();
+            let reached = reach.rig.tip_in_world(&handle, &axis).translation.vector;
+            if is_inside && (reached - goal).norm() < 1e-9 {
+                break;
+            }
+            goal = reached;
+        }
+        goal
+    }
+}
+
+/// The point of the workspace next to `point`; no axis is limited that has no extent.
+fn within(point: &Vector3<f64>, workspace: &Vector3<f64>) -> Vector3<f64> {
+    point.zip_map(workspace, |x, extent| if extent > 0.0 { x.clamp(-0.5 * extent, 0.5 * extent) } else { x })
+}
+
+/// `point` \[m\] after its picture has moved by `moved` (right, down, away; see [`PersonHand::moved`]).
+pub fn moved_in_picture(
+    point_in_world: &Vector3<f64>,
+    moved: &Vector3<f64>,
+    view: &PersonView,
+    gain: f64,
+) -> Vector3<f64> {
+    let world_from_view = view.world_from_view.isometry();
+    let in_view = world_from_view.inverse_transform_point(&Point3::from(*point_in_world));
+    // What lies behind the eye has no picture; it is moved as if it were close before it.
+    let depth = in_view.z.max(DEPTH_MIN);
+    let height = 2.0 * (0.5 * view.field_of_view).tan() * gain;
+    let (right, down) = (in_view.x / depth + moved.x * height, in_view.y / depth + moved.y * height);
+    let depth = (depth * exp(moved.z)).clamp(depth.min(DEPTH_MIN), depth.max(DEPTH_MAX));
+    (world_from_view * Point3::new(right * depth, down * depth, depth)).coords
+}
+
+/// A view of a point from the front, where no camera says anything: x to the right, z up in the picture.
+fn looking_ahead(point_in_world: &Vector3<f64>) -> PersonView {
+    // z of the view is y of the world, y of the view is −z.
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
+    let eye = point_in_world - Vector3::y() * FALLBACK_DEPTH;
+    PersonView { world_from_view: Pose::new(eye, rotation), field_of_view: 1.0 }
+}
+
+#[cfg(test)]
+#[path = "mapping_tests.rs"]
+mod tests;

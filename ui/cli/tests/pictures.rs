@@ -1,0 +1,89 @@
+//! Pictures and films from the command line, without a window.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn trocar(folder: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_trocar"))
+        .args(arguments)
+        .current_dir(folder)
+        .env("NO_COLOR", "1")
+        .envs(environment.iter().copied())
+        .output()
+        .expect("the program starts")
+}
+
+fn object(output: &Output) -> Value {
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|error| panic!("{error}: {stderr}"))
+}
+
+/// Width and height of a PNG file.
+fn size_of_png(file: &Path) -> [u32; 2] {
+    let bytes = std::fs::read(file).expect("a file");
+    assert_eq!(&bytes[..8], b"\x89PNG\r\n\x1a\n");
+    [16, 20].map(|at| u32::from_be_bytes(bytes[at..at + 4].try_into().expect("four bytes")))
+}
+
+const SHORT: [&str; 7] = ["run", "peg-transfer", "--lockstep", "--no-report", "--json", "--seconds", "0.4"];
+
+#[test]
+fn a_run_leaves_a_picture_and_a_film_and_a_replay_of_it_the_same_picture() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let small = ["--size", "64x48", "--fps", "10", "--quality", "full"];
+    let run =
+        [&SHORT[..], &small, &["--picture", "run.png", "--film", "run.gif", "--record", "run.mcap"]].concat();
+    let summary = object(&trocar(folder.path(), &run, &[]));
+    assert_eq!(summary["pictures"], serde_json::json!(["run.png", "run.gif"]), "{summary}");
+    assert_eq!(size_of_png(&folder.path().join("run.png")), [64, 48]);
+    let gif = std::fs::read(folder.path().join("run.gif")).expect("a film");
+    assert!(gif.starts_with(b"GIF89a"));
+    // Frames begin with the extension that holds their delay.
+    let frames = gif
+        .windows(4)
+        .filter(|window| *window == [0x21, 0xf9, 4, 0] || *window == [0x21, 0xf9, 4, 4])
+        .count();
+    assert!((4..=5).contains(&frames), "{frames}");
+
+    let replay =
+        [&["replay", "run.mcap", "--json", "--picture", "replay.png", "--film", "frames"], &small[..]]
+            .concat();
+    let summary = object(&trocar(folder.path(), &replay, &[]));
+    assert_eq!(summary["pictures"], serde_json::json!(["replay.png", "frames"]), "{summary}");
+    let read = |name: &str| std::fs::read(folder.path().join(name)).expect("a picture");
+    assert_eq!(read("run.png"), read("replay.png"));
+    assert!(folder.path().join("frames/frame-00004.png").is_file());
+}
+
+#[test]
+fn without_a_graphics_adapter_the_run_goes_on_and_says_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = [&SHORT[..], &["--picture", "run.png", "--no-record"]].concat();
+    let nothing = [("VK_DRIVER_FILES", "/dev/null"), ("VK_ICD_FILENAMES", "/dev/null")];
+    let output = trocar(folder.path(), &run, &nothing);
+    assert_eq!(output.status.code(), Some(0));
+    assert_eq!(object(&output)["pictures"], serde_json::json!([]));
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(stderr.contains("no graphics adapter") && stderr.contains("mesa-vulkan-drivers"), "{stderr}");
+    assert!(!folder.path().join("run.png").exists());
+}
+
+#[test]
+fn what_cannot_be_shown_is_refused_before_anything_runs() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (arguments, says) in [
+        (["--picture", "run.png", "--camera", "endoscope"], "camera"),
+        (["--film", "run.mp4", "--fps", "25"], ".gif"),
+        (["--picture", "run.png", "--size", "0x10"], "WIDTHxHEIGHT"),
+        (["--film", "run.gif", "--fps", "1000"], "240"),
+    ] {
+        let output = trocar(folder.path(), &[&SHORT[..5], &arguments[..]].concat(), &[]);
+        let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(matches!(output.status.code(), Some(2 | 4)), "{arguments:?}: {:?}", output.status);
+        let told = format!("{stderr}{}", String::from_utf8_lossy(&output.stdout));
+        assert!(told.contains(says), "{arguments:?}: {told}");
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
+}

@@ -1,0 +1,125 @@
+//! Sessions that a person plays, without a haptic device: by pointer, keyboard or gamepad.
+//!
+//! With [`RunOptions::play`](crate::run::RunOptions::play) a controller of kind `manual` takes the place of the virtual
+//! trainee, and the scene has a person: an entity with a [`PersonInput`]. Whoever has a window keeps
+//! [`Controls`], tells them what is pressed, and writes what came of it, as often as it shows a picture:
+//!
+//! ```
+//! use trocar::play::{Bindings, Control, Controls, person};
+//! use trocar::prelude::*;
+//!
+//! let mut session = Session::builder().play().open("peg-transfer")?;
+//! let scene = session.snapshot();
+//! let person = person(&scene).expect("somebody plays");
+//! let mut controls = Controls::new(Bindings::default(), &scene);
+//!
+//! let right = Control::named("KeyD").expect("a key");
+//! controls.press(right, 1.0);
+//! for _ in 0..30 {
+//!     controls.advance(1.0 / 60.0);
+//!     let input = controls.input(None, session.now());
+//!     session.apply(|out| out.put(person, input))?;
+//!     session.step(SimTime::from_micros(16_667));
+//! }
+//! let tip = |scene: &Snapshot| scene.world_pose(scene.find("grasper.left").expect("an instrument")).translation.x;
+//! assert!(tip(&session.snapshot()) > tip(&scene) + 0.02, "the left tip has moved to the right");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! In real time a window on another thread writes through [`Session::operator`](crate::session::Session::operator)
+//! instead, and [`GamepadReader`] tells what a gamepad says.
+
+use trocar_scene::scenario::Scenario;
+use trocar_scene::{Entity, PersonInput, Snapshot};
+
+pub use trocar_devices::gamepad::{GamepadReader, GamepadReaderError, GamepadState};
+pub use trocar_input::manual::{Bindings, BindingsError, Control, Controls, ManualConfig};
+
+use crate::app::joining;
+use crate::assembly::AssemblyError;
+use crate::kinds::{AUTOPILOT, MANUAL};
+
+/// Ticks per second of the person's controller where no virtual trainee says it \[Hz\].
+const RATE_HZ: f64 = 100.0;
+
+/// The entity to which what a person asks for is to be written, in a session that somebody plays.
+pub fn person(scene: &Snapshot) -> Option<Entity> {
+    scene.iter::<PersonInput>().next().map(|(entity, _)| entity)
+}
+
+/// The scenario with a person in the place of its virtual trainee, or beside everybody where there is none.
+///
+/// # Errors
+/// [`AssemblyError::NoHands`] when there is nothing to drive.
+pub fn played(scenario: &Scenario) -> Result<Scenario, AssemblyError> {
+    if scenario.hands.is_empty() {
+        return Err(AssemblyError::NoHands(scenario.name.clone()));
+    }
+    let mut played = scenario.clone();
+    let is = |kind: &'static str| move |entry: &trocar_scene::ControllerEntry| entry.kind == kind;
+    let trainee = played.controllers.iter().position(is(AUTOPILOT));
+    let already = played.controllers.iter().any(is(MANUAL));
+    match trainee {
+        Some(at) if already => {
+            played.controllers.remove(at);
+        }
+        Some(at) => played.controllers[at] = joining(MANUAL, MANUAL, played.controllers[at].rate_hz),
+        None if already => {}
+        None => played.controllers.push(joining(MANUAL, MANUAL, RATE_HZ)),
+    }
+    Ok(played)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::app::App;
+    use crate::run::{RunOptions, start};
+
+    fn controllers(name: &str) -> Vec<(String, String, f64)> {
+        let scenario = played(&App::new().scenario(name).expect("a scenario")).expect("it has hands");
+        let row =
+            |entry: &trocar_scene::ControllerEntry| (entry.name.clone(), entry.kind.clone(), entry.rate_hz);
+        scenario.controllers.iter().map(row).collect()
+    }
+
+    #[test]
+    fn a_person_takes_the_trainees_place_or_joins_where_there_is_none() {
+        let manual = || ("manual".to_owned(), "manual".to_owned(), 100.0);
+        let transfer = controllers("peg-transfer");
+        assert_eq!(transfer[4], manual());
+        assert!(transfer.iter().all(|(_, kind, _)| kind != AUTOPILOT) && transfer.len() == 5);
+        assert_eq!(controllers("wall")[2..], [manual()]);
+    }
+
+    #[test]
+    fn a_scene_that_is_played_has_its_person_beside_everything_that_the_file_has() {
+        let app = App::new();
+        let scenario = app.scenario("wall").expect("a scenario");
+        let options = RunOptions { lockstep: true, play: true, ..RunOptions::default() };
+        let mut session = start(&app, &scenario, &options).expect("it starts");
+        let scene = session.snapshot();
+        let person = person(&scene).expect("somebody plays");
+        assert_eq!(scene.name(person), "person");
+        assert_eq!(
+            scene.get::<PersonInput>(person).map(|input| input.in_charge),
+            Some(trocar_scene::Side::Right)
+        );
+        for (name, entity) in scenario.entities() {
+            assert_eq!(scene.find(name), Some(*entity), "{name}");
+        }
+        let unplayed = RunOptions { lockstep: true, ..RunOptions::default() };
+        let mut session = start(&app, &scenario, &unplayed).expect("it starts");
+        assert_eq!(super::person(&session.snapshot()), None);
+    }
+
+    #[test]
+    fn a_scenario_without_hands_cannot_be_played_and_says_so() {
+        let app = App::new();
+        let text = "schema = 1\nname = \"empty\"\n";
+        let scenario = app.scenario_from("empty.toml".as_ref(), text).expect("a scenario");
+        let options = RunOptions { lockstep: true, play: true, ..RunOptions::default() };
+        let error = start(&app, &scenario, &options).err().expect("refused").to_string();
+        assert!(error.contains("'empty' has no hands") && error.contains("[[hand]]"), "{error}");
+    }
+}

@@ -1,0 +1,76 @@
+//! Pictures for programs, without a window.
+
+use std::path::PathBuf;
+
+use trocar_scene::Snapshot;
+
+use crate::error::ViewError;
+use crate::gpu::{Gpu, targets};
+use crate::layout::Layout;
+use crate::picture::{Picture, Probe};
+use crate::quality::Quality;
+use crate::renderer::Renderer;
+use crate::view::View;
+
+/// A headless viewer: gives pictures, depths and segmentations of snapshots.
+pub struct Eye {
+    gpu: Gpu,
+    renderer: Renderer,
+    target: Option<wgpu::Texture>,
+    /// With how much care pictures are drawn.
+    pub quality: Quality,
+}
+
+impl Eye {
+    /// On any adapter; `folder` is the scenario's, below which files of textures are.
+    ///
+    /// # Errors
+    /// [`ViewError::NoAdapter`], [`ViewError::Refused`].
+    pub fn new(folder: Option<PathBuf>) -> Result<Self, ViewError> {
+        let gpu = Gpu::headless()?;
+        let renderer = Renderer::new(&gpu, folder);
+        Ok(Self { gpu, renderer, target: None, quality: Quality::FINE })
+    }
+
+    /// What draws.
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// What lies on it.
+    pub fn renderer(&self) -> &Renderer {
+        &self.renderer
+    }
+
+    /// The scene through a view.
+    ///
+    /// # Errors
+    /// [`ViewError::Size`], [`ViewError::DeviceLost`].
+    pub fn picture(
+        &mut self,
+        scene: &Snapshot,
+        view: &View,
+        layout: &Layout,
+        size: [u32; 2],
+    ) -> Result<Picture, ViewError> {
+        targets::check_size(&self.gpu, size)?;
+        let fits = |texture: &wgpu::Texture| [texture.width(), texture.height()] == size;
+        let target = self.target.take().filter(fits);
+        let target = target.unwrap_or_else(|| targets::target(&self.gpu, size, targets::COLOR, 1));
+        self.renderer.update(&self.gpu, scene);
+        self.renderer.draw(&self.gpu, scene, view, layout, self.quality, &target);
+        let bytes = targets::read(&self.gpu, &target)?;
+        self.target = Some(target);
+        Ok(Picture { width: size[0], height: size[1], color: bytes.as_chunks().0.to_vec() })
+    }
+
+    /// How far away what is, and what it is, through an undistorted view.
+    ///
+    /// # Errors
+    /// [`ViewError::Size`], [`ViewError::DeviceLost`].
+    pub fn probe(&mut self, scene: &Snapshot, view: &View, size: [u32; 2]) -> Result<Probe, ViewError> {
+        targets::check_size(&self.gpu, size)?;
+        self.renderer.update(&self.gpu, scene);
+        self.renderer.probe(&self.gpu, scene, view, size)
+    }
+}

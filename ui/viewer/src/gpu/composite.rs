@@ -1,0 +1,139 @@
+//! The last step of a frame: lens, weave, panes.
+
+use bytemuck::{Pod, Zeroable};
+use wgpu::util::DeviceExt;
+
+use crate::gpu::Gpu;
+use crate::layout::Weave;
+use crate::view::View;
+
+/// What the shader reads.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Uniform {
+    distortion: f32,
+    vignette: f32,
+    aspect: f32,
+    how: u32,
+    pane: [f32; 4],
+}
+
+/// What eyes saw, and where it goes.
+#[derive(Clone, Copy)]
+pub struct Seen<'a> {
+    /// In the picture \[pixels\]: left, top, width, height.
+    pub pane: [u32; 4],
+    /// What the left and the right eye saw; both the same for a single one.
+    pub eyes: [&'a wgpu::TextureView; 2],
+    /// Whose lens bends it.
+    pub view: &'a View,
+    /// How two become one.
+    pub weave: Weave,
+    /// Whether the picture is empty yet.
+    pub clear: bool,
+}
+
+/// The pass, for one format of pictures.
+pub struct Composite {
+    format: wgpu::TextureFormat,
+    layout: wgpu::BindGroupLayout,
+    pipeline: wgpu::RenderPipeline,
+    sampler: wgpu::Sampler,
+}
+
+impl Composite {
+    /// For pictures of that format.
+    pub fn new(gpu: &Gpu, format: wgpu::TextureFormat) -> Self {
+        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("composite"),
+            source: wgpu::ShaderSource::Wgsl(include_str!("../shaders/composite.wgsl").into()),
+        });
+        let pipeline = gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some("composite"),
+            layout: None,
+            vertex: wgpu::VertexState {
+                module: &module,
+                entry_point: None,
+                compilation_options: Default::default(),
+                buffers: &[],
+            },
+            primitive: Default::default(),
+            depth_stencil: None,
+            multisample: Default::default(),
+            fragment: Some(wgpu::FragmentState {
+                module: &module,
+                entry_point: None,
+                compilation_options: Default::default(),
+                targets: &[Some(format.into())],
+            }),
+            multiview_mask: None,
+            cache: None,
+        });
+        let sampler = gpu.device.create_sampler(&wgpu::SamplerDescriptor {
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            ..Default::default()
+        });
+        Self { format, layout: pipeline.get_bind_group_layout(0), pipeline, sampler }
+    }
+
+    /// Whether it draws into such pictures.
+    pub fn is_for(&self, format: wgpu::TextureFormat) -> bool {
+        self.format == format
+    }
+
+    /// Draws what one eye or two saw into `target`.
+    pub fn draw(
+        &self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        target: &wgpu::TextureView,
+        seen: &Seen<'_>,
+    ) {
+        let Seen { pane, eyes, view, weave, clear } = *seen;
+        let uniform = Uniform {
+            distortion: view.distortion as f32,
+            vignette: view.vignette as f32,
+            aspect: view.lens.aspect as f32,
+            how: match weave {
+                Weave::Panes => 0,
+                Weave::Rows => 1,
+                Weave::Colors => 2,
+            },
+            pane: pane.map(|pixels| pixels as f32),
+        };
+        let uniform = gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some("composite"),
+            contents: bytemuck::bytes_of(&uniform),
+            usage: wgpu::BufferUsages::UNIFORM,
+        });
+        let binding = |binding, resource| wgpu::BindGroupEntry { binding, resource };
+        let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("composite"),
+            layout: &self.layout,
+            entries: &[
+                binding(0, uniform.as_entire_binding()),
+                binding(1, wgpu::BindingResource::TextureView(eyes[0])),
+                binding(2, wgpu::BindingResource::TextureView(eyes[1])),
+                binding(3, wgpu::BindingResource::Sampler(&self.sampler)),
+            ],
+        });
+        let load = if clear { wgpu::LoadOp::Clear(wgpu::Color::BLACK) } else { wgpu::LoadOp::Load };
+        let attachment = wgpu::RenderPassColorAttachment {
+            view: target,
+            depth_slice: None,
+            resolve_target: None,
+            ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
+        };
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("composite"),
+            color_attachments: &[Some(attachment)],
+            ..Default::default()
+        });
+        let [x, y, width, height] = pane.map(|pixels| pixels as f32);
+        pass.set_viewport(x, y, width, height, 0.0, 1.0);
+        pass.set_pipeline(&self.pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        pass.draw(0..3, 0..1);
+    }
+}

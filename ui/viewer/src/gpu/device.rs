@@ -1,0 +1,86 @@
+//! Finding a graphics adapter, and noticing when it is gone.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::error::ViewError;
+
+/// A device with its queue. Clones share it.
+#[derive(Clone)]
+pub struct Gpu {
+    /// Finds adapters and makes surfaces of windows.
+    pub instance: wgpu::Instance,
+    /// What draws.
+    pub adapter: wgpu::Adapter,
+    /// Makes buffers, textures, pipelines.
+    pub device: wgpu::Device,
+    /// Takes work.
+    pub queue: wgpu::Queue,
+    lost: Arc<Mutex<Option<String>>>,
+}
+
+impl Gpu {
+    /// Any adapter, the fastest first; software rasterisers will do.
+    ///
+    /// # Errors
+    /// [`ViewError::NoAdapter`], [`ViewError::Refused`].
+    pub fn headless() -> Result<Self, ViewError> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+        Self::on(instance, None)
+    }
+
+    /// An adapter that can draw on this surface, or any.
+    ///
+    /// # Errors
+    /// [`ViewError::NoAdapter`], [`ViewError::Refused`].
+    pub fn on(instance: wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self, ViewError> {
+        let options = wgpu::RequestAdapterOptions {
+            power_preference: wgpu::PowerPreference::HighPerformance,
+            force_fallback_adapter: false,
+            compatible_surface: surface,
+            ..Default::default()
+        };
+        let adapter = pollster::block_on(instance.request_adapter(&options))
+            .map_err(|error| ViewError::NoAdapter(error.to_string()))?;
+        let refused =
+            |reason: String| ViewError::Refused { adapter: adapter.get_info().name.clone(), reason };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("trocar"),
+            // What WebGPU guarantees, and as large pictures as the adapter has.
+            required_limits: wgpu::Limits::default().using_resolution(adapter.limits()),
+            memory_hints: wgpu::MemoryHints::Performance,
+            ..Default::default()
+        };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+            .map_err(|error| refused(error.to_string()))?;
+        let lost = Arc::new(Mutex::new(None));
+        let (noted, failed) = (Arc::clone(&lost), Arc::clone(&lost));
+        device.set_device_lost_callback(move |reason, message| {
+            note(&noted, format!("{reason:?}: {message}"));
+        });
+        // Without a handler an error (out of memory, a bad shader) would be a panic of whoever draws.
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            tracing::error!("graphics: {error}");
+            note(&failed, error.to_string());
+        }));
+        Ok(Self { instance, adapter, device, queue, lost })
+    }
+
+    /// Why nothing can be drawn any more, once that is so.
+    ///
+    /// # Errors
+    /// [`ViewError::DeviceLost`].
+    pub fn check(&self) -> Result<(), ViewError> {
+        let lost = self.lost.lock().unwrap_or_else(PoisonError::into_inner);
+        lost.as_ref().map_or(Ok(()), |reason| Err(ViewError::DeviceLost(reason.clone())))
+    }
+
+    /// Name and kind of the adapter, for people.
+    pub fn describe(&self) -> String {
+        let info = self.adapter.get_info();
+        format!("{} ({:?}, {:?})", info.name, info.device_type, info.backend)
+    }
+}
+
+fn note(lost: &Mutex<Option<String>>, reason: String) {
+    lost.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+}

@@ -1,0 +1,96 @@
+//! Copies of surfaces on the device: made once, then only what changed is sent.
+
+use std::collections::BTreeMap;
+
+use crate::gpu::Gpu;
+use crate::stage::Surface;
+
+/// One surface on the device.
+pub struct SurfaceCopy {
+    /// Positions.
+    pub positions: wgpu::Buffer,
+    /// Normals.
+    pub normals: wgpu::Buffer,
+    /// Texture coordinates.
+    pub uvs: wgpu::Buffer,
+    /// Corners.
+    pub indices: wgpu::Buffer,
+    /// How many.
+    pub index_count: u32,
+    topology: u64,
+    version: u64,
+    used: bool,
+}
+
+/// All of them, by the number that the stage gave.
+#[derive(Default)]
+pub struct SurfaceCopies {
+    copies: BTreeMap<u64, SurfaceCopy>,
+    /// Bytes sent since the start: what changed, not what there is.
+    pub bytes_sent: u64,
+}
+
+impl SurfaceCopies {
+    /// Makes or mends the copy of a surface.
+    pub fn send(&mut self, gpu: &Gpu, surface: &Surface) {
+        let vertices = wgpu::BufferUsages::VERTEX;
+        let copy = self.copies.entry(surface.id).or_insert_with(|| SurfaceCopy {
+            positions: room(gpu, 0, vertices),
+            normals: room(gpu, 0, vertices),
+            uvs: room(gpu, 0, vertices),
+            indices: room(gpu, 0, wgpu::BufferUsages::INDEX),
+            index_count: 0,
+            // Neither has come yet.
+            topology: surface.topology.wrapping_sub(1),
+            version: surface.version.wrapping_sub(1),
+            used: true,
+        });
+        copy.used = true;
+        let geometry = &surface.geometry;
+        if copy.topology != surface.topology {
+            let uvs = bytemuck::cast_slice(&geometry.uvs);
+            let indices = bytemuck::cast_slice(&geometry.indices);
+            self.bytes_sent += send(gpu, &mut copy.uvs, uvs, vertices);
+            self.bytes_sent += send(gpu, &mut copy.indices, indices, wgpu::BufferUsages::INDEX);
+            copy.index_count = geometry.indices.len() as u32;
+            copy.topology = surface.topology;
+        }
+        if copy.version != surface.version {
+            let positions = bytemuck::cast_slice(&geometry.positions);
+            let normals = bytemuck::cast_slice(&geometry.normals);
+            self.bytes_sent += send(gpu, &mut copy.positions, positions, vertices);
+            self.bytes_sent += send(gpu, &mut copy.normals, normals, vertices);
+            copy.version = surface.version;
+        }
+    }
+
+    /// The copy of a surface that was sent.
+    pub fn get(&self, id: u64) -> Option<&SurfaceCopy> {
+        self.copies.get(&id)
+    }
+
+    /// Forgets what has not been sent since the last call.
+    pub fn sweep(&mut self) {
+        self.copies.retain(|_, copy| std::mem::take(&mut copy.used));
+    }
+}
+
+/// A buffer for so many bytes, and for none: a buffer of no bytes cannot be bound.
+fn room(gpu: &Gpu, bytes: usize, usage: wgpu::BufferUsages) -> wgpu::Buffer {
+    gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size: (bytes.max(16) as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT),
+        usage: usage | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    })
+}
+
+/// Sends bytes, into a larger buffer when they do not fit (a thread is divided more finely where it bends); how many.
+fn send(gpu: &Gpu, buffer: &mut wgpu::Buffer, bytes: &[u8], usage: wgpu::BufferUsages) -> u64 {
+    if (buffer.size() as usize) < bytes.len() {
+        let grown = if buffer.size() > 16 { bytes.len() + bytes.len() / 2 } else { bytes.len() };
+        *buffer = room(gpu, grown, usage);
+    }
+    gpu.queue.write_buffer(buffer, 0, bytes);
+    bytes.len() as u64
+}

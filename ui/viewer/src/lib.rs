@@ -1,0 +1,38 @@
+//! Views of a surgical scene.
+//!
+//! A viewer reads [`Snapshot`](trocar_scene::Snapshot)s and nothing else: it never keeps the Model or a controller
+//! waiting, and any number of them may look at one scene. What there is to see goes one way:
+//!
+//! ```text
+//! Snapshot ─▶ Stage (drawables: geometry, pose, material; only what changed) ─▶ GPU copies ─▶ frames
+//!    Camera, Optics ─▶ View ─▶ Layout (mono, stereo, tiles) ────────────────────────────────▶ panes of a frame
+//! ```
+//!
+//! [`Renderer`] draws into textures; [`Eye`] is the headless one that gives pictures to programs.
+
+pub mod colormap;
+pub mod deform;
+pub mod edit_map;
+pub mod error;
+pub mod eye;
+pub mod film;
+pub mod geometry;
+pub mod gpu;
+pub mod layout;
+pub mod lights;
+pub mod picture;
+pub mod quality;
+pub mod renderer;
+pub mod stage;
+pub mod texture;
+pub mod tube;
+pub mod view;
+
+pub use error::ViewError;
+pub use eye::Eye;
+pub use film::Film;
+pub use layout::{Layout, Pane};
+pub use picture::Picture;
+pub use quality::Quality;
+pub use renderer::Renderer;
+pub use view::{Lens, View};

@@ -1,0 +1,4 @@
+// The default of a material's own shader: nothing is changed.
+fn surface(s: Surface, at: At) -> Surface {
+    return s;
+}

@@ -1,0 +1,232 @@
+//! From where a scene is looked at, and through which lens.
+
+use nalgebra::{Isometry3, Matrix4, Point3, Translation3, UnitQuaternion, Vector3};
+use trocar_scene::{Camera, Entity, Optics, Snapshot};
+
+use crate::error::ViewError;
+
+/// A pinhole camera. Its frame has z along the line of sight, x to the right and y *down* in the picture, as that of
+/// [`Camera`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lens {
+    /// Vertical field of view \[rad\].
+    pub field_of_view: f64,
+    /// Width divided by height.
+    pub aspect: f64,
+    /// Nearest visible depth \[m\].
+    pub near: f64,
+    /// Farthest visible depth \[m\].
+    pub far: f64,
+    /// Shift of the picture's centre against the axis, as a share of its half width and half height: off-axis views.
+    pub shift: [f64; 2],
+}
+
+impl Default for Lens {
+    fn default() -> Self {
+        let camera = Camera::default();
+        Self {
+            field_of_view: camera.field_of_view,
+            aspect: camera.aspect,
+            near: camera.near,
+            far: camera.far,
+            shift: [0.0; 2],
+        }
+    }
+}
+
+impl Lens {
+    /// `clip_from_eye`: depth 0 at `near`, 1 at `far`, x right and y up in clip space.
+    pub fn clip_from_eye(&self) -> Matrix4<f64> {
+        let scale_y = 1.0 / (0.5 * self.field_of_view).tan();
+        let scale_x = scale_y / self.aspect;
+        let depth = self.far / (self.far - self.near);
+        // The eye looks along +z with y down.
+        Matrix4::new(
+            scale_x,
+            0.0,
+            self.shift[0],
+            0.0,
+            0.0,
+            -scale_y,
+            self.shift[1],
+            0.0,
+            0.0,
+            0.0,
+            depth,
+            -self.near * depth,
+            0.0,
+            0.0,
+            1.0,
+            0.0,
+        )
+    }
+}
+
+/// A point of view with a lens.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Pose of the eye in world.
+    pub world_from_eye: Isometry3<f64>,
+    /// Its lens.
+    pub lens: Lens,
+    /// Radial displacement at the corner as a share of the half diagonal, see [`Optics`].
+    pub distortion: f64,
+    /// Loss of light at the corner in \[0, 1\].
+    pub vignette: f64,
+}
+
+impl View {
+    /// An undistorted view.
+    pub fn new(world_from_eye: Isometry3<f64>, lens: Lens) -> Self {
+        Self { world_from_eye, lens, distortion: 0.0, vignette: 0.0 }
+    }
+
+    /// From `eye`, looking at `target`, the picture's upper edge towards `up` (all in world).
+    pub fn looking_at(eye: Point3<f64>, target: Point3<f64>, up: Vector3<f64>, lens: Lens) -> Self {
+        let forward = (target - eye).try_normalize(1e-12).unwrap_or_else(Vector3::z);
+        let mut right = forward.cross(&up);
+        if right.norm() < 1e-9 {
+            // Straight along `up`: any horizontal will do.
+            right = forward.cross(&Vector3::y()) + forward.cross(&Vector3::x()) * 1e-3;
+        }
+        let right = right.normalize();
+        let down = forward.cross(&right);
+        let axes = nalgebra::Matrix3::from_columns(&[right, down, forward]);
+        let rotation =
+            UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(axes));
+        Self::new(Isometry3::from_parts(Translation3::from(eye.coords), rotation), lens)
+    }
+
+    /// Through a camera of the scene, its optics included; `aspect` replaces the camera's own.
+    ///
+    /// # Errors
+    /// When the entity has no [`Camera`].
+    pub fn through(scene: &Snapshot, camera: Entity, aspect: Option<f64>) -> Result<Self, ViewError> {
+        let no_camera = || ViewError::NoCamera { name: scene.name(camera), known: cameras(scene) };
+        let seen = scene.get::<Camera>(camera).ok_or_else(no_camera)?;
+        let lens = Lens {
+            field_of_view: seen.field_of_view,
+            aspect: aspect.unwrap_or(seen.aspect),
+            near: seen.near,
+            far: seen.far,
+            shift: [0.0; 2],
+        };
+        let mut view = Self::new(scene.world_pose(camera), lens);
+        if let Some(optics) = scene.get::<Optics>(camera) {
+            // Turning the scope swings the tilted line of sight around; the camera head, and so the picture, stays.
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), optics.turn);
+            let tilt = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), optics.tilt);
+            view.world_from_eye *= turn * tilt * turn.inverse();
+            view.distortion = optics.distortion;
+            view.vignette = optics.vignette;
+        }
+        Ok(view)
+    }
+
+    /// Through the first camera of the scene, or from in front of everything when it has none.
+    pub fn default_of(scene: &Snapshot, aspect: Option<f64>) -> Self {
+        let first = scene.iter::<Camera>().next().map(|(entity, _)| entity);
+        first.and_then(|camera| Self::through(scene, camera, aspect).ok()).unwrap_or_else(|| {
+            let lens = Lens { aspect: aspect.unwrap_or(4.0 / 3.0), ..Lens::default() };
+            Self::looking_at(Point3::new(0.0, -0.25, 0.25), Point3::origin(), Vector3::z(), lens)
+        })
+    }
+
+    /// The camera of that name, with the names of the others when there is none.
+    ///
+    /// # Errors
+    /// [`ViewError::NoCamera`].
+    pub fn named(scene: &Snapshot, name: &str, aspect: Option<f64>) -> Result<Self, ViewError> {
+        let found =
+            scene.iter::<Camera>().map(|(entity, _)| entity).find(|entity| scene.name(*entity) == name);
+        let camera =
+            found.ok_or_else(|| ViewError::NoCamera { name: name.to_owned(), known: cameras(scene) })?;
+        Self::through(scene, camera, aspect)
+    }
+
+    /// Left and right eye: parallel, `interocular` \[m\] apart, their pictures shifted so that what lies at the depth
+    /// `convergence` \[m\] has no parallax (off-axis stereo; Bourke, "Calculating stereo pairs", 1999).
+    pub fn stereo(&self, interocular: f64, convergence: f64) -> [Self; 2] {
+        [-1.0, 1.0].map(|side| {
+            let mut eye = *self;
+            let offset = 0.5 * side * interocular;
+            eye.world_from_eye *= Translation3::new(offset, 0.0, 0.0);
+            let half_width = (0.5 * self.lens.field_of_view).tan() * self.lens.aspect * convergence;
+            eye.lens.shift[0] += offset / half_width;
+            eye
+        })
+    }
+
+    /// `clip_from_world`.
+    pub fn clip_from_world(&self) -> Matrix4<f64> {
+        self.lens.clip_from_eye() * self.world_from_eye.inverse().to_homogeneous()
+    }
+
+    /// Where a point of the world is in the picture, each coordinate from 0 (left, top) to 1, and its depth \[m\];
+    /// `None` behind the eye. Lens distortion is left out.
+    pub fn project(&self, point_in_world: &Point3<f64>) -> Option<([f64; 2], f64)> {
+        let in_eye = self.world_from_eye.inverse() * point_in_world;
+        if in_eye.z <= 0.0 {
+            return None;
+        }
+        let clip = self.lens.clip_from_eye() * in_eye.to_homogeneous();
+        Some(([0.5 + 0.5 * clip.x / clip.w, 0.5 - 0.5 * clip.y / clip.w], in_eye.z))
+    }
+
+    /// The ray through a point of the picture (0 to 1 from left and top): its origin and unit direction in world.
+    pub fn ray(&self, [x, y]: [f64; 2]) -> (Point3<f64>, Vector3<f64>) {
+        let tan = (0.5 * self.lens.field_of_view).tan();
+        let right = (2.0 * x - 1.0 - self.lens.shift[0]) * tan * self.lens.aspect;
+        let down = (2.0 * y - 1.0 + self.lens.shift[1]) * tan;
+        let direction = self.world_from_eye * Vector3::new(right, down, 1.0).normalize();
+        (Point3::from(self.world_from_eye.translation.vector), direction)
+    }
+}
+
+fn cameras(scene: &Snapshot) -> String {
+    let names: Vec<String> = scene.iter::<Camera>().map(|(entity, _)| scene.name(entity)).collect();
+    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ray_through_a_projected_point_passes_the_point() {
+        let lens = Lens { shift: [0.1, -0.2], ..Lens::default() };
+        let eye = Point3::new(0.1, -0.3, 0.2);
+        let view = View::looking_at(eye, Point3::new(0.0, 0.02, 0.0), Vector3::z(), lens);
+        let point = Point3::new(0.02, 0.03, -0.01);
+        let (place, depth) = view.project(&point).unwrap();
+        let (origin, direction) = view.ray(place);
+        let along = (point - origin).dot(&direction);
+        assert!((origin + direction * along - point).norm() < 1e-12);
+        assert!(depth > 0.0 && depth <= along);
+    }
+
+    #[test]
+    fn up_is_up_and_right_is_right_in_the_picture() {
+        let view =
+            View::looking_at(Point3::new(0.0, -0.3, 0.0), Point3::origin(), Vector3::z(), Lens::default());
+        let ([x, _], _) = view.project(&Point3::new(0.01, 0.0, 0.0)).unwrap();
+        let ([_, y], _) = view.project(&Point3::new(0.0, 0.0, 0.01)).unwrap();
+        assert!(x > 0.5 && y < 0.5, "{x} {y}");
+    }
+
+    #[test]
+    fn parallax_vanishes_at_the_convergence_and_follows_the_formula_elsewhere() {
+        let mono =
+            View::looking_at(Point3::new(0.0, -0.3, 0.0), Point3::origin(), Vector3::z(), Lens::default());
+        let (interocular, convergence) = (0.006, 0.2);
+        let [left, right] = mono.stereo(interocular, convergence);
+        let half_width = (0.5 * mono.lens.field_of_view).tan() * mono.lens.aspect;
+        for depth in [0.05, 0.1, 0.2, 0.4] {
+            let point = mono.world_from_eye * Point3::new(0.01, 0.02, depth);
+            let x = |eye: &View| eye.project(&point).unwrap().0[0];
+            // Width of the picture at distance 1 is 2 × half_width; similar triangles.
+            let expected = interocular * (1.0 / convergence - 1.0 / depth) / (2.0 * half_width);
+            assert!((x(&right) - x(&left) - expected).abs() < 1e-12, "{depth}");
+        }
+    }
+}

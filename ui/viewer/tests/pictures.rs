@@ -1,0 +1,211 @@
+//! Pictures of small scenes: what is where, in which colour, how far away.
+
+mod common;
+
+use common::{Scene, colored, eye, front, mean, middle_column, picture};
+use trocar_scene::{Light, Pose, Shape};
+use trocar_viewer::layout::Stereo;
+use trocar_viewer::{Layout, Quality, View, ViewError};
+
+const SPHERE: Shape = Shape::Sphere { radius: 0.03 };
+
+#[test]
+fn the_nearer_of_two_things_is_seen_whatever_the_order_in_which_they_came() {
+    for near_first in [true, false] {
+        let mut scene = Scene::new();
+        scene.light();
+        let mut spheres = [(-0.1, colored(1.0, 0.02, 0.02)), (0.1, colored(0.02, 0.02, 1.0))];
+        if !near_first {
+            spheres.reverse();
+        }
+        for (y, material) in spheres {
+            scene.shape(SPHERE, Pose::at(0.0, y, 0.0), material);
+        }
+        let picture = picture(&mut eye(), &scene, &front(), &Layout::Mono, 128);
+        let [r, _, b] = mean(&picture, 60, 60, 8, 8);
+        assert!(r > 2.0 * b, "{r} {b}");
+    }
+}
+
+#[test]
+fn depth_and_segmentation_say_how_far_away_what_is() {
+    let mut scene = Scene::new();
+    let left = scene.shape(SPHERE, Pose::at(-0.05, 0.0, 0.0), colored(1.0, 1.0, 1.0));
+    let right = scene.shape(SPHERE, Pose::at(0.05, 0.1, 0.0), colored(1.0, 1.0, 1.0));
+    let (view, side) = (front(), 256);
+    let probe = eye().probe(&scene.view(), &view, [side, side]).unwrap();
+    for (entity, centre) in [(left, [-0.05, 0.0, 0.0]), (right, [0.05, 0.1, 0.0])] {
+        let (at, depth) = view.project(&centre.into()).unwrap();
+        let [x, y] = at.map(|share| (share * f64::from(side)) as u32);
+        assert_eq!(probe.entity(x, y), Some(entity));
+        // Along the line to its centre the surface is one radius before it; the ray is not far from the axis.
+        let seen = f64::from(probe.depth[(y * side + x) as usize]);
+        let along = (nalgebra::Point3::from(centre) - view.ray(at).0).norm();
+        let expected = depth * (along - 0.03) / along;
+        assert!((seen - expected).abs() < 5e-4, "{seen} {expected}");
+    }
+    assert_eq!(probe.entity(0, 0), None);
+    assert_eq!(probe.depth[0], f32::INFINITY);
+}
+
+#[test]
+fn what_moves_is_seen_elsewhere_and_what_is_gone_is_not_seen() {
+    let mut scene = Scene::new();
+    scene.light();
+    let ball = scene.shape(SPHERE, Pose::at(-0.06, 0.0, 0.0), colored(1.0, 0.02, 0.02));
+    let (mut eye, view) = (eye(), front());
+    let is_red = |[r, g, _, _]: [u8; 4]| r > 60 && g < r / 2;
+    let before = middle_column(&picture(&mut eye, &scene, &view, &Layout::Mono, 128), is_red).unwrap();
+    scene.write(|out| out.put(ball, Pose::at(0.06, 0.0, 0.0)));
+    let after = middle_column(&picture(&mut eye, &scene, &view, &Layout::Mono, 128), is_red).unwrap();
+    assert!((before + after - 128.0).abs() < 2.0 && after - before > 40.0, "{before} {after}");
+    scene.write(|out| out.despawn(ball));
+    assert_eq!(middle_column(&picture(&mut eye, &scene, &view, &Layout::Mono, 128), is_red), None);
+}
+
+#[test]
+fn eyes_side_by_side_and_above_each_other_see_the_parallax_of_the_formula() {
+    let mut scene = Scene::new();
+    scene.light();
+    scene.shape(Shape::Sphere { radius: 0.01 }, Pose::at(0.0, -0.1, 0.0), colored(1.0, 0.02, 0.02));
+    let view = front();
+    let stereo = Stereo { interocular: 0.03, convergence: 0.3 };
+    let is_red = |[r, g, _, _]: [u8; 4]| r > 60 && g < r / 2;
+    let (side, mut eye) = (256, eye());
+    let depth: f64 = 0.2;
+    let width_at_1 = 2.0 * (0.5 * view.lens.field_of_view).tan() * view.lens.aspect;
+    let expected = stereo.interocular * (1.0 / stereo.convergence - 1.0 / depth) / width_at_1;
+    for (layout, panes) in [
+        (Layout::SideBySide(stereo), [[0, 0, 128, 256], [128, 0, 128, 256]]),
+        (Layout::TopBottom(stereo), [[0, 0, 256, 128], [0, 128, 256, 128]]),
+    ] {
+        let picture = picture(&mut eye, &scene, &view, &layout, side);
+        let seen = panes.map(|[left, top, width, height]| {
+            let (mut sum, mut count) = (0.0, 0.0);
+            for (x, y) in (left..left + width).flat_map(|x| (top..top + height).map(move |y| (x, y))) {
+                if picture.at(x, y).is_some_and(is_red) {
+                    sum += f64::from(x - left) + 0.5;
+                    count += 1.0;
+                }
+            }
+            sum / count / f64::from(width)
+        });
+        assert!((seen[1] - seen[0] - expected).abs() < 0.01, "{layout:?}: {seen:?}, expected {expected}");
+    }
+}
+
+#[test]
+fn interleaved_rows_alternate_between_the_eyes() {
+    let mut scene = Scene::new();
+    scene.light();
+    scene.shape(Shape::Sphere { radius: 0.01 }, Pose::at(0.0, -0.1, 0.0), colored(1.0, 0.02, 0.02));
+    let (view, mut eye) = (front(), eye());
+    let stereo = Stereo { interocular: 0.05, convergence: 0.3 };
+    let woven = picture(&mut eye, &scene, &view, &Layout::RowInterleaved(stereo), 128);
+    let [left, right] = view.stereo(stereo.interocular, stereo.convergence);
+    for (parity, one) in [(0, left), (1, right)] {
+        let alone = picture(&mut eye, &scene, &one, &Layout::Mono, 128);
+        for y in (0..128).filter(|y| y % 2 == parity) {
+            for x in 0..128 {
+                let (a, b) = (woven.at(x, y).unwrap(), alone.at(x, y).unwrap());
+                let close = (0..3).all(|channel| a[channel].abs_diff(b[channel]) <= 3);
+                assert!(close, "row {y}, column {x}: {a:?} {b:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_anaglyph_is_red_from_the_left_and_cyan_from_the_right() {
+    let mut scene = Scene::new();
+    scene.light();
+    scene.shape(Shape::Sphere { radius: 0.01 }, Pose::at(0.0, -0.1, 0.0), colored(1.0, 1.0, 1.0));
+    let stereo = Stereo { interocular: 0.08, convergence: 0.3 };
+    let picture = picture(&mut eye(), &scene, &front(), &Layout::Anaglyph(stereo), 256);
+    let is_red = |[r, g, _, _]: [u8; 4]| r > 90 && g < 60;
+    let is_cyan = |[r, g, b, _]: [u8; 4]| g > 90 && b > 90 && r < 60;
+    let (red, cyan) = (middle_column(&picture, is_red).unwrap(), middle_column(&picture, is_cyan).unwrap());
+    // Nearer than the convergence: the left eye sees it further to the right.
+    assert!(red > cyan + 10.0, "{red} {cyan}");
+}
+
+#[test]
+fn a_shadow_lies_behind_what_throws_it() {
+    let mut scene = Scene::new();
+    let floor = Shape::Box { half_extents: [0.3, 0.3, 0.005] };
+    scene.shape(floor, Pose::at(0.0, 0.0, -0.055), colored(0.8, 0.8, 0.8));
+    scene.shape(Shape::Sphere { radius: 0.015 }, Pose::at(0.0, 0.0, 0.0), colored(0.8, 0.8, 0.8));
+    let down = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), std::f64::consts::PI);
+    scene.write(|out| {
+        let light = out.spawn();
+        out.put(light, Light { cone_angle: 0.8, ..Light::default() });
+        out.put(light, Pose::new(nalgebra::Vector3::new(0.0, 0.0, 0.25), down));
+    });
+    let eye_at = nalgebra::Point3::new(0.0, -0.25, 0.12);
+    let view = View::looking_at(
+        eye_at,
+        nalgebra::Point3::new(0.0, 0.0, -0.05),
+        nalgebra::Vector3::z(),
+        front().lens,
+    );
+    let (mut eye, side) = (eye(), 256);
+    let brightness = |eye: &mut trocar_viewer::Eye, point: [f64; 3]| {
+        let picture = picture(eye, &scene, &view, &Layout::Mono, side);
+        let [x, y] = view.project(&point.into()).unwrap().0.map(|share| (share * f64::from(side)) as u32);
+        mean(&picture, x - 1, y - 1, 3, 3).iter().sum::<f64>()
+    };
+    // Under the ball, seen past it, and the same distance from the light beside it.
+    let (shaded, lit) = ([0.0, -0.012, -0.05], [0.05, -0.012, -0.05]);
+    assert!(brightness(&mut eye, shaded) < 0.6 * brightness(&mut eye, lit));
+    eye.quality = Quality { shadows: false, ..eye.quality };
+    assert!(brightness(&mut eye, shaded) > 0.8 * brightness(&mut eye, lit));
+}
+
+#[test]
+fn a_lens_bends_the_picture_as_it_says_and_darkens_its_corners() {
+    let mut scene = Scene::new();
+    scene.light();
+    scene.shape(
+        Shape::Box { half_extents: [0.5, 0.005, 0.5] },
+        Pose::at(0.0, 0.2, 0.0),
+        colored(0.8, 0.8, 0.8),
+    );
+    scene.shape(Shape::Sphere { radius: 0.006 }, Pose::at(0.06, 0.0, 0.0), colored(1.0, 0.02, 0.02));
+    let (mut eye, side, view) = (eye(), 256, front());
+    let is_red = |[r, g, _, _]: [u8; 4]| r > 60 && g < r / 2;
+    let straight = picture(&mut eye, &scene, &view, &Layout::Mono, side);
+    let bent =
+        picture(&mut eye, &scene, &View { distortion: 0.3, vignette: 0.8, ..view }, &Layout::Mono, side);
+    let offset = |picture| middle_column(picture, is_red).unwrap() / f64::from(side) * 2.0 - 1.0;
+    let (before, after) = (offset(&straight), offset(&bent));
+    // What is seen at `after` comes from `after (1 + d r²) / (1 + d)`; the half diagonal of a square is √2.
+    let source = after * (1.0 + 0.3 * after * after / 2.0) / 1.3;
+    assert!((source - before).abs() < 0.01, "{before} {after} {source}");
+    let corner = |picture| mean(picture, 2, 2, 4, 4).iter().sum::<f64>();
+    assert!(corner(&bent) < 0.6 * corner(&straight));
+}
+
+#[test]
+fn pictures_without_pixels_or_with_too_many_are_refused() {
+    let (scene, mut eye) = (Scene::new(), eye());
+    for size in [[0, 10], [10, 0], [1 << 20, 10]] {
+        let refused = eye.picture(&scene.view(), &front(), &Layout::Mono, size);
+        assert!(matches!(refused, Err(ViewError::Size { .. })), "{size:?}");
+    }
+    assert!(eye.picture(&scene.view(), &front(), &Layout::Mono, [1, 1]).is_ok());
+}
+
+#[test]
+fn only_what_changed_is_sent() {
+    let mut scene = Scene::new();
+    let ball = scene.shape(SPHERE, Pose::default(), colored(1.0, 1.0, 1.0));
+    let mut eye = eye();
+    picture(&mut eye, &scene, &front(), &Layout::Mono, 32);
+    let first = eye.renderer().bytes_sent();
+    assert!(first > 10_000);
+    // Another of the same shape, and a pose: nothing of a surface.
+    scene.shape(SPHERE, Pose::at(0.1, 0.0, 0.0), colored(1.0, 0.0, 0.0));
+    scene.write(|out| out.put(ball, Pose::at(0.0, 0.1, 0.0)));
+    picture(&mut eye, &scene, &front(), &Layout::Mono, 32);
+    assert_eq!(eye.renderer().bytes_sent(), first);
+}
