@@ -112,11 +112,11 @@ const NORMAL: wgpu::VertexBufferLayout<'_> = per_vertex(&wgpu::vertex_attr_array
 const UV: wgpu::VertexBufferLayout<'_> = per_vertex(&wgpu::vertex_attr_array![2 => Float32x2]);
 /// Positions move, texture coordinates stay: each has a buffer of its own.
 const VERTEX: [Option<wgpu::VertexBufferLayout<'_>>; 3] = [Some(POSITION), Some(NORMAL), Some(UV)];
-const COMMON: &str = include_str!("../shaders/common.wgsl");
+const COMMON: &str = concat!(include_str!("../shaders/item.wgsl"), include_str!("../shaders/common.wgsl"));
 const SURFACE: &str = include_str!("../shaders/surface.wgsl");
 const MATERIAL: &str = include_str!("../shaders/material.wgsl");
 const PROBE: &str = include_str!("../shaders/probe.wgsl");
-const SHADOW: &str = include_str!("../shaders/shadow.wgsl");
+const SHADOW: &str = concat!(include_str!("../shaders/item.wgsl"), include_str!("../shaders/shadow.wgsl"));
 
 impl Passes {
     /// The pipelines that everything needs; those of surfaces are made when they are first used.

@@ -28,19 +28,7 @@ struct Frame {
     lights: array<Light, 8>,
 }
 
-struct Item {
-    world_from_item: mat4x4f,
-    base_color: vec4f,
-    // Roughness, metalness, wetness, depth of the relief [m].
-    surface: vec4f,
-    tiling: vec2f,
-    // Number in a segmentation picture.
-    number: u32,
-    flags: u32,
-}
-
 @group(0) @binding(0) var<uniform> frame: Frame;
-@group(1) @binding(0) var<storage, read> items: array<Item>;
 
 struct Corner {
     @builtin(position) clip: vec4f,
