@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use trocar::summary::RunSummary;
 use trocar_scene::{SimTime, Snapshot};
 use trocar_viewer::layout::Stereo;
 use trocar_viewer::{Eye, Film, Layout, Quality, View, ViewError};
@@ -104,23 +105,25 @@ impl Photographer {
         self.eye.picture(scene, &view, &self.layout, self.size)
     }
 
-    /// Takes the last picture, and completes the film: files in words.
-    ///
-    /// # Errors
-    /// When something could not be drawn or written.
-    pub fn finish(mut self, scene: &Snapshot) -> Result<Vec<String>, Failure> {
+    /// Takes the last picture, and completes the film. What could not be drawn or written is a loss that the summary
+    /// tells of: score, recording and report of the session are kept all the same.
+    pub fn finish(mut self, scene: &Snapshot, summary: &mut RunSummary) {
         if let Some(error) = self.failed.take() {
-            return Err(Failure::internal(error));
+            // Half a film is none.
+            self.film = None;
+            summary.losses.push(format!("no film: {error}"));
         }
-        let mut files = Vec::new();
         if let Some(file) = self.picture.take() {
-            self.take(scene).and_then(|picture| picture.save(&file)).map_err(Failure::internal)?;
-            files.push(file.display().to_string());
+            match self.take(scene).and_then(|picture| picture.save(&file)) {
+                Ok(()) => summary.pictures.push(file.display().to_string()),
+                Err(error) => summary.losses.push(format!("no picture: {error}")),
+            }
         }
         if let Some((film, file)) = self.film.take() {
-            film.finish().map_err(Failure::internal)?;
-            files.push(file.display().to_string());
+            match film.finish() {
+                Ok(_) => summary.pictures.push(file.display().to_string()),
+                Err(error) => summary.losses.push(format!("no film: {error}")),
+            }
         }
-        Ok(files)
     }
 }

@@ -31,6 +31,9 @@ pub fn replay(app: &App, args: &ReplayArgs) -> Result<Exit, Failure> {
         output::print_json(&summary)?;
     } else if result.is_ok() {
         output::print_text(&run::text(&summary))?;
+        for loss in &summary.losses {
+            tracing::warn!("{loss}");
+        }
     }
     result
 }
@@ -68,7 +71,7 @@ fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exi
     };
     trace.sample(replay.view());
     if let Some(photographer) = photographer {
-        summary.pictures = photographer.finish(replay.view())?;
+        photographer.finish(replay.view(), summary);
     }
     summary.sim_secs = replay.time().as_secs_f64();
     summary.state_hash = Some(replay.hash().to_string());

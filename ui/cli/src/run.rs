@@ -89,7 +89,7 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
     display.clear();
     let mut outcome = outcome?;
     if let Some(photographer) = photographer {
-        outcome.summary.pictures = photographer.finish(&outcome.kernel.snapshot)?;
+        photographer.finish(&outcome.kernel.snapshot, &mut outcome.summary);
     }
     outcome.summary.tuned = desk.tuned(&outcome.kernel.snapshot);
 
