@@ -1,10 +1,14 @@
 //! The command line.
 
+mod picture;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum, ValueHint};
 use serde_json::Value;
 use trocar::tuning;
+
+pub use picture::{Care, Eyes, PictureArgs, WindowArgs, size};
 
 /// Surgical simulation by actors: one Model, many controllers, each at a rate of its own.
 #[derive(Debug, Parser)]
@@ -44,6 +48,8 @@ pub enum Command {
         #[command(subcommand)]
         command: FaultsCommand,
     },
+    /// Draw a picture of every scenario, without a window
+    Gallery(crate::gallery::GalleryArgs),
     /// Run random fault plans in virtual time, on all cores, and check what must hold whatever they do
     Soak(SoakArgs),
     /// Start a project of your own from a template: a crate with a program, a scenario and tests
@@ -99,15 +105,18 @@ pub struct RunArgs {
     /// End after this much time of the session \[s\]; otherwise when the exercise is over
     #[arg(long, value_parser = positive)]
     pub seconds: Option<f64>,
-    /// No live table, whatever the terminal
-    #[arg(long)]
-    pub headless: bool,
+    /// Windows.
+    #[command(flatten)]
+    pub window: WindowArgs,
     /// Virtual time on one thread, as fast as it goes: the same seed gives the same bits
     #[arg(long)]
     pub lockstep: bool,
     /// A person moves the hands with mouse, keyboard or gamepad, in the place of the virtual trainee
     #[arg(long, conflicts_with = "skill")]
     pub play: bool,
+    /// Which key, button or stick means what, for a person who plays (TOML)
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, requires = "play")]
+    pub bindings: Option<PathBuf>,
     /// Fault plan: what shall go wrong, and what must hold all the same; a name (see `trocar list plans`)
     /// or a TOML file
     #[arg(long, value_name = "PLAN", value_hint = ValueHint::FilePath)]
@@ -130,65 +139,6 @@ pub struct RunArgs {
     /// Print exactly one JSON object on stdout (`trocar schema run` describes it)
     #[arg(long)]
     pub json: bool,
-}
-
-/// What is seen, drawn without a window.
-#[derive(Clone, Debug, Args)]
-#[command(next_help_heading = "Pictures")]
-pub struct PictureArgs {
-    /// A picture of the last moment (PNG)
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
-    pub picture: Option<PathBuf>,
-    /// A film: FILE.gif, FILE.png (animated), or a folder for single frames
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::AnyPath)]
-    pub film: Option<PathBuf>,
-    /// Frames of the film per second of the session
-    #[arg(long = "fps", value_name = "HZ", default_value_t = 25.0, value_parser = frames)]
-    pub frames_per_second: f64,
-    /// The camera to look through [default: the first one]
-    #[arg(long, value_name = "NAME")]
-    pub camera: Option<String>,
-    /// Width and height \[pixels\]
-    #[arg(long, value_name = "WxH", default_value = "960x720", value_parser = size)]
-    pub size: (u32, u32),
-    /// One eye, or how two of them share the picture
-    #[arg(long, default_value = "one")]
-    pub eyes: Eyes,
-    /// Between the two eyes \[m\]
-    #[arg(long, default_value_t = 0.0048, value_parser = length)]
-    pub interocular: f64,
-    /// Depth at which both eyes see the same \[m\]
-    #[arg(long, default_value_t = 0.2, value_parser = length)]
-    pub convergence: f64,
-    /// How much care goes into a picture
-    #[arg(long = "quality", default_value = "fine")]
-    pub care: Care,
-}
-
-/// One eye, or two of them in one picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Eyes {
-    /// One.
-    One,
-    /// Left and right beside each other.
-    SideBySide,
-    /// Left above right.
-    TopBottom,
-    /// Row by row: polarised monitors.
-    Rows,
-    /// Red and cyan glasses.
-    Anaglyph,
-}
-
-/// How much care goes into a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Care {
-    /// Base colours and one highlight: fast without a graphics card.
-    Plain,
-    /// Maps, wet highlights, shadows.
-    Full,
-    /// That with smooth edges.
-    Fine,
 }
 
 /// `trocar list`.
@@ -232,6 +182,12 @@ pub struct ReplayArgs {
     /// Pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,
+    /// Another recording, shown beside this one
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    pub beside: Option<PathBuf>,
+    /// Windows.
+    #[command(flatten)]
+    pub window: WindowArgs,
     /// The folder of the scenario, where it has textures in files
     #[arg(long, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
     pub folder: Option<PathBuf>,
@@ -271,6 +227,12 @@ pub struct BenchArgs {
     /// The suite; see `trocar list suites`
     #[arg(default_value = "kernel")]
     pub suite: String,
+    /// A Python with coal and FCL (tests/peers/requirements.txt), which the suite `collision` times beside ours
+    #[arg(long, value_name = "PYTHON")]
+    pub peers: Option<PathBuf>,
+    /// Also draw how costs grow, as SVG (suite `collision`)
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
     /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)
     #[arg(long)]
     pub json: bool,
@@ -426,30 +388,7 @@ fn hand(text: &str) -> Result<(String, String), String> {
     }
 }
 
-fn size(text: &str) -> Result<(u32, u32), String> {
-    let sides =
-        text.split_once('x').and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)));
-    match sides {
-        Some((width @ 1..=16_384, height @ 1..=16_384)) => Ok((width, height)),
-        _ => Err("WIDTHxHEIGHT is expected, each side 1 to 16384 pixels, such as 1280x960".to_owned()),
-    }
-}
-
-fn frames(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if (0.1..=240.0).contains(&value) => Ok(value),
-        _ => Err("0.1 to 240 frames per second are possible".to_owned()),
-    }
-}
-
-fn length(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if (1e-6..=100.0).contains(&value) => Ok(value),
-        _ => Err("a length above 0, at most 100 m, is expected".to_owned()),
-    }
-}
-
-fn positive(text: &str) -> Result<f64, String> {
+pub fn positive(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() && value > 0.0 && value <= 1e6 => Ok(value),
         _ => Err("a number of seconds above 0, at most 1e6, is expected".to_owned()),

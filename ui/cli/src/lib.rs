@@ -18,6 +18,7 @@ mod doctor;
 mod escape;
 mod failure;
 mod faults;
+mod gallery;
 mod graph;
 mod list;
 mod live_table;
@@ -27,8 +28,10 @@ mod pictures;
 mod replay;
 mod report;
 mod run;
+mod show;
 mod soak;
 mod tune;
+mod window;
 
 pub use bench::counting::CountingAllocator;
 
@@ -80,6 +83,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
         Command::Bench(args) => bench::bench(&args),
         Command::Tune(args) => tune::tune(&args),
         Command::Faults { command } => faults::faults(&command),
+        Command::Gallery(args) => gallery::gallery(app, &args),
         Command::Soak(args) => soak::run(app, &args),
         Command::New(args) => new::new(&args),
         Command::Doctor(args) => doctor::doctor(&args),
@@ -132,7 +136,9 @@ fn start_log(verbose: u8) {
         2 => "debug",
         _ => "trace",
     };
-    let filter = EnvFilter::try_from_env("TROCAR_LOG").unwrap_or_else(|_| EnvFilter::new(level));
+    // What the window's library warns of (a display without a size in millimetres) helps nobody.
+    let usual = || EnvFilter::new(format!("{level},winit=error"));
+    let filter = EnvFilter::try_from_env("TROCAR_LOG").unwrap_or_else(|_| usual());
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

@@ -132,6 +132,8 @@ fn table(
         "dropped",
         "rejected",
         "restarts",
+        "hits",
+        "mean",
     ];
     let rows: Vec<Vec<String>> =
         reports.iter().enumerate().map(|(i, row)| rate_row(row, before.get(i), now)).collect();
@@ -171,6 +173,8 @@ fn rate_row(row: &ControllerReport, before: Option<&(u64, f64)>, now: f64) -> Ve
         row.dropped.to_string(),
         row.rejected.to_string(),
         row.restarts.to_string(),
+        row.hits.map_or("–".to_owned(), |hits| hits.now.to_string()),
+        row.hits.map_or("–".to_owned(), |hits| format!("{:.1}", hits.mean)),
     ]
 }
 

@@ -4,8 +4,9 @@ use std::path::{Path, PathBuf};
 
 use trocar::summary::RunSummary;
 use trocar_scene::{SimTime, Snapshot};
-use trocar_viewer::layout::Stereo;
-use trocar_viewer::{Eye, Film, Layout, Quality, View, ViewError};
+use trocar_viewer::layout::Sight;
+use trocar_viewer::stage::Stage;
+use trocar_viewer::{Eye, Film, Layout, Motion, Overlays, Quality, View, ViewError};
 
 use crate::args::{Care, Eyes, PictureArgs};
 use crate::failure::Failure;
@@ -14,11 +15,13 @@ use crate::output;
 /// Looks on while time passes, and leaves what was asked for.
 pub struct Photographer {
     eye: Eye,
-    layout: Layout,
-    camera: Option<String>,
+    /// `None` for four views, until the first picture shows what there is to see.
+    layout: Option<Layout>,
+    cameras: Vec<String>,
     size: [u32; 2],
     picture: Option<PathBuf>,
     film: Option<(Film, PathBuf)>,
+    motion: Motion,
     frame: SimTime,
     next: SimTime,
     failed: Option<ViewError>,
@@ -28,7 +31,7 @@ impl Photographer {
     /// `folder` is the scenario's, below which files of textures are. `None` when no picture is asked for, or when there is no graphics adapter: that is said, and the rest goes on.
     ///
     /// # Errors
-    /// When a file cannot be written, or there is no such camera.
+    /// When a file cannot be written, there is no such camera, or nothing that can be shown by a name.
     pub fn new(args: &PictureArgs, folder: Option<&Path>, scene: &Snapshot) -> Result<Option<Self>, Failure> {
         if args.picture.is_none() && args.film.is_none() {
             return Ok(None);
@@ -36,9 +39,13 @@ impl Photographer {
         if let Some(file) = &args.picture {
             output::check_writable(file)?;
         }
-        if let Some(camera) = &args.camera {
+        for camera in &args.camera {
             View::named(scene, camera, None).map_err(Failure::usage)?;
         }
+        if args.eyes == Eyes::Quad && args.camera.len() > 1 {
+            return Err(Failure::usage("--eyes quad shows four views of one camera; several are named"));
+        }
+        let overlays = Overlays::parse(&args.show.join(",")).map_err(Failure::usage)?;
         let mut eye = match Eye::new(folder.map(Path::to_owned)) {
             Ok(eye) => eye,
             Err(error) => {
@@ -46,19 +53,17 @@ impl Photographer {
                 return Ok(None);
             }
         };
-        eye.quality = match args.care {
-            Care::Plain => Quality::PLAIN,
-            Care::Full => Quality::FULL,
-            Care::Fine => Quality::FINE,
-        };
+        eye.quality = args.care.map_or(Quality::FINE, Care::quality);
+        eye.renderer_mut().overlays = overlays;
         let (width, height) = args.size;
-        let stereo = Stereo { interocular: args.interocular, convergence: args.convergence };
+        let stereo = args.stereo();
         let layout = match args.eyes {
-            Eyes::One => Layout::Mono,
-            Eyes::SideBySide => Layout::SideBySide(stereo),
-            Eyes::TopBottom => Layout::TopBottom(stereo),
-            Eyes::Rows => Layout::RowInterleaved(stereo),
-            Eyes::Anaglyph => Layout::Anaglyph(stereo),
+            Eyes::One => Some(Layout::Mono),
+            Eyes::SideBySide => Some(Layout::SideBySide(stereo)),
+            Eyes::TopBottom => Some(Layout::TopBottom(stereo)),
+            Eyes::Rows => Some(Layout::RowInterleaved(stereo)),
+            Eyes::Anaglyph => Some(Layout::Anaglyph(stereo)),
+            Eyes::Quad => None,
         };
         let film = args.film.as_ref().map(|file| {
             Film::create(file, [width, height], args.frames_per_second).map(|film| (film, file.clone()))
@@ -67,22 +72,30 @@ impl Photographer {
         Ok(Some(Self {
             eye,
             layout,
-            camera: args.camera.clone(),
+            cameras: args.camera.clone(),
             size: [width, height],
             picture: args.picture.clone(),
             film,
+            motion: Motion::new(),
             frame: SimTime::from_secs_f64(1.0 / args.frames_per_second),
             next: SimTime::ZERO,
             failed: None,
         }))
     }
 
-    /// Adds frames to the film, as many as are due.
+    /// Adds frames to the film, as many as are due: what moves slowly on its way. Whoever looks more often sees more of
+    /// what has been.
     pub fn look(&mut self, scene: &Snapshot, now: SimTime) {
-        if self.film.is_none() || self.failed.is_some() || now < self.next {
+        self.eye.renderer_mut().watch(scene);
+        if self.film.is_none() || self.failed.is_some() {
             return;
         }
-        let taken = self.take(scene);
+        self.motion.feed(scene, now);
+        if now < self.next {
+            return;
+        }
+        let Some(shown) = self.motion.at(now) else { return };
+        let taken = self.take(&shown);
         let Some((film, _)) = &mut self.film else { return };
         let mut shot = Ok(());
         // Whoever was kept away from looking shows what is now for as long as that took.
@@ -98,11 +111,24 @@ impl Photographer {
 
     fn take(&mut self, scene: &Snapshot) -> Result<trocar_viewer::Picture, ViewError> {
         let aspect = Some(f64::from(self.size[0]) / f64::from(self.size[1]));
-        let view = match &self.camera {
+        let view = match self.cameras.first() {
             Some(name) => View::named(scene, name, aspect)?,
             None => View::default_of(scene, aspect),
         };
-        self.eye.picture(scene, &view, &self.layout, self.size)
+        let layout = self.layout.get_or_insert_with(|| {
+            let mut stage = Stage::new();
+            stage.update(scene);
+            Layout::quad(&stage, &view)
+        });
+        if let [_, _, ..] = self.cameras.as_slice() {
+            let mut tiles = Vec::with_capacity(self.cameras.len());
+            for name in &self.cameras {
+                tiles.push(Sight::Free(View::named(scene, name, None)?));
+            }
+            let layout = Layout::grid(tiles).each(layout);
+            return self.eye.picture(scene, &view, &layout, self.size);
+        }
+        self.eye.picture(scene, &view, layout, self.size)
     }
 
     /// Takes the last picture, and completes the film. What could not be drawn or written is a loss that the summary

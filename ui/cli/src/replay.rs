@@ -5,15 +5,17 @@ use std::time::Instant;
 
 use trocar::app::App;
 use trocar::run::task_summary;
-use trocar::summary::{Exit, Mode, RunSummary};
+use trocar::summary::{Exit, Mode, RunSummary, TaskErrorSummary};
 use trocar::trace::RunTrace;
 use trocar_kernel::recorder::{Recording, RecordingError, Replay};
 use trocar_scene::{CollisionList, DeviceState, SimTime};
+use trocar_viewer::window::subject::{Mark, Note};
 
 use crate::args::ReplayArgs;
 use crate::failure::Failure;
 use crate::pictures::Photographer;
 use crate::report::{self, Report};
+use crate::window::{self, Findings};
 use crate::{output, run};
 
 /// Between two samples of the trace.
@@ -21,9 +23,28 @@ const SAMPLE_EVERY: SimTime = SimTime::from_millis(10);
 
 /// Plays a recording back.
 pub fn replay(app: &App, args: &ReplayArgs) -> Result<Exit, Failure> {
+    let by_default = !(args.json || args.pictures.are_asked_for() || args.report.is_some());
+    let Some(windows) = window::connect(&args.window, by_default)? else {
+        if args.beside.is_some() {
+            return Err(Failure::usage("--beside needs a window, and there is none here"));
+        }
+        return check(app, args, &|_| {});
+    };
+    let files = std::iter::once(&args.file).chain(&args.beside);
+    let recordings: Result<Vec<_>, _> = files.map(|file| Recording::open(file)).collect();
+    let recordings = recordings.map_err(Failure::invalid)?;
+    window::with_recordings(app, windows, &args.pictures, args.folder.as_deref(), &recordings, |found| {
+        // While people look, it is played once more as fast as it goes, and checked.
+        check(app, args, &|findings| drop(found.send(findings)))
+    })
+}
+
+/// Plays a recording from start to end, checks it, and says what came of it.
+fn check(app: &App, args: &ReplayArgs, tell: &dyn Fn(Findings)) -> Result<Exit, Failure> {
     let mut summary = RunSummary::new("", Mode::Replay, 0);
     summary.recording = Some(args.file.display().to_string());
     let result = attempt(app, args, &mut summary);
+    tell(findings(&summary, &result));
     if let Err(failure) = &result {
         summary.error = Some(failure.message.clone());
     }
@@ -36,6 +57,20 @@ pub fn replay(app: &App, args: &ReplayArgs) -> Result<Exit, Failure> {
         }
     }
     result
+}
+
+/// What stands on the timeline of a recording, and what to tell people who look.
+fn findings(summary: &RunSummary, result: &Result<Exit, Failure>) -> Findings {
+    let error = |error: &TaskErrorSummary| Mark {
+        time: SimTime::from_secs_f64(error.at_secs),
+        what: error.kind.replace('_', " "),
+        bad: true,
+    };
+    let note = match result {
+        Ok(_) => Note { text: "the recording replays to its own state hashes".to_owned(), bad: false },
+        Err(failure) => Note { text: failure.message.clone(), bad: true },
+    };
+    Findings { marks: summary.task.errors.iter().map(error).collect(), note }
 }
 
 fn attempt(app: &App, args: &ReplayArgs, summary: &mut RunSummary) -> Result<Exit, Failure> {

@@ -1,14 +1,15 @@
 //! `trocar run`: a scenario from start to end, with a table while it runs and a report after it.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use trocar::app::App;
 use trocar::plans::{PLANS, PlanError};
+use trocar::play::Bindings;
 use trocar::run::{RunOptions, RunOutcome};
-use trocar::summary::{Exit, Mode, RunSummary};
+use trocar::summary::{Exit, Mode, RunSummary, TaskSummary};
 use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::supervision::{Cause, Incident};
 use trocar_scene::scenario::Scenario;
@@ -20,10 +21,67 @@ use crate::output;
 use crate::pictures::Photographer;
 use crate::report::{self, Report, short};
 use crate::tune::{self, Desk};
+use crate::window::{self, Attendant, Next, Show};
 
-/// Runs what the command line asks for.
+/// Runs what the command line asks for, in a window where there is a display.
 pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
-    match attempt(app, args) {
+    let by_default = !(args.json || args.lockstep || args.pictures.are_asked_for());
+    let Some(windows) = window::connect(&args.window, by_default)? else {
+        return told(args, attempt(app, args, 1, None));
+    };
+    let bindings = match &args.bindings {
+        Some(file) => bindings(file)?,
+        None => Bindings::default(),
+    };
+    // What cannot begin is said before a window opens.
+    let (scenario, _) = tune::scenario(app, &args.session)?;
+    let show = Show {
+        title: if scenario.title.is_empty() { scenario.name.clone() } else { scenario.title.clone() },
+        folder: Some(scenario.folder().to_owned()),
+        first: Arc::new(scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot()),
+        play: args.play.then_some(bindings),
+    };
+    window::with_session(windows, &args.pictures, show, |mut attendant| {
+        let mut number = 0_u32;
+        loop {
+            number = number.saturating_add(1);
+            let outcome = attempt(app, args, number, Some(&mut attendant));
+            let (verdict, bad) = match &outcome {
+                Ok((summary, exit)) => (verdict(summary), *exit != Exit::Ok),
+                Err(failure) => (failure.message.clone(), true),
+            };
+            let next = attendant.wait(verdict, bad);
+            let told = told(args, outcome);
+            if next == Next::End {
+                return told;
+            }
+            if let Err(failure) = told {
+                crate::say(&failure.message);
+            }
+        }
+    })
+}
+
+/// How it ended, for people who look at a window.
+fn verdict(summary: &RunSummary) -> String {
+    let task = &summary.task;
+    if !is_exercise(task) {
+        return "it has ended; Backspace: once more".to_owned();
+    }
+    let how = if task.completed { "completed" } else { "not completed" };
+    let score = task.score.map_or(String::new(), |score| format!(", score {score:.1}"));
+    format!("{how}{score}; Backspace: once more")
+}
+
+fn bindings(file: &Path) -> Result<Bindings, Failure> {
+    let text = std::fs::read_to_string(file)
+        .map_err(|error| Failure::invalid(format!("{}: {error}", file.display())))?;
+    Bindings::parse(&text).map_err(|error| Failure::invalid(format!("{}: {error}", file.display())))
+}
+
+/// Prints what came of a run.
+fn told(args: &RunArgs, outcome: Result<(RunSummary, Exit), Failure>) -> Result<Exit, Failure> {
+    match outcome {
         Ok((summary, exit)) => {
             if args.json {
                 output::print_json(&summary)?;
@@ -41,13 +99,20 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
     }
 }
 
-fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
+/// One session from start to end: the first one, or one more.
+fn attempt(
+    app: &App,
+    args: &RunArgs,
+    number: u32,
+    mut attendant: Option<&mut Attendant>,
+) -> Result<(RunSummary, Exit), Failure> {
     let (scenario, tuner) = tune::scenario(app, &args.session)?;
+    let stem = file_stem(&scenario);
     let record = (!args.no_record).then(|| {
-        args.record.clone().unwrap_or_else(|| PathBuf::from(format!("{}.mcap", file_stem(&scenario))))
+        numbered(args.record.clone().unwrap_or_else(|| PathBuf::from(format!("{stem}.mcap"))), number)
     });
     let report_file = (!args.no_report).then(|| {
-        args.report.clone().unwrap_or_else(|| PathBuf::from(format!("report-{}.html", file_stem(&scenario))))
+        numbered(args.report.clone().unwrap_or_else(|| PathBuf::from(format!("report-{stem}.html"))), number)
     });
     for file in record.iter().chain(&report_file) {
         output::check_writable(file)?;
@@ -64,13 +129,16 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
         tracing::warn!("in lock-step there is no real time, so these actors are left out: {names}");
     }
 
-    if options.play {
+    if options.play && attendant.is_none() {
         tracing::warn!(
-            "nobody drives the hands yet: they rest until a window or a program writes 'person_input'"
+            "without a window nobody drives the hands: they rest until a program writes 'person_input'"
         );
     }
+    if let Some(attendant) = &mut attendant {
+        attendant.prepare(&mut options);
+    }
 
-    let mut display = Display::new(&scenario, &options, args.headless || args.json);
+    let mut display = Display::new(&scenario, &options, args.window.headless || args.json);
     let mut desk = Desk::new(app, &scenario, tuner);
     if !args.lockstep {
         // In virtual time a session is over before anybody could say something to it.
@@ -84,6 +152,9 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
         if let Some(photographer) = &mut photographer {
             photographer.look(progress.scene, progress.now);
         }
+        if let Some(attendant) = &mut attendant {
+            attendant.attend(progress, &mut desk);
+        }
     });
     desk.close();
     display.clear();
@@ -92,6 +163,9 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
         photographer.finish(&outcome.kernel.snapshot, &mut outcome.summary);
     }
     outcome.summary.tuned = desk.tuned(&outcome.kernel.snapshot);
+    if let Some(attendant) = attendant {
+        attendant.ended(outcome.kernel.snapshot.clone());
+    }
 
     if let Some(file) = report_file {
         outcome.summary.report = Some(file.display().to_string());
@@ -114,6 +188,16 @@ fn attempt(app: &App, args: &RunArgs) -> Result<(RunSummary, Exit), Failure> {
         }
     }
     Ok((outcome.summary, exit))
+}
+
+/// The file of another try stands beside that of the first one.
+fn numbered(file: PathBuf, number: u32) -> PathBuf {
+    if number == 1 {
+        return file;
+    }
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let ending = file.extension().map_or(String::new(), |ending| format!(".{}", ending.to_string_lossy()));
+    file.with_file_name(format!("{stem}-{number}{ending}"))
 }
 
 /// Options that every command with a session shares; an interrupt ends the session in good order.
@@ -219,6 +303,11 @@ fn cause(cause: &Cause) -> String {
     }
 }
 
+/// Whether there was something to do. What there is not is not left undone, and has no score.
+fn is_exercise(task: &TaskSummary) -> bool {
+    !task.completed || task.score.is_some()
+}
+
 /// What a person wants to know after a run.
 pub fn text(summary: &RunSummary) -> String {
     let bold = |text: String| console::style(text).bold().to_string();
@@ -228,17 +317,18 @@ pub fn text(summary: &RunSummary) -> String {
         () if task.cut_off => console::style("cut off").yellow().to_string(),
         () => console::style("not completed").red().to_string(),
     };
-    let score = task.score.map_or("–".to_owned(), |score| format!("{score:.1}"));
-    let mut lines = vec![
-        format!(
-            "{} {verdict} in {:.1} s, {} errors",
-            bold(summary.scenario.clone()),
-            task.seconds,
-            task.errors.len()
-        ),
-        format!("{} / 100  FLS-style score, not clinically validated", bold(format!("score {score}"))),
-        String::new(),
-    ];
+    let scenario = bold(summary.scenario.clone());
+    let mut lines = if is_exercise(task) {
+        let score = task.score.map_or("–".to_owned(), |score| format!("{score:.1}"));
+        let errors = task.errors.len();
+        vec![
+            format!("{scenario} {verdict} in {:.1} s, {errors} errors", task.seconds),
+            format!("{} / 100  FLS-style score, not clinically validated", bold(format!("score {score}"))),
+        ]
+    } else {
+        vec![format!("{scenario}: {:.1} s; there is no exercise in it", summary.sim_secs)]
+    };
+    lines.push(String::new());
     lines.extend(rates(summary));
     lines.push(String::new());
     lines.push(format!(
@@ -302,9 +392,23 @@ fn rates(summary: &RunSummary) -> Vec<String> {
             "p99",
             "missed",
             "restarts",
+            "hits mean",
+            "max",
+            "in ticks",
         ]
     } else {
-        &["controller", "target Hz", "ticks", "step p50 µs", "p99", "rejected", "restarts"]
+        &[
+            "controller",
+            "target Hz",
+            "ticks",
+            "step p50 µs",
+            "p99",
+            "rejected",
+            "restarts",
+            "hits mean",
+            "max",
+            "in ticks",
+        ]
     };
     let rows: Vec<Vec<String>> = summary
         .controllers
@@ -324,6 +428,10 @@ fn rates(summary: &RunSummary) -> Vec<String> {
                 cells.push(row.rejected.to_string());
             }
             cells.push(row.restarts.to_string());
+            cells.extend(match &row.hits {
+                Some(hits) => [format!("{:.1}", hits.mean), hits.max.to_string(), hits.ticks.to_string()],
+                None => ["–", "–", "–"].map(str::to_owned),
+            });
             cells
         })
         .collect();

@@ -63,6 +63,24 @@ fn a_program_with_a_controller_of_its_own_has_the_whole_command_line() {
     assert!(stdout(&run(&["--help"])).contains("Usage: haste"));
 }
 
+/// A viewer that knows nothing of windows and graphics cards, built beside this test as an example.
+#[test]
+fn a_viewer_of_ones_own_shows_a_session_on_a_terminal() {
+    let program = Path::new(env!("CARGO_BIN_EXE_trocar")).with_file_name("examples").join("plan_view");
+    let output = Command::new(&program).output();
+    let output = output.unwrap_or_else(|error| panic!("{}: {error}", program.display()));
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let text = stdout(&output);
+    let pictures: Vec<&str> = text.split("\x1b[H\x1b[2J").skip(1).collect();
+    assert_eq!(pictures.len(), 20);
+    for picture in &pictures {
+        assert_eq!(picture.matches('o').count(), 6, "six rings can move:\n{picture}");
+        assert!(picture.contains('L') && picture.contains('R'), "{picture}");
+    }
+    let place = |picture: &str| picture.find('L');
+    assert!(pictures.iter().any(|picture| place(picture) != place(pictures[0])), "nothing moves:\n{text}");
+}
+
 #[test]
 fn the_fault_table_can_be_asked_for_and_ready_plans_are_known_by_name() {
     let folder = here();
@@ -142,6 +160,44 @@ fn two_processes_with_one_seed_end_in_one_hash_and_another_seed_in_another() {
     let first = hash("7");
     assert_eq!(first, hash("7"));
     assert_ne!(first, hash("8"));
+}
+
+#[test]
+fn the_gallery_of_detectors_tells_rate_cost_and_hits_of_each_method() {
+    let folder = here();
+    let options = ["--seconds", "1.5", "--no-record", "--no-report"];
+    let run =
+        |how: &[&str]| trocar(folder.path(), &[&["run", "collision-gallery"], how, &options[..]].concat());
+    // A live run tells the same of each; how much there is to find in 1.5 s depends on the machine.
+    let live = object(&run(&["--json"]));
+    assert_valid("run", &live);
+    let summary = object(&run(&["--json", "--lockstep"]));
+    assert_valid("run", &summary);
+    let rows = summary["controllers"].as_array().expect("rows");
+    let live = live["controllers"].as_array().expect("rows");
+    let kinds = [
+        "obb-tree",
+        "proximity",
+        "continuous",
+        "spherical-hash",
+        "dynamic-point",
+        "z-buffer",
+        "finger-proxy",
+        "rapier",
+    ];
+    for kind in kinds {
+        let row = rows.iter().find(|row| row["kind"] == kind).unwrap_or_else(|| panic!("no row of {kind}"));
+        let number = |of: &Value| of.as_f64().unwrap_or_else(|| panic!("{kind}: {row}"));
+        assert!(number(&row["hits"]["mean"]) > 0.0 && number(&row["hits"]["max"]) > 0.0, "{row}");
+        assert!(row["hits"]["ticks"].as_u64().is_some_and(|ticks| ticks > 0), "{row}");
+        assert!(number(&row["achieved_hz"]) > 0.0 && number(&row["step_us"]["p50"]) > 0.0, "{row}");
+        assert!(number(&row["step_us"]["p99"]) >= number(&row["step_us"]["p50"]), "{row}");
+        let row = live.iter().find(|row| row["kind"] == kind).unwrap_or_else(|| panic!("no row of {kind}"));
+        assert!(row["hits"]["mean"].is_number() && number(&row["achieved_hz"]) > 0.0, "{row}");
+    }
+    assert!(rows.iter().any(|row| row["kind"] == "haptics" && row["hits"].is_null()), "{rows:?}");
+    let text = stdout(&run(&["--lockstep"]));
+    assert!(text.contains("hits mean") && text.contains("in ticks"), "{text}");
 }
 
 #[test]
@@ -259,7 +315,29 @@ fn lists_graphs_schemas_and_completions_are_printed() {
     let listed: Value = serde_json::from_str(&text(&["list", "controllers", "--json"])).expect("JSON");
     let kinds = listed["controllers"].as_array().expect("a list");
     let names: Vec<&str> = kinds.iter().filter_map(|kind| kind["name"].as_str()).collect();
-    assert_eq!(names, ["autopilot", "haptics", "manual", "peg-transfer", "rapier"]);
+    assert_eq!(
+        names,
+        [
+            "autopilot",
+            "continuous",
+            "dynamic-fem",
+            "dynamic-point",
+            "electrosurgery",
+            "finger-proxy",
+            "haptics",
+            "instruments",
+            "manual",
+            "mass-spring",
+            "obb-tree",
+            "outcome",
+            "path",
+            "peg-transfer",
+            "proximity",
+            "rapier",
+            "spherical-hash",
+            "z-buffer"
+        ]
+    );
     for kind in kinds {
         assert!(kind["about"].as_str().is_some_and(|about| about.len() > 20), "{kind}");
         assert!(kind["rate_hz"].as_f64().is_some_and(|hz| hz >= 100.0), "{kind}");
@@ -365,7 +443,7 @@ fn a_session_that_nobody_drives_yet_rests_and_says_so() {
     let quiet = ["--lockstep", "--seconds", "0.5", "--no-record", "--no-report", "--json"];
     let output = trocar(folder.path(), &[&["run", "peg-transfer", "--play"], &quiet[..]].concat());
     assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
-    assert!(stderr(&output).contains("nobody drives the hands yet"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("nobody drives the hands: they rest"), "{}", stderr(&output));
     let summary = object(&output);
     assert_valid("run", &summary);
     let names: Vec<&str> = summary["controllers"]

@@ -58,6 +58,27 @@ fn a_run_leaves_a_picture_and_a_film_and_a_replay_of_it_the_same_picture() {
 }
 
 #[test]
+fn what_happens_is_shown_over_the_scene_and_several_views_share_a_picture() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let picture = |name: &str, more: &[&str]| {
+        let small = ["--size", "160x120", "--quality", "plain", "--no-record", "--picture", name];
+        let output = trocar(folder.path(), &[&SHORT[..], &small, more].concat(), &[]);
+        assert_eq!(object(&output)["pictures"], serde_json::json!([name]), "{more:?}");
+        assert_eq!(size_of_png(&folder.path().join(name)), [160, 120]);
+        std::fs::read(folder.path().join(name)).expect("a picture")
+    };
+    let plain = picture("plain.png", &[]);
+    for (name, more) in [
+        ("show.png", ["--show", "contacts,forces,wireframe"]),
+        ("trails.png", ["--show", "trails"]),
+        ("quad.png", ["--eyes", "quad"]),
+        ("tiles.png", ["--camera", "camera,camera"]),
+    ] {
+        assert_ne!(picture(name, &more), plain, "{more:?}");
+    }
+}
+
+#[test]
 fn without_a_graphics_adapter_the_run_goes_on_and_says_so() {
     let folder = tempfile::tempdir().expect("a folder");
     let run = [&SHORT[..], &["--picture", "run.png", "--no-record"]].concat();
@@ -78,6 +99,7 @@ fn what_cannot_be_shown_is_refused_before_anything_runs() {
         (["--film", "run.mp4", "--fps", "25"], ".gif"),
         (["--picture", "run.png", "--size", "0x10"], "WIDTHxHEIGHT"),
         (["--film", "run.gif", "--fps", "1000"], "240"),
+        (["--picture", "run.png", "--show", "contact"], "did you mean 'contacts'?"),
     ] {
         let output = trocar(folder.path(), &[&SHORT[..5], &arguments[..]].concat(), &[]);
         let stderr = String::from_utf8_lossy(&output.stderr).into_owned();

@@ -22,9 +22,14 @@ use crate::kinds;
 use crate::run::RunOptions;
 
 /// Scenarios that are part of the program: (name, text).
-pub const SCENARIOS: [(&str, &str); 2] = [
+pub const SCENARIOS: [(&str, &str); 7] = [
     ("peg-transfer", include_str!("../../../scenarios/peg-transfer.toml")),
     ("wall", include_str!("../../../scenarios/wall.toml")),
+    ("collision-gallery", include_str!("../../../scenarios/collision-gallery.toml")),
+    ("cautery", include_str!("../../../scenarios/cautery.toml")),
+    ("cloth-cut", include_str!("../../../scenarios/cloth-cut.toml")),
+    ("soft-stomach", include_str!("../../../scenarios/soft-stomach.toml")),
+    ("two-rates", include_str!("../../../scenarios/two-rates.toml")),
 ];
 
 /// What a kind of controller is made from: its place in the scenario, the hands, the options of the run.
@@ -173,6 +178,8 @@ impl App {
         let standard = [
             trocar_scene::components::register,
             trocar_engine::register,
+            trocar_collision::controller::register,
+            trocar_simulator::controller::register,
             trocar_tasks::register,
             trocar_input::register,
         ];

@@ -139,6 +139,7 @@ impl Assembly {
             roles,
             until: options.seconds.map(SimTime::from_secs_f64),
             faults: options.faults.clone(),
+            fault_targets: options.fault_targets.clone(),
         };
         let spec = plan.first(options.seed, &ports);
         Ok(Self { spec, hands, plan: Arc::new(plan), actors: app.actors.clone() })

@@ -5,23 +5,36 @@ use std::sync::Arc;
 use serde::Deserialize;
 use serde::de::value::Error as ValueError;
 use serde::de::{DeserializeOwned, IntoDeserializer};
+use trocar_collision::controller::{
+    ContinuousConfig, ContinuousController, DynamicPointConfig, DynamicPointController, FingerProxyConfig,
+    FingerProxyController, ObbTreeConfig, ObbTreeController, ProximityConfig, ProximityController,
+    SphericalHashConfig, SphericalHashController, ZBufferConfig, ZBufferController,
+};
 use trocar_engine::{EngineController, EngineSettings};
 use trocar_haptics::renderer::RendererConfig;
 use trocar_haptics::{HapticsConfig, HapticsController};
 use trocar_input::manual::controller::sit_down;
-use trocar_input::{AutopilotConfig, AutopilotController, ManualConfig, ManualController, Skill};
+use trocar_input::{
+    AutopilotConfig, AutopilotController, ManualConfig, ManualController, PathConfig, PathController, Skill,
+};
 use trocar_kernel::spec::{Factory, Fence};
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::{Params, ScenarioError};
 use trocar_scene::{BuildContext, Controller, ControllerError};
+use trocar_simulator::controller::{
+    DynamicFemController, ElectrosurgeryController, InstrumentsConfig, InstrumentsController,
+    MassSpringController,
+};
 use trocar_tasks::peg_transfer_controller::mirrored_start;
-use trocar_tasks::{PegTransferConfig, PegTransferController};
+use trocar_tasks::{OutcomeConfig, OutcomeController, PegTransferConfig, PegTransferController};
 
 use crate::app::{Blueprint, Kind, KindContext, KindInfo};
 use crate::hands::{HandFence, HandPort};
 
 /// The kind of controller through which a person moves the hands.
 pub(crate) const MANUAL: &str = "manual";
+/// The kind of a movement that the scenario writes down, in whose place as well a person moves the hand.
+pub(crate) const PATH: &str = "path";
 /// The kind of the virtual trainee, whose place a person takes.
 pub(crate) const AUTOPILOT: &str = "autopilot";
 
@@ -37,6 +50,74 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
             "rapier",
             KindInfo::new("physics of rigid bodies: contacts, friction, grasping", 500.0),
             Arc::new(rapier),
+        ),
+        (
+            "obb-tree",
+            KindInfo::new("finds where surfaces are in each other: trees of oriented boxes", 500.0),
+            Arc::new(obb_tree),
+        ),
+        (
+            "proximity",
+            KindInfo::new("finds the nearest points of surfaces, which push before they touch", 500.0),
+            Arc::new(proximity),
+        ),
+        (
+            "spherical-hash",
+            KindInfo::new("finds what touches a deforming body: a local spherical hash", 100.0),
+            Arc::new(spherical_hash),
+        ),
+        (
+            "dynamic-point",
+            KindInfo::new("finds where shafts touch surfaces: the dynamic point of a line", 1_000.0),
+            Arc::new(dynamic_point),
+        ),
+        (
+            "finger-proxy",
+            KindInfo::new("lets hands feel surfaces: a proxy that never passes them", 1_000.0),
+            Arc::new(finger_proxy),
+        ),
+        (
+            "z-buffer",
+            KindInfo::new("finds what shafts meet and have swept over: images of depth", 500.0),
+            Arc::new(z_buffer),
+        ),
+        (
+            "continuous",
+            KindInfo::new("finds what goes through something between two ticks, however fast", 500.0),
+            Arc::new(continuous),
+        ),
+        (
+            "dynamic-fem",
+            KindInfo::new("moves soft volumes: implicit finite elements", 100.0),
+            Arc::new(dynamic_fem),
+        ),
+        (
+            "electrosurgery",
+            KindInfo::new("heats, burns and removes tissue under electrodes that are switched on", 100.0),
+            Arc::new(electrosurgery),
+        ),
+        (
+            "instruments",
+            KindInfo::new(
+                "puts instruments where their hands are, and tells hands what pushes them",
+                1_000.0,
+            ),
+            Arc::new(instruments),
+        ),
+        (
+            "mass-spring",
+            KindInfo::new("moves threads, cloth, tubes and volumes of masses and springs", 500.0),
+            Arc::new(mass_spring),
+        ),
+        (
+            "outcome",
+            KindInfo::new("judges a scene by what simulators measure of it", 100.0),
+            Arc::new(outcome),
+        ),
+        (
+            PATH,
+            KindInfo::new("moves a virtual hand along a path that the scenario writes down", 200.0),
+            Arc::new(path),
         ),
         (
             "peg-transfer",
@@ -131,7 +212,84 @@ fn rapier(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     let mut config: EngineSettings = parse_or_default(&context.entry.params)?;
     config.gravity_in_world = context.scenario.gravity_in_world;
     config.check().map_err(|error| context.entry.params.error(error.to_string()))?;
-    Ok(plain(RuntimeClass::Simulation, move |context| Ok(EngineController::new(context, config)?)))
+    Ok(plain(RuntimeClass::Simulation, move |context| Ok(EngineController::new(context, config.clone())?)))
+}
+
+fn obb_tree(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: ObbTreeConfig = context.entry.params.parse()?;
+    Ok(plain(RuntimeClass::Collision, move |context| ObbTreeController::new(&config, context)))
+}
+
+fn proximity(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: ProximityConfig = context.entry.params.parse()?;
+    Ok(plain(RuntimeClass::Collision, move |context| ProximityController::new(&config, context)))
+}
+
+fn spherical_hash(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: SphericalHashConfig = context.entry.params.parse()?;
+    Ok(plain(RuntimeClass::Collision, move |context| SphericalHashController::new(&config, context)))
+}
+
+fn finger_proxy(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: FingerProxyConfig = context.entry.params.parse()?;
+    Ok(plain(RuntimeClass::Collision, move |context| FingerProxyController::new(&config, context)))
+}
+
+fn z_buffer(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: ZBufferConfig = context.entry.params.parse()?;
+    Ok(plain(RuntimeClass::Collision, move |context| ZBufferController::new(&config, context)))
+}
+
+fn continuous(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: ContinuousConfig = context.entry.params.parse()?;
+    Ok(plain(RuntimeClass::Collision, move |context| ContinuousController::new(&config, context)))
+}
+
+fn dynamic_point(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: DynamicPointConfig = context.entry.params.parse()?;
+    Ok(plain(RuntimeClass::Collision, move |context| DynamicPointController::new(&config, context)))
+}
+
+fn instruments(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: InstrumentsConfig = parse_or_default(&context.entry.params)?;
+    config.check().map_err(|reason| context.entry.params.error(reason))?;
+    Ok(plain(RuntimeClass::Simulation, move |context| InstrumentsController::new(config, context)))
+}
+
+fn dynamic_fem(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    nothing(&context.entry.params)?;
+    let gravity = context.scenario.gravity_in_world;
+    Ok(plain(RuntimeClass::Simulation, move |context| DynamicFemController::new(gravity, context)))
+}
+
+fn electrosurgery(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    nothing(&context.entry.params)?;
+    Ok(plain(RuntimeClass::Simulation, ElectrosurgeryController::new))
+}
+
+fn mass_spring(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    nothing(&context.entry.params)?;
+    let gravity = context.scenario.gravity_in_world;
+    Ok(plain(RuntimeClass::Simulation, move |context| MassSpringController::new(gravity, context)))
+}
+
+fn outcome(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: OutcomeConfig = context.scenario.task.parse()?;
+    config.check().map_err(|reason| context.scenario.task.error(reason))?;
+    Ok(plain(RuntimeClass::Task, move |context| OutcomeController::new(&config, context)))
+}
+
+fn path(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let config: PathConfig = context.entry.params.parse()?;
+    Ok(plain(RuntimeClass::Task, move |context| PathController::new(&config, context)))
+}
+
+/// Refuses parameters of a kind that has none: what it needs is at the entities.
+fn nothing(params: &Params) -> Result<(), ScenarioError> {
+    #[derive(Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Nothing {}
+    params.parse::<Nothing>().map(drop)
 }
 
 /// The exercise's parameters with what the user asked for.

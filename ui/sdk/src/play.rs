@@ -37,7 +37,7 @@ pub use trocar_input::manual::{Bindings, BindingsError, Control, Controls, Manua
 
 use crate::app::joining;
 use crate::assembly::AssemblyError;
-use crate::kinds::{AUTOPILOT, MANUAL};
+use crate::kinds::{AUTOPILOT, MANUAL, PATH};
 
 /// Ticks per second of the person's controller where no virtual trainee says it \[Hz\].
 const RATE_HZ: f64 = 100.0;
@@ -56,17 +56,15 @@ pub fn played(scenario: &Scenario) -> Result<Scenario, AssemblyError> {
         return Err(AssemblyError::NoHands(scenario.name.clone()));
     }
     let mut played = scenario.clone();
-    let is = |kind: &'static str| move |entry: &trocar_scene::ControllerEntry| entry.kind == kind;
-    let trainee = played.controllers.iter().position(is(AUTOPILOT));
-    let already = played.controllers.iter().any(is(MANUAL));
-    match trainee {
-        Some(at) if already => {
-            played.controllers.remove(at);
-        }
+    let is_trainee = |entry: &trocar_scene::ControllerEntry| [AUTOPILOT, PATH].contains(&entry.kind.as_str());
+    let already = played.controllers.iter().any(|entry| entry.kind == MANUAL);
+    match played.controllers.iter().position(is_trainee) {
+        _ if already => {}
+        // One person for all hands that were moved.
         Some(at) => played.controllers[at] = joining(MANUAL, MANUAL, played.controllers[at].rate_hz),
-        None if already => {}
         None => played.controllers.push(joining(MANUAL, MANUAL, RATE_HZ)),
     }
+    played.controllers.retain(|entry| !is_trainee(entry));
     Ok(played)
 }
 
@@ -89,6 +87,10 @@ mod tests {
         let transfer = controllers("peg-transfer");
         assert_eq!(transfer[4], manual());
         assert!(transfer.iter().all(|(_, kind, _)| kind != AUTOPILOT) && transfer.len() == 5);
+        // Two paths for two hands, and one person in their place.
+        let cut = controllers("cloth-cut");
+        assert!(cut.iter().all(|(_, kind, _)| kind != PATH), "{cut:?}");
+        assert_eq!(cut.iter().filter(|(_, kind, _)| kind == MANUAL).count(), 1);
         assert_eq!(controllers("wall")[2..], [manual()]);
     }
 

@@ -12,7 +12,7 @@ use trocar_kernel::faults::{FaultPlan, Measured};
 use trocar_kernel::live::LiveError;
 use trocar_kernel::recorder::{self, Recorder, RecorderError, RecorderOptions, RecordingHead};
 use trocar_kernel::runtime::ControllerReport;
-use trocar_kernel::spec::{MODEL, RECORDER, SessionOutcome};
+use trocar_kernel::spec::{FaultSink, MODEL, RECORDER, SessionOutcome};
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState};
 
@@ -25,6 +25,16 @@ use crate::trace::RunTrace;
 
 /// How often a run looks at its session.
 const LOOK_EVERY: SimTime = SimTime::from_millis(20);
+
+/// Parts of a program that faults can be aimed at, by name.
+#[derive(Clone, Default)]
+pub struct FaultTargets(pub Vec<(String, Arc<dyn FaultSink>)>);
+
+impl std::fmt::Debug for FaultTargets {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_list().entries(self.0.iter().map(|(name, _)| name)).finish()
+    }
+}
 
 /// What a user asks of a run.
 #[derive(Clone, Debug)]
@@ -39,6 +49,8 @@ pub struct RunOptions {
     pub hands: Vec<(String, String)>,
     /// What shall go wrong.
     pub faults: Option<FaultPlan>,
+    /// Who else faults can be aimed at: what belongs to a program and not to the session.
+    pub fault_targets: FaultTargets,
     /// File to record to.
     pub record: Option<PathBuf>,
     /// How it is recorded.
@@ -61,6 +73,7 @@ impl Default for RunOptions {
             seed: 1,
             hands: Vec::new(),
             faults: None,
+            fault_targets: FaultTargets::default(),
             record: None,
             recorder: RecorderOptions::default(),
             skill: None,
@@ -101,6 +114,8 @@ pub struct Progress<'a> {
     pub now: SimTime,
     /// Time on the wall \[s\].
     pub wall_secs: f64,
+    /// Set by whoever looks, to end the run here.
+    pub end: bool,
 }
 
 /// Everything that is known after a run.
@@ -150,7 +165,8 @@ pub fn start(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Ses
     started
 }
 
-/// Runs a scenario to its end and shows `observer` how it goes, about 50 times per second of the session.
+/// Runs a scenario to its end and shows `observer` how it goes, about 50 times per second of the session. An observer
+/// that takes its time keeps a session in virtual time waiting, and may pause one in real time.
 ///
 /// # Errors
 /// [`RunError`]; a run that started is always finished and summarised.
@@ -172,13 +188,19 @@ pub fn run(
         let now = session.now();
         // The last look before the end: afterwards everybody is stopped.
         health = session.health();
-        observer(&mut Progress {
+        let mut progress = Progress {
             session: &mut session,
             scene: &scene,
             now,
             wall_secs: begun.elapsed().as_secs_f64(),
-        });
-        // A live caller that was kept away does not look several times in a row.
+            end: false,
+        };
+        observer(&mut progress);
+        if progress.end {
+            break;
+        }
+        // A caller that was kept away, or has let time pass itself, does not look several times in a row.
+        let now = session.now();
         while next <= now {
             next += LOOK_EVERY;
         }
@@ -221,6 +243,10 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
     summary.state_hash = Some(outcome.hash.to_string());
     summary.task = task_summary(scene);
     summary.controllers = outcome.controllers.clone();
+    for row in &mut summary.controllers {
+        let entry = scenario.controllers.iter().find(|entry| entry.name == row.name);
+        row.kind = entry.map(|entry| entry.kind.clone());
+    }
     summary.faults = outcome
         .faults
         .iter()

@@ -6,6 +6,7 @@ mod pause;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use arc_swap::ArcSwap;
 use trocar_devices::{DriverStatistics, DriverThread};
 use trocar_kernel::live::{Guest, HostedActor, LiveError, LiveSession, Operator};
 use trocar_kernel::lockstep::LockstepSession;
@@ -13,7 +14,7 @@ use trocar_kernel::operator::{OPERATOR, OperatorError};
 use trocar_kernel::runtime::sched;
 use trocar_kernel::runtime::{Clock, ControllerReport, Standstill};
 use trocar_kernel::spec::SessionOutcome;
-use trocar_kernel::supervision::RuntimeClass;
+use trocar_kernel::supervision::{GroupSpec, RuntimeClass};
 use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot, WriterId};
 
 use crate::assembly::Assembly;
@@ -38,6 +39,18 @@ pub struct Session {
     pub(crate) fences_raised: bool,
     /// In virtual time, what others can be made from.
     pub(crate) origin: Option<Origin>,
+}
+
+/// Reads the latest snapshot of a session from any thread, also after the session's end. Loads a pointer: nobody is
+/// asked, and nobody waits.
+#[derive(Clone)]
+pub struct SceneReader(Arc<ArcSwap<Snapshot>>);
+
+impl SceneReader {
+    /// The latest snapshot.
+    pub fn scene(&self) -> Arc<Snapshot> {
+        self.0.load_full()
+    }
 }
 
 pub(crate) enum Running {
@@ -190,6 +203,15 @@ impl Session {
         }
     }
 
+    /// Where the latest snapshot of a session in real time always is, for readers on other threads; `None` in virtual
+    /// time, where snapshots are those of [`Session::snapshot`].
+    pub fn reader(&self) -> Option<SceneReader> {
+        match &self.running {
+            Running::Lockstep(_) => None,
+            Running::Live(session, _) => Some(SceneReader(session.snapshots())),
+        }
+    }
+
     /// Writes into the running session from outside: what `write` commands becomes one batch, all of it or nothing.
     /// Any component of any entity may be written, whoever else writes it; a controller that does so overwrites it
     /// at its next tick. The batch is screened as everybody's is, stands in the recording and the state hash under
@@ -266,6 +288,14 @@ impl Session {
                     .collect()
             }
             Running::Live(session, _) => session.accesses(),
+        }
+    }
+
+    /// The supervisor tree.
+    pub fn tree(&self) -> Arc<GroupSpec> {
+        match &self.running {
+            Running::Lockstep(session) => session.supervisor().tree().clone(),
+            Running::Live(session, _) => session.tree().clone(),
         }
     }
 

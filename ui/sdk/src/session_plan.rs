@@ -9,6 +9,7 @@ use trocar_scene::{SimTime, Snapshot, Store, TaskState};
 
 use crate::app::{Blueprint, ForHands};
 use crate::hands::{HandFaults, HandPort};
+use crate::run::FaultTargets;
 
 /// How often a session asks whether its exercise is over.
 const STOP_CHECK: SimTime = SimTime::from_millis(20);
@@ -23,6 +24,8 @@ pub(crate) struct SessionPlan {
     pub until: Option<SimTime>,
     /// What shall go wrong; `None`: nothing.
     pub faults: Option<FaultPlan>,
+    /// Who else faults can be aimed at.
+    pub fault_targets: FaultTargets,
 }
 
 /// A controller of the session: its place, and how it is built.
@@ -87,7 +90,10 @@ impl SessionPlan {
     /// The session that the plan was made for.
     pub fn first(&self, seed: u64, hands: &[HandPort]) -> SessionSpec {
         let controllers = self.roles.iter().map(Role::first).collect();
-        self.session(seed, Store::from_snapshot(&self.scene), controllers, hands)
+        let mut spec = self.session(seed, Store::from_snapshot(&self.scene), controllers, hands);
+        // A session made of this one later has windows of its own, if any.
+        spec.fault_sinks.extend(self.fault_targets.0.iter().cloned());
+        spec
     }
 
     /// Another session of the same controllers, beginning in `scene`.

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 pub use trocar_kernel::bench::{Better, Row as BenchResult};
-pub use trocar_kernel::runtime::{ControllerReport as ControllerSummary, Quantiles};
+pub use trocar_kernel::runtime::{ControllerReport as ControllerSummary, Hits, Quantiles};
 use trocar_kernel::spec::FaultKind;
 
 /// Version of the objects in this file; it rises when a field changes its meaning or goes away.

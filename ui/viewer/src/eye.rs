@@ -17,6 +17,7 @@ pub struct Eye {
     gpu: Gpu,
     renderer: Renderer,
     target: Option<wgpu::Texture>,
+    folder: Option<PathBuf>,
     /// With how much care pictures are drawn.
     pub quality: Quality,
 }
@@ -28,8 +29,19 @@ impl Eye {
     /// [`ViewError::NoAdapter`], [`ViewError::Refused`].
     pub fn new(folder: Option<PathBuf>) -> Result<Self, ViewError> {
         let gpu = Gpu::headless()?;
-        let renderer = Renderer::new(&gpu, folder);
-        Ok(Self { gpu, renderer, target: None, quality: Quality::FINE })
+        let renderer = Renderer::new(&gpu, folder.clone());
+        Ok(Self { gpu, renderer, target: None, folder, quality: Quality::FINE })
+    }
+
+    /// Begins again on any adapter that there is now, after a device was lost. On an error everything stays as it was.
+    ///
+    /// # Errors
+    /// [`ViewError::NoAdapter`], [`ViewError::Refused`].
+    pub fn renew(&mut self) -> Result<(), ViewError> {
+        let mut anew = Self { quality: self.quality, ..Self::new(self.folder.clone())? };
+        anew.renderer.overlays = self.renderer.overlays.clone();
+        *self = anew;
+        Ok(())
     }
 
     /// What draws.
@@ -40,6 +52,11 @@ impl Eye {
     /// What lies on it.
     pub fn renderer(&self) -> &Renderer {
         &self.renderer
+    }
+
+    /// What lies on it, with what is shown over scenes.
+    pub fn renderer_mut(&mut self) -> &mut Renderer {
+        &mut self.renderer
     }
 
     /// The scene through a view.
@@ -53,6 +70,7 @@ impl Eye {
         layout: &Layout,
         size: [u32; 2],
     ) -> Result<Picture, ViewError> {
+        self.gpu.check()?;
         targets::check_size(&self.gpu, size)?;
         let fits = |texture: &wgpu::Texture| [texture.width(), texture.height()] == size;
         let target = self.target.take().filter(fits);
@@ -69,6 +87,7 @@ impl Eye {
     /// # Errors
     /// [`ViewError::Size`], [`ViewError::DeviceLost`].
     pub fn probe(&mut self, scene: &Snapshot, view: &View, size: [u32; 2]) -> Result<Probe, ViewError> {
+        self.gpu.check()?;
         targets::check_size(&self.gpu, size)?;
         self.renderer.update(&self.gpu, scene);
         self.renderer.probe(&self.gpu, scene, view, size)

@@ -21,6 +21,8 @@ pub struct Geometry {
     pub uvs: Vec<[f32; 2]>,
     /// Corners, three per triangle, counter-clockwise seen from outside.
     pub indices: Vec<u32>,
+    /// The vertex of the entity that each one follows; empty for what is not divided as the entity's vertices are.
+    pub sources: Vec<u32>,
     /// Radius about the frame's origin that holds all of it \[m\].
     pub radius: f32,
 }
@@ -38,6 +40,7 @@ impl Geometry {
             normals: split.normals.iter().map(single).collect(),
             uvs: split.uvs.iter().map(|uv| uv.map(|part| part as f32)).collect(),
             indices: split.triangles.iter().flatten().copied().collect(),
+            sources: split.sources.clone(),
             radius: 0.0,
         };
         geometry.measure();

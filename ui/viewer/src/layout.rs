@@ -1,6 +1,13 @@
 //! Several views in one picture.
 
-use crate::view::View;
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_scene::{Entity, Snapshot};
+
+use crate::stage::{Part, Stage};
+use crate::view::{Lens, View};
+
+/// Field of view of what is to look as if it were seen from infinitely far away \[rad\].
+const NARROW: f64 = 0.1;
 
 /// A part of a picture, in shares of its width and height from the left and the top.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,6 +26,16 @@ impl Pane {
     /// All of the picture.
     pub const WHOLE: Self = Self { x: 0.0, y: 0.0, width: 1.0, height: 1.0 };
 
+    /// The part of `outer` that it is, when it is given in shares of that one.
+    pub fn within(&self, outer: &Self) -> Self {
+        Self {
+            x: outer.x + self.x * outer.width,
+            y: outer.y + self.y * outer.height,
+            width: self.width * outer.width,
+            height: self.height * outer.height,
+        }
+    }
+
     /// Its pixels in a picture of this size: left, top, width, height; at least one pixel.
     pub fn pixels(&self, [width, height]: [u32; 2]) -> [u32; 4] {
         let edge = |share: f64, side: u32| (share.clamp(0.0, 1.0) * f64::from(side)).round() as u32;
@@ -29,7 +46,7 @@ impl Pane {
 }
 
 /// How views share a picture.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub enum Layout {
     /// One view.
     #[default]
@@ -42,6 +59,40 @@ pub enum Layout {
     RowInterleaved(Stereo),
     /// Red from the left eye, green and blue from the right.
     Anaglyph(Stereo),
+    /// Any number of views, each in a part of the picture; later ones lie over earlier ones.
+    Tiles(Vec<Tile>),
+}
+
+/// Through what a tile is seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Sight {
+    /// The view that the whole picture is drawn through.
+    #[default]
+    Given,
+    /// A camera of the scene, wherever it goes. A tile whose camera is gone stays empty.
+    Camera(Entity),
+    /// A view of its own.
+    Free(View),
+}
+
+/// One of several views. Its lens takes the shape of its pane.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tile {
+    /// Which part of the picture it is.
+    pub pane: Pane,
+    /// Through what it is seen.
+    pub sight: Sight,
+    /// Where its own eye is in the frame of that view.
+    pub view_from_eye: Isometry3<f64>,
+    /// One eye or two within the tile, or tiles again.
+    pub layout: Layout,
+}
+
+impl Tile {
+    /// Seen with one eye.
+    pub fn new(pane: Pane, sight: Sight) -> Self {
+        Self { pane, sight, view_from_eye: Isometry3::identity(), layout: Layout::Mono }
+    }
 }
 
 /// Two eyes.
@@ -70,24 +121,128 @@ pub enum Weave {
     Colors,
 }
 
+/// What is drawn into one pane.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shot {
+    /// Which part of the picture it is.
+    pub pane: Pane,
+    /// From between the eyes.
+    pub centre: View,
+    /// One eye, or the left and the right one.
+    pub eyes: Vec<View>,
+    /// How two become one.
+    pub weave: Weave,
+}
+
 impl Layout {
-    /// The eyes of a view, each with its pane, and how they become one picture.
-    pub fn eyes(&self, view: &View) -> (Vec<(Pane, View)>, Weave) {
-        let pair = |stereo: &Stereo, panes: [Pane; 2]| {
-            let eyes = view.stereo(stereo.interocular, stereo.convergence);
-            panes.into_iter().zip(eyes).collect::<Vec<_>>()
+    /// Tiles of one size, row by row from the upper left: as many columns as rows, or one more.
+    pub fn grid(sights: impl IntoIterator<Item = Sight>) -> Self {
+        let sights: Vec<Sight> = sights.into_iter().collect();
+        let columns = (1..=sights.len()).find(|columns| columns * columns >= sights.len()).unwrap_or(1);
+        let rows = sights.len().div_ceil(columns).max(1);
+        let (width, height) = (1.0 / columns as f64, 1.0 / rows as f64);
+        let tile = |(index, sight): (usize, Sight)| {
+            let (row, column) = (index / columns, index % columns);
+            Tile::new(Pane { x: column as f64 * width, y: row as f64 * height, width, height }, sight)
         };
-        let half = |x, y, width, height| Pane { x, y, width, height };
+        Self::Tiles(sights.into_iter().enumerate().map(tile).collect())
+    }
+
+    /// The same tiles, each with that layout; what is no tile stays as it is.
+    #[must_use]
+    pub fn each(mut self, layout: &Self) -> Self {
+        if let Self::Tiles(tiles) = &mut self {
+            tiles.iter_mut().for_each(|tile| tile.layout.clone_from(layout));
+        }
+        self
+    }
+
+    /// Four tiles, as technical drawings have them: the given view, and what it shows from above, from the front (along
+    /// +y) and from the right (along −x), nearly without perspective.
+    pub fn quad(stage: &Stage, view: &View) -> Self {
+        let (centre, radius) = shown(stage, view);
+        let distance = radius / (0.5 * NARROW).tan();
+        let from = |direction: Vector3<f64>, up: Vector3<f64>| {
+            let lens = Lens {
+                field_of_view: NARROW,
+                near: (distance - 3.0 * radius).max(0.2 * distance),
+                far: distance + 20.0 * radius,
+                ..Lens::default()
+            };
+            Sight::Free(View::looking_at(centre + direction * distance, centre, up, lens))
+        };
+        let (x, y, z) = (Vector3::x(), Vector3::y(), Vector3::z());
+        Self::grid([Sight::Given, from(z, y), from(-y, z), from(x, z)])
+    }
+
+    /// What is drawn, in order. `size` is that of the picture \[pixels\].
+    pub fn shots(&self, scene: &Snapshot, view: &View, size: [u32; 2]) -> Vec<Shot> {
+        let mut shots = Vec::new();
+        self.collect(scene, view, Pane::WHOLE, size, &mut shots);
+        shots
+    }
+
+    fn collect(&self, scene: &Snapshot, view: &View, pane: Pane, size: [u32; 2], shots: &mut Vec<Shot>) {
+        let pair = |stereo: &Stereo| view.stereo(stereo.interocular, stereo.convergence);
+        let mut add = |pane, eyes: &[View], weave| {
+            shots.push(Shot { pane, centre: *view, eyes: eyes.to_vec(), weave });
+        };
+        let part = |x, y, width, height| Pane { x, y, width, height }.within(&pane);
         match self {
-            Self::Mono => (vec![(Pane::WHOLE, *view)], Weave::Panes),
+            Self::Mono => add(pane, &[*view], Weave::Panes),
             Self::SideBySide(stereo) => {
-                (pair(stereo, [half(0.0, 0.0, 0.5, 1.0), half(0.5, 0.0, 0.5, 1.0)]), Weave::Panes)
+                let [left, right] = pair(stereo);
+                add(part(0.0, 0.0, 0.5, 1.0), &[left], Weave::Panes);
+                add(part(0.5, 0.0, 0.5, 1.0), &[right], Weave::Panes);
             }
             Self::TopBottom(stereo) => {
-                (pair(stereo, [half(0.0, 0.0, 1.0, 0.5), half(0.0, 0.5, 1.0, 0.5)]), Weave::Panes)
+                let [left, right] = pair(stereo);
+                add(part(0.0, 0.0, 1.0, 0.5), &[left], Weave::Panes);
+                add(part(0.0, 0.5, 1.0, 0.5), &[right], Weave::Panes);
             }
-            Self::RowInterleaved(stereo) => (pair(stereo, [Pane::WHOLE; 2]), Weave::Rows),
-            Self::Anaglyph(stereo) => (pair(stereo, [Pane::WHOLE; 2]), Weave::Colors),
+            Self::RowInterleaved(stereo) => add(pane, &pair(stereo), Weave::Rows),
+            Self::Anaglyph(stereo) => add(pane, &pair(stereo), Weave::Colors),
+            Self::Tiles(tiles) => {
+                for tile in tiles {
+                    let pane = tile.pane.within(&pane);
+                    let [.., width, height] = pane.pixels(size);
+                    let aspect = f64::from(width) / f64::from(height);
+                    let mut own = match tile.sight {
+                        Sight::Given => *view,
+                        Sight::Free(free) => free,
+                        Sight::Camera(camera) => match View::through(scene, camera, None) {
+                            Ok(seen) => seen,
+                            Err(_) => continue,
+                        },
+                    };
+                    own.set_aspect(aspect);
+                    own.world_from_eye *= tile.view_from_eye;
+                    tile.layout.collect(scene, &own, pane, size, shots);
+                }
+            }
         }
     }
+}
+
+/// A ball around what a view shows: centre and radius \[m\]. Shafts reach far out of what is looked at.
+fn shown(stage: &Stage, view: &View) -> (Point3<f64>, f64) {
+    let things = || stage.items().iter().filter(|item| item.part != Part::Shaft);
+    let ball = |item: &crate::stage::Item| {
+        (Point3::from(item.world_from_item.translation.vector), f64::from(item.surface.geometry.radius))
+    };
+    let within = |(centre, _): &(Point3<f64>, f64)| {
+        let seen = view.project(centre);
+        seen.is_some_and(|(at, _)| at.iter().all(|share| (0.0..=1.0).contains(share)))
+    };
+    let mut balls: Vec<_> = things().map(ball).filter(within).collect();
+    if balls.is_empty() {
+        balls = things().map(ball).collect();
+    }
+    let mut ends: Option<(Point3<f64>, Point3<f64>)> = None;
+    for (centre, radius) in balls {
+        let (low, high) = (centre - Vector3::repeat(radius), centre + Vector3::repeat(radius));
+        ends = Some(ends.map_or((low, high), |(min, max)| (min.inf(&low), max.sup(&high))));
+    }
+    let (min, max) = ends.unwrap_or((Point3::new(-0.1, -0.1, -0.1), Point3::new(0.1, 0.1, 0.1)));
+    (nalgebra::center(&min, &max), (0.5 * (max - min)).amax().max(0.01))
 }

@@ -5,11 +5,12 @@
 //!
 //! ```text
 //! Snapshot ─▶ Stage (drawables: geometry, pose, material; only what changed) ─▶ GPU copies ─▶ frames
-//!    Camera, Optics ─▶ View ─▶ Layout (mono, stereo, tiles) ────────────────────────────────▶ panes of a frame
+//!    Camera, Optics, HeadTracked ─▶ View ─▶ Layout (mono, stereo, tiles) ───────────────────▶ panes of a frame
 //! ```
 //!
 //! [`Renderer`] draws into textures; [`Eye`] is the headless one that gives pictures to programs.
 
+pub mod bench;
 pub mod colormap;
 pub mod deform;
 pub mod edit_map;
@@ -20,18 +21,27 @@ pub mod geometry;
 pub mod gpu;
 pub mod layout;
 pub mod lights;
+pub mod motion;
+pub mod off_axis;
+pub mod overlay;
+pub mod pacing;
+pub mod particles;
 pub mod picture;
+pub mod priority;
 pub mod quality;
 pub mod renderer;
 pub mod stage;
 pub mod texture;
 pub mod tube;
 pub mod view;
+pub mod window;
 
 pub use error::ViewError;
 pub use eye::Eye;
 pub use film::Film;
 pub use layout::{Layout, Pane};
+pub use motion::Motion;
+pub use overlay::{Legend, Overlay, Overlays};
 pub use picture::Picture;
 pub use quality::Quality;
 pub use renderer::Renderer;

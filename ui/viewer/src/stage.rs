@@ -74,7 +74,8 @@ pub struct Stage {
     /// Surfaces of shapes that several entities share, by what they are.
     shared: BTreeMap<String, Surface>,
     items: Vec<Item>,
-    seen: Option<Revision>,
+    /// With how often it had been retouched.
+    seen: Option<(Revision, u64)>,
     next_id: u64,
 }
 
@@ -90,13 +91,14 @@ impl Stage {
     }
 
     /// Follows the scene to this snapshot; `false` when nothing had changed. An earlier snapshot than the last one (a
-    /// replay that was wound back, another session) is looked at from the start.
+    /// replay that was wound back, another session) is looked at from the start, as is one that is less retouched.
     pub fn update(&mut self, scene: &Snapshot) -> bool {
-        let revision = scene.revision();
-        if self.seen == Some(revision) {
+        let (revision, retouches) = (scene.revision(), scene.retouches());
+        if self.seen == Some((revision, retouches)) {
             return false;
         }
-        let since = self.seen.filter(|seen| *seen < revision);
+        let follows = |(seen, before): &(Revision, u64)| *seen <= revision && *before <= retouches;
+        let since = self.seen.filter(follows).map(|(seen, _)| seen);
         if since.is_none() {
             self.entries.clear();
         }
@@ -108,7 +110,7 @@ impl Stage {
         self.follow_materials(scene, since);
         self.shared.retain(|_, surface| Arc::strong_count(&surface.geometry) > 1);
         self.place(scene);
-        self.seen = Some(revision);
+        self.seen = Some((revision, retouches));
         true
     }
 

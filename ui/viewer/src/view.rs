@@ -1,9 +1,10 @@
 //! From where a scene is looked at, and through which lens.
 
 use nalgebra::{Isometry3, Matrix4, Point3, Translation3, UnitQuaternion, Vector3};
-use trocar_scene::{Camera, Entity, Optics, Snapshot};
+use trocar_scene::{Camera, Entity, HeadTracked, Optics, Snapshot};
 
 use crate::error::ViewError;
+use crate::off_axis::Eyes;
 
 /// A pinhole camera. Its frame has z along the line of sight, x to the right and y *down* in the picture, as that of
 /// [`Camera`].
@@ -73,12 +74,14 @@ pub struct View {
     pub distortion: f64,
     /// Loss of light at the corner in \[0, 1\].
     pub vignette: f64,
+    /// Where the two eyes of a tracked head are, if it is one that looks.
+    pub eyes: Option<Eyes>,
 }
 
 impl View {
     /// An undistorted view.
     pub fn new(world_from_eye: Isometry3<f64>, lens: Lens) -> Self {
-        Self { world_from_eye, lens, distortion: 0.0, vignette: 0.0 }
+        Self { world_from_eye, lens, distortion: 0.0, vignette: 0.0, eyes: None }
     }
 
     /// From `eye`, looking at `target`, the picture's upper edge towards `up` (all in world).
@@ -97,13 +100,17 @@ impl View {
         Self::new(Isometry3::from_parts(Translation3::from(eye.coords), rotation), lens)
     }
 
-    /// Through a camera of the scene, its optics included; `aspect` replaces the camera's own.
+    /// Through a camera of the scene, its optics included, or with the eyes of the head that is tracked in front of it
+    /// ([`HeadTracked`]); `aspect` replaces the camera's own.
     ///
     /// # Errors
     /// When the entity has no [`Camera`].
     pub fn through(scene: &Snapshot, camera: Entity, aspect: Option<f64>) -> Result<Self, ViewError> {
         let no_camera = || ViewError::NoCamera { name: scene.name(camera), known: cameras(scene) };
         let seen = scene.get::<Camera>(camera).ok_or_else(no_camera)?;
+        if let Some(tracked) = scene.get::<HeadTracked>(camera) {
+            return Ok(Self::of_tracked(scene, camera, seen, tracked, aspect));
+        }
         let lens = Lens {
             field_of_view: seen.field_of_view,
             aspect: aspect.unwrap_or(seen.aspect),
@@ -145,16 +152,12 @@ impl View {
     }
 
     /// Left and right eye: parallel, `interocular` \[m\] apart, their pictures shifted so that what lies at the depth
-    /// `convergence` \[m\] has no parallax (off-axis stereo; Bourke, "Calculating stereo pairs", 1999).
+    /// `convergence` \[m\] has no parallax (off-axis stereo; Bourke, "Calculating stereo pairs", 1999). The eyes of a
+    /// tracked head ([`Self::eyes`]) are where they are, whatever is asked for, and what has no parallax is the screen.
     pub fn stereo(&self, interocular: f64, convergence: f64) -> [Self; 2] {
-        [-1.0, 1.0].map(|side| {
-            let mut eye = *self;
-            let offset = 0.5 * side * interocular;
-            eye.world_from_eye *= Translation3::new(offset, 0.0, 0.0);
-            let half_width = (0.5 * self.lens.field_of_view).tan() * self.lens.aspect * convergence;
-            eye.lens.shift[0] += offset / half_width;
-            eye
-        })
+        let given = Eyes { to_right: Vector3::new(0.5 * interocular, 0.0, 0.0), screen: convergence };
+        let Eyes { to_right, screen } = self.eyes.unwrap_or(given);
+        [-to_right, to_right].map(|offset| self.aside(&offset, screen))
     }
 
     /// `clip_from_world`.
@@ -171,6 +174,41 @@ impl View {
         }
         let clip = self.lens.clip_from_eye() * in_eye.to_homogeneous();
         Some(([0.5 + 0.5 * clip.x / clip.w, 0.5 - 0.5 * clip.y / clip.w], in_eye.z))
+    }
+
+    /// Where the straight picture is looked at by a point of the picture as it is seen through the lens (each coordinate
+    /// from 0 to 1): what `composite.wgsl` does.
+    pub fn through_lens(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let aspect = self.lens.aspect;
+        let offset = [(2.0 * x - 1.0) * aspect, 2.0 * y - 1.0];
+        let r2 = (offset[0] * offset[0] + offset[1] * offset[1]) / (aspect * aspect + 1.0);
+        let bent = (1.0 + self.distortion * r2) / (1.0 + self.distortion);
+        [0.5 + 0.5 * offset[0] * bent / aspect, 0.5 + 0.5 * offset[1] * bent]
+    }
+
+    /// Where a point of the straight picture is seen through the lens: the other way round.
+    pub fn onto_lens(&self, at: [f64; 2]) -> [f64; 2] {
+        let mut seen = at;
+        // A fixed point; lenses bend so little that each step gains more than a digit.
+        for _ in 0..12 {
+            let through = self.through_lens(seen);
+            seen = [seen[0] + at[0] - through[0], seen[1] + at[1] - through[1]];
+        }
+        seen
+    }
+
+    /// The view of a single pixel: of the one in which `at` lies (as for [`Self::ray`]), in a picture of this size.
+    pub fn pixel(&self, at: [f64; 2], size: [u32; 2]) -> Self {
+        let [width, height] = size.map(|side| f64::from(side.max(1)));
+        let centre =
+            |share: f64, side: f64| ((share.clamp(0.0, 1.0) * side).floor().min(side - 1.0) + 0.5) / side;
+        // In the picture's own measure: from −1 to 1, up.
+        let (x, y) = (2.0 * centre(at[0], width) - 1.0, 1.0 - 2.0 * centre(at[1], height));
+        let mut pixel = *self;
+        pixel.lens.field_of_view = 2.0 * ((0.5 * self.lens.field_of_view).tan() / height).atan();
+        pixel.lens.aspect = self.lens.aspect * height / width;
+        pixel.lens.shift = [width * (self.lens.shift[0] - x), height * (self.lens.shift[1] - y)];
+        pixel
     }
 
     /// The ray through a point of the picture (0 to 1 from left and top): its origin and unit direction in world.
@@ -203,6 +241,40 @@ mod tests {
         let along = (point - origin).dot(&direction);
         assert!((origin + direction * along - point).norm() < 1e-12);
         assert!(depth > 0.0 && depth <= along);
+    }
+
+    #[test]
+    fn the_view_of_a_pixel_sees_what_the_pixel_shows() {
+        let lens = Lens { shift: [0.1, -0.2], ..Lens::default() };
+        let eye = Point3::new(0.1, -0.3, 0.2);
+        let view = View::looking_at(eye, Point3::new(0.0, 0.02, 0.0), Vector3::z(), lens);
+        let point = Point3::new(0.02, 0.03, -0.01);
+        let (at, depth) = view.project(&point).unwrap();
+        let size = [640, 480];
+        let (seen, alone) = view.pixel(at, size).project(&point).unwrap();
+        // Anywhere in the whole picture of that one pixel, and off its middle by what the point is.
+        for (axis, side) in [(0, 640.0), (1, 480.0)] {
+            let within = (at[axis] * side).fract();
+            assert!((seen[axis] - within).abs() < 1e-6, "{seen:?} {within}");
+        }
+        assert_eq!(depth, alone);
+    }
+
+    #[test]
+    fn a_lens_leaves_the_middle_and_the_corners_where_they_are() {
+        let mut view =
+            View::looking_at(Point3::new(0.0, -0.3, 0.0), Point3::origin(), Vector3::z(), Lens::default());
+        view.distortion = -0.2;
+        for at in [[0.5, 0.5], [0.0, 0.0], [1.0, 1.0], [0.0, 1.0]] {
+            let through = view.through_lens(at);
+            assert!((through[0] - at[0]).abs() < 1e-12 && (through[1] - at[1]).abs() < 1e-12);
+        }
+        for at in [[0.3, 0.8], [0.05, 0.5], [0.9, 0.1]] {
+            let back = view.through_lens(view.onto_lens(at));
+            assert!((back[0] - at[0]).abs() < 1e-6 && (back[1] - at[1]).abs() < 1e-6, "{at:?} {back:?}");
+        }
+        // A barrel shows more at the sides than a straight picture does at that place.
+        assert!(view.through_lens([0.75, 0.5])[0] > 0.75);
     }
 
     #[test]

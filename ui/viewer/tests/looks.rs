@@ -4,7 +4,7 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Scene, colored, eye, front, mean, picture};
+use common::{Scene, colored, eye, front, grid, mean, picture};
 use nalgebra::{Point3, Vector2};
 use trocar_scene::{
     Burn, Entity, LineMesh, Pose, Shape, SurfaceMesh, Texture, TextureCoordinates, VertexPositions,
@@ -16,19 +16,9 @@ const SIDE: u32 = 128;
 
 /// A wall in front of the eye, `cells` × `cells` squares of 0.2 m in all.
 fn wall(scene: &mut Scene, cells: u32, material: VisualMaterial) -> Entity {
-    let (mut positions, mut uvs, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
-    for row in 0..=cells {
-        for column in 0..=cells {
-            let [u, v] = [column, row].map(|index| f64::from(index) / f64::from(cells));
-            positions.push(Point3::new((u - 0.5) * 0.2, 0.0, (v - 0.5) * 0.2));
-            uvs.push(Vector2::new(u, v));
-            if row < cells && column < cells {
-                let a = row * (cells + 1) + column;
-                let (b, c, d) = (a + 1, a + cells + 2, a + cells + 1);
-                triangles.extend([[a, b, c], [a, c, d]]);
-            }
-        }
-    }
+    let (corners, triangles) = grid(cells);
+    let positions = corners.iter().map(|[u, v]| Point3::new((u - 0.5) * 0.2, 0.0, (v - 0.5) * 0.2)).collect();
+    let uvs = corners.into_iter().map(Vector2::from).collect();
     scene.write(|out| {
         let entity = out.spawn();
         out.put(entity, VertexPositions { positions: Arc::new(positions) });

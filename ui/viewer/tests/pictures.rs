@@ -4,8 +4,10 @@ mod common;
 
 use common::{Scene, colored, eye, front, mean, middle_column, picture};
 use trocar_scene::{Light, Pose, Shape};
+use trocar_viewer::gpu::{Gpu, targets};
 use trocar_viewer::layout::Stereo;
-use trocar_viewer::{Layout, Quality, View, ViewError};
+use trocar_viewer::pacing::Pace;
+use trocar_viewer::{Layout, Picture, Quality, Renderer, View, ViewError};
 
 const SPHERE: Shape = Shape::Sphere { radius: 0.03 };
 
@@ -162,6 +164,38 @@ fn a_shadow_lies_behind_what_throws_it() {
 }
 
 #[test]
+fn shadows_follow_what_throws_them_from_frame_to_frame() {
+    let mut scene = Scene::new();
+    let floor = Shape::Box { half_extents: [0.3, 0.3, 0.005] };
+    let gray = || colored(0.8, 0.8, 0.8);
+    scene.shape(floor, Pose::at(0.0, 0.0, -0.055), gray());
+    scene.shape(Shape::Sphere { radius: 0.01 }, Pose::at(-0.06, 0.0, 0.0), gray());
+    let ball = scene.shape(Shape::Sphere { radius: 0.015 }, Pose::at(0.0, 0.0, 0.0), gray());
+    let down = nalgebra::UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), std::f64::consts::PI);
+    scene.write(|out| {
+        let light = out.spawn();
+        out.put(light, Light { cone_angle: 0.8, ..Light::default() });
+        out.put(light, Pose::new(nalgebra::Vector3::new(0.0, 0.0, 0.25), down));
+    });
+    let eye_at = nalgebra::Point3::new(0.0, -0.25, 0.12);
+    let middle = nalgebra::Point3::new(0.0, 0.0, -0.05);
+    let view = View::looking_at(eye_at, middle, nalgebra::Vector3::z(), front().lens);
+    let mut kept = eye();
+    // It moves, rests long enough to count as still, and moves on: an eye that has looked on all the time sees what one sees
+    // that has just come.
+    let places = (0..14).map(|step| 0.004 * f64::from(step));
+    let places = places.chain([0.052; 14]).chain((0..6).map(|step| 0.052 - 0.012 * f64::from(step)));
+    for (step, x) in places.enumerate() {
+        scene.write(|out| out.put(ball, Pose::at(x, 0.0, 0.0)));
+        let seen = picture(&mut kept, &scene, &view, &Layout::Mono, 96);
+        if step % 3 == 0 || step > 27 {
+            let anew = picture(&mut eye(), &scene, &view, &Layout::Mono, 96);
+            assert_eq!(seen.color, anew.color, "step {step}");
+        }
+    }
+}
+
+#[test]
 fn a_lens_bends_the_picture_as_it_says_and_darkens_its_corners() {
     let mut scene = Scene::new();
     scene.light();
@@ -208,4 +242,58 @@ fn only_what_changed_is_sent() {
     scene.write(|out| out.put(ball, Pose::at(0.0, 0.1, 0.0)));
     picture(&mut eye, &scene, &front(), &Layout::Mono, 32);
     assert_eq!(eye.renderer().bytes_sent(), first);
+}
+
+#[test]
+fn a_lost_device_is_an_error_and_the_eye_can_begin_again() {
+    let mut scene = Scene::new();
+    scene.light();
+    scene.shape(SPHERE, Pose::default(), colored(1.0, 0.02, 0.02));
+    let mut eye = eye();
+    eye.quality = Quality::FULL;
+    let before = picture(&mut eye, &scene, &front(), &Layout::Mono, 64);
+    eye.gpu().device.destroy();
+    for _ in 0..2 {
+        let lost = eye.picture(&scene.view(), &front(), &Layout::Mono, [64, 64]);
+        assert!(matches!(lost, Err(ViewError::DeviceLost(_))), "{:?}", lost.err());
+        let lost = eye.probe(&scene.view(), &front(), [8, 8]);
+        assert!(matches!(lost, Err(ViewError::DeviceLost(_))), "{:?}", lost.err());
+    }
+    eye.renew().expect("the adapter is still there");
+    assert_eq!(eye.quality, Quality::FULL);
+    assert_eq!(picture(&mut eye, &scene, &front(), &Layout::Mono, 64).color, before.color);
+}
+
+#[test]
+fn a_picture_with_fewer_pixels_shows_the_same_in_the_same_places() {
+    let mut scene = Scene::new();
+    scene.light();
+    scene.shape(Shape::Sphere { radius: 0.02 }, Pose::at(0.05, 0.0, 0.0), colored(1.0, 0.02, 0.02));
+    let gpu = Gpu::headless().expect("a graphics adapter: tests/run installs a software one");
+    let (mut renderer, view, side) = (Renderer::new(&gpu, None), front(), 200);
+    let target = targets::target(&gpu, [side; 2], targets::COLOR, 1);
+    let snapshot = scene.view();
+    renderer.update(&gpu, &snapshot);
+    let stereo = Stereo { interocular: 0.03, convergence: 0.3 };
+    for layout in [Layout::Mono, Layout::SideBySide(stereo), Layout::RowInterleaved(stereo)] {
+        let [whole, fewer] = [1.0, 0.5].map(|scale| {
+            let pace = Pace { quality: Quality::FULL, scale };
+            assert!(renderer.needs_draw(&snapshot, &view, &layout, pace, &target));
+            renderer.draw_scaled(&gpu, &snapshot, &view, &layout, pace, &target);
+            assert!(!renderer.needs_draw(&snapshot, &view, &layout, pace, &target));
+            let bytes = targets::read(&gpu, &target).expect("pixels");
+            Picture { width: side, height: side, color: bytes.as_chunks().0.to_vec() }
+        });
+        assert_ne!(whole.color, fewer.color);
+        // Blocks of pixels have the same mean colour, but where an edge passes.
+        let mut apart = 0;
+        for (x, y) in (0..20).flat_map(|x| (0..20).map(move |y| (10 * x, 10 * y))) {
+            let (a, b) = (mean(&whole, x, y, 10, 10), mean(&fewer, x, y, 10, 10));
+            apart += usize::from((0..3).any(|channel| (a[channel] - b[channel]).abs() > 12.0));
+        }
+        assert!(apart <= 8, "{layout:?}: {apart} of 400");
+    }
+    scene.shape(SPHERE, Pose::default(), colored(1.0, 1.0, 1.0));
+    let pace = Pace { quality: Quality::FULL, scale: 1.0 };
+    assert!(renderer.needs_draw(&scene.view(), &view, &Layout::Mono, pace, &target));
 }

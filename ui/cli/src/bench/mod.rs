@@ -1,11 +1,14 @@
 //! `trocar bench`: figures beside the floors of this machine.
 
 mod allocation;
+mod collision;
 pub mod counting;
 mod exercise;
 mod idle;
 mod memory;
+mod plot;
 mod session;
+mod viewer;
 
 use indicatif::{ProgressBar, ProgressStyle};
 use trocar::summary::{BenchResult, BenchSummary, Better, Exit};
@@ -17,17 +20,27 @@ use crate::output;
 use crate::report::short;
 
 /// Suites by name, and what they measure.
-pub const SUITES: [(&str, &str); 3] = [
+pub const SUITES: [(&str, &str); 5] = [
     (
         "kernel",
         "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step, sessions",
     ),
     ("session", "steps per second of sessions side by side, branches, new beginnings"),
+    (
+        "viewer",
+        "frames beside a bare loop, what is sent, what nothing new costs, hands while a rasteriser is at full load",
+    ),
+    (
+        "collision",
+        "surfaces against each other beside coal and FCL (--peers), a shaft, a proxy, detectors live, growth with the number of triangles",
+    ),
     ("memory", "what sessions hold over an hour of simulated time; takes about ten minutes"),
 ];
 
 /// A figure or a few, and what is shown while they are measured.
 type Part = (&'static str, fn() -> Result<Vec<BenchResult>, Failure>);
+
+type Measure<'a> = &'a dyn Fn() -> Result<Vec<BenchResult>, Failure>;
 
 /// The parts of the suite `kernel`.
 const KERNEL: [Part; 6] = [
@@ -42,6 +55,15 @@ const KERNEL: [Part; 6] = [
 /// The part of it that is the suite `session`.
 const SESSION: [Part; 1] = [KERNEL[3]];
 
+/// The parts of the suite `viewer`.
+const VIEWER: [Part; 5] = [
+    ("frames beside a bare loop", viewer::frames),
+    ("a mesh that deforms", viewer::uploads),
+    ("a picture that does not change", viewer::idle),
+    ("the exercise live, drawn without a pause", viewer::full_load),
+    ("frames of a graphics card", viewer::card),
+];
+
 /// The parts of the suite `memory`.
 const MEMORY: [Part; 2] = [
     ("an hour of the exercise, again and again", memory::exercises),
@@ -55,8 +77,24 @@ fn kernel() -> Result<Vec<BenchResult>, Failure> {
 
 /// Measures a suite.
 pub fn bench(args: &BenchArgs) -> Result<Exit, Failure> {
+    if let Some(file) = &args.plot {
+        // Before minutes of measuring, not after.
+        output::check_writable(file)?;
+        if args.suite != "collision" {
+            return Err(Failure::usage(format!(
+                "--plot: '{}' has nothing that grows; 'collision' has",
+                args.suite
+            )));
+        }
+    }
     let mut summary = BenchSummary::new(machine());
     let result = measure(args, &mut summary);
+    if let (Ok(()), Some(file)) = (&result, &args.plot)
+        && let Some(svg) = plot::growth(&summary.results)
+    {
+        std::fs::write(file, svg)
+            .map_err(|error| Failure::invalid(format!("{}: {error}", file.display())))?;
+    }
     if let Err(failure) = &result {
         summary.error = Some(failure.message.clone());
     }
@@ -76,11 +114,25 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         let hint = did_you_mean(&args.suite, names());
         return Err(Failure::usage(format!("no suite is called '{}'; there are: {known}{hint}", args.suite)));
     }
+    let collision: [(&'static str, Measure<'_>); 4] = [
+        ("surfaces against each other", &|| collision::queries(args.peers.as_deref())),
+        ("a shaft and a proxy", &collision::touch),
+        ("detectors live beside two hands", &collision::live),
+        ("growth with the number of triangles", &collision::growth),
+    ];
     let parts: &[Part] = match args.suite.as_str() {
+        "collision" => return run(&collision, summary),
         "session" => &SESSION,
+        "viewer" => &VIEWER,
         "memory" => &MEMORY,
         _ => &KERNEL,
     };
+    let parts: Vec<_> = parts.iter().map(|(what, part)| (*what, part as Measure)).collect();
+    run(&parts, summary)
+}
+
+/// Measures one part after the other.
+fn run(parts: &[(&'static str, Measure<'_>)], summary: &mut BenchSummary) -> Result<(), Failure> {
     let bar = ProgressBar::new(parts.len() as u64);
     let style = ProgressStyle::with_template("{bar:24} {pos} of {len}  {msg}  {elapsed}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));

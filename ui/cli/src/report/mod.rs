@@ -16,7 +16,8 @@ use trocar::summary::RunSummary;
 use trocar::trace::RunTrace;
 
 pub use page::html;
-pub use scale::short;
+pub use scale::{Scale, short};
+pub use svg::Chart;
 
 /// Everything that a report shows.
 pub struct Report<'a> {

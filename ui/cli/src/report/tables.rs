@@ -29,12 +29,16 @@ pub fn controllers(report: &Report) -> String {
         "rejected",
         "conflicts",
         "restarts",
+        "hits",
+        "max",
+        "in ticks",
     ];
     let rows = report.summary.controllers.iter().map(controller_row);
     table(
         &head,
         rows,
-        "Rates in Hz, lateness and step time in µs; on time: share of the scheduled ticks that started less than 1 ms late.",
+        "Rates in Hz, lateness and step time in µs; on time: share of the scheduled ticks that started less than 1 ms late. \
+         Hits: contacts in the collision list per tick, on average.",
     )
 }
 
@@ -49,6 +53,10 @@ fn controller_row(row: &ControllerSummary) -> Vec<Cell> {
         [row.missed, row.dropped, row.lost, row.rejected, row.conflicts, u64::from(row.restarts)]
             .map(Cell::count),
     );
+    cells.extend(match &row.hits {
+        Some(hits) => [Cell::number(hits.mean), Cell::count(hits.max), Cell::count(hits.ticks)],
+        None => [(); 3].map(|()| Cell::plain("–".into())),
+    });
     cells
 }
 

@@ -55,11 +55,16 @@ impl<'a> Desk<'a> {
     /// Answers what was asked since the last time.
     pub fn serve(&mut self, session: &mut Session) {
         while let Some(asked) = self.server.as_ref().and_then(Server::question) {
-            let reply = match self.answer(session, &asked.request) {
-                Ok(reply) => reply,
-                Err(error) => Reply { error: Some(error), ..self.reply(session) },
-            };
+            let reply = self.ask(session, &asked.request);
             asked.answer(reply);
+        }
+    }
+
+    /// Does what is asked, and says what came of it.
+    pub fn ask(&mut self, session: &mut Session, request: &Request) -> Reply {
+        match self.answer(session, request) {
+            Ok(reply) => reply,
+            Err(error) => Reply { error: Some(error), ..self.reply(session) },
         }
     }
 

@@ -1,7 +1,7 @@
 //! `trocar tune`: values of a running session, from another terminal.
 
 mod desk;
-mod protocol;
+pub mod protocol;
 mod socket;
 
 use std::path::{Path, PathBuf};

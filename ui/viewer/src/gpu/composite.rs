@@ -1,7 +1,6 @@
 //! The last step of a frame: lens, weave, panes.
 
 use bytemuck::{Pod, Zeroable};
-use wgpu::util::DeviceExt;
 
 use crate::gpu::Gpu;
 use crate::layout::Weave;
@@ -33,8 +32,16 @@ pub struct Seen<'a> {
     pub clear: bool,
 }
 
+/// What is bound for one draw, kept as long as the pictures of the eyes are the same.
+struct Slot {
+    uniform: wgpu::Buffer,
+    eyes: [wgpu::TextureView; 2],
+    group: wgpu::BindGroup,
+}
+
 /// The pass, for one format of pictures.
 pub struct Composite {
+    slots: Vec<Slot>,
     format: wgpu::TextureFormat,
     layout: wgpu::BindGroupLayout,
     pipeline: wgpu::RenderPipeline,
@@ -74,7 +81,7 @@ impl Composite {
             min_filter: wgpu::FilterMode::Linear,
             ..Default::default()
         });
-        Self { format, layout: pipeline.get_bind_group_layout(0), pipeline, sampler }
+        Self { slots: Vec::new(), format, layout: pipeline.get_bind_group_layout(0), pipeline, sampler }
     }
 
     /// Whether it draws into such pictures.
@@ -82,12 +89,13 @@ impl Composite {
         self.format == format
     }
 
-    /// Draws what one eye or two saw into `target`.
+    /// Draws what one eye or two saw into `target`; `index` counts the draws of a submission.
     pub fn draw(
-        &self,
+        &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         target: &wgpu::TextureView,
+        index: usize,
         seen: &Seen<'_>,
     ) {
         let Seen { pane, eyes, view, weave, clear } = *seen;
@@ -102,22 +110,13 @@ impl Composite {
             },
             pane: pane.map(|pixels| pixels as f32),
         };
-        let uniform = gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some("composite"),
-            contents: bytemuck::bytes_of(&uniform),
-            usage: wgpu::BufferUsages::UNIFORM,
-        });
-        let binding = |binding, resource| wgpu::BindGroupEntry { binding, resource };
-        let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("composite"),
-            layout: &self.layout,
-            entries: &[
-                binding(0, uniform.as_entire_binding()),
-                binding(1, wgpu::BindingResource::TextureView(eyes[0])),
-                binding(2, wgpu::BindingResource::TextureView(eyes[1])),
-                binding(3, wgpu::BindingResource::Sampler(&self.sampler)),
-            ],
-        });
+        if self.slots.get(index).is_none_or(|slot| [&slot.eyes[0], &slot.eyes[1]] != eyes) {
+            let slot = self.slot(gpu, eyes);
+            self.slots.truncate(index);
+            self.slots.push(slot);
+        }
+        let slot = &self.slots[index.min(self.slots.len() - 1)];
+        gpu.queue.write_buffer(&slot.uniform, 0, bytemuck::bytes_of(&uniform));
         let load = if clear { wgpu::LoadOp::Clear(wgpu::Color::BLACK) } else { wgpu::LoadOp::Load };
         let attachment = wgpu::RenderPassColorAttachment {
             view: target,
@@ -133,7 +132,28 @@ impl Composite {
         let [x, y, width, height] = pane.map(|pixels| pixels as f32);
         pass.set_viewport(x, y, width, height, 0.0, 1.0);
         pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &group, &[]);
+        pass.set_bind_group(0, &slot.group, &[]);
         pass.draw(0..3, 0..1);
+    }
+
+    fn slot(&self, gpu: &Gpu, eyes: [&wgpu::TextureView; 2]) -> Slot {
+        let uniform = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("composite"),
+            size: size_of::<Uniform>() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let binding = |binding, resource| wgpu::BindGroupEntry { binding, resource };
+        let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("composite"),
+            layout: &self.layout,
+            entries: &[
+                binding(0, uniform.as_entire_binding()),
+                binding(1, wgpu::BindingResource::TextureView(eyes[0])),
+                binding(2, wgpu::BindingResource::TextureView(eyes[1])),
+                binding(3, wgpu::BindingResource::Sampler(&self.sampler)),
+            ],
+        });
+        Slot { uniform, eyes: eyes.map(Clone::clone), group }
     }
 }

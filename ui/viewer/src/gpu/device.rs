@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::error::ViewError;
+use crate::priority;
 
 /// A device with its queue. Clones share it.
 #[derive(Clone)]
@@ -28,11 +29,16 @@ impl Gpu {
         Self::on(instance, None)
     }
 
-    /// An adapter that can draw on this surface, or any.
+    /// An adapter that can draw on this surface, or any. Threads of its driver step back behind those of the process: see
+    /// [`priority`].
     ///
     /// # Errors
     /// [`ViewError::NoAdapter`], [`ViewError::Refused`].
     pub fn on(instance: wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self, ViewError> {
+        priority::stepped_back(|| Self::request(instance, surface))
+    }
+
+    fn request(instance: wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self, ViewError> {
         let options = wgpu::RequestAdapterOptions {
             power_preference: wgpu::PowerPreference::HighPerformance,
             force_fallback_adapter: false,
@@ -72,6 +78,11 @@ impl Gpu {
     pub fn check(&self) -> Result<(), ViewError> {
         let lost = self.lost.lock().unwrap_or_else(PoisonError::into_inner);
         lost.as_ref().map_or(Ok(()), |reason| Err(ViewError::DeviceLost(reason.clone())))
+    }
+
+    /// Whether the processor draws, rather than a graphics card.
+    pub fn is_software(&self) -> bool {
+        self.adapter.get_info().device_type == wgpu::DeviceType::Cpu
     }
 
     /// Name and kind of the adapter, for people.

@@ -7,7 +7,9 @@ use trocar_scene::{Texture, VisualMaterial};
 use wgpu::util::DeviceExt;
 
 use crate::edit_map::SIZE_MAX;
-use crate::gpu::{Gpu, passes};
+use crate::gpu::Gpu;
+use crate::gpu::passes::{self, Features};
+use crate::texture::image8::linear_of_srgb;
 use crate::texture::{self, Image8, MapKind, MapSet};
 
 /// Side of procedural textures \[texels\].
@@ -18,7 +20,7 @@ const SHADER_BYTES_MAX: u64 = 256 * 1024;
 /// What a map is for: that decides how its bytes are read, and what stands in for one that is not there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
-    /// Colours, sRGB.
+    /// Colours: on the device the square roots of light.
     Color,
     /// Directions.
     Normal,
@@ -37,12 +39,6 @@ impl Role {
             Self::Normal => material.normal_map.as_ref(),
             Self::Edit => material.edit_map.as_ref(),
             Self::Free => material.free_map.as_ref(),
-        }
-    }
-    fn format(self) -> wgpu::TextureFormat {
-        match self {
-            Self::Color => wgpu::TextureFormat::Rgba8UnormSrgb,
-            _ => wgpu::TextureFormat::Rgba8Unorm,
         }
     }
     /// Which map of a procedural texture it is.
@@ -70,22 +66,46 @@ impl Role {
     }
 }
 
-/// The maps of a material, bound together.
+/// A map on the device.
+#[derive(Clone)]
+struct Map {
+    view: wgpu::TextureView,
+    /// Mean over all of it, in linear light.
+    mean: [f32; 4],
+}
+
+/// What a material needs for being drawn.
+#[derive(Clone)]
+pub struct Look {
+    /// Its maps, bound together.
+    pub group: wgpu::BindGroup,
+    /// What its pipeline must do, relief aside.
+    pub features: Features,
+    /// Base colour times the mean of the colour map.
+    pub mean_color: [f32; 4],
+    /// Number of its own shader; 0 is the default.
+    pub shader: u32,
+}
+
+/// The maps of materials, bound together.
 pub struct Materials {
     /// Layout of the group.
     pub layout: wgpu::BindGroupLayout,
     tiled: wgpu::Sampler,
     single: wgpu::Sampler,
-    neutral: BTreeMap<Role, wgpu::TextureView>,
-    textures: BTreeMap<(Role, String), wgpu::TextureView>,
+    coarse: wgpu::Sampler,
+    neutral: BTreeMap<Role, Map>,
+    textures: BTreeMap<(Role, String), Map>,
     /// With whether they were asked for lately.
     groups: BTreeMap<String, (wgpu::BindGroup, bool)>,
     /// Folder below which files of textures are.
     folder: Option<PathBuf>,
     /// Procedural textures: each gives several maps.
     sets: BTreeMap<String, MapSet>,
-    /// Shaders of materials by file; `None` for one that cannot be used, which was told.
-    shaders: BTreeMap<String, Option<String>>,
+    /// Numbers of shaders of materials by file; 0 for one that cannot be used, which was told.
+    shaders: BTreeMap<String, u32>,
+    /// Their texts by number; the first is the default.
+    sources: Vec<String>,
 }
 
 impl Materials {
@@ -107,61 +127,88 @@ impl Materials {
             ty: wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering),
             count: None,
         };
-        let entries = [texture(0), texture(1), texture(2), texture(3), sampler(4), sampler(5)];
+        let entries = [texture(0), texture(1), texture(2), texture(3), sampler(4), sampler(5), sampler(6)];
         let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some("material"), entries: &entries };
         let layout = gpu.device.create_bind_group_layout(&descriptor);
-        let sampler = |mode| {
+        let sampler = |mode, mipmap_filter| {
             gpu.device.create_sampler(&wgpu::SamplerDescriptor {
                 address_mode_u: mode,
                 address_mode_v: mode,
                 mag_filter: wgpu::FilterMode::Linear,
                 min_filter: wgpu::FilterMode::Linear,
-                mipmap_filter: wgpu::MipmapFilterMode::Linear,
+                mipmap_filter,
                 ..Default::default()
             })
         };
         let neutral =
-            Role::ALL.map(|role| (role, upload(gpu, role.format(), &[Image8::filled(1, 1, role.neutral())])));
+            Role::ALL.map(|role| (role, upload(gpu, role, vec![Image8::filled(1, 1, role.neutral())])));
         Self {
             layout,
-            tiled: sampler(wgpu::AddressMode::Repeat),
-            single: sampler(wgpu::AddressMode::ClampToEdge),
+            tiled: sampler(wgpu::AddressMode::Repeat, wgpu::MipmapFilterMode::Linear),
+            single: sampler(wgpu::AddressMode::ClampToEdge, wgpu::MipmapFilterMode::Linear),
+            // Nobody sees where roughness goes from one level to the next.
+            coarse: sampler(wgpu::AddressMode::Repeat, wgpu::MipmapFilterMode::Nearest),
             neutral: neutral.into(),
             textures: BTreeMap::new(),
             groups: BTreeMap::new(),
             folder,
             sets: BTreeMap::new(),
             shaders: BTreeMap::new(),
+            sources: vec![passes::MATERIAL.to_owned()],
         }
     }
 
-    /// Loads what a material needs, with the entity's own edit map if it has one; the key of its group.
+    /// Loads what a material needs, with the entity's own edit map if it has one.
     pub fn send(
         &mut self,
         gpu: &Gpu,
         material: &VisualMaterial,
         edit: Option<(u64, &wgpu::TextureView)>,
-    ) -> String {
-        let mut key =
-            Role::ALL.map(|role| role.of(material).map_or(String::new(), |map| format!("{map:?}"))).join("|");
-        if let Some((number, _)) = edit {
-            key = format!("{key}|{number}");
-        }
-        if let Some((_, used)) = self.groups.get_mut(&key) {
-            *used = true;
-            return key;
-        }
+    ) -> Look {
         for role in Role::ALL {
             if let Some(map) = role.of(material) {
                 self.load(gpu, role, map);
             }
         }
-        let view = |role: Role| {
-            let loaded = role.of(material).and_then(|map| self.textures.get(&(role, format!("{map:?}"))));
-            let own = edit.filter(|_| role == Role::Edit).map(|(_, view)| view);
-            own.or(loaded).unwrap_or(&self.neutral[&role])
+        let has = |role: Role| role.of(material).is_some();
+        let shader = self.shader(gpu, material);
+        let features = Features {
+            color_map: has(Role::Color),
+            normal_map: has(Role::Normal),
+            edit_map: has(Role::Edit) || edit.is_some(),
+            free_map: has(Role::Free),
+            relief: false,
+            // Blood is wet, and nobody knows what a shader does.
+            coat: material.wetness > 0.0 || has(Role::Edit) || edit.is_some() || shader != 0,
         };
-        let views = Role::ALL.map(view);
+        let mean = self.map(Role::Color, material).mean;
+        let mean_color = std::array::from_fn(|channel| material.base_color[channel] as f32 * mean[channel]);
+        Look { group: self.group(gpu, material, edit), features, mean_color, shader }
+    }
+
+    /// A map that was loaded, or the one that changes nothing.
+    fn map(&self, role: Role, material: &VisualMaterial) -> &Map {
+        let loaded = role.of(material).and_then(|map| self.textures.get(&(role, format!("{map:?}"))));
+        loaded.unwrap_or(&self.neutral[&role])
+    }
+
+    fn group(
+        &mut self,
+        gpu: &Gpu,
+        material: &VisualMaterial,
+        edit: Option<(u64, &wgpu::TextureView)>,
+    ) -> wgpu::BindGroup {
+        let mut key =
+            Role::ALL.map(|role| role.of(material).map_or(String::new(), |map| format!("{map:?}"))).join("|");
+        if let Some((number, _)) = edit {
+            key = format!("{key}|{number}");
+        }
+        if let Some((group, used)) = self.groups.get_mut(&key) {
+            *used = true;
+            return group.clone();
+        }
+        let own = |role: Role| edit.filter(|_| role == Role::Edit).map(|(_, view)| view);
+        let views = Role::ALL.map(|role| own(role).unwrap_or(&self.map(role, material).view));
         let binding = |binding, resource| wgpu::BindGroupEntry { binding, resource };
         let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("material"),
@@ -173,10 +220,11 @@ impl Materials {
                 binding(3, wgpu::BindingResource::TextureView(views[3])),
                 binding(4, wgpu::BindingResource::Sampler(&self.tiled)),
                 binding(5, wgpu::BindingResource::Sampler(&self.single)),
+                binding(6, wgpu::BindingResource::Sampler(&self.coarse)),
             ],
         });
-        self.groups.insert(key.clone(), (group, true));
-        key
+        self.groups.insert(key, (group.clone(), true));
+        group
     }
 
     /// Forgets the groups that have not been sent since the last call; their textures are kept.
@@ -194,23 +242,31 @@ impl Materials {
         }
     }
 
-    /// The group of a material that was sent.
-    pub fn group(&self, key: &str) -> Option<&wgpu::BindGroup> {
-        self.groups.get(key).map(|(group, _)| group)
+    /// The number of a material's own shader; 0 for the default, also when it cannot be used.
+    fn shader(&mut self, gpu: &Gpu, material: &VisualMaterial) -> u32 {
+        let Some(file) = material.shader.as_ref() else { return 0 };
+        if let Some(number) = self.shaders.get(file) {
+            return *number;
+        }
+        let source = read_shader(self.folder.as_deref(), file)
+            .and_then(|source| passes::check_material(gpu, &source).map(|()| source));
+        let number = match source {
+            Ok(source) => {
+                self.sources.push(source);
+                self.sources.len() as u32 - 1
+            }
+            Err(reason) => {
+                tracing::error!("shader {file}: {reason}; the material is drawn without it");
+                0
+            }
+        };
+        self.shaders.insert(file.clone(), number);
+        number
     }
 
-    /// The source of a material's own shader; `None` for the default, also when it cannot be used.
-    pub fn shader(&mut self, gpu: &Gpu, material: &VisualMaterial) -> Option<String> {
-        let file = material.shader.as_ref()?;
-        if !self.shaders.contains_key(file) {
-            let source = read_shader(self.folder.as_deref(), file)
-                .and_then(|source| passes::check_material(gpu, &source).map(|()| source));
-            if let Err(reason) = &source {
-                tracing::error!("shader {file}: {reason}; the material is drawn without it");
-            }
-            self.shaders.insert(file.clone(), source.ok());
-        }
-        self.shaders.get(file).cloned().flatten()
+    /// The text of a shader.
+    pub fn source(&self, number: u32) -> &str {
+        self.sources.get(number as usize).map_or(passes::MATERIAL, String::as_str)
     }
 
     fn load(&mut self, gpu: &Gpu, role: Role, map: &Texture) {
@@ -231,14 +287,14 @@ impl Materials {
                 .and_then(|file| texture::load(&file, gpu.device.limits().max_texture_dimension_2d))
                 .map(|image| image.mips(role.kind())),
         };
-        let view = match levels {
-            Ok(levels) => upload(gpu, role.format(), &levels),
+        let loaded = match levels {
+            Ok(levels) => upload(gpu, role, levels),
             Err(error) => {
                 tracing::error!("{error}; the material is drawn without it");
                 self.neutral[&role].clone()
             }
         };
-        self.textures.insert(key, view);
+        self.textures.insert(key, loaded);
     }
 }
 
@@ -252,8 +308,21 @@ fn read_shader(folder: Option<&Path>, file: &str) -> Result<String, String> {
     std::fs::read_to_string(&path).map_err(|error| error.to_string())
 }
 
-/// A texture with its mip levels, the largest first.
-pub fn upload(gpu: &Gpu, format: wgpu::TextureFormat, levels: &[Image8]) -> wgpu::TextureView {
+/// A map with its mip levels, the largest first.
+fn upload(gpu: &Gpu, role: Role, mut levels: Vec<Image8>) -> Map {
+    if role == Role::Color {
+        // Square roots are as even to the eye as sRGB, but a product undoes them: no adapter needs to convert.
+        let root = |byte| (255.0 * linear_of_srgb(byte).sqrt()).round() as u8;
+        let roots: [u8; 256] = std::array::from_fn(|byte| root(byte as u8));
+        for pixel in levels.iter_mut().flat_map(|level| &mut level.pixels) {
+            pixel[..3].iter_mut().for_each(|byte| *byte = roots[usize::from(*byte)]);
+        }
+    }
+    let last = levels.last().and_then(|level| level.get(0, 0)).unwrap_or(role.neutral());
+    let mut mean = last.map(|byte| f32::from(byte) / 255.0);
+    if role == Role::Color {
+        mean[..3].iter_mut().for_each(|part| *part *= *part);
+    }
     let [width, height] = levels.first().map_or([1, 1], |level| [level.width, level.height]);
     let descriptor = wgpu::TextureDescriptor {
         label: Some("map"),
@@ -261,12 +330,12 @@ pub fn upload(gpu: &Gpu, format: wgpu::TextureFormat, levels: &[Image8]) -> wgpu
         mip_level_count: levels.len().max(1) as u32,
         sample_count: 1,
         dimension: wgpu::TextureDimension::D2,
-        format,
+        format: wgpu::TextureFormat::Rgba8Unorm,
         usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
         view_formats: &[],
     };
     let bytes: Vec<u8> = levels.iter().flat_map(|level| level.bytes()).copied().collect();
     let order = wgpu::util::TextureDataOrder::LayerMajor;
     let texture = gpu.device.create_texture_with_data(&gpu.queue, &descriptor, order, &bytes);
-    texture.create_view(&Default::default())
+    Map { view: texture.create_view(&Default::default()), mean }
 }

@@ -1,68 +1,60 @@
 //! The pipelines: surfaces, shadows, probes.
 
-use std::collections::HashMap;
-
-use bytemuck::{Pod, Zeroable};
+use std::collections::{BTreeMap, HashMap};
 
 use crate::gpu::Gpu;
+use crate::gpu::shadow_maps::ShadowMaps;
 use crate::gpu::targets::{DEPTH, METRES, NUMBERS};
-use crate::lights::{LIGHTS_MAX, SHADOWS_MAX};
-use crate::quality::Quality;
+use crate::gpu::uniforms::{GpuFrame, ITEM_BYTES};
 
-/// Side of a shadow map \[texels\].
-pub const SHADOW_SIDE: u32 = 1024;
-
-/// A light, as shaders read it.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-pub(crate) struct GpuLight {
-    pub(crate) position: [f32; 3],
-    pub(crate) cos_outer: f32,
-    pub(crate) direction: [f32; 3],
-    pub(crate) cos_inner: f32,
-    pub(crate) candela: [f32; 3],
-    pub(crate) shadow: i32,
-    pub(crate) clip_from_world: [[f32; 4]; 4],
+/// Which maps a material has, and what else its pipeline can do without.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Features {
+    /// A colour map.
+    pub color_map: bool,
+    /// A normal map.
+    pub normal_map: bool,
+    /// An edit map.
+    pub edit_map: bool,
+    /// A free map.
+    pub free_map: bool,
+    /// Relief wider than a pixel.
+    pub relief: bool,
+    /// It may be wet.
+    pub coat: bool,
 }
 
-/// What holds for a whole frame, as shaders read it.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
-pub(crate) struct GpuFrame {
-    pub(crate) clip_from_world: [[f32; 4]; 4],
-    pub(crate) eye: [f32; 4],
-    pub(crate) forward: [f32; 4],
-    pub(crate) above: [f32; 4],
-    pub(crate) below: [f32; 4],
-    pub(crate) light_count: u32,
-    pub(crate) shadow_texel: f32,
-    pub(crate) unused: [u32; 2],
-    pub(crate) lights: [GpuLight; LIGHTS_MAX],
-}
-
-/// One item, as shaders read it.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
-pub(crate) struct GpuItem {
-    pub(crate) world_from_item: [[f32; 4]; 4],
-    pub(crate) base_color: [f32; 4],
-    pub(crate) surface: [f32; 4],
-    pub(crate) tiling: [f32; 2],
-    pub(crate) number: u32,
-    pub(crate) flags: u32,
+/// How surfaces are shaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Shading {
+    /// One light with one highlight.
+    Plain,
+    /// Physically based.
+    Full {
+        /// What the material has.
+        features: Features,
+        /// Smooth from one mip level to the next, and soft edges of shadows.
+        fine: bool,
+        /// Lights that shine.
+        lights: u32,
+        /// How many of them throw shadows: the first ones.
+        shadows: u32,
+        /// The material's own shader by its number; 0 is the default.
+        shader: u32,
+    },
 }
 
 /// Which pipeline draws an item.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Key {
-    /// With how much care.
-    pub quality: Quality,
+    /// How it is shaded.
+    pub shading: Shading,
+    /// Samples per pixel.
+    pub samples: u32,
     /// Blended over what is behind it.
     pub blended: bool,
     /// What is drawn into.
     pub format: wgpu::TextureFormat,
-    /// The material's own shader.
-    pub shader: Option<String>,
 }
 
 /// Pipelines and what they share.
@@ -77,24 +69,30 @@ pub struct Passes {
     pub shadow: wgpu::RenderPipeline,
     /// Draws depths and numbers.
     pub probe: wgpu::RenderPipeline,
-    /// Depths as lights see them, a layer each.
-    pub shadow_layers: Vec<wgpu::TextureView>,
-    /// All of them.
-    pub shadow_maps: wgpu::TextureView,
+    /// Depths as lights see them.
+    pub shadow_maps: ShadowMaps,
     /// Compares a depth with them.
     pub shadow_sampler: wgpu::Sampler,
     surface_layout: wgpu::PipelineLayout,
+    plain_layout: wgpu::PipelineLayout,
+    plain_module: wgpu::ShaderModule,
+    /// By the number of the material's own shader.
+    modules: BTreeMap<u32, wgpu::ShaderModule>,
     surfaces: HashMap<Key, wgpu::RenderPipeline>,
 }
 
-fn uniform(visibility: wgpu::ShaderStages) -> wgpu::BindGroupLayoutEntry {
+pub(crate) fn uniform(
+    visibility: wgpu::ShaderStages,
+    dynamic: bool,
+    bytes: u64,
+) -> wgpu::BindGroupLayoutEntry {
     wgpu::BindGroupLayoutEntry {
         binding: 0,
         visibility,
         ty: wgpu::BindingType::Buffer {
             ty: wgpu::BufferBindingType::Uniform,
-            has_dynamic_offset: false,
-            min_binding_size: None,
+            has_dynamic_offset: dynamic,
+            min_binding_size: wgpu::BufferSize::new(bytes),
         },
         count: None,
     }
@@ -112,9 +110,15 @@ const NORMAL: wgpu::VertexBufferLayout<'_> = per_vertex(&wgpu::vertex_attr_array
 const UV: wgpu::VertexBufferLayout<'_> = per_vertex(&wgpu::vertex_attr_array![2 => Float32x2]);
 /// Positions move, texture coordinates stay: each has a buffer of its own.
 const VERTEX: [Option<wgpu::VertexBufferLayout<'_>>; 3] = [Some(POSITION), Some(NORMAL), Some(UV)];
-const COMMON: &str = concat!(include_str!("../shaders/item.wgsl"), include_str!("../shaders/common.wgsl"));
+const COMMON: &str = concat!(
+    include_str!("../shaders/item.wgsl"),
+    include_str!("../shaders/frame.wgsl"),
+    include_str!("../shaders/tone.wgsl"),
+);
+const PLAIN: &str = include_str!("../shaders/plain.wgsl");
 const SURFACE: &str = include_str!("../shaders/surface.wgsl");
-const MATERIAL: &str = include_str!("../shaders/material.wgsl");
+/// The default of a material's own shader.
+pub(crate) const MATERIAL: &str = include_str!("../shaders/material.wgsl");
 const PROBE: &str = include_str!("../shaders/probe.wgsl");
 const SHADOW: &str = concat!(include_str!("../shaders/item.wgsl"), include_str!("../shaders/shadow.wgsl"));
 
@@ -126,7 +130,7 @@ impl Passes {
             device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(label), entries })
         };
         let shadow_entries = [
-            uniform(wgpu::ShaderStages::VERTEX_FRAGMENT),
+            uniform(wgpu::ShaderStages::VERTEX_FRAGMENT, false, size_of::<GpuFrame>() as u64),
             wgpu::BindGroupLayoutEntry {
                 binding: 1,
                 visibility: wgpu::ShaderStages::FRAGMENT,
@@ -145,16 +149,8 @@ impl Passes {
             },
         ];
         let frame_layout = group("frame", &shadow_entries);
-        let items_entry = wgpu::BindGroupLayoutEntry {
-            ty: wgpu::BindingType::Buffer {
-                ty: wgpu::BufferBindingType::Storage { read_only: true },
-                has_dynamic_offset: false,
-                min_binding_size: None,
-            },
-            ..uniform(wgpu::ShaderStages::VERTEX_FRAGMENT)
-        };
-        let items_layout = group("items", &[items_entry]);
-        let light_layout = group("light", &[uniform(wgpu::ShaderStages::VERTEX)]);
+        let items_layout = group("items", &[uniform(wgpu::ShaderStages::VERTEX_FRAGMENT, true, ITEM_BYTES)]);
+        let light_layout = group("light", &[uniform(wgpu::ShaderStages::VERTEX, false, 64)]);
         let pipeline_layout = |groups: &[&wgpu::BindGroupLayout]| {
             let groups: Vec<_> = groups.iter().map(|group| Some(*group)).collect();
             device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -198,7 +194,7 @@ impl Passes {
                 module: &probe,
                 entry_point: None,
                 compilation_options: Default::default(),
-                buffers: &VERTEX,
+                buffers: &VERTEX[..1],
             },
             primitive: wgpu::PrimitiveState::default(),
             depth_stencil: Some(depth(wgpu::CompareFunction::Less, true)),
@@ -212,38 +208,14 @@ impl Passes {
             multiview_mask: None,
             cache: None,
         });
-        let maps = device.create_texture(&wgpu::TextureDescriptor {
-            label: Some("shadows"),
-            size: wgpu::Extent3d {
-                width: SHADOW_SIDE,
-                height: SHADOW_SIDE,
-                depth_or_array_layers: SHADOWS_MAX as u32,
-            },
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: DEPTH,
-            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING,
-            view_formats: &[],
-        });
-        let layer = |layer| {
-            maps.create_view(&wgpu::TextureViewDescriptor {
-                dimension: Some(wgpu::TextureViewDimension::D2),
-                base_array_layer: layer,
-                array_layer_count: Some(1),
-                ..Default::default()
-            })
-        };
-        let all = wgpu::TextureViewDescriptor {
-            dimension: Some(wgpu::TextureViewDimension::D2Array),
-            ..Default::default()
-        };
         Self {
             surface_layout: pipeline_layout(&[&frame_layout, &items_layout, material_layout]),
+            plain_layout: pipeline_layout(&[&frame_layout, &items_layout]),
+            plain_module: module(&format!("{COMMON}{PLAIN}")),
+            modules: BTreeMap::new(),
             shadow,
             probe,
-            shadow_layers: (0..SHADOWS_MAX as u32).map(layer).collect(),
-            shadow_maps: maps.create_view(&all),
+            shadow_maps: ShadowMaps::new(gpu),
             shadow_sampler: device.create_sampler(&wgpu::SamplerDescriptor {
                 mag_filter: wgpu::FilterMode::Linear,
                 min_filter: wgpu::FilterMode::Linear,
@@ -257,59 +229,87 @@ impl Passes {
         }
     }
 
-    /// Makes the pipeline of this kind, unless it is there.
-    pub fn prepare(&mut self, gpu: &Gpu, key: &Key) {
-        if !self.surfaces.contains_key(key) {
-            let pipeline = self.surface_pipeline(gpu, key);
-            self.surfaces.insert(key.clone(), pipeline);
+    /// The pipeline of this kind, made when it is first asked for; `source` gives a material's own shader.
+    pub fn surface<'a>(
+        &mut self,
+        gpu: &Gpu,
+        key: &Key,
+        source: impl FnOnce(u32) -> &'a str,
+    ) -> wgpu::RenderPipeline {
+        if let Some(pipeline) = self.surfaces.get(key) {
+            return pipeline.clone();
         }
-    }
-
-    /// A pipeline that was prepared.
-    pub fn surface(&self, key: &Key) -> Option<&wgpu::RenderPipeline> {
-        self.surfaces.get(key)
-    }
-
-    fn surface_pipeline(&self, gpu: &Gpu, key: &Key) -> wgpu::RenderPipeline {
-        let material = key.shader.as_deref().unwrap_or(MATERIAL);
-        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some("surface"),
-            source: wgpu::ShaderSource::Wgsl(format!("{COMMON}{SURFACE}{material}").into()),
-        });
-        let flag = |on: bool| if on { 1.0 } else { 0.0 };
-        let constants = [
-            ("MAPS", flag(key.quality.maps)),
-            ("WET", flag(key.quality.wet)),
-            ("SHADOWS", flag(key.quality.shadows)),
-        ];
-        let options = wgpu::PipelineCompilationOptions { constants: &constants, ..Default::default() };
-        let target = wgpu::ColorTargetState {
-            format: key.format,
-            blend: key.blended.then_some(wgpu::BlendState::ALPHA_BLENDING),
-            write_mask: wgpu::ColorWrites::ALL,
+        let pipeline = match key.shading {
+            Shading::Plain => {
+                let stages = (&self.plain_layout, &self.plain_module, &VERTEX[..2]);
+                surface_pipeline(gpu, key, stages, &[])
+            }
+            Shading::Full { features, fine, lights, shadows, shader } => {
+                let module = self.modules.entry(shader).or_insert_with(|| {
+                    let text = format!("{COMMON}{SURFACE}{}", source(shader));
+                    gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                        label: Some("surface"),
+                        source: wgpu::ShaderSource::Wgsl(text.into()),
+                    })
+                });
+                let flag = |on: bool| if on { 1.0 } else { 0.0 };
+                let constants = [
+                    ("COLOR_MAP", flag(features.color_map)),
+                    ("NORMAL_MAP", flag(features.normal_map)),
+                    ("EDIT_MAP", flag(features.edit_map)),
+                    ("FREE_MAP", flag(features.free_map)),
+                    ("RELIEF", flag(features.relief)),
+                    ("COAT", flag(features.coat)),
+                    ("FINE", flag(fine)),
+                    ("LIGHTS", f64::from(lights)),
+                    ("SHADOWS", f64::from(shadows)),
+                ];
+                surface_pipeline(gpu, key, (&self.surface_layout, module, &VERTEX), &constants)
+            }
         };
-        gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some("surface"),
-            layout: Some(&self.surface_layout),
-            vertex: wgpu::VertexState {
-                module: &module,
-                entry_point: Some("corner"),
-                compilation_options: options.clone(),
-                buffers: &VERTEX,
-            },
-            primitive: wgpu::PrimitiveState::default(),
-            depth_stencil: Some(depth(wgpu::CompareFunction::Less, !key.blended)),
-            multisample: wgpu::MultisampleState { count: key.quality.samples, ..Default::default() },
-            fragment: Some(wgpu::FragmentState {
-                module: &module,
-                entry_point: Some("shade"),
-                compilation_options: options,
-                targets: &[Some(target)],
-            }),
-            multiview_mask: None,
-            cache: None,
-        })
+        self.surfaces.insert(*key, pipeline.clone());
+        pipeline
     }
+}
+
+fn surface_pipeline(
+    gpu: &Gpu,
+    key: &Key,
+    (layout, module, buffers): (
+        &wgpu::PipelineLayout,
+        &wgpu::ShaderModule,
+        &[Option<wgpu::VertexBufferLayout<'_>>],
+    ),
+    constants: &[(&str, f64)],
+) -> wgpu::RenderPipeline {
+    let options = wgpu::PipelineCompilationOptions { constants, ..Default::default() };
+    let target = wgpu::ColorTargetState {
+        format: key.format,
+        blend: key.blended.then_some(wgpu::BlendState::ALPHA_BLENDING),
+        write_mask: wgpu::ColorWrites::ALL,
+    };
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("surface"),
+        layout: Some(layout),
+        vertex: wgpu::VertexState {
+            module,
+            entry_point: Some("corner"),
+            // It reads none of the constants.
+            compilation_options: Default::default(),
+            buffers,
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: Some(depth(wgpu::CompareFunction::Less, !key.blended)),
+        multisample: wgpu::MultisampleState { count: key.samples, ..Default::default() },
+        fragment: Some(wgpu::FragmentState {
+            module,
+            entry_point: Some("shade"),
+            compilation_options: options,
+            targets: &[Some(target)],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
 }
 
 /// Whether a material's own `surface` function fits into the shader.

@@ -34,8 +34,10 @@ impl SurfaceCopies {
     /// Makes or mends the copy of a surface.
     pub fn send(&mut self, gpu: &Gpu, surface: &Surface) {
         let vertices = wgpu::BufferUsages::VERTEX;
+        // Edges are drawn from them too.
+        let places = vertices | wgpu::BufferUsages::STORAGE;
         let copy = self.copies.entry(surface.id).or_insert_with(|| SurfaceCopy {
-            positions: room(gpu, 0, vertices),
+            positions: room(gpu, 0, places),
             normals: room(gpu, 0, vertices),
             uvs: room(gpu, 0, vertices),
             indices: room(gpu, 0, wgpu::BufferUsages::INDEX),
@@ -58,7 +60,7 @@ impl SurfaceCopies {
         if copy.version != surface.version {
             let positions = bytemuck::cast_slice(&geometry.positions);
             let normals = bytemuck::cast_slice(&geometry.normals);
-            self.bytes_sent += send(gpu, &mut copy.positions, positions, vertices);
+            self.bytes_sent += send(gpu, &mut copy.positions, positions, places);
             self.bytes_sent += send(gpu, &mut copy.normals, normals, vertices);
             copy.version = surface.version;
         }

@@ -18,6 +18,10 @@ pub fn target(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat, samples: u
     if samples == 1 {
         usage |= wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::TEXTURE_BINDING;
     }
+    if format == DEPTH {
+        // Smoke fades where it meets what is solid.
+        usage |= wgpu::TextureUsages::TEXTURE_BINDING;
+    }
     gpu.device.create_texture(&wgpu::TextureDescriptor {
         label: None,
         size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },

@@ -1,4 +1,4 @@
-// One thing to draw: where it is and what it is like. Every pass has the list of all of them.
+// One thing to draw: where it is and what it is like. It is bound anew for each of them.
 
 struct Item {
     world_from_item: mat4x4f,
@@ -9,6 +9,8 @@ struct Item {
     // Number in a segmentation picture.
     number: u32,
     flags: u32,
+    // Base colour times the mean of the colour map.
+    mean_color: vec4f,
 }
 
-@group(1) @binding(0) var<storage, read> items: array<Item>;
+@group(1) @binding(0) var<uniform> item: Item;

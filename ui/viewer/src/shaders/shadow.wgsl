@@ -3,6 +3,6 @@
 @group(0) @binding(0) var<uniform> clip_from_world: mat4x4f;
 
 @vertex
-fn shadow(@location(0) position: vec3f, @builtin(instance_index) item: u32) -> @builtin(position) vec4f {
-    return clip_from_world * items[item].world_from_item * vec4f(position, 1.0);
+fn shadow(@location(0) position: vec3f) -> @builtin(position) vec4f {
+    return clip_from_world * item.world_from_item * vec4f(position, 1.0);
 }

@@ -1,8 +1,17 @@
-// Physically based shading of surfaces with up to four maps and a wet coat.
+// Physically based shading of surfaces with up to four maps and a wet coat. What a material does not have is left out of
+// its pipeline rather than skipped for each pixel: a rasteriser in software shades in groups, and masks instead of jumping.
 
-override MAPS: bool = true;
-override WET: bool = true;
-override SHADOWS: bool = true;
+override COLOR_MAP: bool = true;
+override NORMAL_MAP: bool = true;
+override EDIT_MAP: bool = true;
+override FREE_MAP: bool = true;
+override RELIEF: bool = true;
+override COAT: bool = true;
+// Smooth from one mip level to the next, and soft edges of shadows.
+override FINE: bool = true;
+// How many lights shine, at most 8, and how many of them throw shadows, at most 2: the first ones.
+override LIGHTS: u32 = 8u;
+override SHADOWS: u32 = 2u;
 
 @group(0) @binding(1) var shadow_maps: texture_depth_2d_array;
 @group(0) @binding(2) var shadow_sampler: sampler_comparison;
@@ -12,8 +21,41 @@ override SHADOWS: bool = true;
 @group(2) @binding(3) var free_map: texture_2d<f32>;
 @group(2) @binding(4) var tiled: sampler;
 @group(2) @binding(5) var single: sampler;
+@group(2) @binding(6) var coarse: sampler;
 
 const PI = 3.14159265;
+
+struct Corner {
+    @builtin(position) clip: vec4f,
+    // Place in world, and one texture coordinate each: interpolated by fours.
+    @location(0) world_u: vec4f,
+    @location(1) normal_v: vec4f,
+    // Place as the lights see it that throw shadows.
+    @location(2) seen_0: vec4f,
+    @location(3) seen_1: vec4f,
+}
+
+// A place in the picture of a light, a little above the surface (by what a texel covers there) on the side of the light: no
+// surface shades itself.
+fn seen_by(index: u32, world: vec3f, normal: vec3f) -> vec4f {
+    let offset = frame.lights[index].position - world;
+    let above = normal * (sign(dot(normal, offset)) * length(offset) * frame.shadow_texel * 5.0);
+    return frame.lights[index].clip_from_world * vec4f(world + above, 1.0);
+}
+
+@vertex
+fn corner(@location(0) position: vec3f, @location(1) normal: vec3f, @location(2) uv: vec2f) -> Corner {
+    let world = item.world_from_item * vec4f(position, 1.0);
+    // Rigid: normals turn like everything else.
+    let turned = (item.world_from_item * vec4f(normal, 0.0)).xyz;
+    var out: Corner;
+    out.clip = frame.clip_from_world * world;
+    out.world_u = vec4f(world.xyz, uv.x);
+    out.normal_v = vec4f(turned, uv.y);
+    if SHADOWS > 0u { out.seen_0 = seen_by(0u, world.xyz, turned); }
+    if SHADOWS > 1u { out.seen_1 = seen_by(1u, world.xyz, turned); }
+    return out;
+}
 
 // What is shaded; a material's own `surface` function may change it.
 struct Surface {
@@ -38,6 +80,11 @@ struct At {
     edit: vec4f,
 }
 
+fn mapped(map: texture_2d<f32>, uv: vec2f) -> vec4f {
+    if FINE { return textureSample(map, tiled, uv); }
+    return textureSample(map, coarse, uv);
+}
+
 // Cotangent frame without stored tangents (Schueler, "Normal mapping without precomputed tangents", 2006).
 fn cotangent_frame(normal: vec3f, position: vec3f, uv: vec2f) -> mat3x3f {
     let dp1 = dpdx(position);
@@ -54,70 +101,77 @@ fn cotangent_frame(normal: vec3f, position: vec3f, uv: vec2f) -> mat3x3f {
 }
 
 // Relief mapping: the ray to the eye meets the height field (Policarpo, Oliveira, Comba 2005): steps, then halving.
-fn relief(uv: vec2f, to_eye: vec3f, depth_in_uv: f32, gradient_x: vec2f, gradient_y: vec2f) -> vec2f {
+fn relief(uv: vec2f, to_eye: vec3f, depth_in_uv: f32, level: f32) -> vec2f {
     let steps = 12;
     let slope = to_eye.xy / max(to_eye.z, 0.2) * depth_in_uv;
     let step = 1.0 / f32(steps);
     var depth = 0.0;
     for (var i = 0; i < steps; i++) {
-        let height = textureSampleGrad(normal_map, tiled, uv - slope * depth, gradient_x, gradient_y).a;
+        let height = textureSampleLevel(normal_map, tiled, uv - slope * depth, level).a;
         if 1.0 - height <= depth { break; }
         depth += step;
     }
     var half_step = 0.5 * step;
     for (var i = 0; i < 4; i++) {
-        let height = textureSampleGrad(normal_map, tiled, uv - slope * depth, gradient_x, gradient_y).a;
+        let height = textureSampleLevel(normal_map, tiled, uv - slope * depth, level).a;
         depth += select(half_step, -half_step, 1.0 - height <= depth);
         half_step *= 0.5;
     }
     return uv - slope * depth;
 }
 
-// Share of a light that arrives: 3 x 3 comparisons, each between four texels.
-fn lit(light: Light, world: vec3f, normal: vec3f) -> f32 {
-    if light.shadow < 0 { return 1.0; }
-    let distance = length(light.position - world);
-    // Offset along the normal by what a texel covers there: no surface shades itself.
-    let offset = world + normal * distance * frame.shadow_texel * 2.5;
-    let clip = light.clip_from_world * vec4f(offset, 1.0);
-    if clip.w <= 0.0 { return 1.0; }
+// Share of a light that arrives: comparisons with four texels, weighted by how near they are; for fine pictures 3 x 3 of
+// these. The sum of those is one of 4 x 4 texels, which are gathered by fours.
+fn lit(layer: u32, clip: vec4f) -> f32 {
     let at = clip.xyz / clip.w;
-    let uv = vec2f(0.5 + 0.5 * at.x, 0.5 - 0.5 * at.y);
-    if any(uv < vec2f(0.0)) || any(uv > vec2f(1.0)) || at.z >= 1.0 { return 1.0; }
-    let texel = 1.0 / vec2f(textureDimensions(shadow_maps));
-    var sum = 0.0;
-    for (var y = -1; y <= 1; y++) {
-        for (var x = -1; x <= 1; x++) {
-            let place = uv + vec2f(f32(x), f32(y)) * texel;
-            sum += textureSampleCompareLevel(shadow_maps, shadow_sampler, place, light.shadow, at.z - 2e-5);
-        }
+    let place = vec2f(0.5 + 0.5 * at.x, 0.5 - 0.5 * at.y);
+    let depth = at.z - 2e-5;
+    var share: f32;
+    if FINE {
+        let texel = place / frame.shadow_texel - 0.5;
+        let corner = floor(texel);
+        let f = texel - corner;
+        let low = corner * frame.shadow_texel;
+        let high = low + 2.0 * frame.shadow_texel;
+        // Each has (low x, high y), (high x, high y), (high x, low y), (low x, low y).
+        let a = textureGatherCompare(shadow_maps, shadow_sampler, low, layer, depth);
+        let b = textureGatherCompare(shadow_maps, shadow_sampler, vec2f(high.x, low.y), layer, depth);
+        let c = textureGatherCompare(shadow_maps, shadow_sampler, vec2f(low.x, high.y), layer, depth);
+        let d = textureGatherCompare(shadow_maps, shadow_sampler, high, layer, depth);
+        let left = 1.0 - f.x;
+        let rows = vec4f(
+            a.w * left + a.z + b.w + b.z * f.x,
+            a.x * left + a.y + b.x + b.y * f.x,
+            c.w * left + c.z + d.w + d.z * f.x,
+            c.x * left + c.y + d.x + d.y * f.x);
+        share = dot(rows, vec4f(1.0 - f.y, 1.0, 1.0, f.y)) * (1.0 / 9.0);
+    } else {
+        share = textureSampleCompareLevel(shadow_maps, shadow_sampler, place, layer, depth);
     }
-    return sum / 9.0;
+    let seen = clip.w > 0.0 && at.z < 1.0 && all(place >= vec2f(0.0)) && all(place <= vec2f(1.0));
+    return select(1.0, share, seen);
 }
 
-// GGX distribution with the height-correlated Smith visibility (Walter et al. 2007; Heitz 2014).
-fn ggx(n_l: f32, n_v: f32, n_h: f32, alpha: f32) -> f32 {
-    let a2 = alpha * alpha;
-    let d = n_h * n_h * (a2 - 1.0) + 1.0;
-    let distribution = a2 / (PI * d * d);
-    let visibility = 0.5 / max(
-        n_l * sqrt(n_v * n_v * (1.0 - a2) + a2) + n_v * sqrt(n_l * n_l * (1.0 - a2) + a2), 1e-5);
-    return distribution * visibility;
+// Schlick's approximation ("An inexpensive BRDF model", 1994): the part that grows towards grazing.
+fn grazing(cosine: f32) -> f32 {
+    let x = saturate(1.0 - cosine);
+    let x2 = x * x;
+    return x2 * x2 * x;
 }
 
-fn fresnel(f0: vec3f, cosine: f32) -> vec3f {
-    return f0 + (1.0 - f0) * pow(clamp(1.0 - cosine, 0.0, 1.0), 5.0);
+// The surroundings seen in a direction: bright above, dim below, blurred with roughness.
+fn surroundings(direction_z: f32, sharp: f32) -> vec3f {
+    let up = saturate(0.5 + 0.5 * direction_z * sharp);
+    return mix(frame.below.rgb, frame.above.rgb, up * up * (3.0 - 2.0 * up));
 }
 
-// The surroundings seen in a direction: bright above, dim below, blurred with roughness. What is smooth also mirrors
-// two bright panels overhead, so that steel looks like steel.
-fn surroundings(direction: vec3f, roughness: f32) -> vec3f {
-    let sharp = mix(3.0, 0.8, roughness);
-    let up = clamp(0.5 + 0.5 * direction.z * sharp, 0.0, 1.0);
+// What is smooth also mirrors two bright panels overhead, so that steel looks like steel.
+fn mirrored(direction: vec3f, roughness: f32) -> vec3f {
     let gloss = 1.0 - roughness;
-    let panel = smoothstep(0.45, 0.75, direction.z) * smoothstep(0.9, 0.6, abs(abs(direction.x) - 0.45) * 2.5);
-    let light = mix(frame.below.rgb, frame.above.rgb, smoothstep(0.0, 1.0, up));
-    return light + frame.above.rgb * (panel * gloss * gloss * 6.0);
+    let z = saturate((direction.z - 0.45) * (1.0 / 0.3));
+    let x = saturate((0.9 - abs(abs(direction.x) - 0.45) * 2.5) * (1.0 / 0.3));
+    let panel = z * z * (3.0 - 2.0 * z) * (x * x * (3.0 - 2.0 * x));
+    return surroundings(direction.z, 3.0 - 2.2 * roughness) + frame.above.rgb * (panel * gloss * gloss * 6.0);
 }
 
 // Karis' fit of the split-sum integral ("Physically based shading on mobile", 2014).
@@ -130,50 +184,72 @@ fn environment_brdf(f0: vec3f, roughness: f32, n_v: f32) -> vec3f {
     return f0 * ab.x + ab.y;
 }
 
-// Khronos' neutral tone curve (2024): colours stay what they are up to the shoulder.
-fn tone(color_in: vec3f) -> vec3f {
-    let start = 0.8 - 0.04;
-    let desaturation = 0.15;
-    var color = color_in;
-    let low = min(color.r, min(color.g, color.b));
-    let offset = select(0.04, low - 6.25 * low * low, low < 0.08);
-    color -= offset;
-    let peak = max(color.r, max(color.g, color.b));
-    if peak < start { return color; }
-    let d = 1.0 - start;
-    let new_peak = 1.0 - d * d / (peak + d - start);
-    color *= new_peak / peak;
-    let g = 1.0 - 1.0 / (desaturation * (peak - new_peak) + 1.0);
-    return mix(color, vec3f(new_peak), g);
+// Everything about a point that does not depend on the light.
+struct Point {
+    world: vec3f,
+    to_eye: vec3f,
+    geometric: vec3f,
+    normal: vec3f,
+    n_v: f32,
+    f0: vec3f,
+    diffuse: vec3f,
+    alpha: f32,
+    // A film of water: its normal and how much of it there is.
+    coat_normal: vec3f,
+    coat_n_v: f32,
+    wetness: f32,
+    // Share of light that passes the film.
+    below_coat: f32,
 }
 
-fn falloff(light: Light, to_light: vec3f, distance: f32) -> f32 {
-    let cosine = dot(-to_light, light.direction);
-    return smoothstep(light.cos_outer, light.cos_inner, cosine) / max(distance * distance, 1e-6);
+const COAT_ALPHA = 0.012;
+
+// Light of one lamp that a point sends to the eye. The half vector itself is not needed: with unit vectors l and v its
+// length is sqrt(2 + 2 l.v), so that all cosines with it follow from those of l and v.
+fn reflected(index: u32, p: Point, seen: vec4f) -> vec3f {
+    let offset = frame.lights[index].position - p.world;
+    let d2 = max(dot(offset, offset), 1e-6);
+    let nearness = inverseSqrt(d2);
+    let to_light = offset * nearness;
+    let n_l = dot(p.normal, to_light);
+    let reaches = n_l > 0.0 && dot(p.geometric, to_light) > 0.0;
+    var share = select(0.0, cone(frame.lights[index], to_light) * nearness * nearness, reaches);
+    if index < SHADOWS { share *= lit(index, seen); }
+    let towards = dot(to_light, p.to_eye);
+    let half_length = inverseSqrt(max(2.0 + 2.0 * towards, 1e-6));
+    let v_h = saturate((1.0 + towards) * half_length);
+    let n_h = saturate((n_l + p.n_v) * half_length);
+    let bent = grazing(v_h);
+    let f = p.f0 + (1.0 - p.f0) * bent;
+    // GGX (Walter et al. 2007) with Hammon's height-correlated visibility ("PBR diffuse lighting for GGX", 2017).
+    let a2 = p.alpha * p.alpha;
+    let d = n_h * n_h * (a2 - 1.0) + 1.0;
+    let specular = a2 * 0.5 / (PI * d * d * mix(2.0 * n_l * p.n_v, n_l + p.n_v, p.alpha) + 1e-7);
+    var sent = (p.diffuse * (1.0 - f) * (1.0 / PI) + f * specular) * (n_l * p.below_coat);
+    if COAT {
+        // Kelemen's visibility (2001): the film is smooth.
+        let coat_n_l = max(dot(p.coat_normal, to_light), 1e-3);
+        let coat_n_h = saturate((coat_n_l + p.coat_n_v) * half_length);
+        let coat_a2 = COAT_ALPHA * COAT_ALPHA;
+        let coat_d = coat_n_h * coat_n_h * (coat_a2 - 1.0) + 1.0;
+        let film = p.wetness * (0.02 + 0.98 * bent);
+        sent += film * coat_n_l * coat_a2 * 0.25 / (PI * coat_d * coat_d * max(v_h * v_h, 1e-3));
+    }
+    return frame.lights[index].candela * sent * share;
 }
 
 @fragment
 fn shade(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
-    let item = items[in.item];
-    let to_eye = normalize(frame.eye.xyz - in.world);
-    var geometric = normalize(in.normal);
-    if !front { geometric = -geometric; }
-
-    if !WET {
-        // Plain: the first light with one Blinn-Phong highlight (Blinn 1977).
-        let light = frame.lights[0];
-        let offset = light.position - in.world;
-        let distance = length(offset);
-        let to_light = offset / distance;
-        let arriving = light.candela * falloff(light, to_light, distance) * frame.above.w;
-        let diffuse = max(dot(geometric, to_light), 0.0);
-        let half = normalize(to_light + to_eye);
-        let shine = pow(max(dot(geometric, half), 0.0), 40.0) * (1.0 - item.surface.x);
-        let plain = item.base_color.rgb * (diffuse * arriving / PI + frame.above.rgb * frame.above.w)
-            + shine * arriving * 0.1;
-        return vec4f(tone(plain), item.base_color.a);
-    }
-
+    let world = in.world_u.xyz;
+    let to_eye = normalize(frame.eye.xyz - world);
+    let geometric = normalize(select(-in.normal_v.xyz, in.normal_v.xyz, front));
+    var at: At;
+    at.world = world;
+    at.uv = vec2f(in.world_u.w, in.normal_v.w);
+    at.to_eye = to_eye;
+    at.seconds = frame.eye.w;
+    at.free = vec4f(1.0);
+    at.edit = vec4f(0.0, 0.0, 0.0, 1.0);
     var s: Surface;
     s.color = item.base_color.rgb;
     s.opacity = item.base_color.a;
@@ -183,76 +259,77 @@ fn shade(in: Corner, @builtin(front_facing) front: bool) -> @location(0) vec4f {
     s.wetness = item.surface.z;
     s.occlusion = 1.0;
     s.glow = vec3f(0.0);
-    var at: At;
-    at.world = in.world;
-    at.uv = in.uv;
-    at.to_eye = to_eye;
-    at.seconds = frame.eye.w;
-    if MAPS {
-        var uv = in.uv * item.tiling;
-        let from_tangent = cotangent_frame(geometric, in.world, uv);
-        let gradient_x = dpdx(uv);
-        let gradient_y = dpdy(uv);
-        // How far a metre of surface is in texture coordinates.
-        let metres = max(length(dpdx(in.world)) + length(dpdy(in.world)), 1e-9);
-        let per_metre = (length(gradient_x) + length(gradient_y)) / metres;
-        if item.surface.w > 0.0 {
-            let depth = item.surface.w * per_metre;
-            uv = relief(uv, transpose(from_tangent) * to_eye, depth, gradient_x, gradient_y);
+
+    var uv = at.uv * item.tiling;
+    if NORMAL_MAP {
+        let from_tangent = cotangent_frame(geometric, world, uv);
+        if RELIEF {
+            let gradient_x = dpdx(uv);
+            let gradient_y = dpdy(uv);
+            // How far a metre of surface is in texture coordinates.
+            let metres = max(length(dpdx(world)) + length(dpdy(world)), 1e-9);
+            let per_metre = (length(gradient_x) + length(gradient_y)) / metres;
+            let texels = vec2f(textureDimensions(normal_map));
+            let level = log2(max(length(gradient_x * texels), length(gradient_y * texels)));
+            uv = relief(uv, transpose(from_tangent) * to_eye, item.surface.w * per_metre, level);
         }
-        let color = textureSample(color_map, tiled, uv);
-        s.color *= color.rgb;
-        s.opacity *= color.a;
-        let bump = textureSample(normal_map, tiled, uv).xyz * 2.0 - 1.0;
+        let bump = mapped(normal_map, uv).xyz * 2.0 - 1.0;
         s.normal = normalize(from_tangent * bump);
-        at.free = textureSample(free_map, tiled, uv);
+    }
+    if COLOR_MAP {
+        // Stored as square roots, which can be filtered as bytes and cost one product to undo.
+        let color = mapped(color_map, uv);
+        s.color *= color.rgb * color.rgb;
+        s.opacity *= color.a;
+    }
+    if FREE_MAP {
+        at.free = mapped(free_map, uv);
         // By default the free map holds roughness, wetness, metalness, occlusion, each scaling the material's own.
         s.roughness *= at.free.r;
         s.wetness *= at.free.g;
         s.metalness *= at.free.b;
         s.occlusion *= at.free.a;
-        at.edit = textureSample(edit_map, single, in.uv);
+    }
+    if EDIT_MAP {
+        at.edit = textureSample(edit_map, single, at.uv);
         s = edited(s, at);
     }
     s = surface(s, at);
     s.roughness = clamp(s.roughness, 0.045, 1.0);
 
-    let n_v = max(dot(s.normal, to_eye), 1e-3);
-    let f0 = mix(vec3f(0.04), s.color, s.metalness);
-    let diffuse_color = s.color * (1.0 - s.metalness);
-    let alpha = s.roughness * s.roughness;
-    // A film of water: it follows the coarse shape rather than the bumps.
-    let coat_normal = normalize(mix(s.normal, geometric, 0.45));
-    let coat_n_v = max(dot(coat_normal, to_eye), 1e-3);
-    let coat_alpha = 0.012;
-    let coat_share = s.wetness * fresnel(vec3f(0.02), coat_n_v).x;
-
-    var radiance = vec3f(0.0);
-    for (var i = 0u; i < frame.light_count; i++) {
-        let light = frame.lights[i];
-        let offset = light.position - in.world;
-        let distance = length(offset);
-        let to_light = offset / distance;
-        let n_l = dot(s.normal, to_light);
-        let facing = dot(geometric, to_light);
-        if n_l <= 0.0 || facing <= 0.0 { continue; }
-        var arriving = light.candela * falloff(light, to_light, distance);
-        if SHADOWS { arriving *= lit(light, in.world, geometric); }
-        let half = normalize(to_light + to_eye);
-        let v_h = max(dot(to_eye, half), 0.0);
-        let f = fresnel(f0, v_h);
-        let specular = f * ggx(n_l, n_v, max(dot(s.normal, half), 0.0), alpha);
-        let base = (diffuse_color * (1.0 - f) / PI + specular) * n_l;
-        let coat_n_l = max(dot(coat_normal, to_light), 1e-3);
-        let coat = s.wetness * fresnel(vec3f(0.02), v_h).x
-            * ggx(coat_n_l, coat_n_v, max(dot(coat_normal, half), 0.0), coat_alpha) * coat_n_l;
-        radiance += arriving * (base * (1.0 - coat_share) + coat);
+    var p: Point;
+    p.world = world;
+    p.to_eye = to_eye;
+    p.geometric = geometric;
+    p.normal = s.normal;
+    p.n_v = max(dot(s.normal, to_eye), 1e-3);
+    p.f0 = mix(vec3f(0.04), s.color, s.metalness);
+    p.diffuse = s.color * (1.0 - s.metalness);
+    p.alpha = s.roughness * s.roughness;
+    p.below_coat = 1.0;
+    if COAT {
+        // The film follows the coarse shape rather than the bumps.
+        p.coat_normal = normalize(mix(s.normal, geometric, 0.45));
+        p.coat_n_v = max(dot(p.coat_normal, to_eye), 1e-3);
+        p.wetness = s.wetness;
+        p.below_coat = 1.0 - s.wetness * (0.02 + 0.98 * grazing(p.coat_n_v));
     }
-    let around = surroundings(s.normal, 1.0) * diffuse_color
-        + surroundings(reflect(-to_eye, s.normal), s.roughness) * environment_brdf(f0, s.roughness, n_v);
-    let around_coat = surroundings(reflect(-to_eye, coat_normal), 0.1) * coat_share;
-    radiance += (around * (1.0 - coat_share) + around_coat) * s.occlusion;
-    return vec4f(tone(radiance * frame.above.w + s.glow), s.opacity);
+    // Written out: a loop would read the lights by a number that is not known when the pipeline is made.
+    var radiance = reflected(0u, p, in.seen_0);
+    if LIGHTS > 1u { radiance += reflected(1u, p, in.seen_1); }
+    if LIGHTS > 2u { radiance += reflected(2u, p, vec4f(0.0)); }
+    if LIGHTS > 3u { radiance += reflected(3u, p, vec4f(0.0)); }
+    if LIGHTS > 4u { radiance += reflected(4u, p, vec4f(0.0)); }
+    if LIGHTS > 5u { radiance += reflected(5u, p, vec4f(0.0)); }
+    if LIGHTS > 6u { radiance += reflected(6u, p, vec4f(0.0)); }
+    if LIGHTS > 7u { radiance += reflected(7u, p, vec4f(0.0)); }
+    var around = surroundings(s.normal.z, 0.8) * p.diffuse
+        + mirrored(reflect(-to_eye, s.normal), s.roughness) * environment_brdf(p.f0, s.roughness, p.n_v);
+    if COAT {
+        around = around * p.below_coat + mirrored(reflect(-to_eye, p.coat_normal), 0.1) * (1.0 - p.below_coat);
+    }
+    radiance += around * s.occlusion;
+    return vec4f(tone(radiance + s.glow), s.opacity);
 }
 
 // Burns, blood and cuts, as the edit map tells of them.

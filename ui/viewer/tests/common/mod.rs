@@ -1,19 +1,34 @@
 //! Small scenes, and pictures of them.
 #![allow(dead_code, reason = "every test program uses a part of it")]
 
+use std::path::Path;
 use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
 use trocar_scene::{
-    Commands, Entity, EntityAllocator, Light, Pose, Registry, RegistryBuilder, SCENARIO_SPAWNER, Shape,
-    SimTime, Snapshot, Store, VisualMaterial,
+    Commands, Entity, EntityAllocator, Light, Pose, Registry, RegistryBuilder, SCENARIO_SPAWNER, Scenario,
+    Shape, SimTime, Snapshot, Store, VisualMaterial,
 };
 use trocar_viewer::{Eye, Layout, Lens, Picture, View};
+
+/// A square of so many cells along each side: texture coordinates of its corners (0 to 1), and two triangles a cell.
+pub fn grid(cells: u32) -> (Vec<[f64; 2]>, Vec<[u32; 3]>) {
+    let share = |index: u32| f64::from(index) / f64::from(cells);
+    let corners = (0..=cells).flat_map(|row| (0..=cells).map(move |column| [column, row].map(share)));
+    let cell = |row: u32, column: u32| {
+        let a = row * (cells + 1) + column;
+        let (b, c, d) = (a + 1, a + cells + 2, a + cells + 1);
+        [[a, b, c], [a, c, d]]
+    };
+    let triangles = (0..cells).flat_map(|row| (0..cells).flat_map(move |column| cell(row, column)));
+    (corners.collect(), triangles.collect())
+}
 
 /// A scene that tests write into.
 pub struct Scene {
     store: Store,
     commands: Commands,
+    time: SimTime,
 }
 
 impl Scene {
@@ -22,13 +37,25 @@ impl Scene {
         trocar_scene::register(&mut builder).expect("the field's components");
         let registry: Arc<Registry> = builder.build();
         let commands = Commands::new(Arc::clone(&registry), EntityAllocator::new(0, SCENARIO_SPAWNER));
-        Self { store: Store::new(registry), commands }
+        Self { store: Store::new(registry), commands, time: SimTime::ZERO }
+    }
+    /// What a scenario file says.
+    pub fn of_scenario(text: &str) -> (Self, Scenario) {
+        let registry = Registry::of_the_field();
+        let scenario = Scenario::parse(Path::new("test.toml"), text, &registry).expect("a scenario");
+        let store = scenario.spawn(&registry).expect("its entities");
+        let commands = Commands::new(registry, EntityAllocator::new(0, SCENARIO_SPAWNER + 1));
+        (Self { store, commands, time: SimTime::ZERO }, scenario)
+    }
+    /// What is written from now on is written then.
+    pub fn at_secs(&mut self, secs: f64) {
+        self.time = SimTime::from_secs_f64(secs);
     }
     /// Writes, as one batch.
     pub fn write<T>(&mut self, write: impl FnOnce(&mut Commands) -> T) -> T {
-        self.commands.begin(SimTime::ZERO);
+        self.commands.begin(self.time);
         let value = write(&mut self.commands);
-        self.store.apply(&mut self.commands, SimTime::ZERO);
+        self.store.apply(&mut self.commands, self.time);
         value
     }
     pub fn shape(&mut self, shape: Shape, pose: Pose, material: VisualMaterial) -> Entity {

@@ -1,0 +1,107 @@
+//! How costs grow, as a picture: figures named `…_growth_WHAT_SIZE` as lines over the size, both axes logarithmic.
+
+use std::collections::BTreeMap;
+
+use trocar::summary::BenchResult;
+
+use crate::report::{Chart, Scale};
+
+const SIZE: [f64; 2] = [760.0, 520.0];
+/// Room for labels: left, top, right (the names of the lines), below.
+const MARGIN: [f64; 4] = [64.0, 24.0, 110.0, 48.0];
+/// The picture stands alone: it brings the style of its classes along. Colours that are told apart also by those who do
+/// not see red or green (Okabe, Ito, "Color universal design", 2008).
+const STYLE: &str = "<style>svg{background:#fff;font:13px sans-serif}.grid{stroke:#ddd}.line{fill:none;stroke-width:2}\
+                     .end{text-anchor:end}.mid{text-anchor:middle}\
+                     .c0{stroke:#0072b2}.c1{stroke:#d55e00}.c2{stroke:#009e73}.c3{stroke:#cc79a7}\
+                     text.c0,text.c1,text.c2,text.c3{stroke:none}circle{stroke:none}\
+                     text.c0,circle.c0{fill:#0072b2}text.c1,circle.c1{fill:#d55e00}text.c2,circle.c2{fill:#009e73}\
+                     text.c3,circle.c3{fill:#cc79a7}</style>";
+const CLASSES: [&str; 4] = ["c0", "c1", "c2", "c3"];
+
+/// Sizes and times of one kind of work, smallest first.
+type Line = Vec<(f64, f64)>;
+
+/// The lines that a suite has; none when it looks at no growth.
+fn lines(rows: &[BenchResult]) -> BTreeMap<&str, Line> {
+    let mut lines: BTreeMap<&str, Line> = BTreeMap::new();
+    for row in rows {
+        let Some((_, rest)) = row.name.split_once("_growth_") else { continue };
+        let Some((what, size)) = rest.rsplit_once('_') else { continue };
+        if let Ok(size) = size.parse::<f64>()
+            && size > 0.0
+            && row.value > 0.0
+        {
+            lines.entry(what).or_default().push((size, row.value));
+        }
+    }
+    lines.values_mut().for_each(|line| line.sort_by(|a, b| a.0.total_cmp(&b.0)));
+    lines
+}
+
+/// Whole decades around some values.
+fn decades(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let (low, high) =
+        values.fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
+    let low = low.log10().floor();
+    (10f64.powf(low), 10f64.powf(high.log10().ceil().max(low + 1.0)))
+}
+
+/// The picture as SVG; `None` when there is nothing that grows.
+pub fn growth(rows: &[BenchResult]) -> Option<String> {
+    let lines = lines(rows);
+    let unit = &rows.iter().find(|row| row.name.contains("_growth_"))?.unit;
+    let points = || lines.values().flatten();
+    points().next()?;
+    let [left, top, right, below] = MARGIN;
+    let x = Scale::log(decades(points().map(|point| point.0)), left, SIZE[0] - right);
+    let y = Scale::log(decades(points().map(|point| point.1)), SIZE[1] - below, top);
+    let mut chart = Chart::new(SIZE[0], SIZE[1], "cost against size", x, y);
+    chart.axes("triangles", unit, 10, 10);
+    for ((what, line), class) in lines.iter().zip(CLASSES.iter().cycle()) {
+        chart.line(class, line.iter().copied());
+        for (size, time) in line {
+            chart.dot(class, (x.pixel(*size), y.pixel(*time)), 3.0, &format!("{what}: {time:.3} {unit}"));
+        }
+        if let Some((size, time)) = line.last() {
+            chart.text(class, (x.pixel(*size) + 8.0, y.pixel(*time) + 4.0), what);
+        }
+    }
+    let svg = chart.finish();
+    // Behind the opening tag.
+    let opened = svg.find('>')? + 1;
+    Some(format!("{}{STYLE}{}\n", &svg[..opened], &svg[opened..]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use trocar::summary::Better;
+
+    #[test]
+    fn each_kind_of_work_is_a_line_that_rises_as_its_figures_do() {
+        let row =
+            |name: &str, value: f64| BenchResult::on_value(name, "µs", (value, 0.0), None, Better::Lower);
+        let rows = [
+            row("collision_first_980_mean", 1.0),
+            row("collision_growth_build_10000", 500.0),
+            row("collision_growth_build_1000", 40.0),
+            row("collision_growth_first_1000", 4.0),
+            row("collision_growth_first_10000", 5.0),
+        ];
+        let svg = growth(&rows).expect("it grows");
+        let path = svg.split("<path class=\"line c0\" d=\"M").nth(1).and_then(|rest| rest.split('"').next());
+        let heights: Vec<f64> = path
+            .expect("a line")
+            .split('L')
+            .map(|point| point.split_once(' ').expect("a place").1.parse().expect("a number"))
+            .collect();
+        assert_eq!((svg.matches("<path").count(), svg.matches("<circle").count()), (2, 4));
+        assert!(heights[0] > heights[1] + 100.0, "smaller sizes first, larger costs above: {heights:?}");
+        assert!(
+            svg.contains(">build</text>") && svg.contains(">1000</text>") && svg.contains(">10000</text>")
+        );
+        assert_eq!(growth(&rows[..1]), None);
+        assert_eq!(growth(&[row("a_growth_b_0", 1.0), row("a_growth_b_10", 0.0)]), None);
+    }
+}

@@ -1,0 +1,125 @@
+//! `trocar gallery`: a picture of every scenario, and a page with all of them.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueHint};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use trocar::app::{App, SCENARIOS};
+use trocar::run::{RunOptions, run};
+use trocar::summary::{Exit, SCHEMA};
+use trocar_viewer::{Eye, Layout, Quality, View};
+
+use crate::args::{positive, size};
+use crate::escape;
+use crate::failure::Failure;
+use crate::output;
+
+/// `trocar gallery`.
+#[derive(Debug, Args)]
+pub struct GalleryArgs {
+    /// Where the pictures go, with a page that shows them all
+    #[arg(default_value = "gallery", value_hint = ValueHint::DirPath)]
+    pub folder: PathBuf,
+    /// Names of scenarios, or TOML files [default: all that come with the program]
+    #[arg(long = "scenario", value_name = "SCENARIO", value_hint = ValueHint::FilePath)]
+    pub scenarios: Vec<String>,
+    /// The moment that is shown: time of the session \[s\]
+    #[arg(long, default_value_t = 8.0, value_parser = positive)]
+    pub at: f64,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Width and height \[pixels\]
+    #[arg(long, value_name = "WxH", default_value = "800x600", value_parser = size)]
+    pub size: (u32, u32),
+    /// Print exactly one JSON object on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// One picture of it.
+struct Shot {
+    scenario: String,
+    title: String,
+    about: String,
+    file: String,
+}
+
+/// Makes the pictures that are asked for.
+pub fn gallery(app: &App, args: &GalleryArgs) -> Result<Exit, Failure> {
+    std::fs::create_dir_all(&args.folder)
+        .map_err(|error| Failure::invalid(format!("{}: {error}", args.folder.display())))?;
+    let names: Vec<String> = match args.scenarios.is_empty() {
+        true => SCENARIOS.iter().map(|(name, _)| (*name).to_owned()).collect(),
+        false => args.scenarios.clone(),
+    };
+    let bar = ProgressBar::new(names.len() as u64);
+    let style = ProgressStyle::with_template("{bar:30} {pos} of {len} scenarios  {msg}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let mut shots = Vec::new();
+    for name in &names {
+        bar.set_message(name.clone());
+        shots.push(shoot(app, args, name)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let page = args.folder.join("index.html");
+    output::write_file(&page, html(&shots).as_bytes())?;
+    if args.json {
+        let rows: Vec<_> = shots
+            .iter()
+            .map(|shot| json!({ "scenario": shot.scenario, "title": shot.title, "picture": args.folder.join(&shot.file) }))
+            .collect();
+        output::print_json(&json!({ "schema": SCHEMA, "pictures": rows, "page": page }))?;
+    } else {
+        let lines: Vec<String> = shots
+            .iter()
+            .map(|shot| format!("{}  {}", args.folder.join(&shot.file).display(), shot.title))
+            .collect();
+        output::print_text(&format!("{}\n{}", lines.join("\n"), page.display()))?;
+    }
+    Ok(Exit::Ok)
+}
+
+/// Lets a scenario run in virtual time up to the moment that is asked for, and looks.
+fn shoot(app: &App, args: &GalleryArgs, name: &str) -> Result<Shot, Failure> {
+    let scenario = app.scenario(name)?;
+    let options =
+        RunOptions { lockstep: true, seconds: Some(args.at), seed: args.seed, ..RunOptions::default() };
+    let outcome = run(app, &scenario, &options, &mut |_| {})?;
+    let scene = &outcome.kernel.snapshot;
+    let mut eye = Eye::new(Some(scenario.folder().to_owned())).map_err(Failure::invalid)?;
+    eye.quality = Quality::FINE;
+    let (width, height) = args.size;
+    let view = View::default_of(scene, Some(f64::from(width) / f64::from(height)));
+    let picture = eye.picture(scene, &view, &Layout::Mono, [width, height]).map_err(Failure::invalid)?;
+    let file = format!("{}.png", scenario.name);
+    let path = args.folder.join(&file);
+    output::check_writable(&path)?;
+    picture.save(&path).map_err(Failure::invalid)?;
+    let title = if scenario.title.is_empty() { scenario.name.clone() } else { scenario.title.clone() };
+    Ok(Shot { scenario: scenario.name.clone(), title, about: scenario.description.clone(), file })
+}
+
+fn html(shots: &[Shot]) -> String {
+    let mut page = String::from(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>Scenarios</title>\
+         <meta name=\"viewport\" content=\"width=device-width\">\n\
+         <style>body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;\
+         background:#15171a;color:#dde}figure{margin:0 0 2.5rem}img{width:100%;border-radius:8px}\
+         code{color:#9cf}</style>\n<h1>Scenarios</h1>\n",
+    );
+    for shot in shots {
+        let text = |text: &str| escape::escape(text);
+        page.push_str(&format!(
+            "<figure><img src=\"{}\" alt=\"{}\"><figcaption><strong>{}</strong> <code>trocar run {}</code><br>{}</figcaption></figure>\n",
+            text(&shot.file),
+            text(&shot.title),
+            text(&shot.title),
+            text(&shot.scenario),
+            text(&shot.about),
+        ));
+    }
+    page
+}

@@ -1,0 +1,195 @@
+//! Sessions in a window: the event loop has the program's first thread, the session another one.
+
+mod actors;
+mod attendant;
+mod faults;
+mod link;
+mod playback;
+mod player;
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::{SyncSender, sync_channel};
+
+use trocar::app::App;
+use trocar::play::Bindings;
+use trocar::summary::Exit;
+use trocar_kernel::recorder::{Recording, Replay};
+use trocar_scene::Snapshot;
+use trocar_viewer::overlay::Overlays;
+use trocar_viewer::window::{Eyes, Options, Player, Subject, Told, Windows, display};
+
+use crate::args::{self, Care, PictureArgs, WindowArgs};
+use crate::failure::Failure;
+
+pub use attendant::{Attendant, Next};
+use link::{Audience, Looker, Shared};
+pub use playback::Findings;
+
+/// Asks for the display; `None` where there is none, or nobody wants a window.
+///
+/// # Errors
+/// When a window is asked for and cannot be opened.
+pub fn connect(args: &WindowArgs, by_default: bool) -> Result<Option<Windows>, Failure> {
+    if !args.window && (!by_default || args.headless || !display::is_announced()) {
+        return Ok(None);
+    }
+    match Windows::connect() {
+        Ok(windows) => Ok(Some(windows)),
+        Err(why) if args.window => Err(Failure::usage(format!("no window: {why}"))),
+        Err(why) => {
+            tracing::warn!("no window: {why}");
+            Ok(None)
+        }
+    }
+}
+
+/// Runs a session on a thread of its own while windows show it on this one.
+///
+/// # Errors
+/// Those of the session.
+pub fn with_session(
+    windows: Windows,
+    pictures: &PictureArgs,
+    show: Show,
+    session: impl FnOnce(Attendant) -> Result<Exit, Failure> + Send,
+) -> Result<Exit, Failure> {
+    let plays = show.play.is_some();
+    let (link, looker) = link::link(show.title, show.folder, show.first);
+    let shared = looker.shared().clone();
+    let player =
+        show.play.map(|bindings| Box::new(player::Person::new(shared.clone(), bindings)) as Box<dyn Player>);
+    let viewers = Arc::new(faults::Viewers::new(windows.proxy(), windows.soundness()));
+    with(windows, pictures, vec![looker], player, move || session(Attendant::new(link, plays, viewers)))
+}
+
+/// What a window shows, and who plays in it.
+pub struct Show {
+    /// For people.
+    pub title: String,
+    /// The scenario's.
+    pub folder: Option<PathBuf>,
+    /// The scene to begin with.
+    pub first: Arc<Snapshot>,
+    /// How a person's controls are bound, where one plays.
+    pub play: Option<Bindings>,
+}
+
+/// Shows recordings beside each other while `check` finds out about the first one on a thread of its own.
+///
+/// # Errors
+/// What the check finds, and when a recording cannot be played.
+pub fn with_recordings(
+    app: &App,
+    windows: Windows,
+    pictures: &PictureArgs,
+    folder: Option<&Path>,
+    recordings: &[Recording],
+    check: impl FnOnce(&SyncSender<Findings>) -> Result<Exit, Failure> + Send,
+) -> Result<Exit, Failure> {
+    let (mut links, mut lookers) = (Vec::new(), Vec::new());
+    for recording in recordings {
+        let first = Replay::new(recording, app.registry()).map_err(Failure::invalid)?.snapshot();
+        let title = match recordings.len() {
+            1 => recording.metadata().scenario.clone(),
+            _ => recording.path().file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+        };
+        let (link, looker) = link::link(title, folder.map(Path::to_owned), first);
+        links.push(link);
+        lookers.push(looker);
+    }
+    with(windows, pictures, lookers, None, move || {
+        std::thread::scope(|scope| {
+            let mut players = Vec::new();
+            let (found, findings) = sync_channel(1);
+            let mut findings = Some(findings);
+            for (link, recording) in links.into_iter().zip(recordings) {
+                // Only the first one is checked: of the others nobody has anything to tell.
+                let findings = findings.take().unwrap_or_else(|| sync_channel(1).1);
+                let player = move || playback::play(link, recording, app.registry(), &findings);
+                let thread = std::thread::Builder::new().name("playback".into());
+                players.push(thread.spawn_scoped(scope, player).map_err(Failure::internal)?);
+            }
+            let checked = check(&found);
+            for player in players {
+                match player.join() {
+                    Ok(played) => played.map_err(Failure::invalid)?,
+                    Err(_) => return Err(Failure::internal("the thread of a playback panicked")),
+                }
+            }
+            checked
+        })
+    })
+}
+
+/// Runs `body` on a thread of its own while windows show subjects on this one.
+fn with(
+    windows: Windows,
+    pictures: &PictureArgs,
+    lookers: Vec<Looker>,
+    player: Option<Box<dyn Player>>,
+    body: impl FnOnce() -> Result<Exit, Failure> + Send,
+) -> Result<Exit, Failure> {
+    let overlays = Overlays::parse(&pictures.show.join(",")).map_err(Failure::usage)?;
+    let shared: Vec<Arc<Shared>> = lookers.iter().map(|looker| looker.shared().clone()).collect();
+    let set_audience = |audience| shared.iter().for_each(|shared| shared.set_audience(audience));
+    let proxy = windows.proxy();
+    std::thread::scope(|scope| {
+        let runner = std::thread::Builder::new().name("session".into()).spawn_scoped(scope, move || {
+            let result = body();
+            if display::is_gone() {
+                // The first thread has been lost with the display: this one ends the program.
+                leave(&result);
+            }
+            // The windows may be closed already.
+            let _ = proxy.send_event(Told::Quit);
+            result
+        });
+        let runner = runner.map_err(Failure::internal)?;
+        let options = Options {
+            subjects: lookers.into_iter().map(|looker| Box::new(looker) as Box<dyn Subject>).collect(),
+            hands: player.is_some(),
+            player,
+            quality: pictures.care.map(Care::quality),
+            eyes: eyes(pictures.eyes),
+            stereo: pictures.stereo(),
+            overlays,
+            cameras: pictures.camera.clone(),
+            size: [1180.0, 760.0],
+        };
+        match windows.show(options) {
+            Ok(()) => set_audience(Audience::Left),
+            Err(why) => {
+                tracing::warn!("no pictures any more, the session goes on: {why}");
+                set_audience(Audience::Cut);
+            }
+        }
+        runner.join().unwrap_or_else(|_| Err(Failure::internal("the session's own thread panicked")))
+    })
+}
+
+/// How eyes share a window.
+fn eyes(eyes: args::Eyes) -> Eyes {
+    match eyes {
+        args::Eyes::One => Eyes::One,
+        args::Eyes::SideBySide => Eyes::SideBySide,
+        args::Eyes::TopBottom => Eyes::TopBottom,
+        args::Eyes::Rows => Eyes::Rows,
+        args::Eyes::Anaglyph => Eyes::Anaglyph,
+        args::Eyes::Quad => Eyes::Quad,
+    }
+}
+
+fn leave(result: &Result<Exit, Failure>) -> ! {
+    let code = match result {
+        Ok(exit) => exit.code(),
+        Err(failure) => {
+            crate::say(&failure.message);
+            failure.exit.code()
+        }
+    };
+    // Nobody is left to complain to.
+    let _ = std::io::stdout().flush();
+    std::process::exit(i32::from(code))
+}

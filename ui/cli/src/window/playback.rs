@@ -1,0 +1,263 @@
+//! A recording as a window leads through it: forwards, faster, from anywhere, over and over.
+
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
+
+use trocar_kernel::recorder::{Recording, RecordingError, Replay};
+use trocar_scene::{Registry, SimTime};
+use trocar_viewer::window::subject::{Abilities, Ask, Course, Mark, Note};
+
+use super::link::{Audience, Link};
+
+/// Between two scenes that are shown.
+const FRAME: Duration = Duration::from_millis(16);
+/// How long nobody looks whether something is asked for, while time stands still.
+const REST: Duration = Duration::from_millis(50);
+/// What passes in a step.
+const STEP: SimTime = SimTime::from_millis(10);
+/// From so far ahead on it is shorter to begin at a keyframe than to play everything in between.
+const LEAP: SimTime = SimTime::from_millis(1_500);
+
+/// What was found out about a recording while it is shown.
+pub struct Findings {
+    /// What happened when.
+    pub marks: Vec<Mark>,
+    /// What to tell people.
+    pub note: Note,
+}
+
+/// Plays a recording until nobody looks any more.
+///
+/// # Errors
+/// When it cannot be played at all; what is wrong later on is told to those who look.
+pub fn play(
+    mut link: Link,
+    recording: &Recording,
+    registry: &Arc<Registry>,
+    findings: &Receiver<Findings>,
+) -> Result<(), RecordingError> {
+    let mut player = Player::new(recording, registry)?;
+    let length = recording.duration();
+    link.tell(|standing| {
+        standing.length = Some(length);
+        standing.abilities =
+            Abilities { pause: true, step: true, speed: true, reset: true, seek: true, tune: false };
+    });
+    link.show(player.replay.snapshot());
+    let mut last = Instant::now();
+    while link.shared().audience() == Audience::There {
+        let runs = link.standing().course == Course::Running;
+        let mut asked = link.wait(if runs { FRAME.saturating_sub(last.elapsed()) } else { REST });
+        while let Some(ask) = asked {
+            player.serve(&mut link, ask, length);
+            asked = link.asked();
+        }
+        if let Ok(found) = findings.try_recv() {
+            link.tell(|standing| standing.marks = found.marks);
+            link.note(found.note.text, found.note.bad);
+        }
+        let passed = last.elapsed();
+        if runs && passed < FRAME {
+            continue;
+        }
+        last = Instant::now();
+        let ends =
+            link.standing().course == Course::Running && player.pass(&link, passed.min(5 * REST), length);
+        match player.follow() {
+            Ok(changed) => {
+                if changed {
+                    link.show(player.replay.snapshot());
+                }
+                // Whoever hears that it is over sees how it ended.
+                if ends {
+                    link.tell(|standing| standing.course = Course::Over);
+                }
+            }
+            Err(error) => {
+                link.note(error.to_string(), true);
+                link.tell(|standing| standing.course = Course::Over);
+                player.give_up();
+            }
+        }
+    }
+    Ok(())
+}
+
+struct Player<'a> {
+    recording: &'a Recording,
+    registry: &'a Arc<Registry>,
+    replay: Replay<'a>,
+    /// What time it is for those who look.
+    time: SimTime,
+    shown: SimTime,
+}
+
+impl<'a> Player<'a> {
+    fn new(recording: &'a Recording, registry: &'a Arc<Registry>) -> Result<Self, RecordingError> {
+        let replay = Replay::new(recording, registry)?;
+        let time = replay.time();
+        Ok(Self { recording, registry, replay, time, shown: time })
+    }
+
+    fn serve(&mut self, link: &mut Link, ask: Ask, length: SimTime) {
+        match ask {
+            Ask::Pause => link.tell(|standing| standing.course = Course::Paused),
+            Ask::Resume => {
+                if link.standing().course == Course::Over {
+                    self.time = SimTime::ZERO;
+                }
+                link.tell(|standing| standing.course = Course::Running);
+            }
+            Ask::Step { back } => {
+                self.time = if back { SimTime(self.time.0.saturating_sub(STEP.0)) } else { self.time + STEP };
+                self.time = self.time.min(length);
+                link.tell(|standing| standing.course = Course::Paused);
+            }
+            Ask::Speed(speed) if (0.01..=100.0).contains(&speed) => {
+                link.tell(|standing| standing.speed = speed);
+            }
+            Ask::Reset => self.time = SimTime::ZERO,
+            Ask::Seek(time) => {
+                self.time = time.min(length);
+                if link.standing().course == Course::Over {
+                    link.tell(|standing| standing.course = Course::Paused);
+                }
+            }
+            Ask::Loop(looped) => link.tell(|standing| standing.looped = looped),
+            Ask::Speed(_) | Ask::Tune(_) => {}
+        }
+    }
+
+    /// Lets time go on; whether that brought it to the end.
+    fn pass(&mut self, link: &Link, passed: Duration, length: SimTime) -> bool {
+        let span = passed.as_secs_f64() * link.standing().speed;
+        self.time += SimTime::from_secs_f64(span);
+        if self.time < length {
+            return false;
+        }
+        let again = link.standing().looped && length > SimTime::ZERO;
+        self.time = if again { SimTime::ZERO } else { length };
+        !again
+    }
+
+    /// Brings the scene to the time that it is; whether it was another one.
+    fn follow(&mut self) -> Result<bool, RecordingError> {
+        if self.time == self.shown {
+            return Ok(false);
+        }
+        // What was published together is played together: the scene may be ahead a little, which is no reason to go back.
+        if self.time < self.shown || self.time > self.replay.time() + LEAP {
+            self.replay = Replay::seek(self.recording, self.registry, self.time)?;
+        }
+        self.replay.advance_to(self.time)?;
+        self.shown = self.time;
+        Ok(true)
+    }
+
+    /// Here it cannot go on; elsewhere it may.
+    fn give_up(&mut self) {
+        self.shown = self.time;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::link::{Looker, link};
+    use super::*;
+    use std::panic::AssertUnwindSafe;
+    use std::sync::mpsc::sync_channel;
+    use trocar::app::App;
+    use trocar::run::{RunOptions, run};
+    use trocar_viewer::window::Subject;
+
+    /// A recording of one second, played in the background; what `look` finds out about it.
+    fn shown<T>(look: impl FnOnce(&mut Looker, &std::sync::mpsc::SyncSender<Findings>) -> T) -> T {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("try.mcap");
+        let app = App::new();
+        let scenario = app.scenario("peg-transfer").expect("a scenario");
+        let options = RunOptions {
+            lockstep: true,
+            seconds: Some(1.0),
+            record: Some(file.clone()),
+            ..RunOptions::default()
+        };
+        run(&app, &scenario, &options, &mut |_| {}).expect("it runs");
+        let recording = Recording::open(&file).expect("a recording");
+        let first = scenario.spawn(app.registry()).expect("a scene").snapshot().into();
+        let (link, mut looker) = link("try".into(), None, first);
+        let (found, findings) = sync_channel(1);
+        let shared = looker.shared().clone();
+        std::thread::scope(|scope| {
+            let (recording, registry) = (&recording, app.registry());
+            let player = scope.spawn(move || play(link, recording, registry, &findings));
+            // Also when somebody is disappointed: the player goes on as long as there is an audience.
+            let outcome = std::panic::catch_unwind(AssertUnwindSafe(|| look(&mut looker, &found)));
+            shared.set_audience(Audience::Left);
+            let outcome = outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+            player.join().expect("no panic").expect("it plays");
+            outcome
+        })
+    }
+
+    /// Waits, as long as it takes, until what is shown is as it should be.
+    fn until(looker: &mut Looker, what: &str, is: impl Fn(&mut Looker) -> bool) {
+        let begun = Instant::now();
+        while !is(looker) {
+            assert!(begun.elapsed() < Duration::from_secs(60), "{what}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    #[test]
+    fn it_is_led_to_any_time_and_back_and_shows_the_same_there() {
+        shown(|looker, _| {
+            let pose = |looker: &mut Looker| {
+                format!("{:?}", looker.scene().iter::<trocar_scene::Pose>().collect::<Vec<_>>())
+            };
+            looker.ask(Ask::Pause);
+            until(looker, "it pauses", |looker| looker.standing().course == Course::Paused);
+            let mut seen = Vec::new();
+            for millis in [700, 200, 700, 200] {
+                let time = SimTime::from_millis(millis);
+                looker.ask(Ask::Seek(time));
+                let near = |now: SimTime| now.0.abs_diff(time.0) < SimTime::from_millis(50).0;
+                until(looker, &format!("it is led to {millis} ms"), |looker| near(looker.now()));
+                seen.push(pose(looker));
+            }
+            assert_eq!((&seen[0], &seen[1]), (&seen[2], &seen[3]));
+            assert_ne!(seen[0], seen[1]);
+            let before = looker.now();
+            looker.ask(Ask::Step { back: true });
+            until(looker, "a step back", |looker| looker.now() < before);
+        });
+    }
+
+    #[test]
+    fn it_ends_and_goes_on_from_the_beginning_or_over_and_over() {
+        shown(|looker, _| {
+            looker.ask(Ask::Speed(16.0));
+            until(looker, "it ends", |looker| looker.standing().course == Course::Over);
+            assert_eq!(looker.standing().length, Some(looker.now()));
+            looker.ask(Ask::Loop(true));
+            looker.ask(Ask::Resume);
+            until(looker, "it begins anew", |looker| looker.now() < SimTime::from_millis(500));
+            until(looker, "it goes on", |looker| looker.now() > SimTime::from_millis(500));
+            until(looker, "and begins anew again", |looker| looker.now() < SimTime::from_millis(500));
+            assert_eq!(looker.standing().course, Course::Running);
+        });
+    }
+
+    #[test]
+    fn what_is_found_out_about_it_stands_on_its_timeline() {
+        shown(|looker, found| {
+            let mark = Mark { time: SimTime::from_millis(300), what: "a gap".into(), bad: true };
+            let note = Note { text: "it has a gap".into(), bad: true };
+            found.send(Findings { marks: vec![mark.clone()], note: note.clone() }).expect("it listens");
+            until(looker, "it is told", |looker| !looker.standing().notes.is_empty());
+            let standing = looker.standing();
+            assert_eq!((&standing.marks, &standing.notes[0].1), (&vec![mark], &note));
+        });
+    }
+}

@@ -1,0 +1,93 @@
+//! A person at a window with mouse, keyboard and gamepad.
+
+use std::sync::Arc;
+
+use trocar::play::{Bindings, Control, Controls, GamepadReader};
+use trocar_kernel::handle::Submitted;
+use trocar_scene::{PersonAction, PersonView};
+use trocar_viewer::window::Player;
+
+use super::link::{Seat, Shared};
+
+/// Turns what is pressed into what is meant, and writes that into the session.
+pub struct Person {
+    shared: Arc<Shared>,
+    bindings: Bindings,
+    seated: Option<(Seat, Controls)>,
+    pad: Option<GamepadReader>,
+}
+
+impl Person {
+    /// Who will sit down as soon as there is a seat.
+    pub fn new(shared: Arc<Shared>, bindings: Bindings) -> Self {
+        let pad =
+            GamepadReader::start().map_err(|error| tracing::info!("no gamepads are read: {error}")).ok();
+        Self { shared, bindings, seated: None, pad }
+    }
+
+    fn controls(&mut self) -> Option<&mut Controls> {
+        self.seated.as_mut().map(|(_, controls)| controls)
+    }
+}
+
+impl Player for Person {
+    fn press(&mut self, control: &str, down: bool) -> bool {
+        let amount = f64::from(u8::from(down));
+        match (Control::named(control), self.controls()) {
+            (Some(control), Some(controls)) => controls.press(control, amount),
+            _ => false,
+        }
+    }
+
+    fn pointer(&mut self, right: f64, down: f64) {
+        if let Some(controls) = self.controls() {
+            controls.pointer_moved(right, down);
+        }
+    }
+
+    fn wheel(&mut self, notches: f64) {
+        if let Some(controls) = self.controls() {
+            controls.scrolled(notches);
+        }
+    }
+
+    fn release_all(&mut self) {
+        if let Some(controls) = self.controls() {
+            controls.release_all();
+        }
+    }
+
+    fn pass(&mut self, secs: f64, view: Option<PersonView>) {
+        if let Some(seat) = self.shared.take_seat() {
+            // A new session: its hands begin where they are.
+            let controls = Controls::new(self.bindings.clone(), &seat.guest.snapshot());
+            self.seated = Some((seat, controls));
+        }
+        let Some((seat, controls)) = &mut self.seated else { return };
+        while let Some(state) = self.pad.as_ref().and_then(GamepadReader::next) {
+            controls.gamepad(state.as_ref());
+        }
+        controls.advance(secs);
+        let input = controls.input(view, seat.guest.now());
+        let person = seat.person;
+        match seat.guest.write(|_, out| out.put(person, input)) {
+            // Everything in it is a total: the next one says it all.
+            Ok(Submitted::Dropped) => tracing::debug!("the session was too busy for what the person did"),
+            Ok(_) => {}
+            Err(error) => tracing::debug!("what the person did was refused: {error}"),
+        }
+    }
+
+    fn help(&self) -> Vec<(String, String)> {
+        let pointer = [
+            ("pointer".to_owned(), "moves the tip in the picture".to_owned()),
+            ("wheel".to_owned(), "moves it away and closer".to_owned()),
+        ];
+        let actions = PersonAction::ALL.iter().map(|action| {
+            let controls = self.bindings.controls.get(action).map_or(&[][..], Vec::as_slice);
+            let names: Vec<&str> = controls.iter().map(|control| control.name()).collect();
+            (names.join(", "), action.about().to_owned())
+        });
+        pointer.into_iter().chain(actions).collect()
+    }
+}

@@ -1,0 +1,149 @@
+//! A scene, what draws it, and a bare loop beside it.
+
+use trocar_scene::Snapshot;
+
+use crate::bench::{Bare, Theatre};
+use crate::error::ViewError;
+use crate::gpu::surfaces::SurfaceCopies;
+use crate::gpu::{Gpu, targets};
+use crate::layout::Layout;
+use crate::pacing::Pace;
+use crate::picture::Picture;
+use crate::quality::Quality;
+use crate::renderer::Renderer;
+use crate::stage::Stage;
+use crate::view::View;
+
+/// Draws a [`Theatre`] into a texture.
+pub struct Studio {
+    gpu: Gpu,
+    theatre: Theatre,
+    view: View,
+    renderer: Renderer,
+    bare: Bare,
+    target: wgpu::Texture,
+}
+
+impl Studio {
+    /// A theatre of about so many triangles, in a picture of that size.
+    ///
+    /// # Errors
+    /// [`ViewError::NoAdapter`], [`ViewError::Refused`], [`ViewError::Size`].
+    pub fn new(triangles: usize, size: [u32; 2]) -> Result<Self, ViewError> {
+        let gpu = Gpu::headless()?;
+        targets::check_size(&gpu, size)?;
+        let theatre = Theatre::new(triangles);
+        let view = theatre.view(f64::from(size[0]) / f64::from(size[1]));
+        let target = targets::target(&gpu, size, targets::COLOR, 1);
+        let mut renderer = Renderer::new(&gpu, None);
+        renderer.update(&gpu, &theatre.snapshot());
+        let bare = Bare::new(&gpu, renderer.stage(), &view, &target);
+        Ok(Self { gpu, theatre, view, renderer, bare, target })
+    }
+
+    /// What draws.
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// The instruments move; the frame is drawn when this comes back.
+    pub fn frame(&mut self, layout: &Layout, quality: Quality) {
+        self.submit(layout, quality);
+        self.finish();
+    }
+
+    /// As [`Self::frame`], without waiting for the device.
+    pub fn submit(&mut self, layout: &Layout, quality: Quality) {
+        self.theatre.move_instruments();
+        let scene = self.theatre.snapshot();
+        self.renderer.update(&self.gpu, &scene);
+        self.renderer.draw(&self.gpu, &scene, &self.view, layout, quality, &self.target);
+    }
+
+    /// The same by the bare loop.
+    pub fn bare_frame(&mut self) {
+        self.theatre.move_instruments();
+        self.renderer.update(&self.gpu, &self.theatre.snapshot());
+        self.bare.draw(&self.gpu, self.renderer.stage(), &self.view);
+        self.finish();
+    }
+
+    /// Looks whether there is anything new to draw, and draws it; whether there was.
+    pub fn look(&mut self, quality: Quality) -> bool {
+        let (scene, pace) = (self.theatre.snapshot(), Pace { quality, scale: 1.0 });
+        let needed = self.renderer.needs_draw(&scene, &self.view, &Layout::Mono, pace, &self.target);
+        if needed {
+            self.renderer.update(&self.gpu, &scene);
+            self.renderer.draw_scaled(&self.gpu, &scene, &self.view, &Layout::Mono, pace, &self.target);
+            self.finish();
+        }
+        needed
+    }
+
+    /// Draws another scene through its first camera; it is drawn when this comes back.
+    pub fn watch(&mut self, scene: &Snapshot, quality: Quality) {
+        let aspect = f64::from(self.target.width()) / f64::from(self.target.height());
+        let view = View::default_of(scene, Some(aspect));
+        self.renderer.update(&self.gpu, scene);
+        self.renderer.draw(&self.gpu, scene, &view, &Layout::Mono, quality, &self.target);
+        self.finish();
+    }
+
+    /// What was drawn last.
+    ///
+    /// # Errors
+    /// [`ViewError::DeviceLost`].
+    pub fn picture(&self) -> Result<Picture, ViewError> {
+        let bytes = targets::read(&self.gpu, &self.target)?;
+        let (width, height) = (self.target.width(), self.target.height());
+        Ok(Picture { width, height, color: bytes.as_chunks().0.to_vec() })
+    }
+
+    /// Waits until everything is drawn; a lost device is told of by [`Gpu::check`].
+    pub fn finish(&self) {
+        finish(&self.gpu);
+    }
+}
+
+/// A sheet that deforms, and its copy on the device.
+pub struct Upload {
+    gpu: Gpu,
+    theatre: Theatre,
+    stage: Stage,
+    copies: SurfaceCopies,
+}
+
+impl Upload {
+    /// A sheet of `side × side` vertices.
+    pub fn new(gpu: &Gpu, side: usize) -> Self {
+        let theatre = Theatre::sheet_of(side);
+        let mut upload =
+            Self { gpu: gpu.clone(), theatre, stage: Stage::new(), copies: SurfaceCopies::default() };
+        upload.send();
+        upload
+    }
+
+    /// Every vertex moves.
+    pub fn deform(&mut self) {
+        self.theatre.deform();
+    }
+
+    /// Follows the scene, and sends what changed; it is there when this comes back. How many bytes.
+    pub fn send(&mut self) -> u64 {
+        let before = self.copies.bytes_sent;
+        self.stage.update(&self.theatre.snapshot());
+        for item in self.stage.items() {
+            self.copies.send(&self.gpu, &item.surface);
+        }
+        self.copies.sweep();
+        self.gpu.queue.submit([]);
+        finish(&self.gpu);
+        self.copies.bytes_sent - before
+    }
+}
+
+fn finish(gpu: &Gpu) {
+    if let Err(error) = gpu.device.poll(wgpu::PollType::wait_indefinitely()) {
+        tracing::debug!("nothing to wait for: {error}");
+    }
+}

@@ -1,0 +1,323 @@
+//! Seeing the simulation: what happens in a scene, drawn over it.
+//!
+//! [`Overlays`] says what is shown and is plain data. The algorithms beside it turn a snapshot into coloured lines,
+//! triangles and spots ([`Sketch`]), into one number per vertex ([`fields`]) and into [`Legend`]s. What is hidden costs
+//! nothing: it is neither looked for in the scene nor sent.
+
+pub mod boxes;
+pub mod contacts;
+pub mod fields;
+pub mod forces;
+pub mod legend;
+pub mod sketch;
+pub mod trails;
+
+pub use fields::Field;
+pub use legend::Legend;
+pub use sketch::Sketch;
+pub use trails::Trails;
+
+use nalgebra::Point3;
+use thiserror::Error;
+use trocar_scene::{Name, Pose, Snapshot};
+
+use crate::stage::Stage;
+
+/// Something that can be shown over a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Overlay {
+    /// What touches.
+    Contacts,
+    /// In which directions.
+    Normals,
+    /// With which forces.
+    Forces,
+    /// What the hands feel.
+    HandForces,
+    /// Edges of triangles.
+    Wireframe,
+    /// Boxes around things.
+    Boxes,
+    /// Where tips have been.
+    Trails,
+    /// Frames of reference.
+    Axes,
+    /// What things are called.
+    Names,
+    /// How hot they are.
+    Temperature,
+    /// How burned they are.
+    Burn,
+    /// What a simulator says of its vertices.
+    Field,
+}
+
+impl Overlay {
+    /// All of them, in the order of lists.
+    pub const ALL: [Self; 12] = [
+        Self::Contacts,
+        Self::Normals,
+        Self::Forces,
+        Self::HandForces,
+        Self::Wireframe,
+        Self::Boxes,
+        Self::Trails,
+        Self::Axes,
+        Self::Names,
+        Self::Temperature,
+        Self::Burn,
+        Self::Field,
+    ];
+
+    /// Its name on command lines and in settings; it does not change.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Contacts => "contacts",
+            Self::Normals => "normals",
+            Self::Forces => "forces",
+            Self::HandForces => "hand-forces",
+            Self::Wireframe => "wireframe",
+            Self::Boxes => "boxes",
+            Self::Trails => "trails",
+            Self::Axes => "axes",
+            Self::Names => "names",
+            Self::Temperature => "temperature",
+            Self::Burn => "burn",
+            Self::Field => "field",
+        }
+    }
+
+    /// What it shows, in one line.
+    pub const fn description(self) -> &'static str {
+        match self {
+            Self::Contacts => "what touches, in red: triangles of meshes, the spot on other surfaces",
+            Self::Normals => "direction of each contact",
+            Self::Forces => "force of each contact",
+            Self::HandForces => "force that each hand feels, at the tip of its instrument",
+            Self::Wireframe => "edges of the triangles that are drawn",
+            Self::Boxes => "trees of bounding volumes, or the box around each thing",
+            Self::Trails => "where the tips of the instruments have just been",
+            Self::Axes => "frame of each thing: x red, y green, z blue",
+            Self::Names => "what things are called",
+            Self::Temperature => "temperature of tissue, with its scale",
+            Self::Burn => "share of the tissue's protein that is denatured, with its scale",
+            Self::Field => "a quantity per vertex that a simulator gives (stress, strain), with its scale",
+        }
+    }
+}
+
+/// A name that nothing has that can be shown.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("'{name}' cannot be shown{suggestion}; there are: {known}")]
+pub struct UnknownOverlay {
+    /// Asked for.
+    pub name: String,
+    /// `; did you mean 'forces'?`, or nothing.
+    pub suggestion: String,
+    /// What there is.
+    pub known: String,
+}
+
+/// A switch for each of [`Overlay::ALL`], all of them off by default.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Switches(u32);
+
+/// What is shown, and how large. Nothing by default.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Overlays {
+    /// Which of [`Overlay::ALL`].
+    pub shown: Switches,
+    /// Which of several fields is shown, by its name; the first one of each thing without.
+    pub field: Option<String>,
+    /// Length of arrows of force \[m/N\].
+    pub metres_per_newton: f64,
+    /// Length of normals and axes \[m\].
+    pub axis_length: f64,
+    /// Radius of the spot that is coloured where something touches a surface that is no mesh \[m\].
+    pub spot_radius: f64,
+    /// How far trails reach back \[s\].
+    pub trail_secs: f64,
+    /// Ends of the scale of temperatures \[°C\].
+    pub celsius: [f64; 2],
+    /// Width of lines \[pixels\].
+    pub line_width: f32,
+    /// Whether scales and keys stand in the picture; a window may show them in a place of its own.
+    pub legends: bool,
+}
+
+impl Default for Overlays {
+    fn default() -> Self {
+        Self {
+            shown: Switches::default(),
+            field: None,
+            metres_per_newton: 0.01,
+            axis_length: 0.01,
+            spot_radius: 0.002,
+            trail_secs: 2.0,
+            celsius: [20.0, 100.0],
+            line_width: 2.0,
+            legends: true,
+        }
+    }
+}
+
+impl Overlays {
+    /// These, and nothing else.
+    pub fn of(shown: &[Overlay]) -> Self {
+        let mut overlays = Self::default();
+        shown.iter().for_each(|overlay| overlays.set(*overlay, true));
+        overlays
+    }
+
+    /// Those that a list names, such as `contacts,forces`; `field=stress` picks one of several fields.
+    ///
+    /// # Errors
+    /// [`UnknownOverlay`] for the first name that nothing has.
+    pub fn parse(list: &str) -> Result<Self, UnknownOverlay> {
+        let mut overlays = Self::default();
+        for word in list.split(',').map(str::trim).filter(|word| !word.is_empty()) {
+            let (name, which) =
+                word.split_once('=').map_or((word, None), |(name, which)| (name, Some(which)));
+            let found = Overlay::ALL.into_iter().find(|overlay| overlay.name() == name);
+            match (found, which) {
+                (Some(Overlay::Field), Some(which)) => overlays.field = Some(which.to_owned()),
+                (Some(_), None) => {}
+                _ => return Err(unknown(word)),
+            }
+            found.into_iter().for_each(|overlay| overlays.set(overlay, true));
+        }
+        Ok(overlays)
+    }
+
+    /// Whether it is shown.
+    pub fn shows(&self, overlay: Overlay) -> bool {
+        self.shown.0 & bit(overlay) != 0
+    }
+
+    /// Shows or hides it.
+    pub fn set(&mut self, overlay: Overlay, shown: bool) {
+        let others = self.shown.0 & !bit(overlay);
+        self.shown = Switches(if shown { others | bit(overlay) } else { others });
+    }
+
+    /// Shows it if it is hidden, and the other way round.
+    pub fn toggle(&mut self, overlay: Overlay) {
+        self.shown.0 ^= bit(overlay);
+    }
+
+    /// Whether nothing is shown.
+    pub fn is_empty(&self) -> bool {
+        self.shown.0 == 0
+    }
+
+    /// What is shown, in the order of lists.
+    pub fn iter(&self) -> impl Iterator<Item = Overlay> + '_ {
+        Overlay::ALL.into_iter().filter(|overlay| self.shows(*overlay))
+    }
+}
+
+fn bit(overlay: Overlay) -> u32 {
+    1 << overlay as u32
+}
+
+fn unknown(name: &str) -> UnknownOverlay {
+    let known = Overlay::ALL.map(Overlay::name);
+    let alike = known.into_iter().map(|known| (strsim::jaro_winkler(name, known), known));
+    let closest = alike.filter(|(score, _)| *score > 0.75).max_by(|a, b| a.0.total_cmp(&b.0));
+    UnknownOverlay {
+        name: name.to_owned(),
+        suggestion: closest.map_or_else(String::new, |(_, best)| format!("; did you mean '{best}'?")),
+        known: known.join(", "),
+    }
+}
+
+/// What is shown of a scene: everything that is drawn over it.
+#[derive(Clone, Debug, Default)]
+pub struct Seen {
+    /// Lines, triangles and spots.
+    pub sketch: Sketch,
+    /// Quantities over surfaces.
+    pub fields: Vec<Field>,
+    /// What they mean.
+    pub legends: Vec<Legend>,
+    /// What stands where, in world.
+    pub labels: Vec<(Point3<f64>, String)>,
+}
+
+/// Names that are written at once.
+const LABELS_MAX: usize = 256;
+/// Frames of reference that are drawn at once.
+const AXES_MAX: usize = 1024;
+
+/// Looks at a scene for what is to be shown of it. `trails` has been watching.
+pub fn look(overlays: &Overlays, scene: &Snapshot, stage: &Stage, trails: &Trails) -> Seen {
+    let mut seen = Seen::default();
+    for overlay in overlays.iter() {
+        match overlay {
+            Overlay::Contacts => contacts::touching(overlays, scene, stage, &mut seen),
+            Overlay::Normals => contacts::normals(overlays, scene, &mut seen),
+            Overlay::Forces => contacts::forces(overlays, scene, &mut seen),
+            Overlay::HandForces => forces::hands(overlays, scene, &mut seen),
+            // Straight from the surfaces that are on the device.
+            Overlay::Wireframe => {}
+            Overlay::Boxes => boxes::boxes(overlays, scene, stage, &mut seen.sketch),
+            Overlay::Trails => trails.draw(overlays, &mut seen.sketch),
+            Overlay::Axes => {
+                for (entity, _) in scene.iter::<Pose>().take(AXES_MAX) {
+                    let world_from_entity = scene.world_pose(entity);
+                    seen.sketch.axes(&world_from_entity, overlays.axis_length, overlays.line_width);
+                }
+            }
+            Overlay::Names => label(scene, stage, &mut seen.labels),
+            Overlay::Temperature | Overlay::Burn | Overlay::Field => {
+                fields::field(overlay, overlays, scene, stage, &mut seen);
+            }
+        }
+    }
+    seen
+}
+
+fn label(scene: &Snapshot, stage: &Stage, labels: &mut Vec<(Point3<f64>, String)>) {
+    let mut last = None;
+    for item in stage.items() {
+        if last == Some(item.entity) || labels.len() >= LABELS_MAX {
+            continue;
+        }
+        last = Some(item.entity);
+        if let Some(Name(name)) = scene.get::<Name>(item.entity) {
+            let place = Point3::from(item.world_from_item.translation.vector);
+            labels.push((place, name.chars().filter(|letter| !letter.is_control()).take(48).collect()));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_name_reads_back_and_says_what_it_shows() {
+        for overlay in Overlay::ALL {
+            assert_eq!(Overlays::parse(overlay.name()).unwrap(), Overlays::of(&[overlay]));
+            assert!(overlay.description().len() > 10);
+            let mut toggled = Overlays::default();
+            toggled.toggle(overlay);
+            assert_eq!(toggled.iter().collect::<Vec<_>>(), [overlay]);
+            toggled.toggle(overlay);
+            assert!(toggled.is_empty());
+        }
+        let several = Overlays::parse(" forces, contacts,field=strain").unwrap();
+        let shown: Vec<_> = several.iter().collect();
+        assert_eq!(shown, [Overlay::Contacts, Overlay::Forces, Overlay::Field]);
+        assert_eq!(several.field.as_deref(), Some("strain"));
+    }
+
+    #[test]
+    fn an_unknown_name_is_refused_with_what_was_meant() {
+        let refused = Overlays::parse("contacts,force").unwrap_err();
+        assert!(refused.to_string().contains("did you mean 'forces'?"), "{refused}");
+        assert!(refused.known.contains("temperature"));
+        assert_eq!(Overlays::parse("zzz").unwrap_err().suggestion, "");
+        assert!(Overlays::parse("axes=3").is_err());
+    }
+}

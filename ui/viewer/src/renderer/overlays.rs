@@ -1,0 +1,132 @@
+//! What is shown over the scene, from the switches to the picture.
+
+use nalgebra::Point3;
+use trocar_scene::Snapshot;
+
+use crate::gpu::Gpu;
+use crate::gpu::annotate::{Annotator, Note};
+use crate::gpu::overlay::OverlayPass;
+use crate::gpu::passes::Passes;
+use crate::gpu::surfaces::SurfaceCopies;
+use crate::layout::Shot;
+use crate::overlay::{self, Legend, Overlay, Overlays, Seen, Trails};
+use crate::stage::Stage;
+use crate::view::View;
+
+/// What there is to draw over, and on what it lies.
+pub(super) struct Below<'a> {
+    pub(super) stage: &'a Stage,
+    pub(super) copies: &'a SurfaceCopies,
+    pub(super) passes: &'a Passes,
+    /// Whether it has changed since the last time.
+    pub(super) anew: bool,
+}
+
+/// Nothing, until something is shown.
+#[derive(Default)]
+pub(super) struct Layer {
+    trails: Trails,
+    /// What is seen, and by which switches it was looked for.
+    seen: Option<(Overlays, Seen)>,
+    pass: Option<OverlayPass>,
+    annotator: Option<Annotator>,
+}
+
+impl Layer {
+    pub(super) fn bytes_sent(&self) -> u64 {
+        self.pass.as_ref().map_or(0, |pass| pass.bytes_sent)
+    }
+
+    pub(super) fn legends(&self) -> &[Legend] {
+        self.seen.as_ref().map_or(&[], |(_, seen)| &seen.legends)
+    }
+
+    /// Watches the scene for what is shown of its past.
+    pub(super) fn watch(&mut self, overlays: &Overlays, scene: &Snapshot) {
+        if overlays.shows(Overlay::Trails) {
+            self.trails.watch(scene, overlays.trail_secs);
+        } else {
+            self.trails.clear();
+        }
+    }
+
+    /// Looks for what is shown, unless neither the scene nor the switches have changed.
+    pub(super) fn follow(&mut self, gpu: &Gpu, overlays: &Overlays, scene: &Snapshot, below: &Below<'_>) {
+        let Below { stage, copies, passes, anew } = *below;
+        self.watch(overlays, scene);
+        if overlays.is_empty() {
+            self.seen = None;
+            return;
+        }
+        if !anew && self.seen.as_ref().is_some_and(|(before, _)| before == overlays) {
+            return;
+        }
+        let seen = overlay::look(overlays, scene, stage, &self.trails);
+        let pass = self.pass.get_or_insert_with(|| OverlayPass::new(gpu, &passes.items_layout));
+        pass.send(gpu, overlays, &seen, stage, copies);
+        self.seen = Some((overlays.clone(), seen));
+    }
+
+    pub(super) fn prepare(
+        &mut self,
+        gpu: &Gpu,
+        eye: usize,
+        view: &View,
+        pane: [u32; 2],
+        (format, samples): (wgpu::TextureFormat, u32),
+    ) {
+        if let (Some(_), Some(pass)) = (&self.seen, &mut self.pass) {
+            pass.prepare(gpu, eye, view, pane, format, samples);
+        }
+    }
+
+    pub(super) fn draw(
+        &self,
+        pass: &mut wgpu::RenderPass<'_>,
+        eye: usize,
+        kind: (wgpu::TextureFormat, u32),
+        stage: &Stage,
+        copies: &SurfaceCopies,
+        items: &wgpu::BindGroup,
+    ) {
+        if let (Some(_), Some(own)) = (&self.seen, &self.pass) {
+            own.draw(pass, eye, kind, stage, copies, items);
+        }
+    }
+
+    /// Writes legends and names into what has been drawn.
+    pub(super) fn annotate(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        overlays: &Overlays,
+        (target, format): (&wgpu::TextureView, wgpu::TextureFormat),
+        size: [u32; 2],
+        shots: &[Shot],
+    ) {
+        let Some((_, seen)) = &self.seen else { return };
+        let legends: &[Legend] = if overlays.legends { &seen.legends } else { &[] };
+        if legends.is_empty() && seen.labels.is_empty() {
+            return;
+        }
+        let note = |shot: &Shot| {
+            let view = if let [eye] = shot.eyes.as_slice() { eye } else { &shot.centre };
+            let place = |point: &Point3<f64>| {
+                let at = view.onto_lens(view.project(point)?.0);
+                at.iter().all(|share| (0.0..=1.0).contains(share)).then_some(at)
+            };
+            let labels =
+                seen.labels.iter().filter_map(|(point, words)| Some((place(point)?, words.as_str())));
+            // Both eyes of the first view see them; the views beside it need not.
+            let legends = if shot.centre == shots[0].centre { legends } else { &[] };
+            Note { pane: shot.pane.pixels(size), legends, labels: labels.collect() }
+        };
+        let notes: Vec<Note<'_>> = shots.iter().map(note).collect();
+        if self.annotator.as_ref().is_none_or(|annotator| !annotator.is_for(format)) {
+            self.annotator = Some(Annotator::new(gpu, format));
+        }
+        if let Some(annotator) = &mut self.annotator {
+            annotator.draw(gpu, encoder, target, size, &notes);
+        }
+    }
+}

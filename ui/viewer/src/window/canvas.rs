@@ -1,0 +1,110 @@
+//! The scene between the panels.
+
+use egui::{Color32, Pos2, Rect, Stroke, Ui, Vec2};
+
+use super::painter::Painter;
+use super::sight::{AS_SEEN, Eyes, Sight};
+use crate::error::ViewError;
+use crate::gpu::Gpu;
+use crate::pacing::Pace;
+
+/// Colour of what is selected.
+const SELECTED: Color32 = Color32::from_rgb(255, 200, 60);
+
+/// The textures in which a window shows its sights.
+#[derive(Default)]
+pub(super) struct Canvas {
+    textures: Vec<Option<(egui::TextureId, wgpu::Texture)>>,
+    /// Where each sight was shown last \[pixels\].
+    cells: Vec<Rect>,
+}
+
+impl Canvas {
+    /// The sight at a place of the window \[pixels\], with that place in its picture (0 to 1 from left and top).
+    pub(super) fn at(&self, place: Pos2) -> Option<(usize, [f64; 2])> {
+        let index = self.cells.iter().position(|cell| cell.contains(place))?;
+        let cell = self.cells[index];
+        let share = (place - cell.min) / cell.size();
+        Some((index, [f64::from(share.x), f64::from(share.y)]))
+    }
+
+    /// Height of a sight's picture \[pixels\], at least one.
+    pub(super) fn height(&self, index: usize) -> f64 {
+        self.cells.get(index).map_or(1.0, |cell| f64::from(cell.height()).max(1.0))
+    }
+
+    /// All sights of the window beside each other.
+    ///
+    /// # Errors
+    /// [`ViewError::DeviceLost`].
+    pub(super) fn show(
+        &mut self,
+        ui: &mut Ui,
+        gpu: &Gpu,
+        painter: &mut Painter,
+        sights: &mut [Sight],
+        pace: Pace,
+    ) -> Result<(), ViewError> {
+        self.textures.resize(sights.len(), None);
+        self.cells.clear();
+        let whole = ui.available_rect_before_wrap();
+        let width = whole.width() / sights.len().max(1) as f32;
+        let scale = ui.ctx().pixels_per_point();
+        for (index, sight) in sights.iter_mut().enumerate() {
+            let left = whole.left() + width * index as f32;
+            let cell = Rect::from_min_size(Pos2::new(left, whole.top()), Vec2::new(width, whole.height()));
+            // On whole pixels: rows of a woven picture belong to one eye each.
+            let edge = |at: f32| (at * scale).round() / scale;
+            let cell = Rect::from_min_max(
+                Pos2::new(edge(cell.left()), edge(cell.top())),
+                Pos2::new(edge(cell.right()), edge(cell.bottom())),
+            );
+            let size = [cell.width(), cell.height()].map(|side| (side * scale).round() as u32);
+            if size.contains(&0) {
+                self.cells.push(Rect::NOTHING);
+                continue;
+            }
+            self.cells.push(cell * scale);
+            sight.draw(gpu, size, pace);
+            gpu.check()?;
+            let Some(target) = sight.target() else { continue };
+            let slot = &mut self.textures[index];
+            if slot.as_ref().is_none_or(|(_, shown)| shown != target) {
+                let id = painter.register(gpu, target, AS_SEEN, slot.as_ref().map(|(id, _)| *id));
+                *slot = Some((id, target.clone()));
+            }
+            let Some((id, _)) = slot else { continue };
+            let all = Rect::from_min_max(Pos2::ZERO, Pos2::new(1.0, 1.0));
+            ui.painter().image(*id, cell, all, Color32::WHITE);
+            outline(ui, cell, sight);
+        }
+        Ok(())
+    }
+}
+
+/// A box around what is selected, with its name.
+fn outline(ui: &Ui, cell: Rect, sight: &Sight) {
+    let Some(entity) = sight.selected.filter(|_| sight.eyes == Eyes::One) else { return };
+    let view = sight.view(f64::from(cell.width() / cell.height()));
+    let place = |corner: &nalgebra::Point3<f64>| {
+        let at = view.onto_lens(view.project(corner)?.0);
+        Some(cell.min + Vec2::new(at[0] as f32, at[1] as f32) * cell.size())
+    };
+    let painter = ui.painter_at(cell);
+    let mut top: Option<Pos2> = None;
+    for corners in sight.boxes(entity) {
+        let seen: Vec<Option<Pos2>> = corners.iter().map(place).collect();
+        for (a, b) in (0..8usize).flat_map(|a| [1, 2, 4].map(|bit| (a, a ^ bit))).filter(|(a, b)| a < b) {
+            if let (Some(a), Some(b)) = (seen[a], seen[b]) {
+                painter.line_segment([a, b], Stroke::new(1.0, SELECTED));
+            }
+        }
+        let highest = seen.into_iter().flatten().min_by(|a, b| a.y.total_cmp(&b.y));
+        top = [top, highest].into_iter().flatten().min_by(|a, b| a.y.total_cmp(&b.y));
+    }
+    if let Some(at) = top {
+        let name = sight.scene.name(entity);
+        let font = egui::FontId::proportional(13.0);
+        painter.text(at - Vec2::new(0.0, 4.0), egui::Align2::CENTER_BOTTOM, name, font, SELECTED);
+    }
+}

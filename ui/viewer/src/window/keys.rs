@@ -1,0 +1,216 @@
+//! What keys do in a window. Where MuJoCo's `simulate` has a key for the same thing, it is that one.
+
+use winit::event::Modifiers;
+use winit::keyboard::{KeyCode, ModifiersState};
+
+use crate::overlay::Overlay;
+
+/// What a key does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// The list of keys.
+    Help,
+    /// The panel at the left.
+    LeftPanel,
+    /// The panel at the right.
+    RightPanel,
+    /// The table of actors.
+    Actors,
+    /// All of the screen.
+    FullScreen,
+    /// How two eyes share the picture.
+    Layout,
+    /// With how much care is drawn.
+    Quality,
+    /// The instruments are taken in hand, or given back.
+    Hands,
+    /// Time stands still, or goes on.
+    Pause,
+    /// A step.
+    Step,
+    /// A step back.
+    StepBack,
+    /// Faster.
+    Faster,
+    /// Slower.
+    Slower,
+    /// From the beginning.
+    Reset,
+    /// A recording begins anew at its end.
+    Loop,
+    /// The camera before.
+    CameraBefore,
+    /// The next camera.
+    CameraNext,
+    /// A camera that goes where the mouse leads it.
+    FreeCamera,
+    /// A picture of what is seen.
+    Screenshot,
+    /// One more window.
+    NewWindow,
+    /// This window is closed.
+    Close,
+    /// All of them are.
+    Quit,
+    /// Something is shown over the scene, or no longer.
+    Show(Overlay),
+}
+
+/// A key with what must be held down beside it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Chord {
+    /// The key.
+    pub code: KeyCode,
+    /// Control.
+    pub control: bool,
+    /// Shift.
+    pub shift: bool,
+}
+
+const fn key(code: KeyCode) -> Chord {
+    Chord { code, control: false, shift: false }
+}
+const fn control(code: KeyCode) -> Chord {
+    Chord { code, control: true, shift: false }
+}
+
+/// Every key, in the order in which people are told about them.
+pub const KEYS: &[(Chord, Action, &str)] = &[
+    (key(KeyCode::F1), Action::Help, "this list"),
+    (key(KeyCode::Tab), Action::LeftPanel, "the panel at the left"),
+    (
+        Chord { code: KeyCode::Tab, control: false, shift: true },
+        Action::RightPanel,
+        "the panel at the right: inspect and tune",
+    ),
+    (key(KeyCode::F3), Action::Actors, "the actors: rates, lateness, health"),
+    (key(KeyCode::F5), Action::FullScreen, "all of the screen"),
+    (key(KeyCode::F6), Action::Layout, "the next way in which two eyes share the picture"),
+    (key(KeyCode::F7), Action::Quality, "the next quality"),
+    (key(KeyCode::F8), Action::Hands, "take the instruments in hand; Escape gives them back"),
+    (key(KeyCode::Space), Action::Pause, "pause, go on"),
+    (key(KeyCode::ArrowRight), Action::Step, "a step, while paused"),
+    (key(KeyCode::ArrowLeft), Action::StepBack, "a step back, in a recording"),
+    (key(KeyCode::Equal), Action::Faster, "faster"),
+    (key(KeyCode::Minus), Action::Slower, "slower"),
+    (key(KeyCode::Backspace), Action::Reset, "from the beginning"),
+    (key(KeyCode::KeyL), Action::Loop, "a recording begins anew at its end"),
+    (key(KeyCode::BracketLeft), Action::CameraBefore, "the camera before"),
+    (key(KeyCode::BracketRight), Action::CameraNext, "the next camera"),
+    (key(KeyCode::Escape), Action::FreeCamera, "a free camera"),
+    (key(KeyCode::KeyC), Action::Show(Overlay::Contacts), "show what touches"),
+    (key(KeyCode::KeyN), Action::Show(Overlay::Normals), "show the directions of contacts"),
+    (key(KeyCode::KeyF), Action::Show(Overlay::Forces), "show the forces of contacts"),
+    (key(KeyCode::KeyH), Action::Show(Overlay::HandForces), "show what the hands feel"),
+    (key(KeyCode::KeyW), Action::Show(Overlay::Wireframe), "show edges of triangles"),
+    (key(KeyCode::KeyB), Action::Show(Overlay::Boxes), "show bounding volumes"),
+    (key(KeyCode::KeyT), Action::Show(Overlay::Trails), "show where tips have been"),
+    (key(KeyCode::KeyA), Action::Show(Overlay::Axes), "show frames of reference"),
+    (key(KeyCode::KeyM), Action::Show(Overlay::Names), "show names"),
+    (key(KeyCode::KeyE), Action::Show(Overlay::Temperature), "show temperatures"),
+    (key(KeyCode::KeyU), Action::Show(Overlay::Burn), "show burns"),
+    (key(KeyCode::KeyS), Action::Show(Overlay::Field), "show stress, strain, or what a simulator gives"),
+    (control(KeyCode::KeyP), Action::Screenshot, "a picture (PNG) in the working folder"),
+    (control(KeyCode::KeyN), Action::NewWindow, "one more window"),
+    (control(KeyCode::KeyW), Action::Close, "close this window"),
+    (control(KeyCode::KeyQ), Action::Quit, "end"),
+];
+
+/// What mouse and wheel do, for people.
+pub const MOUSE: &[(&str, &str)] = &[
+    ("left drag", "turn the camera about what it looks at"),
+    ("right drag", "move the camera along the picture"),
+    ("wheel", "closer, farther away"),
+    ("double click", "select what is there"),
+];
+
+/// What this key does.
+pub fn action(code: KeyCode, modifiers: &Modifiers) -> Option<Action> {
+    let state = modifiers.state();
+    let chord = Chord {
+        code,
+        control: state.contains(ModifiersState::CONTROL),
+        shift: state.contains(ModifiersState::SHIFT),
+    };
+    if state.intersects(ModifiersState::ALT | ModifiersState::SUPER) {
+        return None;
+    }
+    KEYS.iter().find(|(known, ..)| *known == chord).map(|(_, action, _)| *action)
+}
+
+/// Whether a key is the window's even while a person has the instruments in hand.
+pub fn is_reserved(code: KeyCode, modifiers: &Modifiers) -> bool {
+    let function = matches!(
+        code,
+        KeyCode::F1
+            | KeyCode::F2
+            | KeyCode::F3
+            | KeyCode::F4
+            | KeyCode::F5
+            | KeyCode::F6
+            | KeyCode::F7
+            | KeyCode::F8
+            | KeyCode::F9
+            | KeyCode::F10
+            | KeyCode::F11
+            | KeyCode::F12
+            | KeyCode::Escape
+    );
+    function || modifiers.state().contains(ModifiersState::CONTROL)
+}
+
+/// The name of a key for people.
+pub fn name(chord: &Chord) -> String {
+    let code = format!("{:?}", chord.code);
+    let bare = match chord.code {
+        KeyCode::Equal => "=",
+        KeyCode::Minus => "-",
+        KeyCode::BracketLeft => "[",
+        KeyCode::BracketRight => "]",
+        KeyCode::ArrowLeft => "←",
+        KeyCode::ArrowRight => "→",
+        _ => code.strip_prefix("Key").unwrap_or(&code),
+    };
+    let mut name = String::new();
+    if chord.control {
+        name.push_str("Ctrl+");
+    }
+    if chord.shift {
+        name.push_str("Shift+");
+    }
+    name + bare
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_key_means_two_things_and_every_one_has_a_name_of_its_own() {
+        let mut names: Vec<String> = KEYS.iter().map(|(chord, ..)| name(chord)).collect();
+        let count = names.len();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), count);
+        assert!(names.contains(&"Ctrl+P".to_owned()) && names.contains(&"Shift+Tab".to_owned()));
+    }
+
+    #[test]
+    fn everything_that_can_be_shown_has_a_key() {
+        for overlay in Overlay::ALL {
+            assert!(KEYS.iter().any(|(_, action, _)| *action == Action::Show(overlay)), "{overlay:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_held_down_beside_a_key_counts() {
+        let none = Modifiers::default();
+        let control = Modifiers::from(ModifiersState::CONTROL);
+        assert_eq!(action(KeyCode::KeyP, &none), None);
+        assert_eq!(action(KeyCode::KeyP, &control), Some(Action::Screenshot));
+        assert_eq!(action(KeyCode::Space, &none), Some(Action::Pause));
+        assert_eq!(action(KeyCode::Space, &Modifiers::from(ModifiersState::ALT)), None);
+        assert!(is_reserved(KeyCode::Escape, &none) && is_reserved(KeyCode::KeyQ, &control));
+        assert!(!is_reserved(KeyCode::KeyW, &none));
+    }
+}

@@ -1,0 +1,174 @@
+//! The life of a window's actor: a thread of its own, events that wait for it, and another try when it fails.
+
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use arc_swap::ArcSwapOption;
+use trocar_scene::PersonView;
+use winit::event::{Modifiers, WindowEvent};
+use winit::event_loop::EventLoopProxy;
+use winit::window::{Window, WindowId};
+
+use super::events::Told;
+use super::painter::Painter;
+use super::panel::{Hands, Panels};
+use super::screen::{End, Kept, Screen};
+use super::sight::{Choice, Sight};
+use super::soundness::{Pulse, Soundness};
+use super::subject::Subject;
+use crate::error::ViewError;
+
+/// Events that may wait for a window that is drawing.
+const MAIL_MAX: usize = 1024;
+/// Failures within [`FAILURES_WITHIN`] after which a window is given up.
+const FAILURES_MAX: usize = 3;
+const FAILURES_WITHIN: Duration = Duration::from_secs(20);
+
+/// What a window is told by the event loop.
+pub(super) enum Mail {
+    /// Something happened to it.
+    Event(WindowEvent),
+    /// A person has taken the instruments in hand, or given them back.
+    Hands(bool),
+    /// Something shall go wrong with it.
+    Trouble(Trouble),
+    /// It shall be closed.
+    Close,
+}
+
+/// What can be made to go wrong with a viewer, to see whether it comes back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Trouble {
+    /// It panics.
+    Panic,
+    /// The device that it draws with is lost.
+    DeviceLost,
+}
+
+/// How the event loop reaches a window.
+pub(super) struct Address {
+    mail: SyncSender<Mail>,
+    overflowed: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+    /// From where it shows the scene.
+    pub(super) view: Arc<ArcSwapOption<PersonView>>,
+    pub(super) window: Arc<Window>,
+}
+
+impl Address {
+    /// Never waits: what finds no room is lost, and the window knows that something was.
+    pub(super) fn send(&self, mail: Mail) {
+        if let Err(TrySendError::Full(_)) = self.mail.try_send(mail) {
+            self.overflowed.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Closes it; its thread is waited for, so that nothing draws on a window that is gone.
+    pub(super) fn close(mut self) {
+        let _ = self.mail.send(Mail::Close);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What a window begins with.
+pub(super) struct Opening {
+    pub(super) subjects: Vec<Box<dyn Subject>>,
+    pub(super) choice: Choice,
+    /// Whether there is somebody to tell what a person does with the instruments.
+    pub(super) hands: bool,
+    pub(super) player_help: Vec<(String, String)>,
+    pub(super) soundness: Arc<Soundness>,
+}
+
+/// Starts the actor of a window.
+///
+/// # Errors
+/// When the system starts no thread.
+pub(super) fn start(
+    window: Arc<Window>,
+    opening: Opening,
+    proxy: EventLoopProxy<Told>,
+) -> std::io::Result<Address> {
+    let (mail, inbox) = sync_channel(MAIL_MAX);
+    let (overflowed, view) = (Arc::<AtomicBool>::default(), Arc::<ArcSwapOption<PersonView>>::default());
+    let (shared, seen, shown) = (overflowed.clone(), view.clone(), window.clone());
+    let thread = std::thread::Builder::new().name("viewer".into()).spawn(move || {
+        let id = shown.id();
+        let told = proxy.clone();
+        let life = Life { window: shown, inbox, overflowed: shared, view: seen, proxy };
+        let end = match catch_unwind(AssertUnwindSafe(|| life.live(opening))) {
+            Ok(end) => end.err().map(|error| error.to_string()),
+            Err(panic) => Some(said(&*panic)),
+        };
+        // The event loop may have ended already; then nobody needs to know.
+        let _ = told.send_event(Told::Closed(id, end));
+    })?;
+    Ok(Address { mail, overflowed, thread: Some(thread), view, window })
+}
+
+/// What a window keeps through all lives of its actor.
+pub(super) struct Life {
+    pub(super) window: Arc<Window>,
+    pub(super) inbox: Receiver<Mail>,
+    pub(super) overflowed: Arc<AtomicBool>,
+    pub(super) view: Arc<ArcSwapOption<PersonView>>,
+    pub(super) proxy: EventLoopProxy<Told>,
+}
+
+impl Life {
+    fn live(self, opening: Opening) -> Result<(), ViewError> {
+        let (mut gpu, mut painter) = Painter::new(&self.window)?;
+        let subjects = opening.subjects.into_iter();
+        let mut kept = Kept {
+            panels: Panels::new(opening.player_help),
+            sights: subjects.map(|subject| Sight::new(&gpu, subject, &opening.choice)).collect(),
+            hands: Hands { there: opening.hands, taken: false },
+            pulse: Pulse::new(opening.soundness),
+            modifiers: Modifiers::default(),
+            picture_wanted: false,
+        };
+        let mut failures: Vec<Instant> = Vec::new();
+        loop {
+            let end =
+                catch_unwind(AssertUnwindSafe(|| Screen::new(&self, &gpu, &mut painter, &mut kept).run()));
+            let why = match end {
+                Ok(End::Closed) => {
+                    kept.pulse.well();
+                    return Ok(());
+                }
+                Ok(End::Failed(why)) => why,
+                Err(panic) => said(&*panic),
+            };
+            kept.pulse.failed();
+            failures.retain(|at| at.elapsed() < FAILURES_WITHIN);
+            failures.push(Instant::now());
+            if failures.len() > FAILURES_MAX {
+                return Err(ViewError::DeviceLost(why));
+            }
+            tracing::warn!("the viewer is started again: {why}");
+            kept.panels.note(format!("the viewer was started again: {why}"), true);
+            // The old surface must be gone before its window gets a new one.
+            drop(painter);
+            (gpu, painter) = Painter::new(&self.window)?;
+            kept.sights.iter_mut().for_each(|sight| sight.rebuild(&gpu));
+        }
+    }
+}
+
+/// What a panic said.
+fn said(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
+    format!("it panicked: {}", text.unwrap_or("without a word"))
+}
+
+/// The id of a window, for whom it concerns.
+pub(super) fn id(address: &Address) -> WindowId {
+    address.window.id()
+}

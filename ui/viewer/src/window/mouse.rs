@@ -1,0 +1,150 @@
+//! A mouse that leads the camera. It is followed event by event, not frame by frame: what is drawn slowly is not led
+//! slowly.
+
+use std::time::{Duration, Instant};
+
+use egui::{Pos2, Vec2};
+use winit::event::{ElementState, MouseButton, MouseScrollDelta, WindowEvent};
+
+/// Two clicks within this time and distance are a double one.
+const DOUBLE: Duration = Duration::from_millis(400);
+const DOUBLE_PIXELS: f32 = 6.0;
+/// What touch pads call a notch \[pixels\].
+const PIXELS_PER_NOTCH: f64 = 50.0;
+
+/// What a person means.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Gesture {
+    /// Turn the camera; pixels to the right and down.
+    Turn(usize, Vec2),
+    /// Move it along the picture.
+    Shift(usize, Vec2),
+    /// Closer, by notches.
+    Zoom(usize, f64),
+    /// Select what is there.
+    Select(usize, Pos2),
+}
+
+/// Where the mouse is and what it drags.
+#[derive(Debug, Default)]
+pub(super) struct Mouse {
+    place: Pos2,
+    /// The sight in which a button went down, and which one.
+    drags: Option<(usize, MouseButton)>,
+    clicked: Option<(Instant, Pos2)>,
+}
+
+impl Mouse {
+    /// What an event means; `over` says which sight is at a place, and nothing where a panel is.
+    pub(super) fn follow(
+        &mut self,
+        event: &WindowEvent,
+        now: Instant,
+        over: impl Fn(Pos2) -> Option<usize>,
+    ) -> Option<Gesture> {
+        match event {
+            WindowEvent::CursorMoved { position, .. } => {
+                let place = Pos2::new(position.x as f32, position.y as f32);
+                let moved = place - std::mem::replace(&mut self.place, place);
+                match self.drags? {
+                    (sight, MouseButton::Left) => Some(Gesture::Turn(sight, moved)),
+                    (sight, _) => Some(Gesture::Shift(sight, moved)),
+                }
+            }
+            WindowEvent::MouseInput { state: ElementState::Released, button, .. } => {
+                self.drags = self.drags.filter(|(_, dragging)| dragging != button);
+                None
+            }
+            WindowEvent::MouseInput { button, .. } => {
+                let sight = over(self.place)?;
+                self.drags = Some((sight, *button));
+                if *button != MouseButton::Left {
+                    return None;
+                }
+                let twice = self.clicked.take().is_some_and(|(at, place)| {
+                    now.duration_since(at) < DOUBLE && place.distance(self.place) < DOUBLE_PIXELS
+                });
+                self.clicked = (!twice).then_some((now, self.place));
+                twice.then_some(Gesture::Select(sight, self.place))
+            }
+            WindowEvent::MouseWheel { delta, .. } => {
+                let notches = match delta {
+                    MouseScrollDelta::LineDelta(_, notches) => f64::from(*notches),
+                    MouseScrollDelta::PixelDelta(pixels) => pixels.y / PIXELS_PER_NOTCH,
+                };
+                Some(Gesture::Zoom(over(self.place)?, notches))
+            }
+            WindowEvent::CursorLeft { .. } | WindowEvent::Focused(false) => {
+                self.drags = None;
+                None
+            }
+            _ => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use winit::dpi::PhysicalPosition;
+    use winit::event::{DeviceId, TouchPhase};
+
+    fn moved(x: f64, y: f64) -> WindowEvent {
+        WindowEvent::CursorMoved { device_id: DeviceId::dummy(), position: PhysicalPosition::new(x, y) }
+    }
+
+    fn button(button: MouseButton, state: ElementState) -> WindowEvent {
+        WindowEvent::MouseInput { device_id: DeviceId::dummy(), state, button }
+    }
+
+    /// A panel at the left of x = 100, a sight at its right.
+    fn over(place: Pos2) -> Option<usize> {
+        (place.x >= 100.0).then_some(0)
+    }
+
+    #[test]
+    fn a_drag_leads_however_far_it_goes_and_ends_with_its_own_button() {
+        let (mut mouse, now) = (Mouse::default(), Instant::now());
+        let mut follow = |event: WindowEvent| mouse.follow(&event, now, over);
+        assert_eq!(follow(moved(150.0, 50.0)), None);
+        follow(button(MouseButton::Left, ElementState::Pressed));
+        assert_eq!(follow(moved(160.0, 45.0)), Some(Gesture::Turn(0, Vec2::new(10.0, -5.0))));
+        // Over a panel it still leads: it began in the scene.
+        assert_eq!(follow(moved(60.0, 45.0)), Some(Gesture::Turn(0, Vec2::new(-100.0, 0.0))));
+        follow(button(MouseButton::Right, ElementState::Released));
+        assert!(follow(moved(61.0, 45.0)).is_some());
+        follow(button(MouseButton::Left, ElementState::Released));
+        assert_eq!(follow(moved(70.0, 45.0)), None);
+        // And what begins on a panel leads nothing.
+        follow(button(MouseButton::Right, ElementState::Pressed));
+        assert_eq!(follow(moved(150.0, 45.0)), None);
+    }
+
+    #[test]
+    fn two_clicks_select_and_a_third_one_does_not() {
+        let (mut mouse, mut now) = (Mouse::default(), Instant::now());
+        mouse.follow(&moved(150.0, 50.0), now, over);
+        let mut click = |after: u64| {
+            now += Duration::from_millis(after);
+            let found = mouse.follow(&button(MouseButton::Left, ElementState::Pressed), now, over);
+            mouse.follow(&button(MouseButton::Left, ElementState::Released), now, over);
+            found
+        };
+        let select = Some(Gesture::Select(0, Pos2::new(150.0, 50.0)));
+        assert_eq!([click(0), click(100), click(100)], [None, select, None]);
+        assert_eq!([click(1_000), click(1_000), click(100)], [None, None, select]);
+    }
+
+    #[test]
+    fn the_wheel_of_a_mouse_and_a_touch_pad_zoom_where_the_scene_is() {
+        let (mut mouse, now) = (Mouse::default(), Instant::now());
+        let wheel =
+            |delta| WindowEvent::MouseWheel { device_id: DeviceId::dummy(), delta, phase: TouchPhase::Moved };
+        let line = wheel(MouseScrollDelta::LineDelta(0.0, 2.0));
+        assert_eq!(mouse.follow(&line, now, over), None);
+        mouse.follow(&moved(150.0, 50.0), now, over);
+        assert_eq!(mouse.follow(&line, now, over), Some(Gesture::Zoom(0, 2.0)));
+        let pixels = wheel(MouseScrollDelta::PixelDelta(PhysicalPosition::new(0.0, -25.0)));
+        assert_eq!(mouse.follow(&pixels, now, over), Some(Gesture::Zoom(0, -0.5)));
+    }
+}

@@ -1,0 +1,197 @@
+//! The panels around the scene. They show what subjects say, and ask; nothing here changes a scene.
+
+mod actors;
+mod help;
+mod inspect;
+mod session;
+mod task;
+mod timeline;
+mod tune;
+mod value;
+
+use std::time::{Duration, Instant};
+
+use egui::{Color32, RichText, Ui};
+
+use super::keys::Action;
+use super::sight::Sight;
+use super::subject::{Ask, Course, Note};
+
+pub(super) use inspect::Inspector;
+pub(super) use tune::TuningPanel;
+
+/// How long a note stays.
+const NOTE: Duration = Duration::from_secs(6);
+/// How fast time may pass.
+pub(super) const SPEEDS: [f64; 9] = [0.0625, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
+
+/// Colours of what is well and what is not.
+pub(super) const GOOD: Color32 = Color32::from_rgb(120, 200, 140);
+pub(super) const POOR: Color32 = Color32::from_rgb(235, 190, 90);
+pub(super) const BAD: Color32 = Color32::from_rgb(240, 110, 100);
+
+/// Which panels there are, and what is in them.
+pub(super) struct Panels {
+    pub(super) left: bool,
+    pub(super) right: bool,
+    pub(super) actors: bool,
+    pub(super) help: bool,
+    pub(super) inspector: Inspector,
+    pub(super) tuning: TuningPanel,
+    /// What the controls of a person who plays do.
+    pub(super) player_help: Vec<(String, String)>,
+    notes: Vec<(Instant, Note)>,
+    heard: Vec<u64>,
+}
+
+/// What is asked of the window by its panels.
+#[derive(Default)]
+pub(super) struct Wishes(pub(super) Vec<Action>);
+
+impl Panels {
+    pub(super) fn new(player_help: Vec<(String, String)>) -> Self {
+        Self {
+            left: true,
+            right: false,
+            actors: false,
+            help: false,
+            inspector: Inspector::default(),
+            tuning: TuningPanel::default(),
+            player_help,
+            notes: Vec::new(),
+            heard: Vec::new(),
+        }
+    }
+
+    /// Something of the window's own to tell.
+    pub(super) fn note(&mut self, text: String, bad: bool) {
+        if self.notes.len() >= 8 {
+            self.notes.remove(0);
+        }
+        self.notes.push((Instant::now(), Note { text, bad }));
+    }
+
+    /// Takes over what subjects have said since the last time.
+    fn listen(&mut self, sights: &mut [Sight]) {
+        self.heard.resize(sights.len(), 0);
+        for (index, sight) in sights.iter_mut().enumerate() {
+            let standing = sight.subject.standing();
+            for (number, note) in &standing.notes {
+                if *number > self.heard[index] {
+                    self.heard[index] = *number;
+                    self.note(note.text.clone(), note.bad);
+                }
+            }
+        }
+        self.notes.retain(|(since, _)| since.elapsed() < NOTE);
+    }
+
+    /// All panels; what is left of `ui` is the scene's.
+    pub(super) fn show(&mut self, ui: &mut Ui, sights: &mut [Sight], frames: f64, hands: Hands) -> Wishes {
+        let mut wishes = Wishes::default();
+        self.listen(sights);
+        if sights.iter_mut().any(|sight| sight.subject.standing().length.is_some()) {
+            egui::Panel::bottom("timeline").show(ui, |ui| timeline::show(ui, sights, &mut wishes));
+        }
+        if self.actors {
+            egui::Panel::bottom("actors")
+                .resizable(true)
+                .default_size(180.0)
+                .show(ui, |ui| actors::show(ui, sights));
+        }
+        if self.left {
+            // As wide as it is, whatever stands in it: the scene beside it stays as large.
+            egui::Panel::left("session").exact_size(240.0).show(ui, |ui| {
+                ui.spacing_mut().slider_width = 70.0;
+                egui::ScrollArea::vertical().show(ui, |ui| {
+                    session::show(ui, sights, frames, hands, &mut wishes);
+                });
+            });
+        }
+        if self.right {
+            egui::Panel::right("inspect").exact_size(300.0).show(ui, |ui| {
+                let Some(sight) = sights.first_mut() else { return };
+                self.tuning.show(ui, sight);
+                ui.separator();
+                self.inspector.show(ui, sight);
+            });
+        }
+        if self.help {
+            help::show(ui.ctx(), &mut self.help, &self.player_help);
+        }
+        wishes
+    }
+
+    /// What is told over the scene.
+    pub(super) fn show_notes(&self, ui: &Ui) {
+        if self.notes.is_empty() {
+            return;
+        }
+        // So that they go when their time is over.
+        ui.ctx().request_repaint_after(Duration::from_millis(500));
+        egui::Area::new(egui::Id::unique("notes"))
+            .anchor(egui::Align2::CENTER_TOP, [0.0, 12.0])
+            .interactable(false)
+            .show(ui.ctx(), |ui| {
+                for (_, note) in &self.notes {
+                    let color = if note.bad { BAD } else { Color32::WHITE };
+                    egui::Frame::popup(ui.style()).show(ui, |ui| {
+                        ui.label(RichText::new(&note.text).color(color));
+                    });
+                }
+            });
+    }
+}
+
+/// Whether a person can take the instruments in hand, and has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Hands {
+    pub(super) there: bool,
+    pub(super) taken: bool,
+}
+
+/// Asks every subject of the window the same.
+pub(super) fn ask_all(sights: &mut [Sight], ask: &Ask) {
+    sights.iter_mut().for_each(|sight| sight.subject.ask(ask.clone()));
+}
+
+/// The next speed, up or down.
+pub(super) fn next_speed(now: f64, by: isize) -> f64 {
+    let nearest = |(_, a): &(usize, &f64), (_, b): &(usize, &f64)| {
+        (*a / now).ln().abs().total_cmp(&(*b / now).ln().abs())
+    };
+    let at = SPEEDS.iter().enumerate().min_by(nearest).map_or(4, |(at, _)| at);
+    SPEEDS[(at as isize + by).clamp(0, SPEEDS.len() as isize - 1) as usize]
+}
+
+/// Pause or go on, whichever it is.
+pub(super) fn toggle_course(sights: &mut [Sight]) {
+    let runs = sights.iter_mut().any(|sight| sight.subject.standing().course == Course::Running);
+    ask_all(sights, if runs { &Ask::Pause } else { &Ask::Resume });
+}
+
+/// Time for people.
+pub(super) fn clock(seconds: f64) -> String {
+    let minutes = (seconds / 60.0).floor();
+    format!("{minutes:.0}:{:04.1}", seconds - 60.0 * minutes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn speeds_are_doubled_and_halved_and_end() {
+        assert_eq!(next_speed(1.0, 1), 2.0);
+        assert_eq!(next_speed(1.0, -1), 0.5);
+        assert_eq!(next_speed(0.9, 1), 2.0);
+        assert_eq!(next_speed(16.0, 1), 16.0);
+        assert_eq!(next_speed(0.0625, -1), 0.0625);
+    }
+
+    #[test]
+    fn a_clock_counts_minutes() {
+        assert_eq!(clock(0.04), "0:00.0");
+        assert_eq!(clock(75.25), "1:15.2");
+    }
+}

@@ -1,0 +1,421 @@
+//! The actor behind one window: takes events, draws when there is something new, and waits for nobody.
+//!
+//! It has a thread of its own: however long a software rasteriser takes for a frame, the event loop, the other windows
+//! and the session go on. It is restarted when it fails ([`super::life`]): on a device that was lost, or after a panic.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
+
+use winit::event::{ElementState, KeyEvent, Modifiers, WindowEvent};
+use winit::keyboard::{KeyCode, PhysicalKey};
+use winit::window::Fullscreen;
+
+use super::canvas::Canvas;
+use super::events::Told;
+use super::keys::{self, Action};
+use super::life::{Life, Mail, Trouble};
+use super::mouse::{Gesture, Mouse};
+use super::painter::{Painter, Shown};
+use super::panel::{Hands, Panels, ask_all, next_speed, toggle_course};
+use super::sight::{Choice, Eyes, QUALITIES, Sight};
+use super::soundness::Pulse;
+use super::subject::{Ask, Course};
+use crate::error::ViewError;
+use crate::gpu::Gpu;
+use crate::pacing::Pacer;
+use crate::quality::Quality;
+
+/// Shortest time between two frames, and between two looks at the scene.
+const FRAME: Duration = Duration::from_micros(16_667);
+/// Share of the time that passes drawing where the processor draws: the rest is for those who simulate.
+const SOFTWARE_LOAD: f64 = 0.6;
+
+/// How one life of a window's actor ended.
+pub(super) enum End {
+    /// Somebody wanted it.
+    Closed,
+    /// It cannot go on, and why.
+    Failed(String),
+}
+
+/// What outlives a life of a window's actor: a key that is down stays down, and a picture that was asked for comes.
+pub(super) struct Kept {
+    pub(super) panels: Panels,
+    pub(super) sights: Vec<Sight>,
+    pub(super) hands: Hands,
+    pub(super) pulse: Pulse,
+    pub(super) modifiers: Modifiers,
+    pub(super) picture_wanted: bool,
+}
+
+/// One life of a window's actor.
+pub(super) struct Screen<'a> {
+    life: &'a Life,
+    gpu: &'a Gpu,
+    painter: &'a mut Painter,
+    kept: &'a mut Kept,
+    ui: egui::Context,
+    input: egui_winit::State,
+    canvas: Canvas,
+    pacer: Pacer,
+    mouse: Mouse,
+    /// Something was said or done since the last frame.
+    stale: bool,
+    /// When the user interface wants to be drawn again by itself.
+    wanted: Option<Instant>,
+    /// Nobody can see it.
+    hidden: bool,
+    closing: bool,
+    frames: Vec<Instant>,
+    told: Vec<(Course, f64, Option<u64>)>,
+}
+
+impl<'a> Screen<'a> {
+    pub(super) fn new(life: &'a Life, gpu: &'a Gpu, painter: &'a mut Painter, kept: &'a mut Kept) -> Self {
+        let ui = egui::Context::default();
+        ui.set_theme(egui::Theme::Dark);
+        let largest = gpu.device.limits().max_texture_dimension_2d as usize;
+        let window = &life.window;
+        let input = egui_winit::State::new(
+            ui.clone(),
+            egui::ViewportId::ROOT,
+            window,
+            Some(window.scale_factor() as f32),
+            None,
+            Some(largest),
+        );
+        let load = if gpu.is_software() { SOFTWARE_LOAD } else { 1.0 };
+        Self {
+            life,
+            gpu,
+            painter,
+            kept,
+            ui,
+            input,
+            canvas: Canvas::default(),
+            pacer: Pacer::new(1.0 / FRAME.as_secs_f64(), load).at_best(Quality::FULL),
+            mouse: Mouse::default(),
+            stale: true,
+            wanted: None,
+            hidden: false,
+            closing: false,
+            frames: Vec::new(),
+            told: Vec::new(),
+        }
+    }
+
+    pub(super) fn run(mut self) -> End {
+        let mut next = Instant::now();
+        loop {
+            match self.life.inbox.recv_timeout(next.saturating_duration_since(Instant::now())) {
+                Ok(mail) => self.receive(mail),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return End::Closed,
+            }
+            while let Ok(mail) = self.life.inbox.try_recv() {
+                self.receive(mail);
+            }
+            if self.life.overflowed.swap(false, Ordering::Relaxed) {
+                // A key that came up unseen must not stay down.
+                self.kept.modifiers = Modifiers::default();
+                self.stale = true;
+            }
+            if self.closing {
+                return End::Closed;
+            }
+            let now = Instant::now();
+            if now < next {
+                continue;
+            }
+            next = now + FRAME;
+            let newer = self.kept.sights.iter_mut().fold(false, |newer, sight| sight.follow() | newer);
+            let asked = self.wanted.is_some_and(|wanted| wanted <= now) | self.heard_something();
+            if self.hidden || !(newer || asked || self.stale) {
+                continue;
+            }
+            match self.frame() {
+                Ok(Shown::Yes) => {
+                    self.kept.pulse.well();
+                    // Until it is drawn: only so it is known what it took.
+                    if let Err(error) = self.gpu.device.poll(wgpu::PollType::wait_indefinitely()) {
+                        return End::Failed(error.to_string());
+                    }
+                    let took = now.elapsed().as_secs_f64();
+                    self.pacer.drawn(took);
+                    next = Instant::now() + Duration::from_secs_f64(self.pacer.rest(took).clamp(0.0, 1.0));
+                }
+                Ok(Shown::NotNow | Shown::Again) => self.stale = true,
+                Err(error) => return End::Failed(error.to_string()),
+            }
+        }
+    }
+
+    /// Whether a subject has said something that the panels show.
+    fn heard_something(&mut self) -> bool {
+        let said = |sight: &mut Sight| {
+            let standing = sight.subject.standing();
+            (standing.course, standing.speed, standing.notes.last().map(|(number, _)| *number))
+        };
+        let told: Vec<_> = self.kept.sights.iter_mut().map(said).collect();
+        let changed = told != self.told;
+        self.told = told;
+        changed
+    }
+
+    fn receive(&mut self, mail: Mail) {
+        match mail {
+            Mail::Close => self.closing = true,
+            Mail::Trouble(Trouble::Panic) => panic!("a fault that was injected"),
+            Mail::Trouble(Trouble::DeviceLost) => {
+                self.gpu.device.destroy();
+                self.stale = true;
+            }
+            Mail::Hands(taken) => {
+                self.kept.hands.taken = taken;
+                self.stale = true;
+            }
+            Mail::Event(event) => self.event(&event),
+        }
+    }
+
+    fn event(&mut self, event: &WindowEvent) {
+        match event {
+            WindowEvent::Resized(size) => {
+                self.hidden = size.width == 0 || size.height == 0;
+                self.painter.resize(self.gpu, [size.width, size.height]);
+                self.stale = true;
+            }
+            WindowEvent::Occluded(hidden) => {
+                self.hidden = *hidden;
+                self.stale = true;
+            }
+            WindowEvent::RedrawRequested => self.stale = true,
+            WindowEvent::ModifiersChanged(modifiers) => self.kept.modifiers = *modifiers,
+            WindowEvent::KeyboardInput { event, .. } if self.key(event) => return,
+            _ => {}
+        }
+        let (canvas, ui) = (&self.canvas, &self.ui);
+        let over = |place: egui::Pos2| {
+            let points = place / ui.pixels_per_point();
+            let covered = ui.layer_id_at(points).is_some_and(|layer| layer.order != egui::Order::Background);
+            canvas.at(place).filter(|_| !covered).map(|(index, _)| index)
+        };
+        if let Some(gesture) = self.mouse.follow(event, Instant::now(), over) {
+            self.lead(gesture);
+        }
+        self.stale |= self.input.on_window_event(&self.life.window, event).repaint;
+    }
+
+    /// The camera goes where the mouse leads it.
+    fn lead(&mut self, gesture: Gesture) {
+        self.stale = true;
+        let height = |index: usize| self.canvas.height(index);
+        let led = match gesture {
+            Gesture::Turn(index, moved) => {
+                let moved = moved / height(index) as f32;
+                self.kept.sights[index].free().turn(f64::from(moved.x), f64::from(moved.y));
+                index
+            }
+            Gesture::Shift(index, moved) => {
+                let moved = moved / height(index) as f32;
+                self.kept.sights[index].free().shift(f64::from(moved.x), f64::from(moved.y));
+                index
+            }
+            Gesture::Zoom(index, notches) => {
+                self.kept.sights[index].free().zoom(notches);
+                index
+            }
+            Gesture::Select(index, place) => {
+                let Some((_, at)) = self.canvas.at(place) else { return };
+                match self.kept.sights[index].pick(self.gpu, at) {
+                    Ok(found) => self.kept.sights[index].selected = found,
+                    // The next frame finds it broken as well, and says so.
+                    Err(error) => tracing::debug!("nothing is selected: {error}"),
+                }
+                return;
+            }
+        };
+        // Two recordings are compared from the same place.
+        let look = self.kept.sights[led].look.clone();
+        self.kept.sights.iter_mut().for_each(|sight| sight.look = look.clone());
+    }
+
+    /// Whether a key was the window's.
+    fn key(&mut self, event: &KeyEvent) -> bool {
+        let PhysicalKey::Code(code) = event.physical_key else { return false };
+        let types = self.ui.text_edit_focused();
+        if types && (code == KeyCode::Escape || !keys::is_reserved(code, &self.kept.modifiers)) {
+            return false;
+        }
+        let Some(action) = keys::action(code, &self.kept.modifiers) else { return false };
+        let again = matches!(action, Action::Step | Action::StepBack);
+        if event.state == ElementState::Pressed && (again || !event.repeat) {
+            self.act(action);
+        }
+        true
+    }
+
+    fn act(&mut self, action: Action) {
+        self.stale = true;
+        let cycle = |at: Option<usize>, count: usize| at.map_or(0, |at| (at + 1) % count);
+        match action {
+            Action::Help => self.kept.panels.help = !self.kept.panels.help,
+            Action::LeftPanel => self.kept.panels.left = !self.kept.panels.left,
+            Action::RightPanel => self.kept.panels.right = !self.kept.panels.right,
+            Action::Actors => self.kept.panels.actors = !self.kept.panels.actors,
+            Action::FullScreen => {
+                let window = &self.life.window;
+                let full = window.fullscreen().is_none().then_some(Fullscreen::Borderless(None));
+                window.set_fullscreen(full);
+            }
+            Action::Layout => {
+                for sight in self.kept.sights.iter_mut() {
+                    let at = Eyes::ALL.iter().position(|(eyes, _)| *eyes == sight.eyes);
+                    sight.eyes = Eyes::ALL[cycle(at, Eyes::ALL.len())].0;
+                }
+            }
+            Action::Quality => {
+                for sight in self.kept.sights.iter_mut() {
+                    let at = QUALITIES.iter().position(|(quality, _)| *quality == sight.quality);
+                    sight.quality = QUALITIES[cycle(at, QUALITIES.len())].0;
+                }
+            }
+            Action::Hands if self.kept.hands.there => self.tell(Told::TakeHands(self.life.window.id())),
+            Action::Hands => {
+                let text = "nobody plays in this session: start it with --play";
+                self.kept.panels.note(text.to_owned(), true);
+            }
+            Action::Pause => toggle_course(&mut self.kept.sights),
+            Action::Step => ask_all(&mut self.kept.sights, &Ask::Step { back: false }),
+            Action::StepBack => ask_all(&mut self.kept.sights, &Ask::Step { back: true }),
+            Action::Faster => self.speed(1),
+            Action::Slower => self.speed(-1),
+            Action::Reset => ask_all(&mut self.kept.sights, &Ask::Reset),
+            Action::Loop => {
+                let looped =
+                    self.kept.sights.first_mut().is_some_and(|sight| sight.subject.standing().looped);
+                ask_all(&mut self.kept.sights, &Ask::Loop(!looped));
+            }
+            Action::CameraBefore => self.kept.sights.iter_mut().for_each(|sight| sight.cycle_camera(-1)),
+            Action::CameraNext => self.kept.sights.iter_mut().for_each(|sight| sight.cycle_camera(1)),
+            Action::FreeCamera => {
+                for sight in self.kept.sights.iter_mut() {
+                    sight.free();
+                }
+            }
+            // Of what there is once everything that was done before is seen.
+            Action::Screenshot => self.kept.picture_wanted = true,
+            Action::NewWindow => self.new_window(),
+            Action::Close => self.closing = true,
+            Action::Quit => self.tell(Told::Quit),
+            Action::Show(overlay) => {
+                for sight in self.kept.sights.iter_mut() {
+                    sight.overlays.toggle(overlay);
+                }
+            }
+        }
+    }
+
+    fn speed(&mut self, by: isize) {
+        let Some(sight) = self.kept.sights.first_mut() else { return };
+        let standing = sight.subject.standing();
+        if standing.abilities.speed {
+            ask_all(&mut self.kept.sights, &Ask::Speed(next_speed(standing.speed, by)));
+        } else {
+            let text = "in real time there is one speed only; --lockstep and recordings have others";
+            self.kept.panels.note(text.to_owned(), true);
+        }
+    }
+
+    fn screenshot(&mut self) {
+        self.stale = true;
+        for index in 0..self.kept.sights.len() {
+            let sight = &self.kept.sights[index];
+            let saved = sight.picture(self.gpu).and_then(|picture| match picture {
+                Some(picture) => {
+                    let file = free_name(&sight.subject.title());
+                    picture.save(&file).map(|()| file.display().to_string())
+                }
+                None => Ok("nothing yet".to_owned()),
+            });
+            match saved {
+                Ok(file) => self.kept.panels.note(format!("picture {file}"), false),
+                Err(error) => self.kept.panels.note(format!("no picture: {error}"), true),
+            }
+        }
+    }
+
+    fn new_window(&mut self) {
+        let others: Result<Vec<_>, String> =
+            self.kept.sights.iter_mut().map(|sight| sight.subject.another()).collect();
+        match others {
+            Ok(subjects) => {
+                let choice = self.kept.sights.first().map_or_else(Choice::default, Sight::choice);
+                self.tell(Told::Open(subjects, choice));
+            }
+            Err(why) => self.kept.panels.note(format!("no other window: {why}"), true),
+        }
+    }
+
+    fn tell(&self, told: Told) {
+        // Nobody hears it when the event loop has ended; then this window ends as well.
+        let _ = self.life.proxy.send_event(told);
+    }
+
+    fn frame(&mut self) -> Result<Shown, ViewError> {
+        let now = Instant::now();
+        self.frames.retain(|at| now.duration_since(*at) < Duration::from_secs(1));
+        self.frames.push(now);
+        (self.stale, self.wanted) = (false, None);
+        let raw = self.input.take_egui_input(&self.life.window);
+        let (rate, pace) = (self.frames.len() as f64, self.pacer.pace());
+        let mut actions = Vec::new();
+        let mut outcome = Ok(());
+        let ui = self.ui.clone();
+        let output = ui.run_ui(raw, |ui| {
+            let wishes = self.kept.panels.show(ui, &mut self.kept.sights, rate, self.kept.hands);
+            actions.extend(wishes.0);
+            egui::CentralPanel::no_frame().show(ui, |ui| {
+                outcome = self.canvas.show(ui, self.gpu, self.painter, &mut self.kept.sights, pace);
+            });
+            self.kept.panels.show_notes(ui);
+        });
+        outcome?;
+        if self.kept.panels.actors {
+            // Rates go on also while the scene stands still.
+            ui.request_repaint_after(Duration::from_millis(500));
+        }
+        if let Some(sight) = self.kept.sights.first() {
+            self.life.view.store(Some(Arc::new(sight.person_view())));
+        }
+        self.input.handle_platform_output(&self.life.window, output.platform_output);
+        if let Some(root) = output.viewport_output.get(&egui::ViewportId::ROOT) {
+            self.wanted = now.checked_add(root.repaint_delay);
+        }
+        let shapes = ui.tessellate(output.shapes, output.pixels_per_point);
+        let shown = self.painter.show(
+            self.gpu,
+            &self.life.window,
+            &shapes,
+            output.textures_delta,
+            output.pixels_per_point,
+        )?;
+        if std::mem::take(&mut self.kept.picture_wanted) {
+            self.screenshot();
+        }
+        actions.into_iter().for_each(|action| self.act(action));
+        Ok(shown)
+    }
+}
+
+/// A name for a picture that no file has yet, in the working folder.
+fn free_name(title: &str) -> std::path::PathBuf {
+    let safe = |c: char| if c.is_alphanumeric() || c == '-' || c == '_' { c } else { '-' };
+    let stem: String = title.chars().take(60).map(safe).collect();
+    (1..10_000)
+        .map(|number| std::path::PathBuf::from(format!("{stem}-{number:04}.png")))
+        .find(|file| !file.exists())
+        .unwrap_or_else(|| std::path::PathBuf::from(format!("{stem}.png")))
+}
