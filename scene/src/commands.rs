@@ -96,6 +96,7 @@ pub struct Commands {
     events: Vec<Event>,
     conditions: Vec<Condition>,
     transfers: Vec<Transfer>,
+    listed: Option<u64>,
     error: Option<CommandError>,
 }
 
@@ -115,6 +116,7 @@ impl Commands {
             events: Vec::new(),
             conditions: Vec::new(),
             transfers: Vec::new(),
+            listed: None,
             error: None,
         }
     }
@@ -157,7 +159,15 @@ impl Commands {
     /// Sets this writer's contribution to a list that several writers fill; the Model removes it when the
     /// writer dies.
     pub fn contribute<T: Component>(&mut self, value: T) {
+        if let Some(count) = value.listed() {
+            self.listed = Some(self.listed.unwrap_or(0) + count);
+        }
         self.put(self.allocator.me(), value);
+    }
+
+    /// How many things the contributions of this tick list; `None` where it contributes no list anew.
+    pub fn listed(&self) -> Option<u64> {
+        self.listed
     }
 
     /// Takes a component away from an entity.
@@ -261,6 +271,7 @@ impl Commands {
         self.events.clear();
         self.conditions.clear();
         self.transfers.clear();
+        self.listed = None;
         self.error = None;
     }
 

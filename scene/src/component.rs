@@ -34,6 +34,11 @@ pub trait Component: Clone + Send + Sync + Serialize + DeserializeOwned + 'stati
         finite::check(self)
     }
 
+    /// How many things it lists, where it is a list that several writers fill: each writer's report tells it.
+    fn listed(&self) -> Option<u64> {
+        None
+    }
+
     /// JSON schema of the value as it stands in a scenario file, if it may stand there.
     fn schema() -> Option<serde_json::Value> {
         None

@@ -20,6 +20,7 @@ pub mod event;
 pub mod finite;
 pub mod kinematics;
 pub mod mesh;
+pub mod organs;
 pub mod peg_bench;
 pub mod registry;
 pub mod scenario;

@@ -24,6 +24,7 @@ pub struct Snapshot {
     pub(crate) columns: Vec<Arc<dyn ErasedColumn>>,
     pub(crate) alive: Arc<Column<()>>,
     pub(crate) events: Arc<EventLog>,
+    pub(crate) retouches: u64,
 }
 
 impl Snapshot {
@@ -34,6 +35,11 @@ impl Snapshot {
     /// Time of the latest batch.
     pub fn time(&self) -> SimTime {
         self.time
+    }
+    /// The number of the last [`Snapshot::retouch`], 0 for what the Model published: with the revision, it tells two
+    /// snapshots of a session apart.
+    pub fn retouches(&self) -> u64 {
+        self.retouches
     }
     /// The components of the session.
     pub fn registry(&self) -> &Arc<Registry> {
@@ -104,6 +110,27 @@ impl Snapshot {
             current = self.get::<Parent>(entity).map(|parent| parent.0);
         }
         world_from_entity
+    }
+    /// Puts other values into rows that are there, for eyes only: what lies between two states of a slow writer. They
+    /// count as changed after every revision that the Model has published so far; `number` becomes
+    /// [`Snapshot::retouches`], and has to be larger than that of any snapshot that was shown before. Costs what the rows
+    /// cost, not what the scene does.
+    pub fn retouch<T: Component>(&mut self, number: u64, rows: impl IntoIterator<Item = (Entity, T)>) {
+        self.retouches = number;
+        let Some(id) = self.registry.id::<T>() else { return };
+        let slot = &mut self.columns[usize::from(id.0)];
+        let Some(column) = slot.as_any().downcast_ref::<Column<T>>() else { return };
+        let mut column = column.clone();
+        let mut any = false;
+        for (entity, value) in rows {
+            if column.get(entity).is_some() {
+                column.put(entity, value, self.revision.next());
+                any = true;
+            }
+        }
+        if any {
+            *slot = Arc::new(column);
+        }
     }
     /// All components of an entity as a JSON object, for people to read.
     pub fn entity_json(&self, entity: Entity) -> serde_json::Value {

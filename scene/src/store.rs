@@ -71,6 +71,7 @@ impl Store {
                 columns,
                 alive: Arc::new(Column::default()),
                 events: Arc::new(EventLog::default()),
+                retouches: 0,
             },
         }
     }

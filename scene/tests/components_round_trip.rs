@@ -107,6 +107,14 @@ fn graph_and_meshes(formats: &mut Formats) {
     formats.check(TetMesh { tets: Arc::new(vec![[0, 1, 2, 3]]) }, true);
     formats.check(LineMesh { segments: Arc::new(vec![[0, 1], [1, 2]]), radius: 0.0003 }, true);
     formats.check(VertexPositions { positions: Arc::new(vec![Point3::new(0.1, -2e-300, 3.0)]) }, true);
+    formats.check(VertexVelocities { velocities: Arc::new(vec![Vector3::new(0.1, -2e-300, 3.0)]) }, true);
+    formats.check(RestPositions { positions: Arc::new(vec![Point3::new(0.1, -2e-300, 3.0)]) }, true);
+    let regions = vec![
+        Region::Box { min: Point3::origin(), max: Point3::new(0.1, 0.2, 0.3) },
+        Region::Ball { center: Point3::new(0.1, 0.0, 0.0), radius: 0.02 },
+    ];
+    formats.check(Anchors { regions }, true);
+    formats.check(Frozen { reason: "a step of 0.002 s".into(), since: SimTime::from_millis(12) }, true);
     formats.check(TextureCoordinates { uv: Arc::new(vec![Vector2::new(0.25, 1.0)]) }, true);
     let node = BoundingVolumeNode {
         min: Point3::new(-1.0, -2.0, -3.0),
@@ -137,6 +145,16 @@ fn matter_and_looks(formats: &mut Formats) {
     formats.check(Light { color: [1.0, 0.5, 0.25], intensity: 3.0, cone_angle: 0.5, shadows: false }, true);
     formats.check(Camera { field_of_view: 0.7, near: 0.02, far: 2.0, aspect: 1.5 }, true);
     formats.check(Optics { tilt: 0.52, turn: -1.0, distortion: 0.1, vignette: 0.4 }, true);
+    let tracked = HeadTracked { head: e(6), screen: [0.52, 0.29], interocular: 0.061, scale: 0.25 };
+    formats.check(tracked.clone(), true);
+    let refused = |change: fn(&mut HeadTracked)| {
+        let mut changed = tracked.clone();
+        change(&mut changed);
+        changed.check().expect_err("refused").to_string()
+    };
+    assert!(refused(|tracked| tracked.screen[1] = 0.0).contains("0.001 to 100 m"));
+    assert!(refused(|tracked| tracked.interocular = -0.06).contains("interocular"));
+    assert!(refused(|tracked| tracked.scale = f64::NAN).contains("not finite"));
     formats.check(
         RigidBody {
             motion: Motion::Dynamic,
@@ -163,6 +181,65 @@ fn matter_and_looks(formats: &mut Formats) {
     );
     formats.check(Temperature { celsius: Arc::new(vec![37.0, 60.5]) }, true);
     formats.check(Burn { omega: Arc::new(vec![0.0, 1.25]) }, true);
+    let field = |name: &str, range| ScalarField {
+        name: name.into(),
+        unit: "Pa".into(),
+        values: Arc::new(vec![0.0, -2.5e3]),
+        range,
+    };
+    let fields = vec![field("stress", Some([0.0, 5e3])), field("pressure", None)];
+    formats.check(ScalarFields { fields }, true);
+    for (fields, says) in [
+        (vec![field("stress", Some([1.0, 1.0]))], "range"),
+        (vec![field("stress", None), field("stress", None)], "two fields are called 'stress'"),
+        (vec![field("", None)], "name"),
+        (vec![field("stress", Some([f64::NAN, 1.0]))], "not finite"),
+    ] {
+        let refused = ScalarFields { fields }.check().expect_err("refused").to_string();
+        assert!(refused.contains(says), "{refused}");
+    }
+    let smoke = Particles {
+        kind: ParticleKind::Smoke,
+        positions: Arc::new(vec![Point3::new(0.01, -0.02, 0.03), Point3::origin()]),
+        first: 1_000,
+        radius: 0.004,
+        color: [0.9, 0.8, 0.7],
+        extinction: 55.0,
+        densities: Arc::new(vec![0.25, 1.0]),
+        ages: Arc::new(vec![0.0, 1.5]),
+        spread: 2.0,
+    };
+    formats.check(smoke.clone(), true);
+    assert_eq!(
+        [999, 1_000, 1_001, 1_002].map(|number| smoke.index_of(number)),
+        [None, Some(0), Some(1), None]
+    );
+    // Twice the radius, an eighth of the density: as much smoke as before.
+    assert_eq!(smoke.particle(0), (0.004, 0.25 * 55.0));
+    assert_eq!(smoke.particle(1), (0.008, 55.0 / 8.0));
+    let without = |change: &dyn Fn(&mut Particles)| {
+        let mut wrong = smoke.clone();
+        change(&mut wrong);
+        wrong.check().expect_err("refused").to_string()
+    };
+    let crowd = || Arc::new(vec![Point3::origin(); PARTICLES_MAX + 1]);
+    for (refused, says) in [
+        (without(&|wrong| wrong.kind = ParticleKind::Fluid), "only smoke grows old"),
+        (without(&|wrong| wrong.densities = Arc::new(vec![1.0])), "densities: 1 values for 2 particles"),
+        (without(&|wrong| wrong.densities = Arc::new(vec![1.0, 1.5])), "densities: 1.5"),
+        (without(&|wrong| wrong.ages = Arc::new(vec![0.0, -1.0])), "ages: -1"),
+        (without(&|wrong| wrong.ages = Arc::new(vec![0.0; 3])), "ages: 3 values for 2 particles"),
+        (without(&|wrong| wrong.positions = crowd()), "at most 65536"),
+        (without(&|wrong| wrong.positions = Arc::new(vec![Point3::new(0.0, 1e9, 0.0); 2])), "positions"),
+        (without(&|wrong| wrong.positions = Arc::new(vec![Point3::new(0.0, f64::NAN, 0.0)])), "not finite"),
+        (without(&|wrong| wrong.first = u64::MAX), "first"),
+        (without(&|wrong| wrong.radius = 0.0), "radius"),
+        (without(&|wrong| wrong.color[1] = 1.5), "color"),
+        (without(&|wrong| wrong.extinction = -1.0), "extinction"),
+        (without(&|wrong| wrong.spread = -1.0), "spread"),
+    ] {
+        assert!(refused.contains(says), "{refused}");
+    }
 }
 
 fn instruments(formats: &mut Formats) {
@@ -188,6 +265,7 @@ fn instruments(formats: &mut Formats) {
         },
         true,
     );
+    formats.check(Activation { level: 0.6, since: SimTime::from_millis(12) }, true);
     formats.check(JawState { angle: 0.3, rate: -1.0, pad_force: [0.5, 0.6] }, true);
     formats.check(InstrumentForce { force: v(1.0), torque: v(0.1), at: SimTime(5) }, true);
     formats.check(Grasp { held: e(8), anchor: pose(), since: SimTime(77), assisted: true }, true);
@@ -275,11 +353,13 @@ fn hands_and_tasks(formats: &mut Formats) {
         primitive_a: *primitive,
         b: e(2),
         primitive_b: primitives[6 - k],
-        point_in_world: Point3::new(0.1, 0.2, 0.3),
+        points_in_world: [Point3::new(0.1, 0.2, 0.3), Point3::new(0.1, 0.20001, 0.3)],
         normal_in_world: Vector3::y(),
         depth: 1e-5,
         force_in_world: v(0.5),
         velocity_constraint: 0.1,
+        method: Detection::DynamicPoint,
+        detected_at: SimTime::from_millis(20),
     };
     let collisions = primitives.iter().enumerate().map(collision).collect();
     formats.check(CollisionList { collisions, penetration_max: 1e-4 }, true);
@@ -301,6 +381,8 @@ fn hands_and_tasks(formats: &mut Formats) {
         },
         true,
     );
+    let values = [("cut_area_m2".to_owned(), 1.25e-3)].into();
+    formats.check(Measured { values }, true);
     formats.check(
         VitalSigns {
             heart_rate: 71.0,

@@ -38,6 +38,33 @@ fn a_snapshot_never_changes_and_shows_what_changed_since() {
 }
 
 #[test]
+fn a_retouched_copy_shows_other_values_as_changed_and_leaves_the_scene_alone() {
+    let (_, mut store, mut commands, rules) = scene();
+    let entities: Vec<Entity> = (0..100).map(|_| commands.spawn()).collect();
+    for entity in &entities {
+        commands.put(*entity, Pose::at(1.0, 0.0, 0.0));
+    }
+    apply(&mut store, &mut commands, &rules).unwrap();
+    let published = store.snapshot();
+    let mut shown = published.clone();
+    let gone = Entity::new(9, 9, 9);
+    shown.retouch(7, [(entities[3], Pose::at(2.0, 0.0, 0.0)), (gone, Pose::default())]);
+    assert_eq!((shown.retouches(), published.retouches()), (7, 0));
+    assert_eq!(shown.revision(), published.revision());
+    assert_eq!(shown.get::<Pose>(entities[3]).unwrap().translation.x, 2.0);
+    assert_eq!(published.get::<Pose>(entities[3]).unwrap().translation.x, 1.0);
+    assert!(shown.get::<Pose>(gone).is_none());
+    let changed: Vec<Entity> = shown.iter_changed::<Pose>(published.revision()).map(|(e, _)| e).collect();
+    assert_eq!(changed, [entities[3]]);
+    // Whoever sees the Model's next state is told of what it changed, not of what was retouched.
+    commands.put(entities[5], Pose::at(3.0, 0.0, 0.0));
+    apply(&mut store, &mut commands, &rules).unwrap();
+    let next = store.snapshot();
+    let changed: Vec<Entity> = next.iter_changed::<Pose>(shown.revision()).map(|(e, _)| e).collect();
+    assert_eq!(changed, [entities[5]]);
+}
+
+#[test]
 fn bad_writes_are_refused_and_named() {
     let (_, mut store, mut commands, rules) = scene();
     let mine = commands.spawn();

@@ -2,25 +2,12 @@
 
 mod common;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use proptest::prelude::*;
 use trocar_scene::scenario::{self, Scenario, ScenarioError};
 use trocar_scene::*;
-
-fn shipped() -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenarios");
-    let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
-        .expect("the scenarios folder")
-        .map(|entry| entry.expect("an entry").path())
-        .filter(|path| path.extension().is_some_and(|extension| extension == "toml"))
-        .collect();
-    files.sort();
-    assert!(files.iter().any(|file| file.ends_with("peg-transfer.toml")));
-    assert!(files.iter().any(|file| file.ends_with("wall.toml")));
-    files
-}
 
 fn peg_transfer() -> (Arc<Registry>, Scenario) {
     let registry = Registry::of_the_field();
@@ -34,42 +21,10 @@ fn parse(text: &str) -> Result<Scenario, ScenarioError> {
 }
 
 #[test]
-fn every_shipped_scenario_loads_and_its_named_things_exist() {
-    let registry = Registry::of_the_field();
-    for file in shipped() {
-        let scenario = Scenario::load(&file, &registry).unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!(Some(scenario.name.as_str()), file.file_stem().and_then(|stem| stem.to_str()));
-        assert!(!scenario.title.is_empty() && !scenario.description.is_empty());
-        let store = scenario.spawn(&registry).unwrap_or_else(|error| panic!("{error}"));
-        let view = store.view();
-        assert_eq!(view.entities().count(), scenario.entities().len());
-        for (name, entity) in scenario.entities() {
-            assert_eq!(view.find(name), Some(*entity));
-        }
-        for hand in &scenario.hands {
-            let component = view.get::<Hand>(hand.entity).expect("a hand");
-            assert!(view.get::<Instrument>(component.instrument).is_some());
-            assert!(scenario.controllers.iter().any(|c| c.name == format!("haptics.{}", hand.name)));
-        }
-    }
-}
-
-#[test]
-fn every_shipped_scenario_is_valid_under_the_published_schema() {
+fn the_published_schema_is_valid_and_no_rubber_stamp() {
     let schema = scenario::json_schema(&Registry::of_the_field());
     jsonschema::draft202012::meta::validate(&schema).unwrap_or_else(|error| panic!("{error}"));
     let validator = jsonschema::draft202012::new(&schema).expect("a schema");
-    for file in shipped() {
-        let text = std::fs::read_to_string(&file).expect("readable");
-        let value: toml::Value = toml::from_str(&text).expect("TOML");
-        let value = serde_json::to_value(value).expect("JSON");
-        let errors: Vec<String> = validator
-            .iter_errors(&value)
-            .map(|error| format!("{}: {error}", error.instance_path()))
-            .collect();
-        assert!(errors.is_empty(), "{}: {errors:#?}", file.display());
-    }
-    // The schema is no rubber stamp.
     let valid = serde_json::json!({ "schema": 1, "name": "x", "entity": [{ "name": "a", "pose": {} }] });
     assert!(validator.is_valid(&valid));
     for (pointer, bad) in [
@@ -90,6 +45,25 @@ fn every_shipped_scenario_is_valid_under_the_published_schema() {
         value[pointer.trim_start_matches('/')] = bad;
         assert!(!validator.is_valid(&value), "{pointer} = {}", value[pointer.trim_start_matches('/')]);
     }
+}
+
+#[test]
+fn smoke_may_stand_in_a_scenario() {
+    let text = r#"
+schema = 1
+name = "smoky"
+
+[[entity]]
+name = "plume"
+pose = {}
+particles = { kind = "smoke", positions = [[0.0, 0.0, 0.01], [0.0, 0.001, 0.02]], radius = 0.004, ages = [0.0, 0.5] }
+"#;
+    let scenario = parse(text).unwrap_or_else(|error| panic!("{error}"));
+    let store = scenario.spawn(&Registry::of_the_field()).expect("valid");
+    let (_, plume) = store.view().iter::<Particles>().next().expect("a plume");
+    assert_eq!((plume.kind, plume.positions.len(), plume.ages[1]), (ParticleKind::Smoke, 2, 0.5));
+    let refused = parse(&text.replace("ages = [0.0, 0.5]", "ages = [0.0]")).expect_err("refused").to_string();
+    assert!(refused.contains("ages: 1 values for 2 particles"), "{refused}");
 }
 
 #[test]
@@ -242,7 +216,10 @@ fn mistakes_are_named_with_their_place() {
         (entity("parent = \"ring\"\n"), &[":5:10", "entity 'ring', parent", "cycle"]),
         (entity("name2 = 1\n"), &["unknown component 'name2'"]),
         (entity("mesh = \"a.obj\"\n"), &[":5:8", "a table with a file"]),
-        (entity("mesh = { scale = 1 }\n"), &["'file' is missing"]),
+        (
+            entity("mesh = { scale = 1 }\n"),
+            &["one of file, shape, organ, sheet, tube, block, line is missing"],
+        ),
         (entity("mesh = { file = \"../a.obj\" }\n"), &[":5:17", "must not leave its folder"]),
         (entity("mesh = { file = \"/a.obj\" }\n"), &[":5:17", "relative"]),
         (entity("mesh = { file = \"a.doc\" }\n"), &[":5:17", "'doc'", "obj", "msh"]),
@@ -375,6 +352,77 @@ fn mesh_files_become_components() {
         assert!(error.contains(part), "'{part}' is missing in '{error}'");
     }
     assert!(scene("require = \"any\"").is_ok());
+}
+
+#[test]
+fn shapes_become_surfaces_divided_as_finely_as_asked_for() {
+    let registry = Registry::of_the_field();
+    let scene = |mesh: &str| {
+        let text = format!("{HEAD}[[entity]]\nname = \"stone\"\nmesh = {{ {mesh} }}\n");
+        let scenario = parse(&text)?;
+        let store = scenario.spawn(&registry).expect("valid");
+        let stone = store.view().find("stone").expect("an entity");
+        let positions = store.view().get::<VertexPositions>(stone).expect("positions").positions.clone();
+        assert!(store.view().get::<Shape>(stone).is_none(), "it is a surface only");
+        assert!(positions.iter().all(|position| (position.coords.norm() - 0.01).abs() < 1e-12));
+        Ok::<_, ScenarioError>(positions.len())
+    };
+    let coarse = scene("shape = { sphere = { radius = 0.01 } }, segments = 8").expect("a ball");
+    let fine = scene("shape = { sphere = { radius = 0.01 } }").expect("a ball");
+    assert!(coarse < 60 && fine > 500, "{coarse} {fine}");
+    for (mesh, says) in [
+        ("shape = { sphere = { radius = 0.01 } }, segments = 4", "segments"),
+        ("shape = { sphere = { radius = 0.01 } }, segments = 9.5", "segments"),
+        ("shape = { sphere = { radius = -0.01 } }", "radius"),
+        ("shape = { ball = { radius = 0.01 } }", "ball"),
+        ("shape = { sphere = { radius = 0.01 } }, scale = 2.0", "scale"),
+        ("file = \"a.obj\", shape = { sphere = { radius = 0.01 } }", "file"),
+    ] {
+        let refused = scene(mesh).expect_err(mesh).to_string();
+        assert!(refused.contains("test.toml:") && refused.contains(says), "{refused}");
+    }
+}
+
+#[test]
+fn organs_sheets_tubes_blocks_and_threads_are_made_without_files() {
+    let registry = Registry::of_the_field();
+    let scene = |mesh: &str| {
+        let text = format!("{HEAD}[[entity]]\nname = \"thing\"\nmesh = {{ {mesh} }}\n");
+        let store = parse(&text)?.spawn(&registry).expect("valid");
+        let thing = store.view().find("thing").expect("an entity");
+        let view = store.view();
+        Ok::<_, ScenarioError>((
+            view.get::<VertexPositions>(thing).map_or(0, |vertices| vertices.positions.len()),
+            view.get::<SurfaceMesh>(thing).map_or(0, |surface| surface.triangles.len()),
+            view.get::<TetMesh>(thing).map_or(0, |volume| volume.tets.len()),
+            view.get::<LineMesh>(thing).map_or(0, |line| line.segments.len()),
+            view.get::<TextureCoordinates>(thing).map_or(0, |texture| texture.uv.len()),
+        ))
+    };
+    let made = |mesh: &str| scene(mesh).unwrap_or_else(|error| panic!("{error}"));
+    let (vertices, triangles, tets, lines, _) = made("organ = \"liver\", edge = 0.02");
+    assert!(vertices > 100 && triangles > 100 && tets > 300 && lines == 0, "{vertices} {triangles} {tets}");
+    let bag = made("organ = \"stomach\", edge = 0.012, wall = 0.012, levels = 0");
+    assert!(bag.1 > made("organ = \"stomach\", edge = 0.012").1 && bag.2 > 1000, "{bag:?}");
+    let half = made("organ = \"kidney\", edge = 0.005, scale = 0.5");
+    assert_eq!(half, made("organ = \"kidney\", edge = 0.01"), "the same lattice, half as large");
+    assert_eq!(made("sheet = { size = [0.1, 0.1], cells = [4, 3] }"), (20, 24, 0, 0, 20));
+    assert_eq!(made("tube = { radius = 0.01, length = 0.08, cells = [6, 2] }"), (18, 24, 0, 0, 0));
+    assert_eq!(made("block = { size = [0.1, 0.1, 0.02], cells = [2, 2, 1] }"), (18, 32, 24, 0, 0));
+    assert_eq!(made("line = { length = 0.15, segments = 10, radius = 0.00015 }"), (11, 0, 0, 10, 0));
+    for (mesh, says) in [
+        ("organ = \"heart\"", "liver"),
+        ("organ = \"liver\", edge = 0.0001", "make them longer"),
+        ("organ = \"liver\", levels = 1.5", "levels"),
+        ("organ = \"liver\", cells = 4", "cells"),
+        ("sheet = { size = [0.1, 0.1], cells = [0, 3] }", "1 to 1024"),
+        ("sheet = { size = [0.1, 0.1] }", "cells"),
+        ("line = { length = 0.1, segments = 4, radius = 2.0 }", "radius"),
+        ("sheet = { size = [0.1, 0.1], cells = [4, 3] }, scale = 2.0", "scale"),
+    ] {
+        let refused = scene(mesh).expect_err(mesh).to_string();
+        assert!(refused.contains("test.toml:") && refused.contains(says), "{refused}");
+    }
 }
 
 proptest! {

@@ -4,7 +4,9 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::component::Component;
 use crate::entity::Entity;
+use crate::time::SimTime;
 
 /// The part of an entity that takes part in a collision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -26,6 +28,35 @@ pub enum Primitive {
     Shaft,
 }
 
+/// Who found a contact.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Detection {
+    /// A program's own method.
+    #[default]
+    Custom,
+    /// The physics engine, within its step.
+    Engine,
+    /// Trees of oriented boxes.
+    ObbTree,
+    /// Distances between surfaces.
+    Proximity,
+    /// The dynamic point of a line.
+    DynamicPoint,
+    /// Depth images.
+    ZBuffer,
+    /// Spheres hashed by direction.
+    SphericalHash,
+    /// Motions over a step.
+    Continuous,
+    /// The proxy of a hand.
+    Proxy,
+    /// A simulator, within its step.
+    Simulator,
+}
+
 /// One contact between two primitives.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -40,19 +71,31 @@ pub struct Collision {
     pub b: Entity,
     /// Which part of it.
     pub primitive_b: Primitive,
-    /// Where, in world \[m\].
-    #[schemars(with = "[f64; 3]")]
-    pub point_in_world: Point3<f64>,
+    /// Where: the nearest or deepest point of each, in world \[m\]; the same one twice when only one is known.
+    #[schemars(with = "[[f64; 3]; 2]")]
+    pub points_in_world: [Point3<f64>; 2],
     /// Unit direction from `a` to `b`.
     #[schemars(with = "[f64; 3]")]
     pub normal_in_world: Vector3<f64>,
-    /// Penetration depth \[m\]; negative while apart.
+    /// Penetration depth \[m\]; negative while apart. How far the first point lies beyond the second along the normal.
     pub depth: f64,
     /// Penalty force on `b` \[N\].
     #[schemars(with = "[f64; 3]")]
     pub force_in_world: Vector3<f64>,
     /// Relative normal velocity that a response must reach \[m/s\].
     pub velocity_constraint: f64,
+    /// Who found it.
+    pub method: Detection,
+    /// When: what moved since then has moved away from it.
+    pub detected_at: SimTime,
+}
+
+impl Collision {
+    /// In the middle of both points, in world \[m\].
+    #[must_use]
+    pub fn middle_in_world(&self) -> Point3<f64> {
+        nalgebra::center(&self.points_in_world[0], &self.points_in_world[1])
+    }
 }
 
 /// What one detector found in its last tick; contributed, so that lists of several detectors coexist.
@@ -64,4 +107,12 @@ pub struct CollisionList {
     /// Deepest penetration since the session began \[m\].
     pub penetration_max: f64,
 }
-super::component!(CollisionList, "collision_list");
+impl Component for CollisionList {
+    const NAME: &'static str = "collision_list";
+    fn listed(&self) -> Option<u64> {
+        Some(self.collisions.len() as u64)
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
+}

@@ -29,6 +29,37 @@ pub enum InstrumentKind {
     NeedleDriver,
     /// A rod without jaws.
     Probe,
+    /// Two long blunt jaws that spread tissue.
+    BluntDissector,
+    /// Two fine jaws that hold and pull thread.
+    SutureGrasper,
+    /// A rod from which a pre-tied loop is drawn tight.
+    LoopApplier,
+    /// A rod with a notch that slides a knot down its thread.
+    KnotPusher,
+    /// A bent rod that holds an organ aside (Nathanson).
+    Retractor,
+    /// A curved rod that carries a band around an organ.
+    BandPasser,
+}
+
+impl InstrumentKind {
+    /// Whether it has jaws that open and close.
+    pub fn has_jaws(self) -> bool {
+        match self {
+            Self::Grasper
+            | Self::Scissors
+            | Self::NeedleDriver
+            | Self::BluntDissector
+            | Self::SutureGrasper => true,
+            Self::HookCautery
+            | Self::Probe
+            | Self::LoopApplier
+            | Self::KnotPusher
+            | Self::Retractor
+            | Self::BandPasser => false,
+        }
+    }
 }
 
 /// Build of an instrument. Lengths \[m\], angles \[rad\].
@@ -175,6 +206,25 @@ pub struct JawState {
     pub pad_force: [f64; 2],
 }
 super::component!(JawState, "jaw_state");
+
+/// What is switched on at an instrument: by a pedal, a button, or whoever plays the hand.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Activation {
+    /// Share of full power, 0 to 1.
+    pub level: f64,
+    /// Since when it has been at that level.
+    pub since: SimTime,
+}
+impl Component for Activation {
+    const NAME: &'static str = "activation";
+    fn check(&self) -> Result<(), ComponentError> {
+        ComponentError::range("level", self.level, 0.0..=1.0, "0 to 1")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
+}
 
 /// The wrench that the instrument exerts on the hand, at the tip, in world axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -21,7 +21,7 @@ pub enum Motion {
     Kinematic,
 }
 
-/// A rigid body; its geometry is the entity's `Shape`.
+/// A rigid body; its geometry is the entity's `Shape`, or else its surface: then its contacts are those that detectors find.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RigidBody {

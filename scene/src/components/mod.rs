@@ -1,21 +1,26 @@
 //! The components of the field.
 
 pub mod contact;
+pub mod deformation;
 pub mod device;
+pub mod field;
 pub mod graph;
 pub mod instrument;
 pub mod matter;
 pub mod mesh;
+pub mod particles;
 pub mod person;
 pub mod shape;
 pub mod task;
 pub mod visual;
 
-pub use contact::{Collision, CollisionList, Primitive};
+pub use contact::{Collision, CollisionList, Detection, Primitive};
+pub use deformation::{Anchors, Frozen, Region, RestPositions, VertexVelocities};
 pub use device::{DeviceForce, DeviceInfo, DeviceState, Hand, HandTarget, HapticStatus, Side};
+pub use field::{ScalarField, ScalarFields};
 pub use graph::{Name, Parent, Pose, Velocity};
 pub use instrument::{
-    ContactPlane, Grasp, Instrument, InstrumentForce, InstrumentKind, InstrumentTarget, JawState,
+    Activation, ContactPlane, Grasp, Instrument, InstrumentForce, InstrumentKind, InstrumentTarget, JawState,
     LocalContactModel, Port,
 };
 pub use matter::{Burn, Motion, Parameter, RigidBody, Temperature, TissueMaterial};
@@ -23,10 +28,11 @@ pub use mesh::{
     BoundingVolumeNode, BoundingVolumeTree, LineMesh, SurfaceMesh, TetMesh, TextureCoordinates,
     VertexPositions,
 };
+pub use particles::{PARTICLES_MAX, ParticleKind, Particles};
 pub use person::{PERSON_TOTAL_MAX, PersonAction, PersonActions, PersonHand, PersonInput, PersonView};
 pub use shape::Shape;
-pub use task::{TaskError, TaskState, VitalSigns};
-pub use visual::{Camera, Light, Optics, Texture, VisualMaterial};
+pub use task::{Measured, TaskError, TaskState, VitalSigns};
+pub use visual::{Camera, HeadTracked, Light, Optics, Texture, VisualMaterial};
 
 use crate::registry::{RegistryBuilder, RegistryError};
 
@@ -61,20 +67,28 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<TetMesh>()?;
     builder.register::<LineMesh>()?;
     builder.register::<VertexPositions>()?;
+    builder.register::<VertexVelocities>()?;
+    builder.register::<RestPositions>()?;
+    builder.register::<Anchors>()?;
+    builder.register::<Frozen>()?;
     builder.register::<TextureCoordinates>()?;
     builder.register::<BoundingVolumeTree>()?;
     builder.register::<VisualMaterial>()?;
     builder.register::<Light>()?;
     builder.register::<Camera>()?;
     builder.register::<Optics>()?;
+    builder.register::<HeadTracked>()?;
     builder.register::<RigidBody>()?;
     builder.register::<TissueMaterial>()?;
     builder.register::<Temperature>()?;
     builder.register::<Burn>()?;
+    builder.register::<ScalarFields>()?;
+    builder.register::<Particles>()?;
     builder.register::<Instrument>()?;
     builder.register::<Port>()?;
     builder.register::<InstrumentTarget>()?;
     builder.register::<JawState>()?;
+    builder.register::<Activation>()?;
     builder.register::<InstrumentForce>()?;
     builder.register::<Grasp>()?;
     builder.register::<LocalContactModel>()?;
@@ -87,6 +101,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<PersonInput>()?;
     builder.register::<CollisionList>()?;
     builder.register::<TaskState>()?;
+    builder.register::<Measured>()?;
     builder.register::<VitalSigns>()?;
     Ok(())
 }

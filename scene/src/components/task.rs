@@ -49,6 +49,15 @@ pub struct TaskState {
 }
 super::component!(TaskState, "task_state");
 
+/// What a controller measures of that which it moves: areas, volumes, energies, slips; on the controller's own entity.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Measured {
+    /// Name → value, SI units, the unit at the end of the name: `cut_area_m2`.
+    pub values: BTreeMap<String, f64>,
+}
+super::component!(Measured, "measured");
+
 /// Vital signs of the patient.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]

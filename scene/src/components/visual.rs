@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::component::{Component, ComponentError};
+use crate::entity::Entity;
 use crate::finite;
 
 /// An image: a file below the scenario's folder, or one that is computed.
@@ -138,6 +139,49 @@ impl Component for Optics {
         ComponentError::range("tilt", self.tilt, 0.0..=2.1, "0 to 2.1 rad")?;
         ComponentError::range("distortion", self.distortion, 0.0..=0.5, "0 to 0.5")?;
         ComponentError::range("vignette", self.vignette, 0.0..=1.0, "0 to 1")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
+}
+
+/// Makes a [`Camera`] a window: a real screen, looked at by somebody whose head is tracked, shows what lies behind it as a
+/// pane of glass would ("fish tank virtual reality": Ware, Arthur, Booth 1993).
+///
+/// The camera's entity is the centre of the screen: z into the screen, x to its right, y down. The head is wherever the
+/// pose of [`Self::head`] is, so that whoever writes that pose (a tracker, a controller, a scenario) moves the eye. The
+/// camera's near and far hold; its field of view and [`Optics`] do not.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct HeadTracked {
+    /// Whose pose is the head: between the eyes, x to the right eye, y down, z straight ahead. Best below the camera's
+    /// entity ([`Parent`](crate::Parent)), so that it is given in the frame of the screen.
+    #[schemars(with = "String")]
+    pub head: Entity,
+    /// Width and height of the screen \[m\].
+    pub screen: [f64; 2],
+    /// Between the eyes \[m\].
+    #[serde(default = "interocular")]
+    pub interocular: f64,
+    /// Metres of the scene per metre in front of the screen: screen, head and eyes all grow with it.
+    #[serde(default = "life_size")]
+    pub scale: f64,
+}
+/// The mean of adults (Dodgson, "Variation and extrema of human interpupillary distance", 2004) \[m\].
+fn interocular() -> f64 {
+    0.063
+}
+fn life_size() -> f64 {
+    1.0
+}
+impl Component for HeadTracked {
+    const NAME: &'static str = "head_tracked";
+    fn check(&self) -> Result<(), ComponentError> {
+        finite::check(self)?;
+        let side = |value: f64| ComponentError::range("screen", value, 1e-3..=100.0, "0.001 to 100 m");
+        self.screen.iter().try_for_each(|length| side(*length))?;
+        ComponentError::range("interocular", self.interocular, 0.0..=0.2, "0 to 0.2 m")?;
+        ComponentError::range("scale", self.scale, 1e-3..=1e3, "0.001 to 1000")
     }
     fn schema() -> Option<serde_json::Value> {
         super::schema_of::<Self>()

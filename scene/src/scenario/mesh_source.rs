@@ -1,4 +1,5 @@
-//! `mesh = { file = … }` at an entity: a mesh file as components.
+//! `mesh = { file = … }` or `mesh = { shape = … }` at an entity: a mesh file, or the surface of a shape, as components;
+//! what is made otherwise is in [`made_mesh`].
 
 use std::path::Path;
 use std::sync::Arc;
@@ -9,36 +10,45 @@ use toml::de::DeValue;
 
 use super::document::Table;
 use super::error::ScenarioError;
+use super::made_mesh;
 use crate::commands::Commands;
-use crate::components::{SurfaceMesh, TetMesh, TextureCoordinates, VertexPositions};
+use crate::components::{LineMesh, Shape, SurfaceMesh, TetMesh, TextureCoordinates, VertexPositions};
 use crate::confined_path;
 use crate::entity::Entity;
 use crate::mesh::{
     Limits, MeshError, SURFACE_EXTENSIONS, SurfaceData, SurfacePolicy, TET_EXTENSIONS, TetData, TetPolicy,
     read_surface, read_tets, validate_surface, validate_tets,
 };
+use crate::shapes::{Detail, surface_of};
 
-/// Keys of the table.
+/// Keys of the table of a file, and of a shape.
 pub(super) const KEYS: [&str; 4] = ["file", "scale", "flip_inverted", "require"];
+pub(super) const SHAPE_KEYS: [&str; 2] = ["shape", "segments"];
 /// Values of `require`.
 pub(super) const REQUIREMENTS: [&str; 3] = ["solid", "manifold", "any"];
 /// Components that a mesh file provides, and that may therefore not stand beside it.
-pub(super) const PROVIDED: [&str; 4] =
-    ["surface_mesh", "tet_mesh", "vertex_positions", "texture_coordinates"];
+pub(super) const PROVIDED: [&str; 5] =
+    ["surface_mesh", "tet_mesh", "line_mesh", "vertex_positions", "texture_coordinates"];
 
 /// The components that a mesh file became. Payloads are shared.
 #[derive(Clone, Debug)]
 pub(super) struct LoadedMesh {
-    positions: VertexPositions,
-    surface: SurfaceMesh,
-    tets: Option<TetMesh>,
-    uv: Option<TextureCoordinates>,
+    pub positions: VertexPositions,
+    pub surface: Option<SurfaceMesh>,
+    pub tets: Option<TetMesh>,
+    pub line: Option<LineMesh>,
+    pub uv: Option<TextureCoordinates>,
 }
 
 impl LoadedMesh {
     pub fn put(&self, commands: &mut Commands, entity: Entity) {
         commands.put(entity, self.positions.clone());
-        commands.put(entity, self.surface.clone());
+        if let Some(surface) = &self.surface {
+            commands.put(entity, surface.clone());
+        }
+        if let Some(line) = &self.line {
+            commands.put(entity, line.clone());
+        }
         if let Some(tets) = &self.tets {
             commands.put(entity, tets.clone());
         }
@@ -48,14 +58,44 @@ impl LoadedMesh {
     }
 }
 
-/// Reads the file that an entity's `mesh` table names. `table` is that table, `value` where it stands.
+/// The surface of a shape, divided as finely as asked for: bodies that detectors see as surfaces need no file.
+fn shaped(table: &Table, value: &Spanned<DeValue>) -> Result<LoadedMesh, ScenarioError> {
+    table.only(&SHAPE_KEYS)?;
+    let span = table.get("shape").map_or(value.span(), Spanned::span);
+    let Some(shape) = table.value::<Shape>("shape")? else {
+        return Err(table.wrong_type("shape", value, "a shape"));
+    };
+    let default = Detail::default();
+    let valid = "a whole number from 8 to 512";
+    let segments = table.number("segments", 8.0..=512.0, valid)?.unwrap_or(default.segments as f64);
+    if segments.fract() != 0.0 {
+        let span = table.get("segments").map_or(value.span(), Spanned::span);
+        return Err(table.error(span, "segments", format!("{segments} is not {valid}")));
+    }
+    let segments = segments as usize;
+    let detail = Detail { segments, fine_segments: (segments / 4).max(3) };
+    let surface =
+        surface_of(&shape, &detail).map_err(|error| table.error(span, "shape", error.to_string()))?;
+    Ok(from_surface(surface))
+}
+
+/// Makes what an entity's `mesh` table names. `table` is that table, `value` where it stands.
 pub(super) fn load(
     folder: &Path,
     table: &Table,
     value: &Spanned<DeValue>,
 ) -> Result<LoadedMesh, ScenarioError> {
-    table.only(&KEYS)?;
-    table.require("file")?;
+    if table.get("shape").is_some() {
+        return shaped(table, value);
+    }
+    if let Some(key) = made_mesh::MADE.into_iter().find(|key| table.get(key).is_some()) {
+        return made_mesh::load(table, key, value);
+    }
+    table.only(&[&KEYS[..], &SHAPE_KEYS[..1], &made_mesh::MADE[..]].concat())?;
+    if table.get("file").is_none() {
+        let one_of = [&["file", "shape"], &made_mesh::MADE[..]].concat().join(", ");
+        return Err(table.error(value.span(), "", format!("one of {one_of} is missing")));
+    }
     let (relative, span) = table.string("file")?.unwrap_or(("", value.span()));
     let file =
         confined_path::below(folder, relative).map_err(|why| table.error(span.clone(), "file", why))?;
@@ -105,21 +145,23 @@ pub(super) fn load(
     }
 }
 
-fn from_tets(volume: TetData) -> LoadedMesh {
+pub(super) fn from_tets(volume: TetData) -> LoadedMesh {
     let boundary = volume.boundary_triangles();
     LoadedMesh {
-        surface: SurfaceMesh { triangles: Arc::new(boundary) },
+        surface: Some(SurfaceMesh { triangles: Arc::new(boundary) }),
+        line: None,
         tets: Some(TetMesh { tets: Arc::new(volume.tets) }),
         positions: VertexPositions { positions: Arc::new(volume.positions) },
         uv: None,
     }
 }
 
-fn from_surface(surface: SurfaceData) -> LoadedMesh {
+pub(super) fn from_surface(surface: SurfaceData) -> LoadedMesh {
     let uv = vertex_uvs(&surface).map(|uv| TextureCoordinates { uv: Arc::new(uv) });
     LoadedMesh {
         positions: VertexPositions { positions: Arc::new(surface.positions) },
-        surface: SurfaceMesh { triangles: Arc::new(surface.triangles) },
+        surface: Some(SurfaceMesh { triangles: Arc::new(surface.triangles) }),
+        line: None,
         tets: None,
         uv,
     }

@@ -28,6 +28,7 @@
 mod document;
 mod error;
 mod load;
+mod made_mesh;
 mod mesh_source;
 mod schema;
 

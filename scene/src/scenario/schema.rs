@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
-use super::{CONTROLLERS_MAX, ENTITIES_MAX, HANDS_MAX, SCHEMA_VERSION, mesh_source};
+use super::{CONTROLLERS_MAX, ENTITIES_MAX, HANDS_MAX, SCHEMA_VERSION, made_mesh, mesh_source};
 use crate::registry::Registry;
 
 /// The schema of scenario files with the components of this registry.
@@ -14,8 +14,25 @@ pub fn json_schema(registry: &Registry) -> Value {
         hoist(entry.name, schema, &mut definitions);
         components.insert(entry.name.to_owned(), json!({ "$ref": format!("#/$defs/{}", entry.name) }));
     }
-    components.insert("mesh".into(), json!({ "$ref": "#/$defs/mesh_file" }));
+    components.insert(
+        "mesh".into(),
+        json!({ "oneOf": (MESHES.map(|name| json!({ "$ref": format!("#/$defs/mesh_{name}") }))) }),
+    );
     definitions.insert("mesh_file".into(), mesh_file());
+    definitions.insert("mesh_shape".into(), mesh_shape());
+    definitions.insert("mesh_organ".into(), mesh_organ());
+    for (key, of, description) in [
+        ("sheet", schema_of::<made_mesh::Sheet>(), "A rectangle in the xy plane, with texture coordinates."),
+        ("tube", schema_of::<made_mesh::Tube>(), "A tube without lids along z."),
+        ("block", schema_of::<made_mesh::Block>(), "A box of tetrahedra."),
+        (
+            "line",
+            schema_of::<made_mesh::Line>(),
+            "A straight thread along x: vertex_positions and line_mesh.",
+        ),
+    ] {
+        definitions.insert(format!("mesh_{key}"), mesh_grid(key, of, description));
+    }
     definitions.insert("identifier".into(), identifier());
     json!({
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -95,6 +112,9 @@ fn hand() -> Value {
     })
 }
 
+/// Where a mesh may come from.
+const MESHES: [&str; 7] = ["file", "shape", "organ", "sheet", "tube", "block", "line"];
+
 fn mesh_file() -> Value {
     json!({
         "description": "A mesh file that becomes vertex_positions, surface_mesh and, for volumes, tet_mesh.",
@@ -118,6 +138,66 @@ fn mesh_file() -> Value {
             },
         },
     })
+}
+
+fn mesh_shape() -> Value {
+    json!({
+        "description": "The surface of a shape, which becomes vertex_positions and surface_mesh.",
+        "type": "object", "required": ["shape"], "additionalProperties": false,
+        "properties": {
+            "shape": { "$ref": "#/$defs/shape" },
+            "segments": {
+                "description": "Segments of a full circle.", "type": "integer",
+                "minimum": 8, "maximum": 512, "default": 48,
+            },
+        },
+    })
+}
+
+fn mesh_organ() -> Value {
+    json!({
+        "description": "An organ of graded tetrahedra, which becomes vertex_positions, surface_mesh and tet_mesh.",
+        "type": "object", "required": ["organ"], "additionalProperties": false,
+        "properties": {
+            "organ": schema_of::<crate::organs::Organ>(),
+            "edge": {
+                "description": "Length of the lattice's edges at the surface [m].", "type": "number",
+                "minimum": made_mesh::EDGE.0.start(), "maximum": made_mesh::EDGE.0.end(),
+                "default": made_mesh::EDGE.1,
+            },
+            "levels": {
+                "description": "How often the edges double inside.", "type": "integer",
+                "minimum": 0, "maximum": 4, "default": 2,
+            },
+            "wall": {
+                "description": "Thickness of the wall of a hollow one [m]; solid without.", "type": "number",
+                "minimum": 1e-4, "maximum": 0.1,
+            },
+            "scale": {
+                "description": "How much larger than an adult's.", "type": "number",
+                "minimum": 0.01, "maximum": 100.0, "default": 1.0,
+            },
+        },
+    })
+}
+
+/// A mesh that is made from one table of numbers.
+fn mesh_grid(key: &str, of: Value, description: &str) -> Value {
+    json!({
+        "description": description,
+        "type": "object", "required": [key], "additionalProperties": false,
+        "properties": { key: of },
+    })
+}
+
+/// The schema of a type without definitions of its own.
+fn schema_of<T: schemars::JsonSchema>() -> Value {
+    let mut schema = schemars::schema_for!(T).to_value();
+    rewrite("", &mut schema);
+    if let Value::Object(object) = &mut schema {
+        object.remove("$schema");
+    }
+    schema
 }
 
 fn identifier() -> Value {

@@ -72,7 +72,18 @@ pub fn instrument_surface(instrument: &Instrument, segments: usize) -> Result<In
         InstrumentKind::Grasper => Some(Blade { width_at_tip: 0.5, thickness_at_tip: 0.5, bend: 0.18 }),
         InstrumentKind::Scissors => Some(Blade { width_at_tip: 0.3, thickness_at_tip: 0.7, bend: 0.12 }),
         InstrumentKind::NeedleDriver => Some(Blade { width_at_tip: 0.9, thickness_at_tip: 0.8, bend: 0.0 }),
-        InstrumentKind::HookCautery | InstrumentKind::Probe => None,
+        InstrumentKind::BluntDissector => {
+            Some(Blade { width_at_tip: 0.9, thickness_at_tip: 0.8, bend: 0.25 })
+        }
+        InstrumentKind::SutureGrasper => {
+            Some(Blade { width_at_tip: 0.35, thickness_at_tip: 0.5, bend: 0.10 })
+        }
+        InstrumentKind::HookCautery
+        | InstrumentKind::Probe
+        | InstrumentKind::LoopApplier
+        | InstrumentKind::KnotPusher
+        | InstrumentKind::Retractor
+        | InstrumentKind::BandPasser => None,
     };
     let jaw_length = if blade.is_some() && instrument.jaws > 0 { instrument.jaw_length } else { 0.0 };
     if jaw_length >= instrument.shaft_length {
