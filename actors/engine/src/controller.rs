@@ -6,20 +6,24 @@
 //! the session registers it, the play of the mechanism ([`MechanismState`]).
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::Point3;
 
 use trocar_scene::access::{Access, EntitySet};
 use trocar_scene::commands::Commands;
 use trocar_scene::components::{
-    Collision, CollisionList, Grasp, Instrument, InstrumentForce, InstrumentTarget, JawState,
-    LocalContactModel, Motion, Parent, Pose, RigidBody, Shape, Velocity,
+    Collision, CollisionList, Detection, Grasp, Instrument, InstrumentForce, InstrumentTarget, JawState,
+    LocalContactModel, Motion, Parent, Pose, RigidBody, Shape, SurfaceMesh, Velocity, VertexPositions,
 };
 use trocar_scene::controller::{BuildContext, Controller, ControllerError, Tick};
 use trocar_scene::entity::Entity;
 use trocar_scene::snapshot::Snapshot;
-use trocar_scene::time::Revision;
+use trocar_scene::time::{Revision, SimTime};
 
 use crate::contacts::Contact;
 use crate::error::EngineError;
+use crate::felt::{held_by, is_modelled, modelled_by_others};
 use crate::grasp::Hold;
 use crate::grasper::GrasperState;
 use crate::jaws::JawOpening;
@@ -33,26 +37,68 @@ use crate::world::{FLOOR, RigidWorld};
 pub const COLLISIONS_MAX: usize = 256;
 /// Own writes that may still be on their way to the Model, per body.
 const WRITES_IN_FLIGHT: usize = 8;
-/// Longest time that one tick simulates \[s\]; after a longer pause the rest is skipped.
+/// Longest pause that is caught up with \[s\]; of a longer one the rest is skipped.
 const CATCH_UP_SECS_MAX: f64 = 0.2;
+/// Longest time that one tick simulates \[s\], or two of its periods if they are longer. The rest of a pause is left to
+/// the next ticks: a tick that computed all of it at once would be taken for a stall, on a machine that was busy anyway.
+const TICK_SECS_MAX: f64 = 0.02;
 
 /// Rapier as a controller of the scene.
 pub struct EngineController {
+    me: Entity,
     world: RigidWorld,
     access: Access,
     /// Bodies and instruments whose rows it may write, sorted; all if absent.
     declared: Option<Vec<Entity>>,
+    /// Instruments whose contacts somebody else models, sorted.
+    modelled_by_others: Vec<Entity>,
     /// Up to which revision the scene has been looked through.
     seen: Revision,
     /// What each body was built from, and the poses written for it lately.
     bodies: BTreeMap<Entity, KnownBody>,
     instruments: BTreeMap<Entity, KnownInstrument>,
+    /// Lists of others, and when each changed.
+    lists: Vec<(Entity, Option<Revision>)>,
     collisions_were_empty: bool,
+}
+
+/// What a body is made of.
+#[derive(Clone, Debug)]
+enum Geometry {
+    Shape(Shape),
+    /// A surface that has been looked at: contacts are found by others.
+    Surface(Arc<Vec<Point3<f64>>>, Arc<Vec<[u32; 3]>>),
+}
+
+impl Geometry {
+    /// Of an entity; a shape, where it has both.
+    fn of(scene: &Snapshot, entity: Entity) -> Option<Self> {
+        if let Some(shape) = scene.get::<Shape>(entity) {
+            return Some(Self::Shape(shape.clone()));
+        }
+        let (vertices, surface) = (scene.get::<VertexPositions>(entity)?, scene.get::<SurfaceMesh>(entity)?);
+        Some(Self::Surface(vertices.positions.clone(), surface.triangles.clone()))
+    }
+
+    /// Whether an entity has any; asked in every tick, so that nothing is copied.
+    fn is_there(scene: &Snapshot, entity: Entity) -> bool {
+        let surface =
+            || scene.get::<VertexPositions>(entity).is_some() && scene.get::<SurfaceMesh>(entity).is_some();
+        scene.get::<Shape>(entity).is_some() || surface()
+    }
+
+    fn is_same(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Shape(one), Self::Shape(other)) => one == other,
+            (Self::Surface(a, b), Self::Surface(c, d)) => Arc::ptr_eq(a, c) && Arc::ptr_eq(b, d),
+            _ => false,
+        }
+    }
 }
 
 struct KnownBody {
     body: RigidBody,
-    shape: Shape,
+    geometry: Geometry,
     written: [Option<Pose>; WRITES_IN_FLIGHT],
     next_slot: usize,
     slept: bool,
@@ -60,7 +106,8 @@ struct KnownBody {
 
 struct KnownInstrument {
     instrument: Instrument,
-    target_seen: Option<Revision>,
+    /// When the target, and the model that holds it, changed last.
+    target_seen: [Option<Revision>; 2],
     grasp: Option<Grasp>,
 }
 
@@ -70,13 +117,17 @@ impl EngineController {
     /// # Errors
     /// What the scene or the settings have that cannot be simulated.
     pub fn new(context: &BuildContext<'_>, settings: EngineSettings) -> Result<Self, EngineError> {
+        let modelled_by_others = modelled_by_others(context.scene, &settings.contact_models_by_others)?;
         let mut this = Self {
-            world: RigidWorld::new(settings, context.time)?,
-            access: declared_access(context.scene, &settings),
+            me: context.me,
+            access: declared_access(context.scene, &settings, &modelled_by_others),
             declared: declared_rows(context.scene, &settings),
+            modelled_by_others,
+            world: RigidWorld::new(settings, context.time)?,
             seen: Revision::ZERO,
             bodies: BTreeMap::new(),
             instruments: BTreeMap::new(),
+            lists: Vec::new(),
             collisions_were_empty: false,
         };
         this.take_in(context.scene, 0.0)?;
@@ -91,14 +142,16 @@ impl EngineController {
     /// Takes in what changed in the scene since the last time.
     fn take_in(&mut self, scene: &Snapshot, period_secs: f64) -> Result<(), EngineError> {
         self.drop_vanished(scene);
-        for (entity, body) in scene.iter_changed::<RigidBody>(self.seen) {
-            if let Some(shape) = scene.get::<Shape>(entity) {
-                self.take_body(scene, entity, body, shape)?;
-            }
-        }
-        for (entity, shape) in scene.iter_changed::<Shape>(self.seen) {
-            if let Some(body) = scene.get::<RigidBody>(entity) {
-                self.take_body(scene, entity, body, shape)?;
+        let changed = scene.iter_changed::<RigidBody>(self.seen).map(|(entity, _)| entity);
+        let changed = changed
+            .chain(scene.iter_changed::<Shape>(self.seen).map(|(entity, _)| entity))
+            .chain(scene.iter_changed::<SurfaceMesh>(self.seen).map(|(entity, _)| entity))
+            .chain(scene.iter_changed::<VertexPositions>(self.seen).map(|(entity, _)| entity));
+        for entity in changed {
+            if let Some(body) = scene.get::<RigidBody>(entity)
+                && let Some(geometry) = Geometry::of(scene, entity)
+            {
+                self.take_body(scene, entity, body, geometry)?;
             }
         }
         for (entity, pose) in scene.iter_changed::<Pose>(self.seen) {
@@ -107,6 +160,7 @@ impl EngineController {
         for (entity, instrument) in scene.iter::<Instrument>() {
             self.take_instrument(scene, entity, instrument)?;
         }
+        self.take_contacts(scene);
         self.seen = scene.revision();
         Ok(())
     }
@@ -114,7 +168,7 @@ impl EngineController {
     fn drop_vanished(&mut self, scene: &Snapshot) {
         let world = &mut self.world;
         self.bodies.retain(|entity, _| {
-            let stays = scene.get::<RigidBody>(*entity).is_some() && scene.get::<Shape>(*entity).is_some();
+            let stays = scene.get::<RigidBody>(*entity).is_some() && Geometry::is_there(scene, *entity);
             if !stays {
                 world.remove(*entity);
             }
@@ -134,39 +188,72 @@ impl EngineController {
         scene: &Snapshot,
         entity: Entity,
         body: &RigidBody,
-        shape: &Shape,
+        geometry: Geometry,
     ) -> Result<(), EngineError> {
         if let Some(known) = self.bodies.get_mut(&entity) {
-            if known.body == *body && known.shape == *shape {
+            let same = known.geometry.is_same(&geometry);
+            if known.body == *body && same {
                 return Ok(());
             }
-            let surface_only = known.shape == *shape
+            let is_shape = matches!(geometry, Geometry::Shape(_));
+            let surface_only = same
+                && is_shape
                 && RigidBody { friction: body.friction, restitution: body.restitution, ..known.body.clone() }
                     == *body;
             known.body = body.clone();
-            known.shape = shape.clone();
+            known.geometry = geometry.clone();
             if surface_only {
                 return self.world.set_surface(entity, body);
             }
             // Rebuilt where it is in the world, which may be ahead of the snapshot.
             let pose = self.world.pose(entity).unwrap_or_else(|| scene.world_pose(entity).into());
             let velocity = self.world.velocity(entity).unwrap_or_default();
-            return self.world.insert_body(entity, body, shape, &pose, &velocity);
+            return self.insert(entity, body, &geometry, &pose, &velocity);
         }
         let pose = Pose::from(scene.world_pose(entity));
         let velocity = scene.get::<Velocity>(entity).copied().unwrap_or_default();
-        self.world.insert_body(entity, body, shape, &pose, &velocity)?;
+        self.insert(entity, body, &geometry, &pose, &velocity)?;
         self.bodies.insert(
             entity,
             KnownBody {
                 body: body.clone(),
-                shape: shape.clone(),
+                geometry,
                 written: first_write(scene.get::<Pose>(entity)),
                 next_slot: 1,
                 slept: false,
             },
         );
         Ok(())
+    }
+
+    fn insert(
+        &mut self,
+        entity: Entity,
+        body: &RigidBody,
+        geometry: &Geometry,
+        pose: &Pose,
+        velocity: &Velocity,
+    ) -> Result<(), EngineError> {
+        match geometry {
+            Geometry::Shape(shape) => self.world.insert_body(entity, body, shape, pose, velocity),
+            Geometry::Surface(vertices, triangles) => {
+                self.world.insert_surface_body(entity, body, (vertices, triangles), pose, velocity)
+            }
+        }
+    }
+
+    /// Contacts that others have found, once any of their lists is another one.
+    fn take_contacts(&mut self, scene: &Snapshot) {
+        if !self.world.has_surfaces() {
+            return;
+        }
+        let lists = || scene.iter::<CollisionList>().filter(|(writer, _)| *writer != self.me);
+        let known: Vec<_> =
+            lists().map(|(writer, _)| (writer, scene.changed::<CollisionList>(writer))).collect();
+        if known != self.lists {
+            self.world.set_penalties(lists().flat_map(|(_, list)| &list.collisions));
+            self.lists = known;
+        }
     }
 
     /// A pose that is none of the engine's own is a teleport.
@@ -196,8 +283,12 @@ impl EngineController {
         entity: Entity,
         instrument: &Instrument,
     ) -> Result<(), EngineError> {
-        let target_changed = scene.changed::<InstrumentTarget>(entity);
+        let by_others = self.modelled_by_others.binary_search(&entity).is_ok();
+        let model = scene.get::<LocalContactModel>(entity).filter(|_| by_others);
+        let model_changed = model.and_then(|_| scene.changed::<LocalContactModel>(entity));
+        let target_changed = [scene.changed::<InstrumentTarget>(entity), model_changed];
         let target = scene.get::<InstrumentTarget>(entity);
+        let target = target.map(|target| model.map_or(*target, |model| held_by(model, target)));
         let known = self.instruments.get(&entity);
         let rebuild = known.is_none_or(|known| known.instrument != *instrument);
         if rebuild {
@@ -237,7 +328,7 @@ impl EngineController {
                 let track = TargetTrack::of(mechanism.previous_target, mechanism.newest_target);
                 self.world.set_track(entity, track)?;
             }
-            let target_seen = known.and_then(|known| known.target_seen);
+            let target_seen = known.map_or([None; 2], |known| known.target_seen);
             self.instruments
                 .insert(entity, KnownInstrument { instrument: instrument.clone(), target_seen, grasp });
         }
@@ -245,7 +336,7 @@ impl EngineController {
             && known.target_seen != target_changed
         {
             known.target_seen = target_changed;
-            self.world.set_target(entity, *target)?;
+            self.world.set_target(entity, target)?;
         }
         Ok(())
     }
@@ -289,6 +380,7 @@ impl EngineController {
             else {
                 continue;
             };
+            let is_modelled = is_modelled(&self.access, entity);
             // One tick to get there, half a tick for haptics to hear of it.
             let obstacle = self.world.obstacle(entity, 1.5 * period_secs);
             let Some(grasper) = self.world.grasper(entity) else { continue };
@@ -315,7 +407,9 @@ impl EngineController {
                 );
             }
             out.put(entity, InstrumentForce { force: wrench.force, torque: wrench.torque, at: now });
-            out.put(entity, local_contact_model(grasper, &state, &contacts, obstacle, now));
+            if is_modelled {
+                out.put(entity, local_contact_model(grasper, &state, &contacts, obstacle, now));
+            }
             let Some(known) = self.instruments.get_mut(&entity) else { continue };
             let since =
                 known.grasp.filter(|grasp| grasper.hold().is_some_and(|hold| hold.held == grasp.held));
@@ -333,14 +427,14 @@ impl EngineController {
                 known.grasp = grasp;
             }
         }
-        self.write_collisions(&contacts, out);
+        self.write_collisions(&contacts, now, out);
     }
 
-    fn write_collisions(&mut self, contacts: &[Contact], out: &mut Commands) {
+    fn write_collisions(&mut self, contacts: &[Contact], now: SimTime, out: &mut Commands) {
         let mut collisions: Vec<Collision> = contacts
             .iter()
             .filter(|contact| contact.a.0 != FLOOR && contact.b.0 != FLOOR)
-            .map(collision_of)
+            .map(|contact| collision_of(contact, now))
             .collect();
         if collisions.len() > COLLISIONS_MAX {
             collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
@@ -366,13 +460,15 @@ impl Controller for EngineController {
             .map_err(|error| ControllerError::Scene(error.to_string()))?;
         let step_secs = self.world.settings().substep_secs;
         // The world is brought up to the time of the tick; how far it is behind says how many steps that takes.
-        let behind = tick.time.since(self.world.now()).as_secs_f64().min(CATCH_UP_SECS_MAX);
-        let steps = (behind / step_secs + 1e-6).floor() as u64;
+        let behind = tick.time.since(self.world.now()).as_secs_f64();
+        if behind > CATCH_UP_SECS_MAX {
+            let skipped = SimTime::from_secs_f64(behind - CATCH_UP_SECS_MAX);
+            self.world.skip_to(self.world.now() + skipped);
+        }
+        let at_once = (2.0 * tick.period.as_secs_f64()).clamp(TICK_SECS_MAX, CATCH_UP_SECS_MAX);
+        let steps = (behind.min(at_once) / step_secs + 1e-6).floor() as u64;
         for _ in 0..steps {
             self.world.step().map_err(|error| ControllerError::Failed(error.to_string()))?;
-        }
-        if behind >= CATCH_UP_SECS_MAX {
-            self.world.skip_to(tick.time);
         }
         self.write_bodies(scene, out);
         self.write_instruments(scene, tick, out);
@@ -399,13 +495,20 @@ fn declared_rows(scene: &Snapshot, settings: &EngineSettings) -> Option<Vec<Enti
     (!settings.claims_all_poses).then(|| moved_entities(scene))
 }
 
-fn declared_access(scene: &Snapshot, settings: &EngineSettings) -> Access {
+fn declared_access(scene: &Snapshot, settings: &EngineSettings, modelled_by_others: &[Entity]) -> Access {
     let on = |entities| if settings.claims_all_poses { EntitySet::All } else { EntitySet::Of(entities) };
     let moved = moved_entities(scene);
     let instruments: Vec<Entity> = scene.iter::<Instrument>().map(|(entity, _)| entity).collect();
+    let mut modelled = instruments.clone();
+    modelled.retain(|entity| modelled_by_others.binary_search(entity).is_err());
+    // Where others model some, its own are those that are there at the start.
+    let modelled = if modelled_by_others.is_empty() { on(modelled) } else { EntitySet::Of(modelled) };
     let access = Access::new()
         .reads::<RigidBody>()
         .reads::<Shape>()
+        .reads::<SurfaceMesh>()
+        .reads::<VertexPositions>()
+        .reads::<CollisionList>()
         .reads::<Parent>()
         .reads::<Pose>()
         .reads::<Velocity>()
@@ -417,9 +520,10 @@ fn declared_access(scene: &Snapshot, settings: &EngineSettings) -> Access {
         .writes::<Velocity>(on(moved))
         .writes::<JawState>(on(instruments.clone()))
         .writes::<InstrumentForce>(on(instruments.clone()))
-        .writes::<LocalContactModel>(on(instruments.clone()))
+        .writes::<LocalContactModel>(modelled)
         .writes::<Grasp>(on(instruments.clone()))
         .contributes::<CollisionList>();
+    let access = if modelled_by_others.is_empty() { access } else { access.reads::<LocalContactModel>() };
     if scene.registry().id::<MechanismState>().is_some() {
         access.reads::<MechanismState>().writes::<MechanismState>(on(instruments))
     } else {
@@ -468,16 +572,19 @@ fn hold_of(grasp: Grasp) -> Hold {
     }
 }
 
-fn collision_of(contact: &Contact) -> Collision {
+fn collision_of(contact: &Contact, detected_at: SimTime) -> Collision {
+    let overlap = contact.normal_in_world * (0.5 * contact.depth);
     Collision {
         a: contact.a.0,
         primitive_a: contact.a.1,
         b: contact.b.0,
         primitive_b: contact.b.1,
-        point_in_world: contact.point_in_world,
+        points_in_world: [contact.point_in_world + overlap, contact.point_in_world - overlap],
         normal_in_world: contact.normal_in_world,
         depth: contact.depth,
         force_in_world: contact.force_on_b_in_world(),
         velocity_constraint: 0.0,
+        method: Detection::Engine,
+        detected_at,
     }
 }

@@ -26,6 +26,14 @@ pub enum EngineError {
         /// What would be valid.
         valid: &'static str,
     },
+    /// A setting names an instrument that there is none of.
+    #[error("contact_models_by_others: no instrument is called '{name}'; there are: {known}")]
+    UnknownInstrument {
+        /// What it says.
+        name: String,
+        /// What there is.
+        known: String,
+    },
     /// More instruments than there are collision groups.
     #[error("{entity}: there are already {max} instruments, which is the limit")]
     TooManyInstruments {
@@ -41,6 +49,12 @@ pub enum EngineError {
         entity: Entity,
         /// The limit.
         max: usize,
+    },
+    /// A body that falls needs an inside.
+    #[error("{entity}: its surface encloses no volume; a dynamic body needs a closed one, or a shape")]
+    NoVolume {
+        /// The body that was refused.
+        entity: Entity,
     },
     /// The entity is not in the simulation.
     #[error("{entity} is not simulated")]

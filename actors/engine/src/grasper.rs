@@ -21,6 +21,7 @@ use crate::conversion::{isometry_from_rapier, isometry_to_rapier, vector_from_ra
 use crate::coupling::{VirtualCoupling, Wrench};
 use crate::grasp::Hold;
 use crate::jaws::{JAW_MASS_SHARE, JawOpening, Jaws, jaw_count};
+use crate::set_point::SetPoint;
 use crate::settings::EngineSettings;
 use crate::target_track::TargetTrack;
 
@@ -67,6 +68,7 @@ pub struct Grasper {
     pub(crate) slot: u32,
     /// Samples of the hand.
     pub(crate) track: TargetTrack,
+    set_point: SetPoint,
     /// What it holds.
     pub(crate) hold: Option<Hold>,
     /// Normal force on each pad in the last step \[N\].
@@ -152,6 +154,7 @@ impl Grasper {
             jaws,
             slot,
             track: TargetTrack::default(),
+            set_point: SetPoint::default(),
             hold: None,
             pad_force: [0.0; 2],
             assist: None,
@@ -224,10 +227,12 @@ impl Grasper {
     pub(crate) fn prepare(&mut self, world: &mut PhysicsWorld, settings: &EngineSettings, now: SimTime) {
         let state = self.state(world);
         // As long as nobody holds it, it is braked where it is.
-        let (target, velocity) = self
-            .track
-            .at(now, settings.extrapolation_secs_max)
-            .unwrap_or((state.tip_in_world, Velocity::default()));
+        let (target, velocity) = match self.track.at(now, settings.extrapolation_secs_max) {
+            Some((wanted, velocity)) => {
+                self.set_point.follow(&wanted, &velocity, &state.tip_in_world, settings.substep_secs)
+            }
+            None => (state.tip_in_world, Velocity::default()),
+        };
         let wrench = self.coupling.wrench(&target, &velocity, &state.tip_in_world, &state.velocity);
         self.wrench_sum.force += wrench.force;
         self.wrench_sum.torque += wrench.torque;

@@ -14,7 +14,7 @@ use rapier3d_f64::geometry::{ColliderBuilder, ColliderHandle, InteractionGroups}
 use rapier3d_f64::math::{Pose as RapierPose, Rotation, Vector};
 use rapier3d_f64::pipeline::PhysicsWorld;
 use rapier3d_f64::prelude::MassProperties;
-use trocar_scene::components::{Instrument, InstrumentKind};
+use trocar_scene::components::Instrument;
 
 use crate::conversion::{isometry_from_rapier, isometry_to_rapier, vector_from_rapier, vector_to_rapier};
 use crate::settings::EngineSettings;
@@ -81,12 +81,7 @@ pub struct Jaws {
 
 /// How many jaws the instrument has.
 pub fn jaw_count(instrument: &Instrument) -> usize {
-    match instrument.kind {
-        InstrumentKind::Grasper | InstrumentKind::Scissors | InstrumentKind::NeedleDriver => {
-            usize::from(instrument.jaws.min(2))
-        }
-        InstrumentKind::HookCautery | InstrumentKind::Probe => 0,
-    }
+    if instrument.kind.has_jaws() { usize::from(instrument.jaws.min(2)) } else { 0 }
 }
 
 /// +1 for jaw A, −1 for jaw B: the sign of its turn about +y while opening.
@@ -315,6 +310,7 @@ fn libm_atan2(y: f64, x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use trocar_scene::components::InstrumentKind;
 
     #[test]
     fn an_open_jaw_a_lies_at_positive_x() {

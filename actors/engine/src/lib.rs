@@ -12,6 +12,7 @@
 //! | `coupling.rs`, `target_track.rs` | the spring between hand and instrument, and what it follows |
 //! | `grasp.rs` | when an instrument holds something |
 //! | `contacts.rs`, `local_model.rs`, `anticipate.rs` | contacts for the collision list and for haptics |
+//! | `felt.rs` | instruments whose contacts somebody else models |
 //! | `controller.rs`, `mechanism.rs` | the controller, and its resume state |
 //! | `shapes.rs`, `settings.rs`, `conversion.rs` | geometry, tuning, glam to nalgebra |
 //!
@@ -52,11 +53,15 @@ pub mod controller;
 pub mod conversion;
 pub mod coupling;
 pub mod error;
+pub mod felt;
 pub mod grasp;
 pub mod grasper;
 pub mod jaws;
 pub mod local_model;
 pub mod mechanism;
+pub mod mesh_mass;
+pub mod penalty;
+mod set_point;
 pub mod settings;
 pub mod shapes;
 pub mod target_track;

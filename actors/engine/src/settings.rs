@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::EngineError;
 
 /// How the world is stepped. The defaults are those under which grasping a 5 g ring by friction was measured.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EngineSettings {
     /// Length of one step of the solver \[s\].
@@ -29,9 +29,14 @@ pub struct EngineSettings {
     pub jaw_rate_max: f64,
     /// How far a target is carried on along its velocity when no newer one arrives \[s\].
     pub extrapolation_secs_max: f64,
+    /// Stiffness of contacts that others find and give no force to \[N/m\].
+    pub penalty_stiffness: f64,
     /// Whether the engine claims the poses of all entities rather than of those that are dynamic at its start, so
     /// that bodies may be spawned while it runs.
     pub claims_all_poses: bool,
+    /// Names of instruments whose [`LocalContactModel`](trocar_scene::LocalContactModel) somebody else writes: hands feel
+    /// what that says, and the instruments stay on it.
+    pub contact_models_by_others: Vec<String>,
 }
 
 impl Default for EngineSettings {
@@ -46,7 +51,9 @@ impl Default for EngineSettings {
             coupling_force_max: 20.0,
             jaw_rate_max: 6.0,
             extrapolation_secs_max: 0.02,
+            penalty_stiffness: 500.0,
             claims_all_poses: false,
+            contact_models_by_others: Vec::new(),
         }
     }
 }
@@ -77,6 +84,7 @@ impl EngineSettings {
         }
         within("coupling_force_max", self.coupling_force_max, 0.1, 200.0, "0.1 to 200 N")?;
         within("jaw_rate_max", self.jaw_rate_max, 0.01, 100.0, "0.01 to 100 rad/s")?;
+        within("penalty_stiffness", self.penalty_stiffness, 1.0, 1e5, "1 to 100,000 N/m")?;
         within("extrapolation_secs_max", self.extrapolation_secs_max, 0.0, 0.1, "0 to 0.1 s")
     }
 

@@ -6,6 +6,9 @@ use rapier3d_f64::math::{Pose as RapierPose, Rotation, Vector};
 use rapier3d_f64::prelude::MassProperties;
 use trocar_scene::components::Shape;
 
+use crate::conversion::matrix_to_rapier;
+use crate::mesh_mass::UnitSolid;
+
 /// Capsules that make up one ring.
 ///
 /// Their chords leave the circle by at most 77 µm either way for a ring of 8 mm.
@@ -109,6 +112,12 @@ pub fn mass_properties(shape: &Shape, mass: f64) -> MassProperties {
         }
     };
     MassProperties::new(Vector::new(com.x, com.y, com.z), mass, Vector::new(moments.x, moments.y, moments.z))
+}
+
+/// Mass properties of what a surface encloses.
+pub fn solid_properties(solid: &UnitSolid, mass: f64) -> MassProperties {
+    let centre = Vector::new(solid.centre.x, solid.centre.y, solid.centre.z);
+    MassProperties::with_inertia_matrix(centre, mass, matrix_to_rapier(&(solid.inertia * mass)))
 }
 
 /// A cylinder and two hemispheres, each with its share of the volume.

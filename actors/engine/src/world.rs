@@ -4,6 +4,8 @@
 //! A plain type: no scene, no actor, no clock. [`RigidWorld::step`] advances by one substep; two worlds that
 //! are given the same calls hold the same bits.
 
+mod surfaces;
+
 use std::collections::BTreeMap;
 
 use nalgebra::Isometry3;
@@ -13,6 +15,7 @@ use rapier3d_f64::geometry::{
 };
 use rapier3d_f64::math::Pose as RapierPose;
 use rapier3d_f64::pipeline::PhysicsWorld;
+use rapier3d_f64::prelude::MassProperties;
 use trocar_scene::component::Component;
 use trocar_scene::components::{
     Instrument, InstrumentTarget, Motion, Pose, Primitive, RigidBody, Shape, Velocity,
@@ -27,6 +30,7 @@ use crate::coupling::Wrench;
 use crate::error::EngineError;
 use crate::grasp::{self, Hold, PadContact};
 use crate::grasper::{Grasper, GrasperState};
+use crate::penalty::{Penalties, Trail};
 use crate::settings::EngineSettings;
 use crate::shapes;
 use crate::target_track::TargetTrack;
@@ -51,6 +55,9 @@ struct Body {
     motion: Motion,
     /// Where a kinematic body is on its way to.
     travel: Option<Travel>,
+    /// Where a body was whose contacts others find.
+    trail: Option<Trail>,
+    friction: f64,
 }
 
 /// The way of a kinematic body.
@@ -85,6 +92,9 @@ pub struct RigidWorld {
     now: SimTime,
     contacts: Vec<Contact>,
     pads: Vec<PadContact>,
+    /// What others have found.
+    penalties: Penalties,
+    tools: BTreeMap<Entity, Trail>,
 }
 
 impl RigidWorld {
@@ -117,6 +127,8 @@ impl RigidWorld {
             now,
             contacts: Vec::new(),
             pads: Vec::new(),
+            penalties: Penalties::default(),
+            tools: BTreeMap::new(),
         })
     }
 
@@ -150,36 +162,13 @@ impl RigidWorld {
         pose: &Pose,
         velocity: &Velocity,
     ) -> Result<(), EngineError> {
-        check(entity, body)?;
         check(entity, shape)?;
-        check(entity, pose)?;
-        check(entity, velocity)?;
-        self.remove(entity);
-        if self.bodies.len() >= BODIES_MAX {
-            return Err(EngineError::TooManyBodies { entity, max: BODIES_MAX });
-        }
-        let (kind, own_groups) = match body.motion {
-            Motion::Static => (RigidBodyType::Fixed, groups(GROUP_FIXED, !GROUP_FIXED)),
-            Motion::Kinematic => (RigidBodyType::KinematicPositionBased, groups(GROUP_FIXED, !GROUP_FIXED)),
-            Motion::Dynamic => (RigidBodyType::Dynamic, groups(GROUP_MOVING, u32::MAX)),
+        let handle =
+            self.insert_rigid(entity, body, shapes::mass_properties(shape, body.mass), pose, velocity)?;
+        let own_groups = match body.motion {
+            Motion::Static | Motion::Kinematic => groups(GROUP_FIXED, !GROUP_FIXED),
+            Motion::Dynamic => groups(GROUP_MOVING, u32::MAX),
         };
-        let mut builder = RigidBodyBuilder::new(kind)
-            .pose(pose_to_rapier(pose))
-            .linear_damping(body.linear_damping)
-            .angular_damping(body.angular_damping);
-        if body.motion == Motion::Dynamic {
-            let properties = shapes::mass_properties(shape, body.mass);
-            let lever = pose.rotation * vector_from_rapier(properties.local_com);
-            builder = builder
-                .linvel(vector_to_rapier(&(velocity.linear + velocity.angular.cross(&lever))))
-                .angvel(vector_to_rapier(&velocity.angular))
-                .ccd_enabled(true)
-                .additional_mass_properties(properties);
-        }
-        let handle = self.physics.insert_body(builder);
-        if let Some(body) = self.physics.bodies.get_mut(handle) {
-            body.activation_mut().time_until_sleep = SLEEP_AFTER_SECS;
-        }
         let colliders = shapes::parts(shape)
             .into_iter()
             .enumerate()
@@ -196,8 +185,49 @@ impl RigidWorld {
                 self.physics.insert_collider(collider, Some(handle))
             })
             .collect();
-        self.bodies.insert(entity, Body { handle, colliders, motion: body.motion, travel: None });
+        let (motion, friction) = (body.motion, body.friction);
+        self.bodies.insert(entity, Body { handle, colliders, motion, travel: None, trail: None, friction });
         Ok(())
+    }
+
+    /// A body without colliders, in place of the one that the entity had.
+    fn insert_rigid(
+        &mut self,
+        entity: Entity,
+        body: &RigidBody,
+        properties: MassProperties,
+        pose: &Pose,
+        velocity: &Velocity,
+    ) -> Result<RigidBodyHandle, EngineError> {
+        check(entity, body)?;
+        check(entity, pose)?;
+        check(entity, velocity)?;
+        self.remove(entity);
+        if self.bodies.len() >= BODIES_MAX {
+            return Err(EngineError::TooManyBodies { entity, max: BODIES_MAX });
+        }
+        let kind = match body.motion {
+            Motion::Static => RigidBodyType::Fixed,
+            Motion::Kinematic => RigidBodyType::KinematicPositionBased,
+            Motion::Dynamic => RigidBodyType::Dynamic,
+        };
+        let mut builder = RigidBodyBuilder::new(kind)
+            .pose(pose_to_rapier(pose))
+            .linear_damping(body.linear_damping)
+            .angular_damping(body.angular_damping);
+        if body.motion == Motion::Dynamic {
+            let lever = pose.rotation * vector_from_rapier(properties.local_com);
+            builder = builder
+                .linvel(vector_to_rapier(&(velocity.linear + velocity.angular.cross(&lever))))
+                .angvel(vector_to_rapier(&velocity.angular))
+                .ccd_enabled(true)
+                .additional_mass_properties(properties);
+        }
+        let handle = self.physics.insert_body(builder);
+        if let Some(body) = self.physics.bodies.get_mut(handle) {
+            body.activation_mut().time_until_sleep = SLEEP_AFTER_SECS;
+        }
+        Ok(handle)
     }
 
     /// Adds an instrument, in place of the one that the entity had. `hold` is what it holds already.
@@ -254,10 +284,13 @@ impl RigidWorld {
                 }
             }
             self.physics.remove_body_with_colliders(body.handle, true);
+            self.forget(body.handle);
             return true;
         }
         match self.graspers.remove(&entity) {
             Some(grasper) => {
+                self.forget(grasper.palm());
+                self.tools.remove(&entity);
                 grasper.remove(&mut self.physics);
                 true
             }
@@ -345,8 +378,10 @@ impl RigidWorld {
             grasper.prepare(&mut self.physics, &self.settings, self.now);
         }
         self.move_kinematic_bodies();
+        self.press_surfaces();
         self.physics.step();
         self.now += SimTime::from_secs_f64(step_secs);
+        self.leave_trails();
         self.statistics.steps += 1;
         let quarantine = self.physics.quarantine();
         if !quarantine.is_empty() {

@@ -257,6 +257,9 @@ pub const MODEL: &str = "model";
 /// Name under which the recorder stands in the supervisor tree and in fault files.
 pub const RECORDER: &str = "recorder";
 
+/// Name under which the windows onto a session stand in fault files, where there are any.
+pub const VIEWER: &str = "viewer";
+
 /// The kinds of fault that a fault file may hold (design §5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

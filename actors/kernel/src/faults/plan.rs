@@ -56,7 +56,7 @@ pub struct FaultSpec {
     pub during: Option<During>,
     /// How long it lasts; `None` lasts until the end of the session (or until the supervisor mends it).
     pub lasting: Option<SimTime>,
-    /// Name of a controller, a device, `model`, `recorder` or a link.
+    /// Name of a controller, a device, `model`, `recorder`, `viewer` or a link.
     pub target: String,
     /// What goes wrong.
     pub kind: FaultKind,

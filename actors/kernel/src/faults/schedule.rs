@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use trocar_scene::{SimTime, Snapshot};
 
 use super::plan::{During, FaultPlan, FaultPlanError, FaultSpec, seed_of};
-use crate::spec::{FaultKind, FaultOrder, MODEL, RECORDER};
+use crate::spec::{FaultKind, FaultOrder, MODEL, RECORDER, VIEWER};
 
 /// What a target is, and so how it can fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,6 +20,8 @@ pub enum TargetClass {
     Recorder,
     /// A network link.
     Link,
+    /// The windows onto the session.
+    Viewer,
 }
 
 impl TargetClass {
@@ -31,13 +33,15 @@ impl TargetClass {
             Self::Model => "model",
             Self::Recorder => "recorder",
             Self::Link => "network link",
+            Self::Viewer => "viewer",
         }
     }
 
-    /// What a target that takes faults itself is, by its name: `recorder`, `network.…`, or else a device.
+    /// What a target that takes faults itself is, by its name: `recorder`, `viewer`, `network.…`, or else a device.
     pub fn of_sink(name: &str) -> Self {
         match name {
             RECORDER => Self::Recorder,
+            VIEWER => Self::Viewer,
             name if name.starts_with("network.") => Self::Link,
             _ => Self::Device,
         }
@@ -63,6 +67,8 @@ impl TargetClass {
             Self::Device => &[K::Kill, K::Stall, K::Unplug, K::Nan],
             Self::Model => &[K::Kill, K::Stall],
             Self::Recorder => &[K::Kill, K::Stall, K::Slow, K::DiskFull, K::DiskSlow],
+            // Unplugged is what it draws with.
+            Self::Viewer => &[K::Kill, K::Unplug],
             Self::Link => &[K::Drop, K::Delay, K::Duplicate, K::Reorder, K::Corrupt, K::Partition],
         }
     }

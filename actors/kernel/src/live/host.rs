@@ -277,6 +277,7 @@ impl Body<'_> {
         };
         let out = self.handle.begin(due.at);
         tick_controller(&mut *self.controller, &tick, &scene, out)?;
+        self.writer.seat.stats.found(out.listed());
         if seam.nan() {
             out.event("fault_nan", me, None, f64::NAN);
         }

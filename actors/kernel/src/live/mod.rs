@@ -86,6 +86,7 @@ pub enum LiveError {
 pub struct LiveSession {
     shared: Arc<Shared>,
     board: Arc<Board>,
+    tree: Arc<GroupSpec>,
     zero_forces: Vec<crate::spec::ZeroForces>,
     /// In the order of the session, which is not that of the ids.
     order: Vec<usize>,
@@ -147,7 +148,8 @@ impl LiveSession {
         check_controllers(&spec.controllers)?;
         let children = spec.children();
         let root = spec.tree.clone().unwrap_or_else(|| GroupSpec::default_tree(children.clone()));
-        let tree = Supervisor::new(root, spec.seed, spec.zombies_max)?;
+        let supervisor = Supervisor::new(root, spec.seed, spec.zombies_max)?;
+        let tree = supervisor.tree().clone();
         let mut targets = Targets::new();
         for controller in &spec.controllers {
             targets = targets.with(&controller.name, TargetClass::Controller);
@@ -165,7 +167,7 @@ impl LiveSession {
             (clock, spec.station, spec.seed),
             spec.controllers,
             spec.commit_sink,
-            &tree,
+            &supervisor,
             reports,
         )?;
         let order = order
@@ -178,7 +180,7 @@ impl LiveSession {
         let crew = Crew {
             shared: shared.clone(),
             board: board.clone(),
-            tree,
+            tree: supervisor,
             inbox,
             log,
             zero_forces: spec.zero_forces.clone(),
@@ -195,6 +197,7 @@ impl LiveSession {
         Ok(Self {
             shared,
             board,
+            tree,
             zero_forces: spec.zero_forces,
             order,
             begun: Instant::now(),
@@ -243,6 +246,10 @@ impl LiveSession {
     /// CPU time of the Model's thread.
     pub fn model_cpu(&self) -> SimTime {
         self.shared.model.stats.cpu()
+    }
+    /// The supervisor tree.
+    pub fn tree(&self) -> &Arc<GroupSpec> {
+        &self.tree
     }
     /// How every child is, by name.
     pub fn health(&self) -> Vec<(String, Health)> {

@@ -397,6 +397,10 @@ impl LockstepSession {
         let lived = !matches!(ticked, Ticked::Died(_));
         if lived {
             slot.stats.ran(self.now, SimTime::ZERO, SimTime::from(begun.elapsed()));
+            slot.stats.found(match &ticked {
+                Ticked::Ready(batch) => batch.commands.listed(),
+                _ => None,
+            });
         }
         if slot.late && !matches!(ticked, Ticked::Busy) {
             slot.late = false;

@@ -2,6 +2,7 @@
 
 pub mod budget;
 pub mod histogram;
+mod hits;
 pub mod jobs;
 pub mod panics;
 pub mod sched;
@@ -11,6 +12,7 @@ pub mod ticker;
 
 pub use budget::{Budget, Verdict};
 pub use histogram::{AtomicHistogram, Bars, Quantiles};
+pub use hits::Hits;
 pub use jobs::JobRunner;
 pub use panics::guarded;
 pub use sched::Permission;

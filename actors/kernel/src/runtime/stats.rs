@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::SimTime;
 
 use super::histogram::{AtomicHistogram, Bars, Quantiles};
+use super::hits::{HitCounts, Hits};
 use super::sched;
 
 /// A tick that starts later than this counts as missed in `on_time`, ns.
@@ -29,6 +30,7 @@ pub struct TickStats {
     account: [AtomicU64; 5],
     restarts: AtomicU32,
     demotions: AtomicU32,
+    hits: HitCounts,
     /// When the first tick was due and until when ticks were due, ns of the session; 0: none yet.
     first_due: AtomicU64,
     last_due: AtomicU64,
@@ -57,6 +59,7 @@ impl TickStats {
             account: Default::default(),
             restarts: AtomicU32::new(0),
             demotions: AtomicU32::new(0),
+            hits: HitCounts::default(),
             first_due: AtomicU64::new(u64::MAX),
             last_due: AtomicU64::new(0),
             thread: AtomicU32::new(0),
@@ -79,6 +82,10 @@ impl TickStats {
         }
         self.first_due.fetch_min(due.0, Ordering::Relaxed);
         self.last_due.fetch_max(due.0, Ordering::Relaxed);
+    }
+    /// What a tick has contributed to lists that several fill; `None`: what it listed before still stands.
+    pub fn found(&self, listed: Option<u64>) {
+        self.hits.tick(listed);
     }
     /// `count` scheduled ticks never ran.
     pub fn missed(&self, count: u64) {
@@ -109,6 +116,7 @@ impl TickStats {
     }
     /// A new life begins.
     pub fn restarted(&self) {
+        self.hits.forget();
         self.restarts.fetch_add(1, Ordering::Relaxed);
     }
     /// Its real-time priority was taken away.
@@ -190,6 +198,8 @@ impl TickStats {
             conflicts: self.conflicts.load(Ordering::Relaxed),
             restarts: self.restarts.load(Ordering::Relaxed),
             demotions: self.demotions.load(Ordering::Relaxed),
+            kind: None,
+            hits: self.hits.report(),
             cpu_share: ratio(self.cpu().as_secs_f64(), elapsed.as_secs_f64()),
             lateness_bars: self.lateness.bars(),
         }
@@ -266,6 +276,10 @@ pub struct ControllerReport {
     /// How often its real-time priority was taken away, because its steps took too much of their periods.
     #[schemars(with = "u64")]
     pub demotions: u32,
+    /// Kind of the controller in the scenario, such as `obb-tree`; null for what is none of the scenario's.
+    pub kind: Option<String>,
+    /// What it contributed to the collision list; null for who contributes none.
+    pub hits: Option<Hits>,
     /// CPU time of its thread per time of the session, 0 to 1; for people, not in the machine-readable report.
     #[serde(skip)]
     pub cpu_share: f64,

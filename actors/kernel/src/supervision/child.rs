@@ -164,6 +164,17 @@ pub struct GroupSpec {
     pub children: Vec<Node>,
 }
 
+impl Strategy {
+    /// For people.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::OneForOne => "one for one",
+            Self::RestForOne => "rest for one",
+            Self::OneForAll => "one for all",
+        }
+    }
+}
+
 impl Default for Intensity {
     fn default() -> Self {
         Self { restarts: 5, period: SimTime::from_millis(10_000) }
@@ -222,6 +233,20 @@ impl GroupSpec {
     pub fn holding(mut self) -> Self {
         self.exhausted = Exhausted::Hold;
         self
+    }
+    /// Everybody below in start order, depth first, each with how deep it stands: the children of this group at 1.
+    pub fn walk(&self) -> Vec<(usize, &Node)> {
+        fn descend<'a>(group: &'a GroupSpec, depth: usize, found: &mut Vec<(usize, &'a Node)>) {
+            for node in &group.children {
+                found.push((depth, node));
+                if let Node::Group(group) = node {
+                    descend(group, depth + 1, found);
+                }
+            }
+        }
+        let mut found = Vec::new();
+        descend(self, 1, &mut found);
+        found
     }
     /// Whether no child stands anywhere below.
     pub fn is_empty(&self) -> bool {

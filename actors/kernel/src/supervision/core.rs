@@ -3,6 +3,7 @@
 //! fences and zombies are what a shared address space adds to it.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use trocar_scene::SimTime;
 
@@ -67,6 +68,7 @@ pub(super) enum Stage {
 
 /// The supervisor tree.
 pub struct Supervisor {
+    pub(super) tree: Arc<GroupSpec>,
     pub(super) children: Vec<Child>,
     groups: Vec<Group>,
     pub(super) stage: Stage,
@@ -88,6 +90,7 @@ impl Supervisor {
     /// Names that are not unique, an empty tree, a back-off that makes no sense, or one with which a child that
     /// always fails would be restarted for ever.
     pub fn new(root: GroupSpec, seed: u64, zombies_max: u32) -> Result<Self, TreeError> {
+        let tree = Arc::new(root.clone());
         let Flat { groups, children, owner } = Flat::new(root, seed)?;
         let children = children
             .into_iter()
@@ -109,6 +112,7 @@ impl Supervisor {
             })
             .collect();
         Ok(Self {
+            tree,
             children,
             groups,
             stage: Stage::Up,

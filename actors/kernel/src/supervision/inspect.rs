@@ -1,12 +1,18 @@
 //! What can be asked of a supervisor tree.
 
-use super::child::ChildSpec;
+use std::sync::Arc;
+
+use super::child::{ChildSpec, GroupSpec};
 #[cfg(doc)]
 use super::core::INCIDENTS_MAX;
 use super::core::{Phase, Stage, Supervisor};
 use super::event::{ChildId, Health, Incident};
 
 impl Supervisor {
+    /// What it was made of.
+    pub fn tree(&self) -> &Arc<GroupSpec> {
+        &self.tree
+    }
     /// Number of children.
     pub fn len(&self) -> usize {
         self.children.len()

@@ -1,0 +1,126 @@
+//! Bodies that are surfaces: what they touch is found by others.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{ComplexField, Point3};
+use rapier3d_f64::dynamics::RigidBodyHandle;
+use trocar_scene::components::{Collision, Motion, Pose, RigidBody, Velocity};
+use trocar_scene::entity::Entity;
+
+use super::{Body, RigidWorld};
+use crate::conversion::pose_to_rapier;
+use crate::error::EngineError;
+use crate::penalty::{self, Known, Terms, Trail};
+use crate::{mesh_mass, shapes};
+
+impl RigidWorld {
+    /// Adds a body that is a surface, in place of the one that the entity had. It falls and turns like what the surface
+    /// encloses, and touches nothing by itself: its contacts are found by others ([`Self::set_penalties`]).
+    ///
+    /// # Errors
+    /// A component that is out of range, a dynamic body whose surface encloses nothing, or
+    /// [`EngineError::TooManyBodies`].
+    pub fn insert_surface_body(
+        &mut self,
+        entity: Entity,
+        body: &RigidBody,
+        (vertices, triangles): (&[Point3<f64>], &[[u32; 3]]),
+        pose: &Pose,
+        velocity: &Velocity,
+    ) -> Result<(), EngineError> {
+        let solid = match (mesh_mass::enclosed(vertices, triangles), body.motion) {
+            (Some(solid), _) => shapes::solid_properties(&solid, body.mass),
+            (None, Motion::Dynamic) => return Err(EngineError::NoVolume { entity }),
+            (None, _) => Default::default(),
+        };
+        let handle = self.insert_rigid(entity, body, solid, pose, velocity)?;
+        if let Some(rigid) = self.physics.bodies.get_mut(handle) {
+            // It may rest on what others find, which is gone without a word when they are.
+            rigid.activation_mut().normalized_linear_threshold = -1.0;
+        }
+        let mut trail = Trail::default();
+        trail.push(self.now, pose_to_rapier(pose));
+        let (motion, friction) = (body.motion, body.friction);
+        let trail = Some(trail);
+        self.bodies
+            .insert(entity, Body { handle, colliders: Vec::new(), motion, travel: None, trail, friction });
+        Ok(())
+    }
+
+    /// Takes over the contacts that others have found between bodies of which at least one is a surface
+    /// ([`Self::insert_surface_body`]), in the place of those before: they press until others come. Of more than
+    /// [`PENALTIES_MAX`](penalty::PENALTIES_MAX) the deepest ones do.
+    pub fn set_penalties<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
+        let is_surface = |entity: &Entity| self.bodies.get(entity).is_some_and(|body| body.trail.is_some());
+        let mut found: Vec<&Collision> =
+            found.into_iter().filter(|found| is_surface(&found.a) || is_surface(&found.b)).collect();
+        if found.len() > penalty::PENALTIES_MAX {
+            found.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+            found.truncate(penalty::PENALTIES_MAX);
+        }
+        let mut pairs: BTreeMap<(Entity, Entity), u32> = BTreeMap::new();
+        for contact in &found {
+            *pairs.entry((contact.a, contact.b)).or_default() += 1;
+        }
+        let friction = |entity: Entity| self.bodies.get(&entity).map(|body| body.friction);
+        let known = |entity: Entity| match (self.bodies.get(&entity), self.graspers.get(&entity)) {
+            (Some(body), _) => Known::Body(body.handle, body.trail.as_ref()),
+            (None, Some(grasper)) => Known::Body(grasper.palm(), self.tools.get(&entity)),
+            (None, None) => Known::Fixed,
+        };
+        self.penalties.clear();
+        for contact in &found {
+            // As Rapier mixes them here; who has none takes the other's.
+            let friction = match (friction(contact.a), friction(contact.b)) {
+                (Some(a), Some(b)) => ComplexField::sqrt(a * b),
+                (one, other) => one.or(other).unwrap_or_default(),
+            };
+            let stiffness = self.settings.penalty_stiffness;
+            let sharing = f64::from(pairs[&(contact.a, contact.b)]);
+            let terms = Terms { stiffness, friction, sharing };
+            self.penalties.add(contact, &self.physics.bodies, known, &terms);
+        }
+    }
+
+    /// What others have found presses on the bodies in the step that comes.
+    pub(super) fn press_surfaces(&mut self) {
+        let step_secs = self.settings.substep_secs;
+        for body in self.bodies.values().filter(|body| body.trail.is_some()) {
+            if let Some(rigid) = self.physics.bodies.get_mut(body.handle) {
+                rigid.reset_forces(false);
+                rigid.reset_torques(false);
+            }
+        }
+        self.penalties.press(&mut self.physics.bodies, self.physics.gravity, step_secs);
+    }
+
+    /// Whether somebody else finds contacts of any of its bodies.
+    pub fn has_surfaces(&self) -> bool {
+        self.bodies.values().any(|body| body.trail.is_some())
+    }
+
+    /// Remembers where everything is that takes part in contacts which others find.
+    pub(super) fn leave_trails(&mut self) {
+        let (now, bodies) = (self.now, &self.physics.bodies);
+        let mut surfaces = false;
+        for body in self.bodies.values_mut() {
+            if let (Some(trail), Some(rigid)) = (&mut body.trail, bodies.get(body.handle)) {
+                trail.push(now, *rigid.position());
+                surfaces = true;
+            }
+        }
+        if !surfaces {
+            return;
+        }
+        for (entity, grasper) in &self.graspers {
+            if let Some(palm) = bodies.get(grasper.palm()) {
+                self.tools.entry(*entity).or_default().push(now, *palm.position());
+            }
+        }
+    }
+
+    /// Contacts of a body that is gone press nobody.
+    pub(super) fn forget(&mut self, handle: RigidBodyHandle) {
+        self.penalties.forget(handle);
+    }
+}
