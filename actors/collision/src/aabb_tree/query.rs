@@ -1,0 +1,237 @@
+//! What is asked of the tree: the nearest triangle, and all triangles that something may touch.
+
+use nalgebra::Point3;
+
+use super::bound::{Near, NearBox, NearSegment, NearWay, up};
+use super::{Aabb, AabbTree, NONE};
+use crate::primitive::{
+    PointTriangle, Segment, SegmentTriangle, closest_on_triangle, closest_segment_triangle,
+};
+use crate::{Surface, SurfaceError};
+
+/// Nodes that wait at most: three of each level, of which a `u32` of triangles has 16 or 17.
+const WAITING: usize = 64;
+
+/// What a query looked at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct QueryCost {
+    /// Nodes of four boxes.
+    pub nodes: u32,
+    /// Triangles.
+    pub triangles: u32,
+}
+
+/// The nearest triangle to a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearestToPoint {
+    /// Which triangle.
+    pub triangle: u32,
+    /// Its nearest point.
+    pub nearest: PointTriangle,
+    /// Distance \[m\].
+    pub distance: f64,
+}
+
+/// The nearest triangle to a segment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearestToSegment {
+    /// Which triangle.
+    pub triangle: u32,
+    /// The nearest points.
+    pub nearest: SegmentTriangle,
+    /// Distance \[m\]; 0 where the segment crosses the triangle.
+    pub distance: f64,
+}
+
+/// A node that waits, with a lower bound of its distance.
+#[derive(Clone, Copy)]
+struct Waiting {
+    lower: f32,
+    node: u32,
+}
+
+impl AabbTree {
+    /// The triangle nearest to `point` that is not further than `radius` \[m\].
+    ///
+    /// # Errors
+    /// [`SurfaceError::OtherTriangles`] for another surface than the tree was fitted to.
+    pub fn nearest_to_point(
+        &self,
+        surface: &Surface,
+        point: &Point3<f64>,
+        radius: f64,
+    ) -> Result<Option<NearestToPoint>, SurfaceError> {
+        self.expect(surface)?;
+        let mut best: Option<NearestToPoint> = None;
+        let mut limit = radius;
+        self.nearest_first(&NearBox::point(point, self.scale), radius, |triangle, _| {
+            let nearest = closest_on_triangle(point, &surface.triangle(triangle));
+            let distance = (nearest.point - point).norm();
+            if distance <= limit && best.is_none_or(|best| distance < best.distance) {
+                limit = distance;
+                best = Some(NearestToPoint { triangle, nearest, distance });
+            }
+            limit
+        });
+        Ok(best)
+    }
+
+    /// The triangle nearest to `segment` that is not further than `radius` \[m\].
+    ///
+    /// # Errors
+    /// [`SurfaceError::OtherTriangles`] for another surface than the tree was fitted to.
+    pub fn nearest_to_segment(
+        &self,
+        surface: &Surface,
+        segment: &Segment,
+        radius: f64,
+    ) -> Result<Option<NearestToSegment>, SurfaceError> {
+        self.expect(surface)?;
+        let mut best: Option<NearestToSegment> = None;
+        let mut limit = radius;
+        self.nearest_first(&NearSegment::new(segment, self.scale), radius, |triangle, _| {
+            let nearest = closest_segment_triangle(segment, &surface.triangle(triangle));
+            let distance = nearest.distance_squared.sqrt();
+            if distance <= limit && best.is_none_or(|best| distance < best.distance) {
+                limit = distance;
+                best = Some(NearestToSegment { triangle, nearest, distance });
+            }
+            limit
+        });
+        Ok(best)
+    }
+
+    /// Triangles whose box reaches into `bounds`, appended to `found` in an order of the tree's own. None is missing;
+    /// some may be a rounding outside.
+    pub fn overlapping(&self, bounds: &Aabb, found: &mut Vec<u32>) -> QueryCost {
+        self.within(&NearBox::new(bounds, self.scale), 0.0, |triangle, _| found.push(triangle))
+    }
+
+    /// Triangles whose box may be nearer than `radius` \[m\] to `point`, appended with a lower bound of their distance.
+    pub fn around_point(&self, point: &Point3<f64>, radius: f64, found: &mut Vec<(u32, f32)>) -> QueryCost {
+        let near = NearBox::point(point, self.scale);
+        self.within(&near, radius, |triangle, lower| found.push((triangle, lower)))
+    }
+
+    /// Triangles whose box may be nearer than `radius` \[m\] to `segment`, which is what a sphere of that radius meets
+    /// along it, appended with a lower bound of their distance.
+    pub fn around_segment(&self, segment: &Segment, radius: f64, found: &mut Vec<(u32, f32)>) -> QueryCost {
+        let near = NearSegment::new(segment, self.scale);
+        self.within(&near, radius, |triangle, lower| found.push((triangle, lower)))
+    }
+
+    /// Triangles near `segment`, nearer boxes first, for whom `visit` takes a triangle and the lower bound of its
+    /// distance, and says from which distance on there is nothing to find any more.
+    pub(crate) fn nearest_to_segment_first(
+        &self,
+        segment: &Segment,
+        limit: f64,
+        visit: impl FnMut(u32, f32) -> f64,
+    ) -> QueryCost {
+        self.nearest_first(&NearSegment::new(segment, self.scale), limit, visit)
+    }
+
+    /// The same near a point.
+    pub(crate) fn nearest_to_point_first(
+        &self,
+        point: &Point3<f64>,
+        limit: f64,
+        visit: impl FnMut(u32, f32) -> f64,
+    ) -> QueryCost {
+        self.nearest_first(&NearBox::point(point, self.scale), limit, visit)
+    }
+
+    /// The triangles that a sphere may meet on its way along `segment`, those near to its start first. `visit` says how much
+    /// of the way, 0 to 1, is left to look at.
+    pub(crate) fn along_way_first(
+        &self,
+        segment: &Segment,
+        radius: f64,
+        mut visit: impl FnMut(u32) -> f64,
+    ) -> QueryCost {
+        let length = (segment[1] - segment[0]).norm();
+        let near = NearWay::new(segment, radius, self.scale);
+        self.nearest_first(&near, radius + length, |triangle, _| radius + length * visit(triangle))
+    }
+
+    fn expect(&self, surface: &Surface) -> Result<(), SurfaceError> {
+        let found = surface.triangles().len();
+        if found == self.triangles {
+            Ok(())
+        } else {
+            Err(SurfaceError::OtherTriangles { expected: self.triangles, found })
+        }
+    }
+
+    /// All of them, in no order.
+    #[inline]
+    fn within(&self, near: &impl Near, radius: f64, mut visit: impl FnMut(u32, f32)) -> QueryCost {
+        let mut cost = QueryCost::default();
+        let mut stack = [0_u32; WAITING];
+        let mut height = usize::from(!self.nodes.is_empty());
+        let limit = up(radius);
+        while height > 0 {
+            height -= 1;
+            let node = &self.nodes[stack[height] as usize];
+            let lower = near.lower(node);
+            cost.nodes += 1;
+            for (lane, &lower) in lower.iter().enumerate() {
+                if node.child[lane] == NONE || lower > limit {
+                    continue;
+                }
+                if node.is_leaf(lane) {
+                    cost.triangles += 1;
+                    visit(node.child[lane], lower);
+                } else {
+                    stack[height] = node.child[lane];
+                    height += 1;
+                }
+            }
+        }
+        cost
+    }
+
+    /// The nearest nodes first, and all the triangles of a node before the next node.
+    #[inline]
+    fn nearest_first(
+        &self,
+        near: &impl Near,
+        limit: f64,
+        mut visit: impl FnMut(u32, f32) -> f64,
+    ) -> QueryCost {
+        let mut cost = QueryCost::default();
+        let mut stack = [Waiting { lower: 0.0, node: 0 }; WAITING];
+        let mut height = usize::from(!self.nodes.is_empty());
+        let mut limit = up(limit);
+        while height > 0 {
+            height -= 1;
+            let next = stack[height];
+            if next.lower > limit {
+                continue;
+            }
+            cost.nodes += 1;
+            let node = &self.nodes[next.node as usize];
+            let lower = near.lower(node);
+            let floor = height;
+            for (lane, &lower) in lower.iter().enumerate() {
+                if node.child[lane] == NONE || lower > limit {
+                    continue;
+                }
+                if node.is_leaf(lane) {
+                    cost.triangles += 1;
+                    limit = up(visit(node.child[lane], lower));
+                    continue;
+                }
+                // The nearest comes to lie on top.
+                let mut place = height;
+                while place > floor && stack[place - 1].lower < lower {
+                    stack[place] = stack[place - 1];
+                    place -= 1;
+                }
+                stack[place] = Waiting { lower, node: node.child[lane] };
+                height += 1;
+            }
+        }
+        cost
+    }
+}

@@ -1,0 +1,184 @@
+//! The certificate of something that moves near a surface that moves: triangles that may come to touch it, each with what
+//! its distance was at least, and a distance that everything else had at least, all of them less whatever anything has
+//! moved since. While it holds, nobody needs to ask the tree.
+
+/// A triangle that a query has found.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Found<T> {
+    pub(crate) triangle: u32,
+    /// Its distance is not less \[m\].
+    pub(crate) at_least: f64,
+    /// What whoever asks wants to know of it again.
+    pub(crate) note: T,
+}
+
+/// Slots whose soonest is kept: most of them are passed over at once.
+const BLOCK: usize = 16;
+/// Blocks at most: what keeps more looks through the others one by one.
+const BLOCKS: usize = 16;
+
+/// At most `KEPT` candidates, in the order in which they were found.
+#[derive(Clone, Debug)]
+pub(crate) struct Candidates<T, const KEPT: usize> {
+    triangle: [u32; KEPT],
+    /// Distance that it had at least, plus what had been travelled when it had it \[m\].
+    due: [f64; KEPT],
+    note: [T; KEPT],
+    /// Not more than the least of what is due in each block \[m\].
+    soonest: [f64; BLOCKS],
+    count: usize,
+    /// The same for every triangle that is not here \[m\].
+    others_due: f64,
+    /// What it and the surface have moved since the last gathering at most \[m\].
+    travelled: f64,
+}
+
+impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
+    /// Nothing is known.
+    pub(crate) fn none() -> Self {
+        Self {
+            triangle: [0; KEPT],
+            due: [0.0; KEPT],
+            note: [T::default(); KEPT],
+            soonest: [f64::NEG_INFINITY; BLOCKS],
+            count: 0,
+            others_due: f64::NEG_INFINITY,
+            travelled: 0.0,
+        }
+    }
+
+    pub(crate) fn travel(&mut self, distance: f64) {
+        self.travelled += distance;
+    }
+
+    /// Whether nothing outside of the candidates is nearer than `distance` now.
+    pub(crate) fn certify(&self, distance: f64) -> bool {
+        self.others_at_least() >= distance
+    }
+
+    /// A distance that everything else has at least \[m\].
+    pub(crate) fn others_at_least(&self) -> f64 {
+        self.others_due - self.travelled
+    }
+
+    /// Nothing is known any more.
+    pub(crate) fn forget(&mut self) {
+        (self.count, self.others_due, self.travelled) = (0, f64::NEG_INFINITY, 0.0);
+    }
+
+    /// Takes what a query has found, knowing that the rest is not nearer than `limit`. What is too much goes to the rest.
+    /// Returns how many came within the limit.
+    pub(crate) fn gather(&mut self, found: &mut Vec<Found<T>>, limit: f64) -> usize {
+        found.retain(|found| found.at_least < limit);
+        self.travelled = 0.0;
+        self.others_due = limit;
+        if found.len() > KEPT {
+            let order = |a: &Found<T>, b: &Found<T>| {
+                a.at_least.total_cmp(&b.at_least).then(a.triangle.cmp(&b.triangle))
+            };
+            let (_, first_out, _) = found.select_nth_unstable_by(KEPT, order);
+            self.others_due = first_out.at_least;
+        }
+        self.count = found.len().min(KEPT);
+        for (slot, found) in found[..self.count].iter().enumerate() {
+            self.triangle[slot] = found.triangle;
+            self.due[slot] = found.at_least;
+            self.note[slot] = found.note;
+        }
+        // Each is looked at once before it is known.
+        self.soonest = [f64::NEG_INFINITY; BLOCKS];
+        found.len()
+    }
+
+    /// The next slot from one on of which the triangle may be as near as `distance` now.
+    #[inline]
+    pub(crate) fn next_within(&mut self, from: usize, distance: f64) -> Option<usize> {
+        let due = distance + self.travelled;
+        let mut slot = from;
+        while slot < self.count {
+            let block = slot / BLOCK;
+            let end = ((block + 1) * BLOCK).min(self.count);
+            if self.soonest.get(block).is_none_or(|soonest| *soonest <= due) {
+                if let Some(found) = (slot..end).find(|&slot| self.due[slot] <= due) {
+                    return Some(found);
+                }
+                let soonest = self.due[block * BLOCK..end].iter().copied().fold(f64::INFINITY, f64::min);
+                if let Some(known) = self.soonest.get_mut(block) {
+                    *known = soonest;
+                }
+            }
+            slot = end;
+        }
+        None
+    }
+
+    /// Where a triangle stands.
+    pub(crate) fn place(&self, triangle: u32) -> Option<usize> {
+        self.triangle[..self.count].iter().position(|&own| own == triangle)
+    }
+
+    /// Tells that a triangle is not nearer than this now \[m\].
+    pub(crate) fn set(&mut self, slot: usize, at_least: f64) {
+        let due = at_least + self.travelled;
+        self.due[slot] = due;
+        if let Some(soonest) = self.soonest.get_mut(slot / BLOCK) {
+            *soonest = soonest.min(due);
+        }
+    }
+
+    pub(crate) fn note(&self, slot: usize) -> &T {
+        &self.note[slot]
+    }
+
+    pub(crate) fn set_note(&mut self, slot: usize, note: T) {
+        self.note[slot] = note;
+    }
+
+    /// Whether a triangle may be as near as `distance` now.
+    pub(crate) fn may_reach(&self, slot: usize, distance: f64) -> bool {
+        self.due[slot] <= distance + self.travelled
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.count
+    }
+
+    pub(crate) fn triangle(&self, slot: usize) -> u32 {
+        self.triangle[slot]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2_000))]
+        /// Blocks hide nothing, whatever was set and travelled in between.
+        #[test]
+        fn the_next_ones_within_reach_are_those_that_may_reach(
+            distances in prop::collection::vec(0.0..1.0_f64, 0..60),
+            deeds in prop::collection::vec((0_usize..60, 0.0..1.0_f64, 0.0..0.1_f64, 0.0..0.5_f64), 0..20)
+        ) {
+            let mut candidates = Candidates::<(), 48>::none();
+            let found = |(triangle, &at_least): (usize, &f64)| Found { triangle: triangle as u32, at_least, note: () };
+            candidates.gather(&mut distances.iter().enumerate().map(found).collect(), 2.0);
+            for (slot, at_least, motion, reach) in deeds {
+                candidates.travel(motion);
+                if slot < candidates.len() {
+                    candidates.set(slot, at_least);
+                }
+                let mut within = Vec::new();
+                let mut next = candidates.next_within(0, reach);
+                while let Some(slot) = next {
+                    within.push(slot);
+                    next = candidates.next_within(slot + 1, reach);
+                }
+                let expected: Vec<usize> =
+                    (0..candidates.len()).filter(|&slot| candidates.may_reach(slot, reach)).collect();
+                prop_assert_eq!(within, expected);
+            }
+        }
+    }
+}

@@ -1,0 +1,238 @@
+//! Surfaces and lines by what they sweep over between two ticks: nothing fast passes through something thin unseen.
+//!
+//! An impact is an event: the next step begins on the other side, where nothing meets any more. So what has met is *held*
+//! until the two parts are back on their sides, with the depth that it has meanwhile. What is held is written into the
+//! scene: another life of the controller goes on holding it. What moves while no controller looks is not swept.
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+use trocar_scene::components::{Detection, LineMesh, Primitive};
+use trocar_scene::{
+    Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Snapshot, Tick,
+};
+
+use super::bodies::{self, Body, Change, Wanted};
+use super::report::{self, Found, Report, primitive};
+use crate::continuous::{FoundImpact, ImpactFinder, SweptLine, SweptSurface};
+use crate::{Line, Part, Surface};
+
+/// Impacts that are held at most; later ones are not.
+const HELD_MAX: usize = 256;
+
+/// Which bodies are watched.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ContinuousConfig {
+    /// Names of two bodies each; the first one may be a line: a needle, a thread, a band.
+    pub pairs: Vec<[String; 2]>,
+    /// Stiffness of a pair of bodies, whatever the number of its contacts \[N/m\].
+    #[serde(default = "report::stiffness")]
+    pub stiffness: f64,
+}
+
+/// Two parts that have met, and are not yet back on their sides.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HeldImpact {
+    /// Which pair of bodies.
+    pub pair: u32,
+    /// The parts.
+    pub parts: [Primitive; 2],
+    /// The vertices of each; one that comes twice has no weight the second time.
+    pub corners: [[u32; 3]; 2],
+    /// Weights of the points that met.
+    pub weights: [[f64; 3]; 2],
+    /// Unit direction from the first to the second when they met, in world.
+    pub normal_in_world: Vector3<f64>,
+}
+
+/// What a controller of continuous detection holds; on its own entity.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct HeldImpacts {
+    /// In the order in which they met.
+    pub held: Vec<HeldImpact>,
+}
+impl Component for HeldImpacts {
+    const NAME: &'static str = "held_impacts";
+}
+
+/// A body, and where its vertices were at the last tick and are now, in world.
+struct Moved {
+    body: Body,
+    before: Vec<Point3<f64>>,
+    now: Vec<Point3<f64>>,
+}
+
+impl Moved {
+    fn new(context: &BuildContext<'_>, name: &str, wanted: Wanted) -> Result<Self, ControllerError> {
+        let body = Body::named(context, name, wanted)?;
+        let mut moved = Self { body, before: Vec::new(), now: Vec::new() };
+        moved.place();
+        moved.before.clone_from(&moved.now);
+        Ok(moved)
+    }
+
+    fn place(&mut self) {
+        let pose = self.body.pose;
+        self.now.clear();
+        self.now.extend(self.body.vertices().iter().map(|vertex| pose * vertex));
+    }
+
+    /// Reads it anew; whether it is another one, so that nothing is known of how it came here.
+    fn follow(&mut self, scene: &Snapshot, out: &mut Commands) -> bool {
+        std::mem::swap(&mut self.before, &mut self.now);
+        let change = self.body.follow(scene, out);
+        self.place();
+        let other = matches!(change, Change::Remeshed | Change::Absent);
+        if other {
+            self.before.clone_from(&self.now);
+        }
+        other
+    }
+
+    /// Its triangles, on their way.
+    fn surface(&self) -> Option<SweptSurface<'_>> {
+        let before = Surface::new(&self.before, self.body.surface().triangles()).ok()?;
+        SweptSurface::new(before, &self.now).ok()
+    }
+
+    /// The point of some corners with some weights, as it is now.
+    fn point(&self, corners: &[u32; 3], weights: &[f64; 3]) -> Option<Point3<f64>> {
+        let mut point = Vector3::zeros();
+        for (corner, weight) in corners.iter().zip(weights) {
+            point += self.now.get(*corner as usize)?.coords * *weight;
+        }
+        Some(point.into())
+    }
+}
+
+struct Pair {
+    bodies: [Moved; 2],
+}
+
+impl Pair {
+    /// What has met since the last tick.
+    fn look<'a>(&self, finder: &'a mut ImpactFinder) -> &'a [FoundImpact] {
+        let [first, second] = &self.bodies;
+        let Some(surface) = second.surface() else { return &[] };
+        if let Some((segments, radius)) = first.body.segments() {
+            let line = Line::new(&first.before, segments, radius);
+            let line = line.and_then(|line| SweptLine::new(line, &first.now));
+            return line.map_or(&[], |line| finder.line_surface(&line, &surface, 0.0));
+        }
+        first.surface().map_or(&[], |other| finder.surface_surface(&other, &surface, 0.0))
+    }
+
+    /// The vertices of a part of one of the bodies, in the order of its weights.
+    fn corners(&self, which: usize, part: Part) -> Option<[u32; 3]> {
+        let body = &self.bodies[which].body;
+        Some(match part {
+            Part::Vertex(vertex) => [vertex; 3],
+            Part::Edge([a, b]) => [a, b, b],
+            Part::Segment(index) => {
+                let [a, b] = *body.segments()?.0.get(index as usize)?;
+                [a, b, b]
+            }
+            Part::Triangle(index) => *body.surface().triangles().get(index as usize)?,
+        })
+    }
+}
+
+/// Finds what has gone into or through something between two ticks.
+pub struct ContinuousController {
+    pairs: Vec<Pair>,
+    finder: ImpactFinder,
+    state: HeldImpacts,
+    report: Report,
+}
+
+impl ContinuousController {
+    /// Finds the bodies, and goes on holding what an earlier life held.
+    ///
+    /// # Errors
+    /// A body that there is none of, or that cannot be used.
+    pub fn new(config: &ContinuousConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        bodies::refuse_twins(&config.pairs, "impacts")?;
+        let pair = |[first, second]: &[String; 2]| {
+            let first = Moved::new(context, first, Wanted::SurfaceOrLine)?;
+            Ok(Pair { bodies: [first, Moved::new(context, second, Wanted::Surface)?] })
+        };
+        Ok(Self {
+            pairs: config.pairs.iter().map(pair).collect::<Result<_, ControllerError>>()?,
+            finder: ImpactFinder::new(),
+            state: context.scene.get::<HeldImpacts>(context.me).cloned().unwrap_or_default(),
+            report: Report::new(Detection::Continuous, config.stiffness),
+        })
+    }
+}
+
+impl Controller for ContinuousController {
+    fn access(&self) -> Access {
+        bodies::access().reads::<LineMesh>().writes::<HeldImpacts>(EntitySet::Own)
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        self.report.begin();
+        let held_before = self.state.held.len();
+        let mut changed = false;
+        for (index, pair) in self.pairs.iter_mut().enumerate() {
+            let index = index as u32;
+            let mut other = false;
+            for body in &mut pair.bodies {
+                other |= body.follow(scene, out);
+            }
+            let held = &mut self.state.held;
+            if other {
+                held.retain(|held| held.pair != index);
+            }
+            for found in pair.look(&mut self.finder) {
+                let parts = [primitive(found.first), primitive(found.second)];
+                let known = held.iter().any(|held| held.pair == index && held.parts == parts);
+                let corners = [found.first, found.second];
+                let corners = [0, 1].map(|which| pair.corners(which, corners[which]));
+                if let [Some(first), Some(second)] = corners
+                    && found.impact.approach > 0.0
+                    && !known
+                    && held.len() < HELD_MAX
+                {
+                    changed = true;
+                    held.push(HeldImpact {
+                        pair: index,
+                        parts,
+                        corners: [first, second],
+                        weights: found.impact.weights,
+                        normal_in_world: found.impact.normal,
+                    });
+                }
+            }
+            let [first, second] = &pair.bodies;
+            let report = &mut self.report;
+            held.retain(|held| {
+                if held.pair != index {
+                    return true;
+                }
+                let places = (
+                    first.point(&held.corners[0], &held.weights[0]),
+                    second.point(&held.corners[1], &held.weights[1]),
+                );
+                let (Some(on_first), Some(on_second)) = places else { return false };
+                let depth = (on_first - on_second).dot(&held.normal_in_world);
+                if depth < 0.0 {
+                    return false;
+                }
+                report.add(Found {
+                    parts: [(first.body.entity, held.parts[0]), (second.body.entity, held.parts[1])],
+                    on_second_in_world: on_second,
+                    normal_in_world: held.normal_in_world,
+                    depth,
+                });
+                true
+            });
+            self.report.end_pair();
+        }
+        if changed || self.state.held.len() != held_before {
+            out.put(tick.me, self.state.clone());
+        }
+        self.report.send(scene.time(), out);
+        Ok(())
+    }
+}

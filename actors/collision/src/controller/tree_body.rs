@@ -1,0 +1,40 @@
+//! A body with a tree of oriented boxes that follows it.
+
+use trocar_scene::{BuildContext, Commands, ControllerError, Snapshot};
+
+use super::bodies::{Body, Change, Wanted};
+use crate::obb_tree::ObbTree;
+
+/// A body and its tree, which is touched only where the body has changed.
+pub struct TreeBody {
+    pub body: Body,
+    pub tree: ObbTree,
+}
+
+impl TreeBody {
+    /// Of that name.
+    ///
+    /// # Errors
+    /// As [`Body::named`].
+    pub fn named(context: &BuildContext<'_>, name: &str) -> Result<Self, ControllerError> {
+        let body = Body::named(context, name, Wanted::Surface)?;
+        let tree = ObbTree::build(&body.surface());
+        Ok(Self { body, tree })
+    }
+
+    /// Reads it anew: where only vertices are elsewhere the boxes are fitted to them, else they are built.
+    pub fn follow(&mut self, scene: &Snapshot, out: &mut Commands) -> Change {
+        let change = self.body.follow(scene, out);
+        let surface = self.body.surface();
+        let is_fitted = match change {
+            Change::None => true,
+            Change::Deformed => self.tree.refit(surface.vertices()).is_ok(),
+            Change::Absent => self.tree.is_empty(),
+            Change::Remeshed => false,
+        };
+        if !is_fitted {
+            self.tree = ObbTree::build(&surface);
+        }
+        change
+    }
+}

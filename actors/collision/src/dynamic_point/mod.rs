@@ -1,0 +1,460 @@
+//! The dynamic point (Maciel and De, *An efficient dynamic point algorithm for line-based collision detection in real time
+//! virtual environments involving haptics*, 2008): an instrument's shaft as a line against a triangle surface, at a cost
+//! that hardly grows with the surface.
+//!
+//! The line is divided into segments. Each has a *dynamic point*: its point nearest to the surface, on a triangle that is
+//! walked over the surface's topology as line and surface move. A walk ends in a local minimum, and on a folded organ that
+//! need not be the nearest: so each segment also carries a *certificate*, the triangles that were near when the tree was
+//! last asked and a distance that all others had at least. What the segment has moved (how far any of its points is from
+//! where it was; sliding along itself is free) and what the surface has moved, added up, eat away at both. A candidate is
+//! measured again when it may have come nearer than the dynamic point; when anything else may have, the tree is asked,
+//! with the walked point as the first bound. So what is told is the nearest of all triangles, always, whatever jumps,
+//! deforms or is cut in between: the walk and the certificate decide only what it costs.
+
+mod contact;
+mod statistics;
+mod support;
+
+pub use contact::{LineContact, LineContactKind};
+pub use statistics::{LineStatistics, Quantiles};
+
+use contact::{Crossings, beside};
+use nalgebra::Point3;
+use support::Support;
+use thiserror::Error;
+
+use crate::candidates::{Candidates, Found};
+use crate::moving_surface::MovingSurface;
+use crate::primitive::{Segment, SegmentTriangle, closest_on_segment, closest_segment_triangle};
+
+/// Segments of a line at most.
+const SEGMENTS_MAX: usize = 256;
+/// Walks end after so many triangles; the certificate does not depend on where.
+const HOPS_MAX: usize = 32;
+/// What a distance may err, of the largest coordinate.
+const ROUNDING: f64 = 1e-13;
+/// Candidates of a segment at most.
+const KEPT: usize = 192;
+/// Candidates that a gathering should find: fewer expire soon, more cost more on each update.
+const WANTED: std::ops::Range<usize> = 60..150;
+
+/// How a line is watched.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineConfig {
+    /// Segments, each with a contact of its own: 1 to 256.
+    pub segments: usize,
+    /// Radius of the shaft \[m\]; 0 for a line that touches only what it crosses.
+    pub radius: f64,
+    /// A contact is told from this far off \[m\], its depth negative.
+    pub margin: f64,
+}
+
+/// Why a line cannot be watched.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum LineError {
+    /// Too few or too many.
+    #[error("a line of {0} segments: 1 to {SEGMENTS_MAX} are valid")]
+    Segments(usize),
+    /// Not a length.
+    #[error("{what} of {value} m: 0 or more is valid, and finite")]
+    Length {
+        /// Which of the lengths.
+        what: &'static str,
+        /// What it was.
+        value: f64,
+    },
+    /// An end that is nowhere.
+    #[error("end {0} of the line has a coordinate that is not a finite number")]
+    NotFinite(usize),
+}
+
+/// What is remembered of one segment.
+#[derive(Clone, Debug)]
+struct Watched {
+    placed: Segment,
+    /// The triangle of the dynamic point.
+    triangle: Option<u32>,
+    candidates: Candidates<Support, KEPT>,
+    /// How far beyond the contact candidates are gathered \[m\].
+    ahead: f64,
+}
+
+/// The method; one for each pair of a line and a surface.
+#[derive(Clone, Debug)]
+pub struct DynamicPoint {
+    config: LineConfig,
+    watched: Vec<Watched>,
+    contacts: Vec<Option<LineContact>>,
+    found: Vec<Found<Support>>,
+    /// Topology revision, and motion of the surface up to the last update.
+    seen: Option<(u64, f64)>,
+    statistics: LineStatistics,
+}
+
+/// The nearest so far of one segment.
+#[derive(Clone, Copy)]
+struct Best {
+    triangle: Option<u32>,
+    nearest: SegmentTriangle,
+    distance: f64,
+}
+
+impl DynamicPoint {
+    /// Watches nothing yet.
+    ///
+    /// # Errors
+    /// A number of segments or a length that is not valid.
+    pub fn new(config: LineConfig) -> Result<Self, LineError> {
+        if !(1..=SEGMENTS_MAX).contains(&config.segments) {
+            return Err(LineError::Segments(config.segments));
+        }
+        for (what, value) in [("a radius", config.radius), ("a margin", config.margin)] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(LineError::Length { what, value });
+            }
+        }
+        let nothing = Watched {
+            placed: [Point3::origin(); 2],
+            triangle: None,
+            candidates: Candidates::none(),
+            ahead: 0.0,
+        };
+        Ok(Self {
+            config,
+            watched: vec![nothing; config.segments],
+            contacts: vec![None; config.segments],
+            found: Vec::with_capacity(4 * KEPT),
+            seen: None,
+            statistics: LineStatistics::default(),
+        })
+    }
+
+    /// How it watches.
+    #[must_use]
+    pub fn config(&self) -> &LineConfig {
+        &self.config
+    }
+
+    /// What it has cost so far.
+    #[must_use]
+    pub fn statistics(&self) -> &LineStatistics {
+        &self.statistics
+    }
+
+    /// Tells it how long an update took, its share of the refit included \[µs\].
+    pub fn record_micros(&mut self, micros: f64) {
+        self.statistics.micros.record(micros);
+    }
+
+    /// Forgets what it knew, as if another surface came.
+    pub fn reset(&mut self) {
+        self.seen = None;
+    }
+
+    /// The contact of each segment of `line_in_surface` with the surface as it is now: of all that is not further than
+    /// radius and margin the nearest.
+    ///
+    /// # Errors
+    /// An end that is not finite; the contacts stay as they were.
+    pub fn update(
+        &mut self,
+        mesh: &MovingSurface,
+        line_in_surface: &Segment,
+    ) -> Result<&[Option<LineContact>], LineError> {
+        for (which, end) in line_in_surface.iter().enumerate() {
+            if !end.iter().all(|coordinate| coordinate.is_finite()) {
+                return Err(LineError::NotFinite(which));
+            }
+        }
+        let begins = self.seen.is_none_or(|(revision, _)| revision != mesh.topology_revision());
+        let motion = if begins { 0.0 } else { mesh.motion() - self.seen.map_or(0.0, |seen| seen.1) };
+        self.seen = Some((mesh.topology_revision(), mesh.motion()));
+        let work = |statistics: &LineStatistics| statistics.nodes + statistics.triangle_tests;
+        let work_before = work(&self.statistics);
+        let extent =
+            mesh.tree().bounds().map_or(0.0, |bounds| bounds.min.coords.amax().max(bounds.max.coords.amax()));
+        let count = self.watched.len();
+        for index in 0..count {
+            let at = |share: f64| line_in_surface[0] + (line_in_surface[1] - line_in_surface[0]) * share;
+            let segment = [at(index as f64 / count as f64), at((index + 1) as f64 / count as f64)];
+            let scale = extent.max(segment[0].coords.amax()).max(segment[1].coords.amax());
+            if begins {
+                let watched = &mut self.watched[index];
+                watched.candidates.forget();
+                watched.triangle = None;
+                if watched.ahead <= 0.0 {
+                    watched.ahead = 0.02 * extent;
+                }
+            } else {
+                // Distance from a convex set is greatest at an end.
+                let placed = &self.watched[index].placed;
+                let moved = segment.map(|end| {
+                    let along = closest_on_segment(&end, placed);
+                    (placed[0] + (placed[1] - placed[0]) * along - end).norm_squared()
+                });
+                let moved = moved[0].max(moved[1]).sqrt();
+                self.watched[index].candidates.travel(moved + motion + ROUNDING * scale);
+            }
+            self.watched[index].placed = segment;
+            let best = self.nearest(mesh, index, &segment, scale, begins);
+            self.contacts[index] = self.contact(mesh, index, &segment, &best, scale);
+        }
+        self.statistics.updates += 1;
+        self.statistics.segment_updates += count as u64;
+        let spent = work(&self.statistics) - work_before;
+        self.statistics.work.record(spent as f64);
+        Ok(&self.contacts)
+    }
+
+    /// The contacts of the last update, one for each segment.
+    #[must_use]
+    pub fn contacts(&self) -> &[Option<LineContact>] {
+        &self.contacts
+    }
+
+    /// The contacts of the last update without those at a joint of two segments whose neighbour reaches as deep or
+    /// deeper: so a contact that slides over a joint is one contact all the way.
+    pub fn distinct_contacts(&self) -> impl Iterator<Item = &LineContact> {
+        let count = self.contacts.len() as f64;
+        self.contacts.iter().enumerate().filter_map(move |(index, contact)| {
+            let contact = contact.as_ref()?;
+            if contact.kind == LineContactKind::Crossing {
+                return Some(contact);
+            }
+            let share = contact.along * count - index as f64;
+            let neighbour = match index {
+                _ if share >= 1.0 - 1e-9 => self.contacts.get(index + 1).map(|next| (next, true)),
+                1.. if share <= 1e-9 => self.contacts.get(index - 1).map(|before| (before, false)),
+                _ => None,
+            };
+            // Of two that reach the same point the later one is told.
+            let shadowed = neighbour.is_some_and(|(other, is_later)| {
+                other.is_some_and(|other| {
+                    other.distance < contact.distance || (is_later && other.distance <= contact.distance)
+                })
+            });
+            (!shadowed).then_some(contact)
+        })
+    }
+
+    /// The nearest triangle, if it can be in contact; else perhaps none.
+    fn nearest(
+        &mut self,
+        mesh: &MovingSurface,
+        index: usize,
+        segment: &Segment,
+        scale: f64,
+        begins: bool,
+    ) -> Best {
+        let reach = self.config.radius + self.config.margin + ROUNDING * scale;
+        let none = SegmentTriangle {
+            on_segment: segment[0],
+            on_triangle: segment[0],
+            along: 0.0,
+            weights: [1.0, 0.0, 0.0],
+            distance_squared: f64::INFINITY,
+        };
+        let mut best = Best { triangle: None, nearest: none, distance: f64::INFINITY };
+        let candidates = &self.watched[index].candidates;
+        if candidates.len() == 0 && candidates.certify(reach) {
+            return best;
+        }
+        if let Some(triangle) = self.watched[index].triangle {
+            self.offer(mesh, index, segment, triangle, &mut best);
+            if !self.watched[index].candidates.certify(best.distance.min(reach)) {
+                self.walk(mesh, index, segment, &mut best);
+            }
+        }
+        if self.watched[index].candidates.certify(best.distance.min(reach)) {
+            self.measure(mesh, index, segment, (reach, ROUNDING * scale), &mut best);
+        } else {
+            if begins {
+                self.statistics.started += 1;
+            } else {
+                self.statistics.expired += 1;
+            }
+            self.ask_tree(mesh, index, segment, (reach, ROUNDING * scale), &mut best);
+        }
+        self.watched[index].triangle = best.triangle;
+        best
+    }
+
+    /// Measures a triangle, and says whether it is nearer.
+    fn offer(
+        &mut self,
+        mesh: &MovingSurface,
+        index: usize,
+        segment: &Segment,
+        triangle: u32,
+        best: &mut Best,
+    ) -> bool {
+        let corners = mesh.surface().triangle(triangle);
+        let nearest = closest_segment_triangle(segment, &corners);
+        let distance = nearest.distance_squared.sqrt();
+        self.statistics.triangle_tests += 1;
+        let candidates = &mut self.watched[index].candidates;
+        if let Some(slot) = candidates.place(triangle) {
+            candidates.set(slot, distance);
+            candidates.set_note(slot, Support::new(&nearest, &corners, mesh.motion()));
+        }
+        let is_nearer = distance < best.distance;
+        if is_nearer {
+            *best = Best { triangle: Some(triangle), nearest, distance };
+        }
+        is_nearer
+    }
+
+    /// From triangle to neighbour while that is nearer: over the edge or about the vertex on which the nearest point is.
+    fn walk(&mut self, mesh: &MovingSurface, index: usize, segment: &Segment, best: &mut Best) {
+        for _ in 0..HOPS_MAX {
+            let Some(from) = best.triangle else { return };
+            let corners = &mesh.surface().triangles()[from as usize];
+            let mut is_nearer = false;
+            for &neighbour in mesh.topology().sharing(corners, from, &best.nearest.weights) {
+                let candidates = &self.watched[index].candidates;
+                let known = candidates.place(neighbour);
+                let hopeless = known.is_some_and(|slot| !candidates.may_reach(slot, best.distance));
+                if neighbour != from && !hopeless {
+                    is_nearer |= self.offer(mesh, index, segment, neighbour, best);
+                }
+            }
+            if !is_nearer {
+                return;
+            }
+            self.statistics.hops += 1;
+        }
+    }
+
+    /// Measures the candidates that may have come nearer than the dynamic point, and into reach.
+    fn measure(
+        &mut self,
+        mesh: &MovingSurface,
+        index: usize,
+        segment: &Segment,
+        (reach, rounding): (f64, f64),
+        best: &mut Best,
+    ) {
+        let candidates = &mut self.watched[index].candidates;
+        let mut tests = 0;
+        let mut from = 0;
+        while let Some(slot) = candidates.next_within(from, best.distance.min(reach)) {
+            from = slot + 1;
+            let near = best.distance.min(reach);
+            let triangle = candidates.triangle(slot);
+            if Some(triangle) == best.triangle {
+                continue;
+            }
+            if candidates.note(slot).is_empty() {
+                let corners = mesh.surface().triangle(triangle);
+                candidates.set_note(slot, Support::guess(segment, &corners, mesh.motion()));
+            }
+            let at_least = candidates.note(slot).at_least(segment, mesh.motion()) - rounding;
+            if at_least > near {
+                candidates.set(slot, at_least);
+                continue;
+            }
+            // Only here: a triangle and its corners lie where memory is slow.
+            let corners = mesh.surface().triangle(triangle);
+            let nearest = closest_segment_triangle(segment, &corners);
+            let distance = nearest.distance_squared.sqrt();
+            tests += 1;
+            candidates.set(slot, distance);
+            candidates.set_note(slot, Support::new(&nearest, &corners, mesh.motion()));
+            if distance < best.distance {
+                *best = Best { triangle: Some(triangle), nearest, distance };
+            }
+        }
+        self.statistics.triangle_tests += tests;
+    }
+
+    /// The nearest of all, and new candidates.
+    fn ask_tree(
+        &mut self,
+        mesh: &MovingSurface,
+        index: usize,
+        segment: &Segment,
+        (reach, rounding): (f64, f64),
+        best: &mut Best,
+    ) {
+        let watched = &mut self.watched[index];
+        let surface = mesh.surface();
+        // Near enough that a contact may come soon, what is around is gathered; else how far the nearest is says enough.
+        let ahead = watched.ahead;
+        let limit =
+            |distance: f64| if distance < reach + ahead { distance.min(reach) + ahead } else { distance };
+        self.found.clear();
+        let mut tests = 0;
+        let cost = mesh.tree().nearest_to_segment_first(segment, limit(best.distance), |triangle, lower| {
+            let mut found = Found { triangle, at_least: f64::from(lower), note: Support::default() };
+            if found.at_least <= best.distance && best.triangle.is_some() {
+                found.note = Support::guess(segment, &surface.triangle(triangle), mesh.motion());
+                let at_least = found.note.at_least(segment, mesh.motion()) - rounding;
+                found.at_least = found.at_least.max(at_least);
+            }
+            if found.at_least <= best.distance {
+                let corners = surface.triangle(triangle);
+                let nearest = closest_segment_triangle(segment, &corners);
+                found.at_least = nearest.distance_squared.sqrt();
+                found.note = Support::new(&nearest, &corners, mesh.motion());
+                tests += 1;
+                if found.at_least < best.distance {
+                    *best = Best { triangle: Some(triangle), nearest, distance: found.at_least };
+                }
+            }
+            self.found.push(found);
+            limit(best.distance)
+        });
+        let is_near = best.distance < reach + ahead;
+        let count = watched.candidates.gather(&mut self.found, limit(best.distance));
+        if is_near && count >= WANTED.end {
+            watched.ahead *= 0.75;
+        } else if is_near && count < WANTED.start {
+            watched.ahead *= 1.25;
+        }
+        self.statistics.nodes += u64::from(cost.nodes);
+        self.statistics.triangle_tests += tests;
+    }
+
+    fn contact(
+        &mut self,
+        mesh: &MovingSurface,
+        index: usize,
+        segment: &Segment,
+        best: &Best,
+        scale: f64,
+    ) -> Option<LineContact> {
+        let triangle = best.triangle?;
+        if best.distance > self.config.radius + self.config.margin {
+            return None;
+        }
+        let mut found = None;
+        if best.nearest.distance_squared == 0.0 {
+            let candidates = &mut self.watched[index].candidates;
+            let mut crossings = Crossings::none();
+            let mut from = 0;
+            while let Some(slot) = candidates.next_within(from, 0.0) {
+                from = slot + 1;
+                let other = candidates.triangle(slot);
+                let nearest = closest_segment_triangle(segment, &mesh.surface().triangle(other));
+                if nearest.distance_squared == 0.0 {
+                    crossings.push(other, nearest.along);
+                }
+            }
+            found = crossings.shallowest(mesh, segment, self.config.radius);
+        }
+        let found = found.unwrap_or_else(|| beside(mesh, triangle, &best.nearest, self.config.radius, scale));
+        Some(LineContact {
+            segment: index as u32,
+            triangle: found.triangle,
+            kind: found.kind,
+            on_line: found.nearest.on_segment,
+            along: (index as f64 + found.nearest.along) / self.watched.len() as f64,
+            on_surface: found.nearest.on_triangle,
+            weights: found.nearest.weights,
+            distance: best.distance,
+            depth: found.depth,
+            direction: found.direction,
+            surface_velocity: mesh.velocity(found.triangle, &found.nearest.weights),
+        })
+    }
+}

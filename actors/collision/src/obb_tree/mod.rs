@@ -1,0 +1,221 @@
+//! A tree of oriented boxes over a triangle surface (Gottschalk, Lin, Manocha, *OBBTree: A Hierarchical Structure for
+//! Rapid Interference Detection*, 1996), four children to a node and four triangles to a leaf, so that one box is
+//! tested against four with the instructions that test it against one.
+//!
+//! Boxes and the triangles of the leaves are kept in `f32`, in the unit of the tree: the middle of the surface is 0 and
+//! its reach 1. They only tell what need not be looked at, with a margin for all their rounding; what is left is
+//! decided by `f64` tests of triangles ([`crate::primitive`]). A refit keeps the order of everything and turns the axes
+//! with the surface.
+
+mod build;
+mod descend;
+mod far;
+mod fit;
+mod lanes;
+mod leaf;
+mod obb;
+mod query;
+mod self_contacts;
+mod turn;
+
+pub use query::{Proximity, TouchingPair, TreeQuery};
+
+use nalgebra::Point3;
+
+use crate::primitive::Triangle;
+use crate::{Surface, SurfaceError, check_finite};
+use fit::Reach;
+use lanes::{each, three};
+use leaf::Leaf;
+use obb::{Obb, ObbQuad};
+
+/// Children of a node, and triangles of a leaf.
+const WIDTH: usize = 4;
+/// How far up boxes are fitted to the triangles themselves; above that, to the small boxes of nodes far below.
+const FITTED_LEVELS: u32 = 3;
+/// How far up those nodes are.
+const SMALL_LEVELS: u32 = 2;
+
+/// An inner node: four boxes, and what is in them.
+#[derive(Clone, Debug)]
+struct Node {
+    quad: ObbQuad,
+    /// Inner nodes first, then leaves: below the number of inner nodes it is one of them.
+    children: [u32; WIDTH],
+    /// How many there are; the others are no boxes.
+    count: u32,
+    /// First leaf and the one after the last.
+    leaves: [u32; 2],
+    /// Levels below, the leaves being 0.
+    height: u32,
+    /// The node after the last one below.
+    end: u32,
+}
+
+/// The boxes of one surface. It keeps a copy of the surface, so that a query needs nothing else.
+#[derive(Clone, Debug, Default)]
+pub struct ObbTree {
+    /// Middle and reach of the surface \[m\]: 0 and 1 in the unit of the tree.
+    origin: Point3<f64>,
+    scale: f64,
+    vertices: Vec<Point3<f64>>,
+    /// Corners and number of each triangle, in the order of the leaves.
+    corners: Vec<[u32; 3]>,
+    numbers: Vec<u32>,
+    /// Where in that order a triangle is.
+    places: Vec<u32>,
+    /// Vertices in the unit of the tree.
+    units: Vec<[f32; 3]>,
+    /// Children after their parents; the root is the first, unless one leaf is all.
+    nodes: Vec<Node>,
+    /// Of each node; none where the surface has no extent to speak of.
+    anchors: Vec<Option<turn::Anchors>>,
+    leaves: Vec<Leaf>,
+    /// Box of each node, then of each leaf.
+    boxes: Vec<Obb>,
+}
+
+impl ObbTree {
+    /// Sorts the triangles of a surface into boxes.
+    #[must_use]
+    pub fn build(surface: &Surface<'_>) -> Self {
+        let mut tree = Self {
+            vertices: surface.vertices().to_vec(),
+            corners: surface.triangles().to_vec(),
+            numbers: (0..surface.triangles().len() as u32).collect(),
+            ..Self::default()
+        };
+        tree.rescale();
+        build::sort(&mut tree);
+        tree.places = vec![0; tree.numbers.len()];
+        for (place, &number) in tree.numbers.iter().enumerate() {
+            tree.places[number as usize] = place as u32;
+        }
+        turn::attach(&mut tree);
+        tree.refit_boxes();
+        tree
+    }
+
+    /// Fits the boxes to the same triangles with their vertices elsewhere \[m\]. Order stays and axes turn with the
+    /// surface, so that boxes grow looser as it is creased: results stay exact, and a build makes them tight again.
+    ///
+    /// # Errors
+    /// Another number of vertices, or a coordinate that is not finite; the tree is then as it was.
+    pub fn refit(&mut self, vertices: &[Point3<f64>]) -> Result<(), SurfaceError> {
+        if vertices.len() != self.vertices.len() {
+            return Err(SurfaceError::OtherVertices { expected: self.vertices.len(), found: vertices.len() });
+        }
+        check_finite(vertices)?;
+        self.vertices.copy_from_slice(vertices);
+        self.rescale();
+        turn::carry(self);
+        self.refit_boxes();
+        Ok(())
+    }
+
+    /// Number of triangles.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.numbers.len()
+    }
+
+    /// Whether there is no triangle, and thus nothing to touch.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.numbers.is_empty()
+    }
+
+    /// Vertices as they were last given \[m\].
+    #[must_use]
+    pub fn vertices(&self) -> &[Point3<f64>] {
+        &self.vertices
+    }
+
+    /// Middle and unit of the surface as it is now, and its vertices in that unit.
+    fn rescale(&mut self) {
+        let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        for vertex in &self.vertices {
+            for axis in 0..3 {
+                let at = vertex[axis];
+                low[axis] = if at < low[axis] { at } else { low[axis] };
+                high[axis] = if at > high[axis] { at } else { high[axis] };
+            }
+        }
+        let reach = (0..3).map(|axis| 0.5 * high[axis] - 0.5 * low[axis]).fold(0.0, f64::max);
+        // One point is as good as any size; none at all is the origin.
+        self.scale = if reach > f64::MIN_POSITIVE && reach.is_finite() { reach } else { 1.0 };
+        self.origin = Point3::from([0, 1, 2].map(|axis| 0.5 * low[axis] + 0.5 * high[axis]));
+        if self.vertices.is_empty() {
+            self.origin = Point3::origin();
+        }
+        let (origin, inverse) = (self.origin, self.scale.recip());
+        self.units.clear();
+        self.units.extend(
+            self.vertices.iter().map(|vertex| three(|axis| ((vertex[axis] - origin[axis]) * inverse) as f32)),
+        );
+    }
+
+    fn triangle(&self, place: usize) -> Triangle {
+        each(self.corners[place], |vertex| self.vertices[vertex as usize])
+    }
+
+    /// Triangles of a leaf, by their places.
+    fn places_of(&self, leaf: usize) -> std::ops::Range<usize> {
+        leaf * WIDTH..((leaf + 1) * WIDTH).min(self.numbers.len())
+    }
+
+    fn refit_boxes(&mut self) {
+        let inner = self.nodes.len();
+        for (index, leaf) in self.leaves.iter_mut().enumerate() {
+            let first = index * WIDTH;
+            let last = self.corners.len() - 1;
+            let triangle = |lane: usize| {
+                let [a, b, c] = self.corners[(first + lane).min(last)];
+                [self.units[a as usize], self.units[b as usize], self.units[c as usize]]
+            };
+            *leaf = Leaf::of([triangle(0), triangle(1), triangle(2), triangle(3)]);
+            let axes = self.boxes[inner + index].axes;
+            let mut reach = Reach::new(&axes);
+            reach.add(&leaf.corners);
+            self.boxes[inner + index] = reach.into_box(&axes);
+        }
+        // Children come after their parents.
+        for index in (0..inner).rev() {
+            let node = &mut self.nodes[index];
+            for (lane, &child) in node.children[..node.count as usize].iter().enumerate() {
+                node.quad.set(lane, &self.boxes[child as usize]);
+            }
+            self.boxes[index] = self.fitted(index);
+        }
+    }
+
+    /// The box of a node with its axes, about the triangles or the small boxes below.
+    fn fitted(&self, index: usize) -> Obb {
+        let node = &self.nodes[index];
+        let axes = self.boxes[index].axes;
+        let mut reach = Reach::new(&axes);
+        if node.height <= FITTED_LEVELS {
+            for leaf in &self.leaves[node.leaves[0] as usize..node.leaves[1] as usize] {
+                reach.add(&leaf.corners);
+            }
+        } else {
+            let mut next = index + 1;
+            while next < node.end as usize {
+                let below = &self.nodes[next];
+                if below.height <= SMALL_LEVELS {
+                    reach.add_boxes(&below.quad);
+                    next = below.end as usize;
+                } else {
+                    // Halving leaves children alike in height, so that here there is none that is a leaf.
+                    debug_assert!(
+                        below.children[..below.count as usize]
+                            .iter()
+                            .all(|&c| (c as usize) < self.nodes.len())
+                    );
+                    next += 1;
+                }
+            }
+        }
+        reach.into_box(&axes)
+    }
+}

@@ -1,0 +1,391 @@
+//! Questions about two surfaces, each with a tree: first contact, all pairs in contact, exact distance, tolerance
+//! (Larsen, Gottschalk, Lin, Manocha, *Fast Proximity Queries with Swept Sphere Volumes*, 1999).
+
+use nalgebra::{Isometry3, Point3};
+
+use super::descend::{Relation, Side, sorted};
+use super::far::FarPending;
+use super::lanes::Lanes;
+use super::{ObbTree, WIDTH};
+use crate::primitive::{TriangleTriangle, closest_triangles, common_segment, triangles_overlap};
+
+/// Two triangles with a point in common.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TouchingPair {
+    /// Which triangle of the first surface, and of the second.
+    pub triangles: [u32; 2],
+    /// Ends of the segment that they have in common, in the frame of the first surface \[m\].
+    pub points_in_a: [Point3<f64>; 2],
+}
+
+/// The nearest points of two surfaces, or of what was found to be near enough.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Proximity {
+    /// Which triangle of the first surface, and of the second.
+    pub triangles: [u32; 2],
+    /// On each of them, in the frame of the first surface \[m\]; the same point twice where they overlap.
+    pub points_in_a: [Point3<f64>; 2],
+    /// Between the two \[m\]; 0 where surfaces overlap.
+    pub distance: f64,
+}
+
+/// A pair of subtrees that is still to be looked into.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pending {
+    pub nodes: [u32; 2],
+    /// What their squared distance is at least, in the unit of the first tree.
+    pub bound: f32,
+}
+
+/// Room for queries. It grows to what the largest one needs, so that a warmed query allocates nothing, and remembers
+/// nothing else: every answer is a function of what was asked.
+#[derive(Clone, Debug, Default)]
+pub struct TreeQuery {
+    pub(super) pending: Vec<Pending>,
+    pub(super) pairs: Vec<TouchingPair>,
+    far: Vec<FarPending>,
+}
+
+impl TreeQuery {
+    /// Room for queries, none of it used yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Some pair of triangles in contact, the same one for the same question; none when the surfaces are apart.
+    ///
+    /// `last` is where to look first, a pair of an earlier answer for surfaces that move little; triangles that there
+    /// are none of are passed over.
+    pub fn first_contact(
+        &mut self,
+        a: &ObbTree,
+        b: &ObbTree,
+        b_in_a: &Isometry3<f64>,
+        last: Option<[u32; 2]>,
+    ) -> Option<TouchingPair> {
+        let relation = Relation::new(a, b, b_in_a);
+        self.first(&relation, last)
+    }
+
+    /// Every pair of triangles in contact, in an order that is the same for the same question.
+    pub fn all_contacts(&mut self, a: &ObbTree, b: &ObbTree, b_in_a: &Isometry3<f64>) -> &[TouchingPair] {
+        let relation = Relation::new(a, b, b_in_a);
+        let mut pairs = std::mem::take(&mut self.pairs);
+        pairs.clear();
+        self.touching(&relation, |pair| {
+            pairs.push(pair);
+            false
+        });
+        self.pairs = pairs;
+        &self.pairs
+    }
+
+    /// The nearest points of two surfaces; none when one of them has no triangle. `last` as for
+    /// [`first_contact`](Self::first_contact): it makes the query faster, not another one, but for pairs equally near.
+    pub fn distance(
+        &mut self,
+        a: &ObbTree,
+        b: &ObbTree,
+        b_in_a: &Isometry3<f64>,
+        last: Option<[u32; 2]>,
+    ) -> Option<Proximity> {
+        self.nearest(a, b, b_in_a, f64::INFINITY, false, last)
+    }
+
+    /// Some pair of triangles at most `tolerance` \[m\] apart, not the nearest one; none when the surfaces are farther
+    /// apart than that. Nothing is within a tolerance below 0 or NaN. `last` as for
+    /// [`first_contact`](Self::first_contact).
+    pub fn within(
+        &mut self,
+        a: &ObbTree,
+        b: &ObbTree,
+        b_in_a: &Isometry3<f64>,
+        tolerance: f64,
+        last: Option<[u32; 2]>,
+    ) -> Option<Proximity> {
+        if tolerance >= 0.0 { self.nearest(a, b, b_in_a, tolerance, true, last) } else { None }
+    }
+
+    fn first(&mut self, relation: &Relation<'_>, last: Option<[u32; 2]>) -> Option<TouchingPair> {
+        if let Some([place_a, place_b]) = places(relation, last)
+            && let Some(pair) = exactly(relation, place_a, place_b)
+        {
+            return Some(pair);
+        }
+        let mut found = None;
+        self.touching(relation, |pair| {
+            found = Some(pair);
+            true
+        });
+        found
+    }
+
+    /// Visits pairs in contact, those that look deepest first, until the visitor has seen enough.
+    fn touching(&mut self, relation: &Relation<'_>, mut enough: impl FnMut(TouchingPair) -> bool) {
+        let (a, b) = (relation.a, relation.b);
+        self.pending.clear();
+        if a.is_empty() || b.is_empty() {
+            return;
+        }
+        if relation.blind {
+            relation.descend_far(&mut self.far, 0.0, |in_a, in_b| {
+                let seen = touching_leaves(relation, in_a, in_b, |_, _| true, &mut enough);
+                (!seen).then_some(0.0)
+            });
+            return;
+        }
+        self.pending.push(Pending { nodes: [0, 0], bound: 0.0 });
+        while let Some(Pending { nodes: [in_a, in_b], .. }) = self.pending.pop() {
+            let (side, node, (bits, depth)) = match relation.larger(in_a, in_b) {
+                Some(Side::A) => {
+                    let node = &a.nodes[in_a as usize];
+                    (Side::A, node, node.quad.overlapping(&relation.placed_b(in_b), relation.slack[0]))
+                }
+                Some(Side::B) => {
+                    let node = &b.nodes[in_b as usize];
+                    (Side::B, node, node.quad.overlapping(&relation.placed_a(in_a), relation.slack[1]))
+                }
+                None => {
+                    if touching_leaves(relation, in_a, in_b, |_, _| true, &mut enough) {
+                        return;
+                    }
+                    continue;
+                }
+            };
+            let (order, count) = sorted(bits, depth.0);
+            for &lane in &order[..count] {
+                let child = node.children[lane];
+                let nodes = match side {
+                    Side::A => [child, in_b],
+                    Side::B => [in_a, child],
+                };
+                self.pending.push(Pending { nodes, bound: 0.0 });
+            }
+        }
+    }
+
+    fn nearest(
+        &mut self,
+        a: &ObbTree,
+        b: &ObbTree,
+        b_in_a: &Isometry3<f64>,
+        limit: f64,
+        any: bool,
+        last: Option<[u32; 2]>,
+    ) -> Option<Proximity> {
+        let relation = Relation::new(a, b, b_in_a);
+        if a.is_empty() || b.is_empty() {
+            return None;
+        }
+        if let Some(TouchingPair { triangles, points_in_a: [from, to] }) = self.first(&relation, last) {
+            let point = nalgebra::center(&from, &to);
+            return Some(Proximity { triangles, points_in_a: [point; 2], distance: 0.0 });
+        }
+        let mut best = Best::new(&relation, limit);
+        if let Some([place_a, place_b]) = places(&relation, last) {
+            best.offer(&relation, place_a, place_b);
+        }
+        if relation.far {
+            relation.descend_far(&mut self.far, best.square.sqrt(), |in_a, in_b| {
+                best.look_far(&relation, in_a, in_b);
+                (!any || best.found.is_none()).then_some(best.square.sqrt())
+            });
+            return best.found;
+        }
+        self.pending.clear();
+        self.pending.push(Pending { nodes: [0, 0], bound: 0.0 });
+        while let Some(Pending { nodes: [in_a, in_b], bound }) = self.pending.pop() {
+            if any && best.found.is_some() {
+                break;
+            }
+            if bound > best.limits[0] {
+                continue;
+            }
+            let (side, node, (bounds, between)) = match relation.larger(in_a, in_b) {
+                Some(Side::A) => {
+                    let node = &a.nodes[in_a as usize];
+                    (Side::A, node, node.quad.distance_squared(&relation.placed_b(in_b), relation.slack[0]))
+                }
+                Some(Side::B) => {
+                    let node = &b.nodes[in_b as usize];
+                    (Side::B, node, node.quad.distance_squared(&relation.placed_a(in_a), relation.slack[1]))
+                }
+                None => {
+                    best.look(&relation, in_a, in_b);
+                    continue;
+                }
+            };
+            let unit = match side {
+                Side::A => 1.0,
+                Side::B => relation.into_a.scale * relation.into_a.scale,
+            };
+            let limit = best.limits[side as usize];
+            let mut bits = 0;
+            let mut measure = [0.0; WIDTH];
+            for (lane, measure) in measure.iter_mut().enumerate() {
+                bits |= u32::from(bounds.0[lane] <= limit) << lane;
+                // Boxes that overlap are all as near as can be: of them those with the nearest middles come first.
+                *measure = bounds.0[lane] + 1e-3 * between.0[lane];
+            }
+            let (order, count) = sorted(bits, measure);
+            for &lane in &order[..count] {
+                let child = node.children[lane];
+                let nodes = match side {
+                    Side::A => [child, in_b],
+                    Side::B => [in_a, child],
+                };
+                self.pending.push(Pending { nodes, bound: bounds.0[lane] * unit });
+            }
+        }
+        best.found
+    }
+}
+
+/// Where two triangles lie in the leaves, if there are such.
+fn places(relation: &Relation<'_>, pair: Option<[u32; 2]>) -> Option<[usize; 2]> {
+    let [a, b] = pair?;
+    let place_a = *relation.a.places.get(a as usize)?;
+    let place_b = *relation.b.places.get(b as usize)?;
+    Some([place_a as usize, place_b as usize])
+}
+
+fn exactly(relation: &Relation<'_>, place_a: usize, place_b: usize) -> Option<TouchingPair> {
+    let (first, second) = (relation.a.triangle(place_a), relation.triangle_of_b(place_b));
+    triangles_overlap(&first, &second).then(|| TouchingPair {
+        triangles: [relation.a.numbers[place_a], relation.b.numbers[place_b]],
+        points_in_a: common_segment(&first, &second),
+    })
+}
+
+/// Visits the pairs in contact of two leaves that are `wanted`, by their places; whether the visitor has seen enough.
+#[inline]
+pub(super) fn touching_leaves(
+    relation: &Relation<'_>,
+    in_a: u32,
+    in_b: u32,
+    wanted: impl Fn(usize, usize) -> bool,
+    enough: &mut impl FnMut(TouchingPair) -> bool,
+) -> bool {
+    let (a, b) = (relation.a, relation.b);
+    let (leaf_a, leaf_b) = (in_a as usize - a.nodes.len(), in_b as usize - b.nodes.len());
+    let slack = relation.slack[0];
+    let from_a = a.leaves[leaf_a].reaching(&relation.placed_b(in_b), slack);
+    if from_a == 0 {
+        return false;
+    }
+    let placed = b.leaves[leaf_b].placed(&relation.into_a);
+    let from_b = placed.reaching(&a.boxes[in_a as usize], slack);
+    if from_b == 0 {
+        return false;
+    }
+    let faced = placed.faced(slack);
+    let places_b = b.places_of(leaf_b);
+    for (lane, place_a) in a.places_of(leaf_a).enumerate() {
+        if from_a >> lane & 1 == 0 {
+            continue;
+        }
+        let mut bits = from_b & faced.overlapping(&a.leaves[leaf_a].one(lane), slack);
+        while bits != 0 {
+            let place_b = places_b.start + bits.trailing_zeros() as usize;
+            bits &= bits - 1;
+            if place_b < places_b.end
+                && wanted(place_a, place_b)
+                && let Some(pair) = exactly(relation, place_a, place_b)
+                && enough(pair)
+            {
+                return true;
+            }
+        }
+    }
+    false
+}
+
+/// The nearest pair so far.
+struct Best {
+    found: Option<Proximity>,
+    /// Squared distance that is still of interest \[m²\].
+    square: f64,
+    /// The same, rounded up, in the units of the two trees.
+    limits: [f32; 2],
+}
+
+impl Best {
+    fn new(relation: &Relation<'_>, limit: f64) -> Self {
+        let mut best = Self { found: None, square: 0.0, limits: [0.0; 2] };
+        best.set(relation, limit * limit);
+        best
+    }
+
+    fn set(&mut self, relation: &Relation<'_>, square: f64) {
+        self.square = square;
+        self.limits = [relation.a.scale, relation.b.scale]
+            .map(|scale| ((square / scale / scale * (1.0 + 1e-6)) as f32).next_up());
+    }
+
+    fn offer(&mut self, relation: &Relation<'_>, place_a: usize, place_b: usize) {
+        let (first, second) = (relation.a.triangle(place_a), relation.triangle_of_b(place_b));
+        let TriangleTriangle { points, distance_squared } = closest_triangles(&first, &second);
+        let nearer =
+            distance_squared < self.square || (self.found.is_none() && distance_squared <= self.square);
+        if nearer {
+            self.found = Some(Proximity {
+                triangles: [relation.a.numbers[place_a], relation.b.numbers[place_b]],
+                points_in_a: points,
+                distance: distance_squared.sqrt(),
+            });
+            self.set(relation, distance_squared);
+        }
+    }
+
+    /// Looks at all triangles of two leaves.
+    fn look_far(&mut self, relation: &Relation<'_>, in_a: u32, in_b: u32) {
+        let (a, b) = (relation.a, relation.b);
+        for place_a in a.places_of(in_a as usize - a.nodes.len()) {
+            for place_b in b.places_of(in_b as usize - b.nodes.len()) {
+                self.offer(relation, place_a, place_b);
+            }
+        }
+    }
+
+    /// Looks at the triangles of two leaves, those that seem nearest first.
+    fn look(&mut self, relation: &Relation<'_>, in_a: u32, in_b: u32) {
+        let (a, b) = (relation.a, relation.b);
+        let (leaf_a, leaf_b) = (in_a as usize - a.nodes.len(), in_b as usize - b.nodes.len());
+        let slack = relation.slack[0];
+        let limit = Lanes::all(self.limits[0]);
+        let from_a = a.leaves[leaf_a].distance_squared(&relation.placed_b(in_b), slack).at_most(limit);
+        if from_a == 0 {
+            return;
+        }
+        let placed = b.leaves[leaf_b].placed(&relation.into_a);
+        let from_b = placed.distance_squared(&a.boxes[in_a as usize], slack).at_most(limit);
+        if from_b == 0 {
+            return;
+        }
+        let faced = placed.faced(slack);
+        let (places_a, places_b) = (a.places_of(leaf_a), b.places_of(leaf_b));
+        let mut bounds = [[f32::INFINITY; WIDTH]; WIDTH];
+        for lane in (0..places_a.len()).filter(|lane| from_a >> lane & 1 == 1) {
+            let found = faced.distance_squared(&a.leaves[leaf_a].one(lane), slack, self.limits[0]).0;
+            for other in (0..places_b.len()).filter(|other| from_b >> other & 1 == 1) {
+                bounds[lane][other] = found[other];
+            }
+        }
+        loop {
+            let (mut least, mut at) = (f32::INFINITY, [0, 0]);
+            for (i, row) in bounds.iter().enumerate() {
+                for (j, &bound) in row.iter().enumerate() {
+                    if bound < least {
+                        (least, at) = (bound, [i, j]);
+                    }
+                }
+            }
+            if least == f32::INFINITY || least > self.limits[0] {
+                return;
+            }
+            bounds[at[0]][at[1]] = f32::INFINITY;
+            self.offer(relation, places_a.start + at[0], places_b.start + at[1]);
+        }
+    }
+}

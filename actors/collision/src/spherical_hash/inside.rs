@@ -1,0 +1,96 @@
+//! Whether a point is inside a hashed body: the sheets that the ray from the centre through it meets further out.
+
+use nalgebra::{Point3, Vector3};
+
+use super::SphericalHash;
+use crate::primitive::Triangle;
+
+/// Share of the product of lengths below which a triple product has no certain sign.
+const UNCERTAIN: f64 = 1e-13;
+
+/// How far other rays run beside an uncertain one, as a share of the body's size.
+const ASIDE: f64 = 1e-9;
+/// Where to: nowhere first, then in directions that no regular mesh has.
+const OFFSETS: [[f64; 3]; 4] = [[0.0; 3], [0.31, 0.57, -0.76], [-0.83, 0.11, 0.54], [0.19, -0.92, 0.34]];
+
+/// What a ray says of one triangle.
+enum Meeting {
+    Missed,
+    /// At this distance from the centre, going out of the surface (1) or into it (-1).
+    Met(f64, i32),
+    /// Too near to an edge to be told.
+    Uncertain,
+}
+
+impl SphericalHash {
+    /// How far it is at most from a point inside to the surface \[m\]; nothing for a point outside.
+    pub(super) fn inside(&mut self, point: &Point3<f64>) -> Option<f64> {
+        // Of regular meshes many rays run through edges and vertices exactly. Rays beside them say the same of all
+        // points that are not closer to the surface than that.
+        let aside = ASIDE * self.size();
+        for offset in OFFSETS {
+            if let Some((winding, within)) = self.winding(&(point + Vector3::from(offset) * aside)) {
+                return (winding != 0).then_some(within + 2.0 * aside);
+            }
+        }
+        let angles: f64 = self.triangles.iter().map(|triangle| solid_angle(point, triangle)).sum();
+        (angles.abs() > std::f64::consts::TAU).then(|| self.size() * 2.0)
+    }
+
+    /// How often the surface goes around a point, and how far it is along the ray; nothing where that is uncertain.
+    fn winding(&mut self, point: &Point3<f64>) -> Option<(i32, f64)> {
+        let size = self.size();
+        let Self { table, triangles, seen, .. } = self;
+        let from_centre = point - table.centre;
+        let radius = from_centre.norm();
+        // In the middle of it any direction will do.
+        let direction =
+            if radius > 1e-12 * size { from_centre / radius } else { Vector3::new(0.48, 0.6, 0.64) };
+        let (mut winding, mut within, mut is_certain) = (0, f64::INFINITY, true);
+        seen.restart();
+        table.along(&direction, radius, |triangle| {
+            if table.radii(triangle)[1] < radius || !seen.is_new(triangle) {
+                return;
+            }
+            match meeting(&direction, &triangles[triangle as usize].map(|corner| corner - table.centre)) {
+                Meeting::Met(at, sign) if at > radius => {
+                    winding += sign;
+                    within = within.min(at - radius);
+                }
+                Meeting::Met(..) | Meeting::Missed => {}
+                Meeting::Uncertain => is_certain = false,
+            }
+        });
+        is_certain.then_some((winding, within))
+    }
+}
+
+fn meeting(direction: &Vector3<f64>, [a, b, c]: &[Vector3<f64>; 3]) -> Meeting {
+    let products = [a.cross(b), b.cross(c), c.cross(a)];
+    let signs = products.map(|product| direction.dot(&product));
+    let certain = UNCERTAIN * a.norm_squared().max(b.norm_squared()).max(c.norm_squared());
+    if signs.iter().any(|sign| *sign > certain) && signs.iter().any(|sign| *sign < -certain) {
+        return Meeting::Missed;
+    }
+    let normal = products[0] + products[1] + products[2];
+    // Without area it encloses nothing.
+    if normal == Vector3::zeros() {
+        return Meeting::Missed;
+    }
+    let ahead = signs[0] + signs[1] + signs[2];
+    let at = normal.dot(a) / ahead;
+    if signs.iter().any(|sign| sign.abs() <= certain) {
+        // On the line of an edge, but behind the centre: met by nothing that goes outwards.
+        return if at < 0.0 && ahead.abs() > certain { Meeting::Missed } else { Meeting::Uncertain };
+    }
+    if at > 0.0 { Meeting::Met(at, if ahead > 0.0 { 1 } else { -1 }) } else { Meeting::Missed }
+}
+
+/// The solid angle under which a triangle is seen, positive from inside \[sr\].
+fn solid_angle(point: &Point3<f64>, triangle: &Triangle) -> f64 {
+    let [a, b, c] = triangle.map(|corner| corner - point);
+    let (x, y, z) = (a.norm(), b.norm(), c.norm());
+    let height = a.dot(&b.cross(&c));
+    let base = x * y * z + a.dot(&b) * z + b.dot(&c) * x + c.dot(&a) * y;
+    2.0 * height.atan2(base)
+}
