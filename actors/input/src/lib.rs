@@ -4,6 +4,8 @@
 //! there, [`grasp_planner`] where a ring can be taken. [`autopilot_controller::AutopilotController`] reads
 //! the snapshot and writes hand targets: like a person, it can move nothing but its hands.
 //!
+//! [`path`] is a movement that is written down, for scenarios that are to go the same way every time.
+//!
 //! [`manual`] lets a person do the same with pointer, keyboard or gamepad.
 #![forbid(unsafe_code)]
 
@@ -13,6 +15,8 @@ pub mod grasp_planner;
 pub mod manual;
 pub mod motor_model;
 pub mod noise;
+pub mod path;
+pub mod path_controller;
 pub mod strategy;
 pub mod trainee_view;
 
@@ -21,6 +25,7 @@ use trocar_scene::{RegistryBuilder, RegistryError};
 pub use autopilot_controller::{AutopilotConfig, AutopilotController};
 pub use manual::{ManualConfig, ManualController};
 pub use motor_model::Skill;
+pub use path_controller::{PathConfig, PathController};
 
 /// Registers this crate's own components.
 ///

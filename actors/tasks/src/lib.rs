@@ -2,15 +2,29 @@
 //!
 //! [`peg_transfer::PegTransfer`] is the exercise as a state machine that is fed with observations;
 //! [`peg_transfer_controller::PegTransferController`] reads them from the scene and writes `TaskState`.
-//! [`fls_score`] and [`motion_metrics`] serve every exercise. Scores are FLS-*style*: no clinical validity is
+//! [`outcome`] judges any scene by what simulators measure of it. [`fls_score`] and [`motion_metrics`] serve every exercise. Scores are FLS-*style*: no clinical validity is
 //! claimed for any of them.
 #![forbid(unsafe_code)]
 
 pub mod fls_score;
 pub mod motion_metrics;
+pub mod outcome;
 pub mod peg_geometry;
 pub mod peg_rules;
 pub mod peg_transfer;
 pub mod peg_transfer_controller;
 
-pub use peg_transfer_controller::{PegTransferConfig, PegTransferController, register};
+use trocar_scene::{RegistryBuilder, RegistryError};
+
+pub use outcome::{OutcomeConfig, OutcomeController};
+pub use peg_transfer_controller::{PegTransferConfig, PegTransferController};
+
+/// Registers this crate's own components.
+///
+/// # Errors
+/// When a name is already taken by another type.
+pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
+    builder.register::<peg_transfer_controller::PegTransferState>()?;
+    builder.register::<outcome::OutcomeState>()?;
+    Ok(())
+}

@@ -7,8 +7,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::peg_bench::{self, BenchError, BenchPeg, BenchRings, find_hand};
 use trocar_scene::{
     Access, BuildContext, Camera, CollisionList, Commands, Component, Controller, ControllerError, Entity,
-    EntitySet, Grasp, Parent, Pose, RegistryBuilder, RegistryError, Side, Snapshot, TaskError, TaskState,
-    Tick, Velocity,
+    EntitySet, Grasp, Parent, Pose, Side, Snapshot, TaskError, TaskState, Tick, Velocity,
 };
 
 use crate::fls_score::FlsWeights;
@@ -44,15 +43,6 @@ pub struct PegTransferState {
 }
 impl Component for PegTransferState {
     const NAME: &'static str = "peg_transfer_state";
-}
-
-/// Registers this crate's own components.
-///
-/// # Errors
-/// When a name is already taken by another type.
-pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
-    builder.register::<PegTransferState>()?;
-    Ok(())
 }
 
 /// Judges a peg transfer; to be run at 100 Hz.

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_scene::{
-    BuildContext, Camera, Collision, CollisionList, Commands, Controller, Entity, EntityAllocator, Events,
-    Grasp, Hand, Instrument, Jobs, Motion, Pose, Primitive, Registry, RegistryBuilder, RigidBody, Shape,
-    Side, SimTime, Store, TaskState, Tick, Velocity, WriterRules,
+    BuildContext, Camera, Collision, CollisionList, Commands, Controller, Detection, Entity, EntityAllocator,
+    Events, Grasp, Hand, Instrument, Jobs, Motion, Pose, Primitive, Registry, RegistryBuilder, RigidBody,
+    Shape, Side, SimTime, Store, TaskState, Tick, Velocity, WriterRules,
 };
 use trocar_tasks::peg_transfer_controller::mirrored_start;
 use trocar_tasks::{PegTransferConfig, PegTransferController};
@@ -181,11 +181,13 @@ fn a_touch_in_the_collision_list_starts_the_clock() {
             primitive_a: Primitive::Shape(0),
             b: GRASPERS[1],
             primitive_b: Primitive::Jaw(0),
-            point_in_world: nalgebra::Point3::origin(),
+            points_in_world: [nalgebra::Point3::origin(); 2],
             normal_in_world: Vector3::z(),
             depth,
             force_in_world: Vector3::zeros(),
             velocity_constraint: 0.0,
+            method: Detection::Engine,
+            detected_at: SimTime::ZERO,
         }],
         ..CollisionList::default()
     };

@@ -1,0 +1,103 @@
+//! The controller that schedules a [`Path`]: time → hand target, and what is switched on.
+
+use serde::{Deserialize, Serialize};
+use trocar_scene::kinematics::coupling::InstrumentCoupling;
+use trocar_scene::kinematics::hand_rig::HandRig;
+use trocar_scene::{
+    Access, Activation, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, Hand,
+    HandTarget, Snapshot, Tick,
+};
+
+use crate::path::{Moment, Path, Step};
+use crate::trainee_view::tip_pose;
+
+/// A movement as a scenario file describes it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PathConfig {
+    /// Name of the entity of the hand.
+    pub hand: String,
+    /// Opening of the jaws at the start \[rad\].
+    #[serde(default)]
+    pub jaws: f64,
+    /// What it does, one after the other, from the start of the session on.
+    pub step: Vec<Step>,
+}
+
+/// Moves one virtual hand along a path. It needs nothing but the time to go on after a restart.
+pub struct PathController {
+    hand: Entity,
+    rig: HandRig,
+    path: Path,
+    activates: bool,
+    level: Option<f64>,
+}
+
+fn wrong(what: impl std::fmt::Display) -> ControllerError {
+    ControllerError::Scene(format!("path: {what}"))
+}
+
+impl PathController {
+    /// Finds the hand; its path starts where its instrument is in the scenario.
+    ///
+    /// # Errors
+    /// Names what the scene lacks, or the step that cannot be taken.
+    pub fn new(config: &PathConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let scene = context.scene;
+        let hand = scene.find(&config.hand).filter(|hand| scene.get::<Hand>(*hand).is_some());
+        let Some(hand) = hand else {
+            let mut known: Vec<String> = scene.iter::<Hand>().map(|(hand, _)| scene.name(hand)).collect();
+            known.sort_unstable();
+            return Err(wrong(format_args!("no hand '{}'; there are: {}", config.hand, known.join(", "))));
+        };
+        let rig = HandRig::read(scene, hand).map_err(wrong)?;
+        // The first target is where the scenario has the handle: the origin of the device.
+        let home = rig.tip_in_world(&nalgebra::Isometry3::identity(), &-nalgebra::Vector3::z());
+        let start = Moment {
+            tip_in_world: home.translation.vector.into(),
+            jaw_angle: config.jaws,
+            closing_in_world: nalgebra::Vector3::x(),
+            level: 0.0,
+        };
+        let path = Path::new(start, &config.step).map_err(wrong)?;
+        let activates = config.step.iter().any(|step| step.level.is_some());
+        Ok(Self { hand, rig, path, activates, level: None })
+    }
+
+    fn target(&self, moment: &Moment) -> HandTarget {
+        let apex = match &self.rig.coupling {
+            InstrumentCoupling::Fulcrum(fulcrum) => *fulcrum.port_in_world(),
+            // A free shaft points where its device's axis does.
+            _ => {
+                let along = self.rig.registration.world_from_device().rotation * nalgebra::Vector3::z();
+                moment.tip_in_world.coords - along
+            }
+        };
+        let tip = tip_pose(&moment.tip_in_world.coords, &apex, &moment.closing_in_world);
+        HandTarget {
+            handle_in_device: self.rig.handle_in_device(&tip).into(),
+            gripper: moment.jaw_angle.clamp(0.0, self.rig.jaw_angle_max),
+        }
+    }
+}
+
+impl Controller for PathController {
+    fn access(&self) -> Access {
+        let access = Access::new().writes::<HandTarget>(EntitySet::Of(vec![self.hand]));
+        if self.activates {
+            access.reads::<Activation>().writes::<Activation>(EntitySet::Of(vec![self.rig.instrument]))
+        } else {
+            access
+        }
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, _: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let moment = self.path.at(tick.time.as_secs_f64());
+        out.put(self.hand, self.target(&moment));
+        if self.activates && self.level != Some(moment.level) {
+            self.level = Some(moment.level);
+            out.put(self.rig.instrument, Activation { level: moment.level, since: tick.time });
+        }
+        Ok(())
+    }
+}

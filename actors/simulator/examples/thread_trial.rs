@@ -1,0 +1,42 @@
+//! Ties a knot of prescribed throws around nothing but itself, tightens it, lets go of the ears and loads the loop: how
+//! far does it slip?
+//!
+//! `cargo run --release -p trocar-simulator --example thread_trial -- "3 -3" 0.2 2.0 5 [dt] [segment/diameter]`
+
+use trocar_simulator::thread::{Thread, ThreadMaterial, knot};
+
+#[path = "../tests/thread_support/mod.rs"]
+mod thread_support;
+
+fn main() {
+    let of =
+        |k: usize, other: f64| std::env::args().nth(k).and_then(|text| text.parse().ok()).unwrap_or(other);
+    let turns: Vec<i32> = std::env::args()
+        .nth(1)
+        .unwrap_or_else(|| "3 -3".to_owned())
+        .split_whitespace()
+        .filter_map(|text| text.parse().ok())
+        .collect();
+    let (friction, pull, seconds, dt, segment) =
+        (of(2, 0.2), of(3, 2.0), of(4, 3.0), of(5, 1e-3), of(6, 1.5));
+    let tight = of(7, 3.0);
+    let material = ThreadMaterial {
+        friction,
+        twisting_stiffness: of(9, 2.5e-6),
+        bending_stiffness: of(10, 3.5e-8),
+        ..ThreadMaterial::silk_2_0()
+    };
+    let points = thread_support::loose_knot(&turns, material.radius, segment * material.diameter());
+    println!("{} nodes, {:?}", points.len(), knot::identify(&points).map(|knot| knot.kind.to_string()));
+    let mut thread = Thread::new(material, &points).expect("a thread");
+    thread.set_sweeps(of(8, 200.0) as usize);
+    let begun = std::time::Instant::now();
+    let mut bend = thread_support::Bend::new(thread);
+    let tightened = bend.tighten(tight, 0.25, dt);
+    println!("tightened {tightened:?} after {:?}", begun.elapsed());
+    let report = bend.load(pull, seconds, dt, |t, slip, report| {
+        println!("{t:.3} s: slip {:.4} mm {report:?}", slip * 1e3)
+    });
+    println!("{report:?}; {:?}", begun.elapsed());
+    println!("{:?}", knot::identify(bend.thread.positions()).map(|knot| knot.kind.to_string()));
+}

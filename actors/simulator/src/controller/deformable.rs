@@ -1,0 +1,142 @@
+//! A deforming body as the scene has it, whichever method moves it.
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_scene::{
+    Access, Anchors, Commands, Component, ControllerError, Entity, EntitySet, Frozen, LineMesh,
+    RestPositions, Snapshot, SurfaceMesh, TetMesh, Tick, VertexPositions, VertexVelocities,
+};
+
+/// A body with vertices that move.
+#[derive(Clone, Debug)]
+pub struct Deformable {
+    /// Whose it is.
+    pub entity: Entity,
+    /// Its name, for messages and measures.
+    pub name: String,
+    /// Vertices without any force, in its frame \[m\].
+    pub rest: Arc<Vec<Point3<f64>>>,
+    /// Vertices where they are, in its frame \[m\].
+    pub positions: Arc<Vec<Point3<f64>>>,
+    /// Velocities of the vertices \[m/s\].
+    pub velocities: Arc<Vec<Vector3<f64>>>,
+    /// Its surface.
+    pub triangles: Arc<Vec<[u32; 3]>>,
+    /// Its volume, if it has one.
+    pub tets: Arc<Vec<[u32; 4]>>,
+    /// Its line, if it is one, and the radius of that \[m\].
+    pub segments: Arc<Vec<[u32; 2]>>,
+    /// Radius of the line \[m\].
+    pub radius: f64,
+    /// Vertices that are held where they are, ascending.
+    pub pinned: Vec<u32>,
+    /// Where that is.
+    pub anchors: Anchors,
+    /// Whether the scene has its shape at rest already.
+    has_rest: bool,
+}
+
+impl Deformable {
+    /// Every entity that carries `T`, in order.
+    pub fn carriers<T: Component>(scene: &Snapshot) -> Vec<Entity> {
+        let mut carriers: Vec<Entity> = scene.iter::<T>().map(|(entity, _)| entity).collect();
+        carriers.sort_unstable();
+        carriers
+    }
+
+    /// Reads a body. What is not there yet is as at rest.
+    ///
+    /// # Errors
+    /// It has no vertices, or numbers of them that do not go together.
+    pub fn read(scene: &Snapshot, entity: Entity) -> Result<Self, ControllerError> {
+        let name = scene.name(entity);
+        let wrong = |what: &str| ControllerError::Scene(format!("'{name}' {what}"));
+        let Some(vertices) = scene.get::<VertexPositions>(entity) else {
+            return Err(wrong("has no vertices to move: give it a mesh"));
+        };
+        let positions = vertices.positions.clone();
+        let rest = scene.get::<RestPositions>(entity);
+        let has_rest = rest.is_some();
+        let rest = rest.map_or_else(|| positions.clone(), |rest| rest.positions.clone());
+        let velocities = scene.get::<VertexVelocities>(entity);
+        let velocities = match velocities {
+            Some(velocities) => velocities.velocities.clone(),
+            None => Arc::new(vec![Vector3::zeros(); positions.len()]),
+        };
+        if rest.len() != positions.len() || velocities.len() != positions.len() {
+            return Err(wrong("has other numbers of vertices, of vertices at rest and of velocities"));
+        }
+        let anchors = scene.get::<Anchors>(entity).cloned().unwrap_or_default();
+        let held = rest.iter().enumerate().filter(|(_, point)| anchors.hold(point));
+        let pinned = held.map(|(vertex, _)| vertex as u32).collect();
+        let line = scene.get::<LineMesh>(entity);
+        let triangles = scene.get::<SurfaceMesh>(entity).map(|surface| surface.triangles.clone());
+        let tets = scene.get::<TetMesh>(entity).map(|volume| volume.tets.clone());
+        Ok(Self {
+            entity,
+            rest,
+            positions,
+            velocities,
+            triangles: triangles.unwrap_or_default(),
+            tets: tets.unwrap_or_default(),
+            segments: line.map(|line| line.segments.clone()).unwrap_or_default(),
+            radius: line.map_or(0.0, |line| line.radius),
+            pinned,
+            anchors,
+            has_rest,
+            name,
+        })
+    }
+
+    /// What a controller of deforming bodies reads and writes of them.
+    pub fn access(bodies: &[Entity]) -> Access {
+        let all = || EntitySet::Of(bodies.to_vec());
+        Access::new()
+            .reads::<Anchors>()
+            .reads::<SurfaceMesh>()
+            .reads::<TetMesh>()
+            .reads::<LineMesh>()
+            .reads::<Frozen>()
+            .writes::<VertexPositions>(all())
+            .writes::<VertexVelocities>(all())
+            .writes::<RestPositions>(all())
+            .writes::<Frozen>(all())
+    }
+
+    /// Tells the scene where the body is.
+    pub fn write(&mut self, positions: &[Point3<f64>], velocities: &[Vector3<f64>], out: &mut Commands) {
+        if !self.has_rest {
+            out.put(self.entity, RestPositions { positions: self.rest.clone() });
+            self.has_rest = true;
+        }
+        fill(&mut self.positions, positions);
+        fill(&mut self.velocities, velocities);
+        out.put(self.entity, VertexPositions { positions: self.positions.clone() });
+        out.put(self.entity, VertexVelocities { velocities: self.velocities.clone() });
+    }
+
+    /// Its shape at rest is another one from now on.
+    pub fn changed_topology(&mut self) {
+        self.has_rest = false;
+    }
+
+    /// Tells everybody that its solver had to stop it where it is.
+    pub fn freeze(&self, reason: &dyn std::fmt::Display, tick: &Tick<'_>, out: &mut Commands) {
+        out.put(self.entity, Frozen { reason: reason.to_string(), since: tick.time });
+        out.event("frozen", self.entity, None, tick.time.as_secs_f64());
+    }
+
+    /// Gravity in its frame \[m/s²\].
+    pub fn gravity(gravity_in_world: &Vector3<f64>, world_from_body: &Isometry3<f64>) -> Vector3<f64> {
+        world_from_body.rotation.inverse() * gravity_in_world
+    }
+}
+
+/// Writes over a shared list, in place where nobody else has it.
+fn fill<T: Copy>(shared: &mut Arc<Vec<T>>, values: &[T]) {
+    match Arc::get_mut(shared) {
+        Some(own) if own.len() == values.len() => own.copy_from_slice(values),
+        _ => *shared = Arc::new(values.to_vec()),
+    }
+}

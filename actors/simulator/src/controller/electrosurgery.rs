@@ -1,0 +1,351 @@
+//! The controller of tissue under electrodes: what is switched on at the tip of an instrument heats, burns and removes.
+//!
+//! Temperatures and burns go to the vertices of the body, for the edit map; elements that are gone are taken out of its
+//! surface. The volume itself is left to the solver of its mechanics, which reads [`RemovedElements`].
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::Point3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_scene::mesh::TetData;
+use trocar_scene::{
+    Access, Activation, BuildContext, Burn, Commands, Component, ComponentError, Controller, ControllerError,
+    Entity, EntitySet, Frozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy, Snapshot,
+    SurfaceMesh, Temperature, Tick,
+};
+
+use super::deformable::Deformable;
+use crate::electrosurgery::{
+    Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, ThermalMaterial, Tissue,
+};
+
+/// Ticks between two states that a later life goes on from; whatever removes tissue is kept at once.
+const STATE_EVERY: u64 = 10;
+
+/// Tissue that electrodes burn: a volume, or, with a thickness, a membrane.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct CauterisedBody {
+    /// Thickness of a membrane \[m\]; a volume has none.
+    pub thickness: Option<f64>,
+    /// Edge of the cells at the tip \[m\]; 0.5 mm or less carries its field.
+    pub spacing: f64,
+    /// Whether boiling takes heat.
+    pub latent_heat: bool,
+    /// Blood that passes, by volume \[1/s\].
+    pub perfusion: f64,
+}
+
+impl Default for CauterisedBody {
+    fn default() -> Self {
+        let perfusion = ThermalMaterial::default().perfusion;
+        Self { thickness: None, spacing: LatticeConfig::default().spacing, latent_heat: true, perfusion }
+    }
+}
+
+impl Component for CauterisedBody {
+    const NAME: &'static str = "cauterised";
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("spacing", self.spacing, 5e-5..=5e-3, "5e-5 to 5e-3 m")?;
+        ComponentError::range("thickness", self.thickness.unwrap_or(1e-3), 1e-5..=0.05, "1e-5 to 0.05 m")?;
+        ComponentError::range("perfusion", self.perfusion, 0.0..=1.0, "0 to 1 1/s")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+/// An instrument that burns while it is switched on.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ElectrodeTip {
+    /// Power at full activation \[W\].
+    pub power: f64,
+    /// Whether it coagulates; else it cuts.
+    pub coagulates: bool,
+    /// Area in contact with tissue \[m²\].
+    pub contact_area: f64,
+}
+
+impl Default for ElectrodeTip {
+    /// A hook: 30 W, about 1 mm².
+    fn default() -> Self {
+        Self { power: 30.0, coagulates: false, contact_area: 1e-6 }
+    }
+}
+
+impl Component for ElectrodeTip {
+    const NAME: &'static str = "electrode";
+    fn check(&self) -> Result<(), ComponentError> {
+        ComponentError::range("power", self.power, 0.0..=400.0, "0 to 400 W")?;
+        ComponentError::range("contact_area", self.contact_area, 1e-8..=1e-4, "1e-8 to 1e-4 m²")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+/// Elements of a body's mesh at rest that are gone: tetrahedra of a volume, triangles of a membrane.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RemovedElements {
+    /// In the order in which they went.
+    pub elements: Arc<Vec<u32>>,
+}
+impl Component for RemovedElements {
+    const NAME: &'static str = "removed_elements";
+}
+
+/// What a later life goes on from. Too large to be recorded; what comes of it is.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct HeatState {
+    /// The surface before anything went.
+    pub triangles: Arc<Vec<[u32; 3]>>,
+    /// The tissue.
+    pub state: Arc<ElectrosurgeryState>,
+}
+impl Component for HeatState {
+    const NAME: &'static str = "heat_state";
+    const RECORD: RecordPolicy = RecordPolicy::Derived;
+}
+
+struct Body {
+    body: Deformable,
+    kind: CauterisedBody,
+    tissue: Electrosurgery,
+    triangles: Arc<Vec<[u32; 3]>>,
+    removed: Vec<u32>,
+    volume_removed: f64,
+    hottest: f64,
+    /// Of its surface \[m²\]: all of it before anything went, and its pieces now.
+    area_before: f64,
+    areas: Vec<f64>,
+    frozen: bool,
+}
+
+impl Body {
+    fn read(scene: &Snapshot, entity: Entity, kind: CauterisedBody) -> Result<Self, ControllerError> {
+        let body = Deformable::read(scene, entity)?;
+        let wrong = |what: String| ControllerError::Scene(format!("'{}': {what}", body.name));
+        let known = scene.get::<HeatState>(entity);
+        let triangles = known.map_or_else(|| body.triangles.clone(), |known| known.triangles.clone());
+        let tissue = match kind.thickness {
+            Some(thickness) => Tissue::Membrane { positions: &body.rest, triangles: &triangles, thickness },
+            None => Tissue::Volume { positions: &body.rest, tets: &body.tets },
+        };
+        if tissue.element_count() == 0 {
+            let what =
+                if kind.thickness.is_some() { "surface" } else { "volume; a membrane has a 'thickness'" };
+            return Err(wrong(format!("'cauterised' needs a mesh with a {what}")));
+        }
+        let material = ThermalMaterial {
+            has_latent_heat: kind.latent_heat,
+            perfusion: kind.perfusion,
+            ..ThermalMaterial::default()
+        };
+        let lattice = LatticeConfig { spacing: kind.spacing, ..LatticeConfig::default() };
+        let heated = match known {
+            Some(known) => Electrosurgery::restore(&tissue, material, lattice, &known.state),
+            None => Electrosurgery::new(&tissue, material, lattice),
+        };
+        let tissue = heated.map_err(|error| wrong(error.to_string()))?;
+        let removed = known.map(|known| known.state.removed.clone()).unwrap_or_default();
+        let frozen = scene.get::<Frozen>(entity).is_some();
+        let area_before = pieces(&triangles, &body.rest).iter().sum();
+        let (volume_removed, hottest, areas) = (0.0, 0.0, Vec::new());
+        let mut this = Self {
+            body,
+            kind,
+            tissue,
+            triangles,
+            removed,
+            volume_removed,
+            hottest,
+            area_before,
+            areas,
+            frozen,
+        };
+        this.areas = pieces(&this.surface(), &this.body.rest);
+        Ok(this)
+    }
+
+    /// Its surface without what is gone.
+    fn surface(&self) -> Vec<[u32; 3]> {
+        let gone = self.tissue.removed();
+        if self.kind.thickness.is_some() {
+            let all = self.triangles.iter().enumerate();
+            return all.filter(|(index, _)| !gone[*index]).map(|(_, triangle)| *triangle).collect();
+        }
+        let left = self.body.tets.iter().enumerate().filter(|(index, _)| !gone[*index]);
+        let tets = left.map(|(_, tet)| *tet).collect();
+        TetData { positions: Vec::new(), tets, tags: Vec::new() }.boundary_triangles()
+    }
+
+    fn write(&mut self, tick: &Tick<'_>, out: &mut Commands) {
+        let vertices = 0..self.tissue.vertex_count() as u32;
+        let (celsius, omega) = vertices.filter_map(|vertex| self.tissue.vertex(vertex)).unzip();
+        out.put(self.body.entity, Temperature { celsius: Arc::new(celsius) });
+        out.put(self.body.entity, Burn { omega: Arc::new(omega) });
+        let went = !self.tissue.removed_in_step().is_empty();
+        if went {
+            let surface = self.surface();
+            self.areas = pieces(&surface, &self.body.rest);
+            out.put(self.body.entity, SurfaceMesh { triangles: Arc::new(surface) });
+            out.put(self.body.entity, RemovedElements { elements: Arc::new(self.removed.clone()) });
+        }
+        if went || tick.number.is_multiple_of(STATE_EVERY) {
+            let state = Arc::new(self.tissue.state());
+            out.put(self.body.entity, HeatState { triangles: self.triangles.clone(), state });
+        }
+    }
+
+    fn measure(&self, values: &mut BTreeMap<String, f64>) {
+        let name = &self.body.name;
+        let ledger = self.tissue.ledger();
+        let mut put = |what: &str, value: f64| values.insert(format!("{name}.{what}"), value);
+        put("heat_supplied_j", ledger.supplied);
+        put("heat_missing_share", ledger.missing(self.tissue.stored()).abs() / ledger.supplied.max(1e-9));
+        put("removed_volume_m3", self.volume_removed);
+        put("removed_elements", self.removed.len() as f64);
+        put("hottest_celsius", self.hottest);
+        put("pieces", self.areas.len() as f64);
+        put("largest_piece_share", self.areas.first().unwrap_or(&0.0) / self.area_before.max(1e-12));
+    }
+}
+
+/// Areas of the parts of a surface that share no vertex, the largest first \[m²\].
+fn pieces(triangles: &[[u32; 3]], positions: &[Point3<f64>]) -> Vec<f64> {
+    let mut parent: Vec<usize> = (0..positions.len()).collect();
+    let root = |parent: &mut Vec<usize>, mut x: usize| {
+        while parent[x] != x {
+            parent[x] = parent[parent[x]];
+            x = parent[x];
+        }
+        x
+    };
+    for triangle in triangles {
+        let first = root(&mut parent, triangle[0] as usize);
+        for &vertex in &triangle[1..] {
+            let other = root(&mut parent, vertex as usize);
+            parent[other] = first;
+        }
+    }
+    let mut areas: BTreeMap<usize, f64> = BTreeMap::new();
+    for triangle in triangles {
+        let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
+        let area = 0.5 * (b - a).cross(&(c - a)).norm();
+        *areas.entry(root(&mut parent, triangle[0] as usize)).or_default() += area;
+    }
+    let mut areas: Vec<f64> = areas.into_values().collect();
+    areas.sort_by(|a, b| b.total_cmp(a));
+    areas
+}
+
+/// Heats every body that carries [`CauterisedBody`].
+pub struct ElectrosurgeryController {
+    bodies: Vec<Body>,
+    electrodes: Vec<Electrode>,
+}
+
+impl ElectrosurgeryController {
+    /// Reads the bodies, and goes on where an earlier life left them.
+    ///
+    /// # Errors
+    /// Names the body, and what is wrong with it.
+    pub fn new(context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let mut bodies = Vec::new();
+        for entity in Deformable::carriers::<CauterisedBody>(context.scene) {
+            let Some(kind) = context.scene.get::<CauterisedBody>(entity).copied() else { continue };
+            let mut body = Body::read(context.scene, entity, kind)?;
+            if let Some(before) = context.scene.get::<Measured>(context.me) {
+                let of = |what: &str| before.values.get(&format!("{}.{what}", body.body.name)).copied();
+                (body.volume_removed, body.hottest) =
+                    (of("removed_volume_m3").unwrap_or_default(), of("hottest_celsius").unwrap_or_default());
+            }
+            bodies.push(body);
+        }
+        if bodies.is_empty() {
+            return Err(ControllerError::Scene("electrosurgery: no entity is 'cauterised'".into()));
+        }
+        Ok(Self { bodies, electrodes: Vec::new() })
+    }
+}
+
+impl Controller for ElectrosurgeryController {
+    fn access(&self) -> Access {
+        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
+        let all = || EntitySet::Of(bodies.clone());
+        Access::new()
+            .reads::<CauterisedBody>()
+            .reads::<ElectrodeTip>()
+            .reads::<Activation>()
+            .reads::<Instrument>()
+            .reads::<Pose>()
+            .writes::<Temperature>(all())
+            .writes::<Burn>(all())
+            .writes::<SurfaceMesh>(all())
+            .writes::<RemovedElements>(all())
+            .writes::<HeatState>(all())
+            .writes::<Frozen>(all())
+            .writes::<Measured>(EntitySet::Own)
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let mut measured = Measured::default();
+        for body in &mut self.bodies {
+            let body_from_world = scene.world_pose(body.body.entity).inverse();
+            self.electrodes.clear();
+            for (entity, tip) in scene.iter::<ElectrodeTip>() {
+                let level = scene.get::<Activation>(entity).map_or(0.0, |activation| activation.level);
+                let burns = scene
+                    .get::<Instrument>(entity)
+                    .is_none_or(|instrument| instrument.kind == InstrumentKind::HookCautery);
+                if level > 0.0 && burns {
+                    let tip_in_world = Point3::from(scene.world_pose(entity).translation.vector);
+                    self.electrodes.push(Electrode {
+                        tip_in_rest: body_from_world * tip_in_world,
+                        power: tip.power * level,
+                        mode: if tip.coagulates { Mode::Coagulate } else { Mode::Cut },
+                        contact_area: tip.contact_area,
+                    });
+                }
+            }
+            if !body.frozen {
+                match body.tissue.step(tick.period.as_secs_f64(), &self.electrodes) {
+                    Ok(report) => {
+                        body.volume_removed += report.removed_volume;
+                        body.hottest = body.hottest.max(report.hottest);
+                        body.removed.extend_from_slice(body.tissue.removed_in_step());
+                        body.write(tick, out);
+                    }
+                    Err(error) => {
+                        body.frozen = true;
+                        body.body.freeze(&error, tick, out);
+                    }
+                }
+            }
+            body.measure(&mut measured.values);
+        }
+        out.put(tick.me, measured);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_of_a_surface_that_share_no_vertex_are_pieces() {
+        let points: Vec<Point3<f64>> =
+            (0..8).map(|k| Point3::new(f64::from(k), f64::from(k * k), 0.0)).collect();
+        let area = |triangle: [u32; 3]| pieces(&[triangle], &points)[0];
+        assert!(pieces(&[], &points).is_empty());
+        let two = pieces(&[[0, 1, 2], [2, 3, 4], [5, 6, 7]], &points);
+        assert_eq!(two, [area([0, 1, 2]) + area([2, 3, 4]), area([5, 6, 7])]);
+        assert_eq!(pieces(&[[0, 1, 2], [5, 6, 7], [4, 7, 2]], &points).len(), 1);
+    }
+}

@@ -1,0 +1,181 @@
+//! Instruments that go where the hand wants them: what they meet gives way, and pushes back.
+//!
+//! For scenes without a physics engine that moves instruments as bodies. What the simulators say that they exert is in
+//! the contacts of the one collision list; here it becomes the force on the instrument, and the plane that haptics
+//! evaluates between two ticks (Adachi, Kumano, Ogino 1995: intermediate representation).
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use trocar_scene::{
+    Access, BuildContext, CollisionList, Commands, ContactPlane, Controller, ControllerError, Entity,
+    EntitySet, Instrument, InstrumentForce, InstrumentTarget, JawState, LocalContactModel, Parent, Pose,
+    Snapshot, Tick, Velocity,
+};
+
+/// Forces below this are none \[N\].
+const FORCE_MIN: f64 = 1e-6;
+/// A plane is never stiffer than hands can hold \[N/m\], nor softer than can be told from nothing.
+const STIFFNESS: std::ops::RangeInclusive<f64> = 5.0..=1500.0;
+
+/// How instruments follow their hands.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct InstrumentsConfig {
+    /// Speed of opening and closing the jaws \[rad/s\].
+    pub jaw_rate_max: f64,
+    /// Largest force that it tells a hand \[N\].
+    pub force_max: f64,
+    /// Damping of the plane that haptics evaluates, as a share of its critical one for `mass`.
+    pub damping_ratio: f64,
+}
+
+impl Default for InstrumentsConfig {
+    fn default() -> Self {
+        Self { jaw_rate_max: 6.0, force_max: 10.0, damping_ratio: 0.3 }
+    }
+}
+
+impl InstrumentsConfig {
+    /// Refuses numbers out of range.
+    ///
+    /// # Errors
+    /// Names the number and its range.
+    pub fn check(&self) -> Result<(), String> {
+        for (name, value, range) in [
+            ("jaw_rate_max", self.jaw_rate_max, 0.01..=100.0),
+            ("force_max", self.force_max, 0.0..=100.0),
+            ("damping_ratio", self.damping_ratio, 0.0..=2.0),
+        ] {
+            if !range.contains(&value) {
+                return Err(format!(
+                    "{name}: {value} is out of range ({} to {})",
+                    range.start(),
+                    range.end()
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Moves every instrument that has a target.
+pub struct InstrumentsController {
+    config: InstrumentsConfig,
+    instruments: Vec<Entity>,
+}
+
+/// What pushes an instrument.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Push {
+    force: Vector3<f64>,
+    torque: Vector3<f64>,
+    /// Sum of the forces' sizes \[N\], and of the same times their depths \[N·m\].
+    size: f64,
+    size_by_depth: f64,
+}
+
+impl InstrumentsController {
+    /// Finds the instruments of the scene.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn new(config: InstrumentsConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let mut instruments: Vec<Entity> =
+            context.scene.iter::<Instrument>().map(|(entity, _)| entity).collect();
+        instruments.sort_unstable();
+        if instruments.is_empty() {
+            return Err(ControllerError::Scene("instruments: the scene has none".into()));
+        }
+        Ok(Self { config, instruments })
+    }
+
+    fn push_on(scene: &Snapshot, instrument: Entity, tip: &nalgebra::Point3<f64>) -> Push {
+        let mut push = Push::default();
+        for collision in scene.iter::<CollisionList>().flat_map(|(_, list)| &list.collisions) {
+            // A collision holds the force on its second one.
+            let force = match (collision.a == instrument, collision.b == instrument) {
+                (false, true) => collision.force_in_world,
+                (true, false) => -collision.force_in_world,
+                _ => continue,
+            };
+            push.force += force;
+            push.torque += (collision.middle_in_world() - tip).cross(&force);
+            push.size += force.norm();
+            push.size_by_depth += force.norm() * collision.depth.max(0.0);
+        }
+        push
+    }
+
+    fn model(&self, target: &InstrumentTarget, mass: f64, push: &Push, tick: &Tick<'_>) -> LocalContactModel {
+        let mut model = LocalContactModel {
+            proxy_in_world: target.tip_in_world,
+            proxy_velocity: target.velocity_in_world,
+            at: tick.time,
+            ..LocalContactModel::default()
+        };
+        let force = push.force.norm().min(self.config.force_max);
+        if force > FORCE_MIN {
+            let normal = push.force.normalize();
+            // As stiff as the contacts are together: their forces over their mean depth.
+            let depth = push.size_by_depth / push.size;
+            let stiffness = (force / depth.max(1e-6)).clamp(*STIFFNESS.start(), *STIFFNESS.end());
+            let tip = target.tip_in_world.translation;
+            model.planes[0] = Some(ContactPlane {
+                point_in_world: (tip + normal * (force / stiffness)).into(),
+                normal_in_world: normal,
+                stiffness,
+                damping: self.config.damping_ratio * 2.0 * (stiffness * mass).sqrt(),
+                friction: 0.0,
+            });
+        }
+        model
+    }
+}
+
+impl Controller for InstrumentsController {
+    fn access(&self) -> Access {
+        let all = || EntitySet::Of(self.instruments.clone());
+        Access::new()
+            .reads::<Instrument>()
+            .reads::<InstrumentTarget>()
+            .reads::<Parent>()
+            .reads::<CollisionList>()
+            .reads::<JawState>()
+            .writes::<Pose>(all())
+            .writes::<Velocity>(all())
+            .writes::<JawState>(all())
+            .writes::<InstrumentForce>(all())
+            .writes::<LocalContactModel>(all())
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        for &entity in &self.instruments {
+            let (Some(instrument), Some(target)) =
+                (scene.get::<Instrument>(entity), scene.get::<InstrumentTarget>(entity))
+            else {
+                continue;
+            };
+            let pose = match scene.get::<Parent>(entity) {
+                Some(parent) => {
+                    (scene.world_pose(parent.0).inverse() * target.tip_in_world.isometry()).into()
+                }
+                None => target.tip_in_world,
+            };
+            out.put(entity, pose);
+            out.put(entity, target.velocity_in_world);
+            let wanted = target.jaw_angle.clamp(0.0, instrument.jaw_angle_max);
+            let before = scene.get::<JawState>(entity).map_or(wanted, |jaws| jaws.angle);
+            let step = self.config.jaw_rate_max * tick.period.as_secs_f64();
+            let angle = before + (wanted - before).clamp(-step, step);
+            let rate = (angle - before) / tick.period.as_secs_f64();
+            let tip = target.tip_in_world.translation.into();
+            let push = Self::push_on(scene, entity, &tip);
+            let shorter = (self.config.force_max / push.force.norm().max(FORCE_MIN)).min(1.0);
+            out.put(entity, JawState { angle, rate, pad_force: [0.0; 2] });
+            let (force, torque) = (push.force * shorter, push.torque * shorter);
+            out.put(entity, InstrumentForce { force, torque, at: tick.time });
+            out.put(entity, self.model(target, instrument.mass, &push, tick));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,207 @@
+//! Where rods touch a deforming body: every vertex within a rod, and for each rod the deepest place on the surface or the
+//! line, so that thin jaws between coarse vertices are felt as well.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_collision::primitive::{closest_on_segment, closest_segment_triangle, closest_segments};
+use trocar_scene::{Collision, Detection, Entity, Primitive, SimTime};
+
+use super::tools::Rod;
+
+/// Most contacts that a controller tells the collision list; the deepest ones stay.
+pub const COLLISIONS_MAX: usize = 64;
+
+/// One place where a rod touches.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Touch {
+    /// Which rod of the list.
+    pub rod: usize,
+    /// Corners of what is touched; one vertex three times for a vertex, the last twice for a segment.
+    pub nodes: [u32; 3],
+    /// Where on it: each in \[0, 1\], their sum 1.
+    pub weights: [f64; 3],
+    /// Unit direction from the rod to the body.
+    pub normal: Vector3<f64>,
+    /// How deep \[m\].
+    pub depth: f64,
+    /// Velocity of the rod there \[m/s\].
+    pub velocity: Vector3<f64>,
+    /// Nearest place on the rod's axis \[m\].
+    pub on_axis: Point3<f64>,
+    /// Index of the triangle or segment; of a vertex there is none.
+    pub element: Option<u32>,
+}
+
+/// What may be touched.
+#[derive(Clone, Copy, Debug)]
+pub struct Skin<'a> {
+    /// Vertices \[m\].
+    pub positions: &'a [Point3<f64>],
+    /// Surface.
+    pub triangles: &'a [[u32; 3]],
+    /// Line.
+    pub segments: &'a [[u32; 2]],
+    /// How far its surface is from what the vertices tell \[m\]: half the thickness of a cloth, the radius of a thread.
+    pub thickness: f64,
+}
+
+/// Fills `touches` with every touch, by rod; each rod's vertices first.
+pub fn touches(rods: &[Rod], skin: &Skin<'_>, touches: &mut Vec<Touch>) {
+    touches.clear();
+    for (index, rod) in rods.iter().enumerate() {
+        touch_vertices(index, rod, skin, touches);
+        let deepest = deepest_element(index, rod, skin);
+        let known = touches.iter().filter(|touch| touch.rod == index).map(|touch| touch.depth);
+        let deeper = known.fold(0.0, f64::max);
+        touches.extend(deepest.filter(|touch| touch.depth > deeper));
+    }
+}
+
+/// The touch of a rod by what is nearest to its axis, if it is within reach.
+fn touch(rod: (usize, &Rod), thickness: f64, along: f64, on_body: Point3<f64>) -> Option<Touch> {
+    let (index, rod) = rod;
+    let on_axis = rod.ends[0].lerp(&rod.ends[1], along);
+    let away = on_body - on_axis;
+    let distance = away.norm();
+    let depth = rod.radius + thickness - distance;
+    if depth <= 0.0 || distance < 1e-12 {
+        return None;
+    }
+    let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
+    let normal = away / distance;
+    let (nodes, weights) = ([0; 3], [1.0, 0.0, 0.0]);
+    Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element: None })
+}
+
+fn touch_vertices(index: usize, rod: &Rod, skin: &Skin<'_>, touches: &mut Vec<Touch>) {
+    let reach = rod.radius + skin.thickness;
+    let low = rod.ends[0].inf(&rod.ends[1]) - Vector3::repeat(reach);
+    let high = rod.ends[0].sup(&rod.ends[1]) + Vector3::repeat(reach);
+    for (vertex, position) in skin.positions.iter().enumerate() {
+        if !(0..3).all(|k| position[k] >= low[k] && position[k] <= high[k]) {
+            continue;
+        }
+        let along = closest_on_segment(position, &rod.ends);
+        if let Some(touch) = touch((index, rod), skin.thickness, along, *position) {
+            touches.push(Touch { nodes: [vertex as u32; 3], ..touch });
+        }
+    }
+}
+
+fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
+    let reach = rod.radius + skin.thickness;
+    let low = rod.ends[0].inf(&rod.ends[1]) - Vector3::repeat(reach);
+    let high = rod.ends[0].sup(&rod.ends[1]) + Vector3::repeat(reach);
+    let mut deepest: Option<Touch> = None;
+    let mut keep = |touch: Touch| {
+        if deepest.is_none_or(|deepest| touch.depth > deepest.depth) {
+            deepest = Some(touch);
+        }
+    };
+    for (element, nodes) in skin.triangles.iter().enumerate() {
+        let corners = nodes.map(|node| skin.positions[node as usize]);
+        let apart = |k: usize| {
+            corners.iter().all(|corner| corner[k] < low[k])
+                || corners.iter().all(|corner| corner[k] > high[k])
+        };
+        if (0..3).any(apart) {
+            continue;
+        }
+        let nearest = closest_segment_triangle(&rod.ends, &corners);
+        if let Some(touch) = touch((index, rod), skin.thickness, nearest.along, nearest.on_triangle) {
+            keep(Touch { nodes: *nodes, weights: nearest.weights, element: Some(element as u32), ..touch });
+        }
+    }
+    for (element, &[a, b]) in skin.segments.iter().enumerate() {
+        let ends = [a, b].map(|node| skin.positions[node as usize]);
+        let nearest = closest_segments(&rod.ends, &ends);
+        let [along, share] = nearest.along;
+        if let Some(touch) = touch((index, rod), skin.thickness, along, ends[0].lerp(&ends[1], share)) {
+            let weights = [1.0 - share, share, 0.0];
+            keep(Touch { nodes: [a, b, b], weights, element: Some(element as u32), ..touch });
+        }
+    }
+    deepest
+}
+
+/// A touch as everybody sees it: `a` is the instrument, `b` the body.
+pub fn collision(
+    touch: &Touch,
+    rod: &Rod,
+    body: Entity,
+    force_on_body: &Vector3<f64>,
+    world_from_body: &Isometry3<f64>,
+    at: SimTime,
+) -> Collision {
+    let on_rod = touch.on_axis + touch.normal * rod.radius;
+    let on_body = on_rod - touch.normal * touch.depth;
+    Collision {
+        a: rod.instrument,
+        primitive_a: Primitive::Shaft,
+        b: body,
+        primitive_b: match touch.element {
+            Some(element) if touch.nodes[1] == touch.nodes[2] => Primitive::Segment(element),
+            Some(element) => Primitive::Triangle(element),
+            None => Primitive::Vertex(touch.nodes[0]),
+        },
+        points_in_world: [world_from_body * on_rod, world_from_body * on_body],
+        normal_in_world: world_from_body.rotation * touch.normal,
+        depth: touch.depth,
+        force_in_world: world_from_body.rotation * force_on_body,
+        velocity_constraint: 0.0,
+        method: Detection::Simulator,
+        detected_at: at,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rod(from: [f64; 3], to: [f64; 3]) -> Rod {
+        Rod {
+            instrument: Entity::new(0, 1, 1),
+            ends: [from.into(), to.into()],
+            radius: 0.002,
+            velocities: [Vector3::x(), Vector3::y()],
+        }
+    }
+
+    #[test]
+    fn a_rod_between_coarse_vertices_touches_the_triangle() {
+        let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
+        let skin = Skin { positions: &positions, triangles: &[[0, 1, 2]], segments: &[], thickness: 0.0005 };
+        let mut found = Vec::new();
+        touches(&[rod([0.02, 0.03, 0.001], [0.02, 0.03, 0.1])], &skin, &mut found);
+        assert_eq!(found.len(), 1);
+        let touch = found[0];
+        assert!((touch.depth - 0.0015).abs() < 1e-12 && (touch.normal + Vector3::z()).norm() < 1e-12);
+        let at =
+            touch.nodes.iter().zip(touch.weights).fold(Vector3::zeros(), |sum, (&node, weight)| {
+                sum + positions[node as usize].coords * weight
+            });
+        assert!((at - Vector3::new(0.02, 0.03, 0.0)).norm() < 1e-12);
+        assert_eq!((touch.element, touch.velocity), (Some(0), Vector3::x()));
+    }
+
+    #[test]
+    fn vertices_within_a_rod_are_touched_each() {
+        let positions: Vec<Point3<f64>> =
+            (0..20).map(|k| Point3::new(0.001 * f64::from(k), 0.0015, 0.0)).collect();
+        let skin = Skin { positions: &positions, triangles: &[], segments: &[], thickness: 0.0 };
+        let mut found = Vec::new();
+        touches(&[rod([0.0, 0.0, 0.0], [0.01, 0.0, 0.0])], &skin, &mut found);
+        // Eleven beside it, and one beyond its round end.
+        assert_eq!(found.len(), 12);
+        assert!(found.iter().all(|touch| touch.depth > 0.0 && touch.element.is_none()));
+    }
+
+    #[test]
+    fn a_thread_is_touched_by_its_segment() {
+        let positions = [[-0.05, 0.001, 0.0], [0.05, 0.001, 0.0]].map(Point3::from);
+        let skin = Skin { positions: &positions, triangles: &[], segments: &[[0, 1]], thickness: 0.0002 };
+        let mut found = Vec::new();
+        touches(&[rod([0.01, 0.0, -0.01], [0.01, 0.0, 0.01])], &skin, &mut found);
+        assert_eq!(found.len(), 1);
+        assert!((found[0].weights[1] - 0.6).abs() < 1e-12 && (found[0].depth - 0.0012).abs() < 1e-12);
+    }
+}

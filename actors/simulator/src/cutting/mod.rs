@@ -1,0 +1,95 @@
+//! Cutting a surface along whatever path a blade takes: what its edge sweeps between two frames is intersected with the
+//! triangles, the paths found are laid into the mesh as edges, and the mesh parts along them into two lips, which tension
+//! then opens.
+//!
+//! A path becomes edges by walking from vertex to vertex in the rest shape. Where it crosses the edge across from where it
+//! stands, that edge is split; where this would make a triangle too small for the springs, the nearer vertex is moved
+//! onto the path; where that would, the path goes through the vertex ([`Sheet`] says what is too small). So the walk
+//! always makes progress, and never a sliver. What ends inside a triangle waits at the last vertex, a *tip*, and goes on with
+//! the next frame.
+//!
+//! Each call tells what it did as a [`TopologyChange`].
+
+mod change;
+mod sheet;
+mod sweep;
+mod tearing;
+mod walk;
+
+pub use change::{TopologyChange, VertexChange};
+pub use sheet::{Sheet, SheetState};
+pub use sweep::Sweep;
+
+use nalgebra::Point3;
+use thiserror::Error;
+
+/// Why nothing was cut.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum CutError {
+    /// Another number of positions than of vertices.
+    #[error("{given} positions for a mesh of {expected} vertices")]
+    Positions {
+        /// Positions given.
+        given: usize,
+        /// Vertices that there are.
+        expected: usize,
+    },
+    /// A blade or a vertex that is nowhere.
+    #[error("{what} {index} has a coordinate that is not finite")]
+    NotFinite {
+        /// Sweep or vertex.
+        what: &'static str,
+        /// Which.
+        index: usize,
+    },
+    /// The mesh has grown as far as it may.
+    #[error("the mesh has {0} triangles, and is cut no further than {TRIANGLES_MAX}")]
+    Full(usize),
+}
+
+/// Triangles beyond which nothing is cut any more.
+const TRIANGLES_MAX: usize = 1 << 20;
+
+impl Sheet {
+    /// Cuts where the blades' edges pass through the surface at these positions.
+    ///
+    /// # Errors
+    /// When the input is not finite or does not fit; nothing is cut then.
+    pub fn cut(&mut self, positions: &[Point3<f64>], sweeps: &[Sweep]) -> Result<TopologyChange, CutError> {
+        let (given, expected) = (positions.len(), self.rest().len());
+        if given != expected {
+            return Err(CutError::Positions { given, expected });
+        }
+        if self.triangles().len() > TRIANGLES_MAX {
+            return Err(CutError::Full(self.triangles().len()));
+        }
+        let nowhere = |point: &Point3<f64>| !point.iter().all(|value| value.is_finite());
+        if let Some(index) = positions.iter().position(nowhere) {
+            return Err(CutError::NotFinite { what: "vertex", index });
+        }
+        if let Some(index) =
+            sweeps.iter().position(|sweep| sweep.before.iter().chain(&sweep.after).any(nowhere))
+        {
+            return Err(CutError::NotFinite { what: "sweep", index });
+        }
+        let mut all = TopologyChange::default();
+        let mut positions = positions.to_vec();
+        for sweep in sweeps {
+            for path in sweep::paths(self, &positions, sweep) {
+                self.follow(path);
+                let change = self.take_change();
+                change.carry(&mut positions, |a, b, share| a + (b - a) * share);
+                all.append(change);
+            }
+        }
+        Ok(all)
+    }
+
+    /// What has been done since the last call.
+    fn take_change(&mut self) -> TopologyChange {
+        let mut change = std::mem::take(&mut self.change);
+        change.stale.sort_unstable();
+        change.stale.dedup();
+        change
+    }
+}

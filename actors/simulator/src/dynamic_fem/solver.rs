@@ -1,0 +1,552 @@
+//! The step.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::config::{Config, DynamicFemError, Energies, MassMatrix, Report, StepError};
+use super::lbfgs::{Memory, dot};
+use super::material::Material;
+use super::objective::{
+    Coupling, Damping, Element, Inputs, Mass, Matter, add_couplings, add_hessian, add_springs, couplings,
+    elements, frames,
+};
+use crate::elasticity::{Elastic, consistent_mass, pattern};
+use crate::sparse::{BlockMatrix, FactorError, SparseCholesky, minimum_degree};
+use crate::tet_mesh::TetMesh;
+
+/// Where the factor was computed: a restored body computes it there again, to the same bits.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct FactoredAt {
+    pub positions: Vec<Point3<f64>>,
+    pub dt: f64,
+    pub couplings: Vec<Coupling>,
+}
+
+/// Iterations that a step has for free.
+const FREE_ITERATIONS: u32 = 2;
+/// Iterations beyond these, summed over steps, that cost as much as a new factor.
+const DEBT_MAX: u32 = 8;
+/// Iterations within one step after which the factor is computed anew.
+const REFACTOR_AFTER: u32 = 12;
+/// Share of forces out of balance beyond which a first guess is compared with others.
+const GUESS: f64 = 0.1;
+/// Halvings of a step length.
+const HALVINGS_MAX: u32 = 40;
+
+/// An elastic body in motion.
+pub struct DynamicFem {
+    pub(super) mesh: TetMesh,
+    pub(super) config: Config,
+    elements: Vec<Element>,
+    material: Material,
+    lame: [f64; 2],
+    mass: Mass,
+    /// Row of each node in the order of elimination; `None` for fixed ones.
+    numbers: Vec<Option<u32>>,
+    pub(super) positions: Vec<Point3<f64>>,
+    pub(super) velocities: Vec<Vector3<f64>>,
+    pub(super) accelerations: Vec<Vector3<f64>>,
+    pub(super) debt: u32,
+    pub(super) factored_at: FactoredAt,
+    hessian: BlockMatrix,
+    factor: SparseCholesky,
+    memory: Memory,
+    /// Of the elastic energy \[J\]: it is a difference of terms that are as large as the body is stiff.
+    rounding: f64,
+    /// Of the forces \[N\]: what positions that are off by their rounding put out of balance.
+    floor: f64,
+    work: Work,
+}
+
+/// Room that is kept between steps.
+#[derive(Default)]
+struct Work {
+    held: Vec<bool>,
+    reactions: Vec<(u32, Vector3<f64>)>,
+    before: Vec<(Matrix3<f64>, Matrix3<f64>)>,
+    outer: Vec<Vector3<f64>>,
+    aim: Vec<Point3<f64>>,
+    now: Vec<Point3<f64>>,
+    trial: Vec<Point3<f64>>,
+    gradient: Vec<Vector3<f64>>,
+    next: Vec<Vector3<f64>>,
+    direction: Vec<Vector3<f64>>,
+    apart: Vec<Vector3<f64>>,
+    product: Vec<Vector3<f64>>,
+    flat: Vec<f64>,
+    /// The last evaluation was of a trial that was not taken.
+    refused: bool,
+}
+
+/// The potential at a place.
+#[derive(Clone, Copy)]
+struct Value {
+    energy: f64,
+    /// Sum of the magnitudes that `energy` is made of: what its rounding is relative to.
+    magnitude: f64,
+    /// Norms of inner, outer and inertial forces \[N\].
+    scale: f64,
+    /// Norm of the forces out of balance \[N\].
+    residual: f64,
+}
+
+impl DynamicFem {
+    /// A body at rest.
+    ///
+    /// # Errors
+    /// Numbers out of range, nodes that do not exist, nothing free, no room.
+    pub fn new(
+        mesh: TetMesh,
+        elastic: &Elastic,
+        config: &Config,
+        fixed: &[u32],
+    ) -> Result<Self, DynamicFemError> {
+        let range = |what, value: f64, fits: bool, valid| {
+            if fits { Ok(()) } else { Err(DynamicFemError::OutOfRange { what, value, valid }) }
+        };
+        let Config { density, mass_damping, stiffness_damping, tolerance, .. } = *config;
+        range("density", density, density > 0.0 && density.is_finite(), "a number above 0")?;
+        range("mass damping", mass_damping, (0.0..1e6).contains(&mass_damping), "0 to 1e6 1/s")?;
+        range("stiffness damping", stiffness_damping, (0.0..1e3).contains(&stiffness_damping), "0 to 1e3 s")?;
+        range("tolerance", tolerance, (1e-12..0.1).contains(&tolerance), "1e-12 to 0.1")?;
+        let iterations = f64::from(config.iterations_max);
+        range("iterations_max", iterations, (1.0..=1e4).contains(&iterations), "1 to 10,000")?;
+
+        let nodes = mesh.rest().len();
+        let mut free = vec![true; nodes];
+        for &node in fixed {
+            *free.get_mut(node as usize).ok_or(DynamicFemError::NoNode { node, nodes })? = false;
+        }
+        let members: Vec<u32> = (0..nodes as u32).filter(|&node| free[node as usize]).collect();
+        if members.is_empty() {
+            return Err(DynamicFemError::NothingFree(nodes));
+        }
+        let mut local = vec![None; nodes];
+        members.iter().enumerate().for_each(|(index, &node)| local[node as usize] = Some(index as u32));
+        let edges = mesh.tets().iter().flat_map(|tet| {
+            let own = tet.map(|node| local[node as usize]);
+            (0..4).flat_map(move |i| (0..i).filter_map(move |j| Some((own[i]?, own[j]?))))
+        });
+        let order = minimum_degree(members.len(), edges);
+        let mut numbers = vec![None; nodes];
+        for (row, &index) in order.iter().enumerate() {
+            numbers[members[index as usize] as usize] = Some(row as u32);
+        }
+        let hessian = BlockMatrix::zeros(pattern(&mesh, &numbers, members.len()));
+        let factor = SparseCholesky::new(hessian.pattern(), 1)?;
+        let consistent = (config.mass == MassMatrix::Consistent).then(|| {
+            let all: Vec<_> = (0..nodes as u32).map(Some).collect();
+            consistent_mass(&mesh, density, &all, nodes)
+        });
+        let still = vec![Vector3::zeros(); nodes];
+        let stiff = elastic.lambda().abs() + 2.0 * elastic.mu();
+        let extent = mesh.rest().iter().map(|point| point.coords.amax()).fold(0.0, f64::max);
+        let springs = mesh.inverse_shapes().iter().zip(mesh.volumes());
+        let squares: f64 =
+            springs.map(|(shape, volume)| (shape.norm_squared() * volume * stiff).powi(2)).sum();
+        Ok(Self {
+            elements: elements(&mesh),
+            material: Material::new(config.constitution, elastic),
+            lame: [elastic.lambda(), elastic.mu()],
+            mass: Mass { lumped: mesh.lumped_masses(density), consistent },
+            numbers,
+            positions: mesh.rest().to_vec(),
+            velocities: still.clone(),
+            accelerations: still.clone(),
+            debt: 0,
+            factored_at: FactoredAt::default(),
+            hessian,
+            factor,
+            memory: Memory::new(nodes),
+            rounding: 1e-14 * stiff * mesh.volume(),
+            floor: 2.0 * f64::EPSILON * extent * squares.sqrt(),
+            work: Work { flat: vec![0.0; 3 * members.len()], product: still.clone(), ..Work::default() },
+            mesh,
+            config: *config,
+        })
+    }
+
+    /// The body at rest.
+    #[must_use]
+    pub fn mesh(&self) -> &TetMesh {
+        &self.mesh
+    }
+
+    /// Where the nodes are \[m\].
+    #[must_use]
+    pub fn positions(&self) -> &[Point3<f64>] {
+        &self.positions
+    }
+
+    /// Velocities of the nodes \[m/s\].
+    #[must_use]
+    pub fn velocities(&self) -> &[Vector3<f64>] {
+        &self.velocities
+    }
+
+    /// Forces that held the prescribed and the fixed nodes in the last step \[N\], by node.
+    #[must_use]
+    pub fn reactions(&self) -> &[(u32, Vector3<f64>)] {
+        &self.work.reactions
+    }
+
+    /// Of motion and of deformation.
+    #[must_use]
+    pub fn energies(&self) -> Energies {
+        let mut product = vec![Vector3::zeros(); self.velocities.len()];
+        self.mass.multiply(&self.velocities, &mut product);
+        let mut forces = vec![Vector3::zeros(); self.velocities.len()];
+        let elastic = self.matter(1.0, &[]).add(&self.positions, &mut forces);
+        Energies { kinetic: 0.5 * dot(&self.velocities, &product), elastic }
+    }
+
+    fn matter<'a>(&'a self, dt: f64, before: &'a [(Matrix3<f64>, Matrix3<f64>)]) -> Matter<'a> {
+        let damping = Damping { mass: self.config.mass_damping, stiffness: self.config.stiffness_damping };
+        Matter { elements: &self.elements, material: self.material, lame: self.lame, damping, before, dt }
+    }
+
+    /// One step of `dt` \[s\].
+    ///
+    /// # Errors
+    /// Inputs that cannot be, or a step that led nowhere; the body is as it was then.
+    pub fn step(&mut self, dt: f64, inputs: &Inputs) -> Result<Report, StepError> {
+        if !(dt > 0.0 && dt <= 1.0) {
+            return Err(StepError::Dt(dt));
+        }
+        // Taken out, so that it can be written while the body is read.
+        let mut work = std::mem::take(&mut self.work);
+        let done = self.checked_step(dt, inputs, &mut work);
+        self.work = work;
+        done
+    }
+
+    fn checked_step(&mut self, dt: f64, inputs: &Inputs, work: &mut Work) -> Result<Report, StepError> {
+        self.check(inputs, work)?;
+        self.begin(dt, inputs, work);
+        let mut report = Report {
+            residual: 0.0,
+            solved: false,
+            iterations: 0,
+            evaluations: 0,
+            factorisations: 0,
+            inverted: 0,
+            first_inverted: None,
+        };
+        if self.factored_at.dt != dt || self.factored_at.positions.is_empty() || self.debt >= DEBT_MAX {
+            let begin = FactoredAt { positions: self.positions.clone(), dt, couplings: Vec::new() };
+            self.refactor(begin, inputs)?;
+            report.factorisations += 1;
+        }
+        let value = self.minimise(dt, inputs, work, &mut report)?;
+        if let Some(node) = work.now.iter().position(|point| !point.iter().all(|x| x.is_finite())) {
+            return Err(StepError::NotFinite { node: node as u32 });
+        }
+        if !value.residual.is_finite() {
+            return Err(StepError::NotFinite { node: 0 });
+        }
+        let beyond = (value.residual - self.floor).max(0.0);
+        report.residual = if beyond > 0.0 { beyond / value.scale } else { 0.0 };
+        report.solved = self.solved(&value);
+        self.debt += report.iterations.saturating_sub(FREE_ITERATIONS);
+        for node in 0..self.positions.len() {
+            let velocity = (work.now[node] - self.positions[node]) / dt;
+            self.accelerations[node] = (velocity - self.velocities[node]) / dt;
+            self.velocities[node] = velocity;
+        }
+        self.positions.clone_from(&work.now);
+        for (index, element) in self.elements.iter().enumerate() {
+            if crate::tet_mesh::shape(&self.positions, &element.nodes).determinant() <= 0.0 {
+                report.inverted += 1;
+                report.first_inverted.get_or_insert(index as u32);
+            }
+        }
+        Ok(report)
+    }
+
+    /// Looks through the inputs, and notes who is held.
+    fn check(&self, inputs: &Inputs, work: &mut Work) -> Result<(), StepError> {
+        let nodes = self.positions.len();
+        let number = |what, index, fits: bool| {
+            if fits { Ok(()) } else { Err(StepError::Number { what, index }) }
+        };
+        number("acceleration", 0, inputs.acceleration.iter().all(|x| x.is_finite()))?;
+        for (index, (node, force)) in inputs.forces.iter().enumerate() {
+            if *node as usize >= nodes {
+                return Err(StepError::Node { what: "force", index, node: *node, nodes });
+            }
+            number("force", index, force.iter().all(|x| x.is_finite()))?;
+        }
+        let weighted = |what, index, weights: &[(u32, f64); 4]| match weights
+            .iter()
+            .find(|(node, weight)| *weight != 0.0 && *node as usize >= nodes)
+        {
+            Some(&(node, _)) => Err(StepError::Node { what, index, node, nodes }),
+            None => number(what, index, weights.iter().all(|(_, weight)| weight.is_finite())),
+        };
+        for (index, spring) in inputs.springs.iter().enumerate() {
+            weighted("spring", index, &spring.weights)?;
+            let stiff = spring.stiffness >= 0.0 && spring.stiffness.is_finite();
+            number("spring", index, stiff && spring.target.iter().all(|x| x.is_finite()))?;
+        }
+        for (index, contact) in inputs.contacts.iter().enumerate() {
+            weighted("contact", index, &contact.weights)?;
+            let stiff = contact.stiffness >= 0.0 && contact.stiffness.is_finite();
+            let unit = (contact.normal.norm_squared() - 1.0).abs() < 1e-6;
+            number("contact", index, stiff && unit && contact.point.iter().all(|x| x.is_finite()))?;
+        }
+        work.held.clear();
+        work.held.extend(self.numbers.iter().map(Option::is_none));
+        for (index, (node, place)) in inputs.prescribed.iter().enumerate() {
+            match work.held.get_mut(*node as usize) {
+                Some(held) if !*held => *held = true,
+                _ => return Err(StepError::Node { what: "prescribed node", index, node: *node, nodes }),
+            }
+            number("prescribed node", index, place.iter().all(|x| x.is_finite()))?;
+        }
+        Ok(())
+    }
+
+    /// Where inertia aims at, what acts from outside, and a first guess: the acceleration stays.
+    fn begin(&self, dt: f64, inputs: &Inputs, work: &mut Work) {
+        let nodes = self.positions.len();
+        work.aim.clear();
+        work.now.clear();
+        for node in 0..nodes {
+            let aim = self.positions[node] + self.velocities[node] * dt;
+            work.aim.push(aim);
+            let free = self.numbers[node].is_some();
+            work.now.push(if free {
+                aim + self.accelerations[node] * (dt * dt)
+            } else {
+                self.positions[node]
+            });
+        }
+        inputs.prescribed.iter().for_each(|(node, place)| work.now[*node as usize] = *place);
+        work.outer.clear();
+        work.outer.extend(self.mass.lumped.iter().map(|mass| inputs.acceleration * *mass));
+        inputs.forces.iter().for_each(|(node, force)| work.outer[*node as usize] += force);
+        for buffer in [&mut work.gradient, &mut work.next, &mut work.direction, &mut work.apart] {
+            buffer.resize(nodes, Vector3::zeros());
+        }
+        work.trial.clone_from(&work.now);
+        work.before.clear();
+        if self.config.stiffness_damping > 0.0 {
+            frames(&self.elements, &self.positions, &mut work.before);
+        }
+    }
+
+    /// Computes the factor at a place, as far as the pattern has room for what couples nodes there.
+    pub(super) fn refactor(&mut self, at: FactoredAt, inputs: &Inputs) -> Result<(), FactorError> {
+        let mut at = at;
+        if !(inputs.springs.is_empty() && inputs.contacts.is_empty()) {
+            couplings(inputs, &at.positions, &mut at.couplings);
+        }
+        let mut hessian = std::mem::replace(&mut self.hessian, BlockMatrix::zeros(Default::default()));
+        hessian.values_mut().fill(0.0);
+        add_hessian(&self.matter(at.dt, &[]), &self.mass, &at.positions, &self.numbers, &mut hessian);
+        add_couplings(&at.couplings, &self.numbers, &mut hessian);
+        let mut done = self.factor.factor(hessian.pattern(), hessian.values());
+        if done.is_err() {
+            // So distorted that rounding decides: the shape at rest can always be factored, if it moves no more.
+            at = FactoredAt { positions: self.mesh.rest().to_vec(), dt: at.dt, couplings: Vec::new() };
+            hessian.values_mut().fill(0.0);
+            add_hessian(&self.matter(at.dt, &[]), &self.mass, &at.positions, &self.numbers, &mut hessian);
+            done = self.factor.factor(hessian.pattern(), hessian.values());
+        }
+        self.hessian = hessian;
+        self.factored_at = if done.is_ok() { at } else { FactoredAt::default() };
+        self.debt = 0;
+        done
+    }
+
+    /// The potential and its gradient at a place; what acts on held nodes goes to the reactions.
+    fn evaluate(
+        &self,
+        dt: f64,
+        inputs: &Inputs,
+        work: &mut Work,
+        at: impl Fn(&Work) -> &Vec<Point3<f64>>,
+    ) -> Value {
+        let mut gradient = std::mem::take(&mut work.next);
+        gradient.fill(Vector3::zeros());
+        let place = at(work);
+        let inner = self.matter(dt, &work.before).add(place, &mut gradient)
+            + add_springs(inputs, place, &mut gradient);
+        let inner_norm = dot(&gradient, &gradient).sqrt();
+        let mut apart = std::mem::take(&mut work.apart);
+        for (node, apart) in apart.iter_mut().enumerate() {
+            *apart = (at(work)[node] - work.aim[node]) / (dt * dt);
+        }
+        self.mass.multiply(&apart, &mut work.product);
+        let inertia = 0.5 * dt * dt * dot(&apart, &work.product);
+        gradient.iter_mut().zip(&work.product).for_each(|(to, force)| *to += force);
+        let mut scale = inner_norm + dot(&work.product, &work.product).sqrt();
+        let mut drag = 0.0;
+        if self.config.mass_damping > 0.0 {
+            for (node, apart) in apart.iter_mut().enumerate() {
+                *apart = (at(work)[node] - self.positions[node]) / dt;
+            }
+            self.mass.multiply(&apart, &mut work.product);
+            let factor = self.config.mass_damping;
+            drag = 0.5 * dt * factor * dot(&apart, &work.product);
+            gradient.iter_mut().zip(&work.product).for_each(|(to, force)| *to += force * factor);
+        }
+        let mut work_done = 0.0;
+        for (node, force) in work.outer.iter().enumerate() {
+            gradient[node] -= force;
+            work_done += force.dot(&(at(work)[node] - self.positions[node]));
+        }
+        scale += dot(&work.outer, &work.outer).sqrt();
+        work.reactions.clear();
+        for (node, held) in work.held.iter().enumerate() {
+            if *held {
+                work.reactions.push((node as u32, gradient[node]));
+                gradient[node] = Vector3::zeros();
+            }
+        }
+        let residual = dot(&gradient, &gradient).sqrt();
+        (work.next, work.apart) = (gradient, apart);
+        let magnitude = inner.abs() + inertia + drag + work_done.abs();
+        Value { energy: inner + inertia + drag - work_done, magnitude, scale, residual }
+    }
+
+    /// Quasi-Newton iterations from `work.now`, where they end too.
+    fn minimise(
+        &mut self,
+        dt: f64,
+        inputs: &Inputs,
+        work: &mut Work,
+        report: &mut Report,
+    ) -> Result<Value, StepError> {
+        self.memory.forget();
+        work.refused = false;
+        let mut value = self.evaluate(dt, inputs, work, |work| &work.now);
+        report.evaluations += 1;
+        std::mem::swap(&mut work.gradient, &mut work.next);
+        if !(value.residual <= GUESS * value.scale) {
+            value = self.better_guess(dt, inputs, work, report, value);
+        }
+        let mut since_factor = 0;
+        let mut fresh = false;
+        while !self.solved(&value) && report.iterations < self.config.iterations_max {
+            if since_factor >= REFACTOR_AFTER {
+                let here = FactoredAt { positions: work.now.clone(), dt, couplings: Vec::new() };
+                self.refactor(here, inputs)?;
+                self.memory.forget();
+                report.factorisations += 1;
+                (since_factor, fresh) = (0, true);
+            }
+            report.iterations += 1;
+            since_factor += 1;
+            self.descend(work);
+            let slope = dot(&work.direction, &work.gradient);
+            let found = if slope < 0.0 { self.search(dt, inputs, work, report, &value, slope) } else { None };
+            match found {
+                Some((length, next)) => {
+                    self.memory.remember(&work.direction, length, &work.gradient, &work.next);
+                    std::mem::swap(&mut work.gradient, &mut work.next);
+                    std::mem::swap(&mut work.now, &mut work.trial);
+                    value = next;
+                    fresh = false;
+                }
+                // With what is known here nothing gets lower: once more with a new factor, and then it is rounding.
+                None if fresh => break,
+                None => since_factor = REFACTOR_AFTER,
+            }
+        }
+        if work.refused {
+            // The reactions are to be those of where it ended, not those of a trial that was not taken.
+            report.evaluations += 1;
+            value = self.evaluate(dt, inputs, work, |work| &work.now);
+        }
+        Ok(value)
+    }
+
+    /// The acceleration has changed: begins where the potential is least, there, without it, or where the body is.
+    fn better_guess(
+        &self,
+        dt: f64,
+        inputs: &Inputs,
+        work: &mut Work,
+        report: &mut Report,
+        value: Value,
+    ) -> Value {
+        let mut best = value;
+        for moving in [true, false] {
+            for node in 0..work.trial.len() {
+                let free = self.numbers[node].is_some() && moving;
+                work.trial[node] = if free { work.aim[node] } else { self.positions[node] };
+            }
+            inputs.prescribed.iter().for_each(|(node, place)| work.trial[*node as usize] = *place);
+            let other = self.evaluate(dt, inputs, work, |work| &work.trial);
+            report.evaluations += 1;
+            if !(best.energy <= other.energy) {
+                best = other;
+                std::mem::swap(&mut work.now, &mut work.trial);
+                std::mem::swap(&mut work.gradient, &mut work.next);
+            } else {
+                work.refused = true;
+            }
+        }
+        best
+    }
+
+    /// Whether what is out of balance is within the tolerance, but for what rounding leaves.
+    fn solved(&self, value: &Value) -> bool {
+        value.residual <= self.config.tolerance * value.scale + self.floor
+    }
+
+    /// The direction from the gradient: minus the inverse Hessian, as far as it is known, times it.
+    fn descend(&mut self, work: &mut Work) {
+        work.direction.clone_from(&work.gradient);
+        let (factor, numbers) = (&mut self.factor, &self.numbers);
+        let (flat, held) = (&mut work.flat, &work.held);
+        self.memory.apply(&mut work.direction, |vector| {
+            for (node, number) in numbers.iter().enumerate() {
+                if let Some(number) = number {
+                    flat[3 * *number as usize..][..3].copy_from_slice(vector[node].as_slice());
+                }
+            }
+            factor.solve(flat);
+            for (node, number) in numbers.iter().enumerate() {
+                vector[node] = match number {
+                    Some(number) if !held[node] => {
+                        Vector3::from_column_slice(&flat[3 * *number as usize..][..3])
+                    }
+                    _ => Vector3::zeros(),
+                };
+            }
+        });
+        work.direction.iter_mut().for_each(|direction| direction.neg_mut());
+    }
+
+    /// How far along the direction: halved until the potential falls by a share of what its slope promises (Armijo),
+    /// or, where that is below its rounding, until the forces out of balance are less.
+    fn search(
+        &self,
+        dt: f64,
+        inputs: &Inputs,
+        work: &mut Work,
+        report: &mut Report,
+        value: &Value,
+        slope: f64,
+    ) -> Option<(f64, Value)> {
+        let mut length = 1.0;
+        for _ in 0..HALVINGS_MAX {
+            for node in 0..work.now.len() {
+                work.trial[node] = work.now[node] + work.direction[node] * length;
+            }
+            let next = self.evaluate(dt, inputs, work, |work| &work.trial);
+            report.evaluations += 1;
+            let falls = next.energy <= value.energy + 1e-4 * length * slope;
+            let rounding = 1e-13 * (value.magnitude + next.magnitude) + self.rounding;
+            let settles = next.energy <= value.energy + rounding && next.residual < value.residual;
+            if falls || settles {
+                work.refused = false;
+                return Some((length, next));
+            }
+            length *= 0.5;
+        }
+        work.refused = true;
+        None
+    }
+}

@@ -1,0 +1,162 @@
+//! The enthalpy method in a cell: heat that a cell gets is a sum, and its temperature follows from it. What is above the
+//! boiling point goes into steam, however much came at once; so no step is too long to see the boiling (Voller and
+//! Cross, *Accurate solutions of moving boundary problems using the enthalpy method*, 1981). A method that puts the
+//! latent heat into a capacity near 100 °C steps over it instead.
+//!
+//! Steam leaves, and takes the heat of its water with it: a cell that has dried does not get its water back by cooling.
+
+use super::material::{BODY, ThermalMaterial};
+
+/// Derived numbers of a material that every cell needs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Enthalpy {
+    pub wet: f64,
+    pub dry: f64,
+    pub latent: f64,
+    pub boiling: f64,
+    conductivity: f64,
+    dry_conductivity: f64,
+}
+
+/// What a cell gave off, by volume \[J/m³\].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Boiled {
+    /// Share of the cell's water that went.
+    pub water: f64,
+    /// Heat that turned it into steam.
+    pub latent: f64,
+    /// Heat capacity that went with it \[J/(m³·K)\].
+    pub capacity: f64,
+}
+
+impl Enthalpy {
+    pub(super) fn new(material: &ThermalMaterial) -> Self {
+        Self {
+            wet: material.wet_capacity(),
+            dry: material.dry_capacity(),
+            latent: material.latent(),
+            boiling: material.boiling,
+            conductivity: material.conductivity,
+            dry_conductivity: material.dry_conductivity,
+        }
+    }
+
+    /// Heat capacity of a cell with this share of its water \[J/(m³·K)\].
+    #[inline]
+    pub(super) fn capacity(&self, water: f64) -> f64 {
+        self.dry + (self.wet - self.dry) * water
+    }
+
+    /// Conductivity of a cell with this share of its water \[W/(m·K)\].
+    #[inline]
+    pub(super) fn conductivity(&self, water: f64) -> f64 {
+        self.dry_conductivity + (self.conductivity - self.dry_conductivity) * water
+    }
+
+    /// Largest diffusivity that a cell can have \[m²/s\].
+    pub(super) fn diffusivity_max(&self) -> f64 {
+        // Both are linear in the water: their quotient is largest at an end.
+        (self.conductivity / self.wet).max(self.dry_conductivity / self.dry)
+    }
+
+    /// Heat that turns a fresh cell into steam \[J/m³\].
+    pub(super) fn vaporisation(&self) -> f64 {
+        self.wet * (self.boiling - BODY) + self.latent
+    }
+
+    /// Boils what a cell at `celsius` above the boiling point can boil; its temperature afterwards is the second number.
+    /// With H the heat above boiling: H = C(w) (T − Tb) before; as water goes, L goes with it, and the capacity too, at
+    /// Tb. Only when all water has gone can the cell be hotter.
+    #[inline]
+    pub(super) fn boil(&self, celsius: f64, water: f64) -> (Boiled, f64) {
+        let above = self.capacity(water) * (celsius - self.boiling);
+        let need = self.latent * water;
+        if above < need {
+            let gone = above / self.latent;
+            let capacity = (self.wet - self.dry) * gone;
+            (Boiled { water: gone, latent: above, capacity }, self.boiling)
+        } else {
+            let capacity = (self.wet - self.dry) * water;
+            (Boiled { water, latent: need, capacity }, self.boiling + (above - need) / self.dry)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Heats a cell evenly; the heat at which it was dry, and the energy that is not accounted for.
+    fn dried_after(parts: u32, total: f64) -> (f64, f64) {
+        let cell = Enthalpy::new(&ThermalMaterial::default());
+        let (mut celsius, mut water, mut gone) = (BODY, 1.0, 0.0);
+        let mut dried = f64::NAN;
+        for part in 1..=parts {
+            celsius += total / f64::from(parts) / cell.capacity(water);
+            if celsius > cell.boiling && water > 0.0 {
+                let (boiled, after) = cell.boil(celsius, water);
+                water -= boiled.water;
+                gone += boiled.latent + boiled.capacity * (cell.boiling - BODY);
+                celsius = after;
+                if water == 0.0 {
+                    dried = total * f64::from(part) / f64::from(parts);
+                }
+            }
+        }
+        (dried, total - gone - cell.capacity(water) * (celsius - BODY))
+    }
+
+    #[test]
+    fn a_cell_dries_after_the_same_heat_however_it_comes_and_no_heat_is_lost() {
+        let needed = Enthalpy::new(&ThermalMaterial::default()).vaporisation();
+        for parts in [1, 3, 10, 100, 10_000] {
+            let total = 1.2 * needed;
+            let (dried, missing) = dried_after(parts, total);
+            let part = total / f64::from(parts);
+            assert!(dried >= needed * (1.0 - 1e-12) && dried < needed + part * 1.001, "{parts}: {dried}");
+            assert!(missing.abs() < 1e-12 * total, "{parts} parts: {missing} J/m³ missing");
+        }
+    }
+
+    /// The simple method: a capacity with a peak of 1 K at the boiling point, at the temperature before the step.
+    fn apparent_capacity_temperature(parts: u32, total: f64) -> f64 {
+        let material = ThermalMaterial::default();
+        let mut celsius = BODY;
+        for _ in 0..parts {
+            let peak = if (celsius - material.boiling).abs() < 0.5 { material.latent() } else { 0.0 };
+            celsius += total / f64::from(parts) / (material.wet_capacity() + peak);
+        }
+        celsius
+    }
+
+    #[test]
+    fn an_apparent_heat_capacity_steps_over_the_boiling_where_the_enthalpy_does_not() {
+        let cell = Enthalpy::new(&ThermalMaterial::default());
+        // Half of the water's heat: the tissue must be at 100 °C.
+        let total = cell.wet * (cell.boiling - BODY) + 0.5 * cell.latent;
+        assert!((apparent_capacity_temperature(100_000, total) - 100.0).abs() < 0.6, "fine steps see it");
+        assert!(apparent_capacity_temperature(40, total) > 250.0, "long steps do not");
+        for parts in [1, 40, 100_000] {
+            let (mut celsius, mut water) = (BODY, 1.0);
+            for _ in 0..parts {
+                celsius += total / f64::from(parts) / cell.capacity(water);
+                if celsius > cell.boiling {
+                    let (boiled, after) = cell.boil(celsius, water);
+                    (water, celsius) = (water - boiled.water, after);
+                }
+            }
+            assert!(
+                (celsius - 100.0).abs() < 1e-9 && (water - 0.5).abs() < 1e-9,
+                "{parts}: {celsius} {water}"
+            );
+        }
+    }
+
+    #[test]
+    fn without_latent_heat_water_is_gone_at_the_boiling_point() {
+        let cell = Enthalpy::new(&ThermalMaterial { has_latent_heat: false, ..ThermalMaterial::default() });
+        let (boiled, after) = cell.boil(100.5, 1.0);
+        assert_eq!((boiled.water, boiled.latent), (1.0, 0.0));
+        assert!(after > 100.0 && after.is_finite());
+    }
+}

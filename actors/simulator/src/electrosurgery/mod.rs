@@ -1,0 +1,320 @@
+//! Electrosurgery: a tip heats tissue, which dries, coagulates, chars and goes.
+//!
+//! | Concept | File |
+//! |---|---|
+//! | The tissue at rest, and which cells lie in it | `tissue.rs` |
+//! | Its properties | `material.rs` |
+//! | Boiling: the enthalpy method | `enthalpy.rs` |
+//! | Damage | `arrhenius.rs` |
+//! | The electrode, and how it heats cells | `electrode.rs`, `source.rs` |
+//! | Heat on the lattice at the tip | `thermal_grid.rs`, `block.rs` |
+//! | Heat in the organ's mesh | `organ_heat.rs` |
+//! | What became of the elements | `burn.rs` |
+//! | Where the heat went | `ledger.rs` |
+
+pub mod arrhenius;
+mod block;
+mod burn;
+mod electrode;
+mod enthalpy;
+mod error;
+mod ledger;
+mod material;
+mod organ_heat;
+mod source;
+mod state;
+#[cfg(test)]
+pub(crate) mod testing;
+mod thermal_grid;
+mod tissue;
+
+use nalgebra::{Point3, Vector4};
+
+pub use arrhenius::Arrhenius;
+pub use electrode::{Electrode, Mode};
+pub use error::{ElectrosurgeryError, HeatStepError};
+pub use ledger::{HeatLedger, HeatReport};
+pub use material::{BODY, ThermalMaterial};
+pub use state::{BlockState, ElectrosurgeryState};
+pub use tissue::Tissue;
+
+use block::{CELLS, CHARRED};
+use burn::ElementBurns;
+use organ_heat::OrganHeat;
+use source::Source;
+use thermal_grid::{Books, ThermalGrid};
+use tissue::TissueLattice;
+
+/// Electrodes at a time.
+const ELECTRODES_MAX: usize = 16;
+
+/// The lattice of a session.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LatticeConfig {
+    /// Edge of a cell \[m\]: 0.5 mm or less carries the tip's field.
+    pub spacing: f64,
+    /// Most blocks of 8 × 8 × 8 cells that are remembered, 36 kB each.
+    pub blocks_max: usize,
+}
+
+impl Default for LatticeConfig {
+    fn default() -> Self {
+        Self { spacing: 0.5e-3, blocks_max: 1024 }
+    }
+}
+
+/// What a mechanical solver does to an element that heat has changed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ElementFactors {
+    /// Times the stiffness.
+    pub stiffness: f64,
+    /// Times the length at rest.
+    pub length: f64,
+    /// Share that is charred.
+    pub charred: f64,
+    /// Whether it is gone.
+    pub is_removed: bool,
+}
+
+/// A cell of the lattice that was taken into use.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HeatCell {
+    /// Its middle, in the tissue's rest frame \[m\].
+    pub middle_in_rest: Point3<f64>,
+    /// Its tissue \[m³\], or what there was.
+    pub volume: f64,
+    /// \[°C\]
+    pub celsius: f64,
+    /// Ω; 1 means coagulated.
+    pub damage: f64,
+    /// Share of its water that is left.
+    pub water: f64,
+    /// Whether it is charred.
+    pub is_charred: bool,
+    /// Whether it is gone.
+    pub is_removed: bool,
+    /// Tetrahedron or triangle.
+    pub element: u32,
+}
+
+/// Tissue under electrodes.
+#[derive(Clone, Debug)]
+pub struct Electrosurgery {
+    material: ThermalMaterial,
+    positions: Vec<Point3<f64>>,
+    /// Corners and conduction of each element, to take them away.
+    elements: Vec<([u32; 4], [[f64; 4]; 4])>,
+    corners: usize,
+    organ: OrganHeat,
+    organ_damage: Vec<f64>,
+    grid: ThermalGrid,
+    burns: ElementBurns,
+    ledger: HeatLedger,
+    source: Source,
+    plume_in_rest: Option<Point3<f64>>,
+}
+
+impl Electrosurgery {
+    /// Tissue at the body's temperature.
+    ///
+    /// # Errors
+    /// A parameter out of its range; all bad vertices or elements of the mesh.
+    pub fn new(
+        tissue: &Tissue<'_>,
+        material: ThermalMaterial,
+        lattice: LatticeConfig,
+    ) -> Result<Self, ElectrosurgeryError> {
+        material.check()?;
+        error::parameter("spacing", lattice.spacing, 1e-5..=1e-2, "1e-5 to 0.01 m")?;
+        error::parameter("blocks_max", lattice.blocks_max as f64, 1.0..=65_536.0, "1 to 65536")?;
+        tissue.check()?;
+        let elements = (0..tissue.element_count())
+            .map(|element| {
+                let mut corners = [0; 4];
+                let found = tissue.corners(element);
+                corners[..found.len()].copy_from_slice(found);
+                (corners, organ_heat::element_conduction(tissue, element, material.conductivity))
+            })
+            .collect();
+        let cells = TissueLattice::new(tissue, lattice.spacing)?;
+        Ok(Self {
+            material,
+            positions: tissue.positions().to_vec(),
+            elements,
+            corners: tissue.corners(0).len(),
+            organ: OrganHeat::new(tissue, &material),
+            organ_damage: vec![0.0; tissue.positions().len()],
+            grid: ThermalGrid::new(cells, lattice.spacing, lattice.blocks_max, &material),
+            burns: ElementBurns::new(tissue, lattice.spacing)?,
+            ledger: HeatLedger::default(),
+            source: Source::default(),
+            plume_in_rest: None,
+        })
+    }
+
+    /// Heats, conducts, boils and removes for `dt` \[s\], 1 µs to 1 s. Where an electrode is, is given in the tissue's rest
+    /// frame: what deforms takes its heat along.
+    ///
+    /// # Errors
+    /// An input out of its range, or a source too strong for so long a step; temperatures, damage and ledger are as before.
+    pub fn step(&mut self, dt: f64, electrodes: &[Electrode]) -> Result<HeatReport, HeatStepError> {
+        error::input("dt", dt, 1e-6..=1.0, "1e-6 to 1 s")?;
+        if electrodes.len() > ELECTRODES_MAX {
+            return Err(HeatStepError::Electrodes(electrodes.len()));
+        }
+        electrodes.iter().try_for_each(Electrode::check)?;
+        let mut report = HeatReport { gap: f64::INFINITY, ..HeatReport::default() };
+        let mut plume = Vector4::zeros();
+        self.burns.gone.clear();
+        let mut books = Books {
+            material: &self.material,
+            organ: &mut self.organ,
+            burns: &mut self.burns,
+            ledger: &mut self.ledger,
+            report: &mut report,
+            bursts: false,
+            plume: &mut plume,
+        };
+        let active = || electrodes.iter().filter(|electrode| electrode.power > 0.0);
+        // All that can fail comes first.
+        for electrode in active() {
+            let gap = self.source.prepare(&mut self.grid, electrode, dt, &mut books)?;
+            books.report.gap = books.report.gap.min(gap);
+        }
+        let organ = books.organ.step(dt)?;
+        books.ledger.perfusion += organ.perfusion;
+        books.ledger.held += organ.held;
+        for electrode in active() {
+            // What was prepared last is still about the only one.
+            if active().count() > 1 {
+                self.source.prepare(&mut self.grid, electrode, dt, &mut books)?;
+            }
+            books.bursts = electrode.mode == Mode::Cut;
+            let joules = self.source.heat(&mut self.grid, electrode, dt, &mut books);
+            books.report.absorbed += joules / dt;
+        }
+        books.bursts = active().any(|electrode| electrode.mode == Mode::Cut);
+        let parts = (dt / self.grid.step_max()).ceil().max(1.0);
+        for _ in 0..parts as u32 {
+            self.grid.diffuse(dt / parts, &mut books);
+            self.grid.settle(dt / parts, &mut books);
+        }
+        for (damage, celsius) in self.organ_damage.iter_mut().zip(&self.organ.celsius) {
+            *damage += dt * self.material.damage.rate(*celsius);
+        }
+        for element in &self.burns.gone {
+            let (corners, conduction) = &self.elements[*element as usize];
+            self.organ.disconnect(&corners[..self.corners], conduction);
+        }
+        report.steam_rate /= dt;
+        report.smoke_rate /= dt;
+        report.active_blocks = self.grid.blocks.iter().filter(|block| block.is_active).count() as u32;
+        self.plume_in_rest = (plume.w > 0.0).then(|| Point3::from(plume.xyz() / plume.w));
+        Ok(report)
+    }
+
+    /// Elements (tetrahedra or triangles) that went in the last step, in the order in which they went.
+    #[must_use]
+    pub fn removed_in_step(&self) -> &[u32] {
+        &self.burns.gone
+    }
+
+    /// Where tissue went in the last step, in its rest frame \[m\]: there the smoke rises.
+    #[must_use]
+    pub fn plume_in_rest(&self) -> Option<Point3<f64>> {
+        self.plume_in_rest
+    }
+
+    /// Whether each element is gone.
+    #[must_use]
+    pub fn removed(&self) -> &[bool] {
+        &self.burns.is_removed
+    }
+
+    /// What heat did to an element; of one that there is none of, nothing.
+    #[must_use]
+    pub fn factors(&self, element: u32) -> ElementFactors {
+        let element = element as usize;
+        if element >= self.elements.len() {
+            return ElementFactors { stiffness: 1.0, length: 1.0, charred: 0.0, is_removed: false };
+        }
+        let (coagulated, charred) = self.burns.shares(element);
+        ElementFactors {
+            stiffness: 1.0 + (self.material.coagulated_stiffness - 1.0) * coagulated,
+            length: 1.0 - self.material.coagulated_shrinkage * coagulated,
+            charred,
+            is_removed: self.burns.is_removed[element],
+        }
+    }
+
+    /// Temperature \[°C\] and Ω of a vertex: of the cell that it lies in where the lattice is in use, else of the mesh.
+    #[must_use]
+    pub fn vertex(&self, vertex: u32) -> Option<(f64, f64)> {
+        let vertex = vertex as usize;
+        let (celsius, damage) = (*self.organ.celsius.get(vertex)?, self.organ_damage[vertex]);
+        Some(match self.grid.cell_near(&self.positions[vertex]) {
+            Some((block, cell)) => {
+                let block = &self.grid.blocks[block];
+                (celsius + block.excess[cell], damage.max(block.damage[cell]))
+            }
+            None => (celsius, damage),
+        })
+    }
+
+    /// Number of vertices.
+    #[must_use]
+    pub fn vertex_count(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// The cells of the lattice that were taken into use, tissue and what was removed.
+    pub fn cells(&self) -> impl Iterator<Item = HeatCell> + '_ {
+        self.grid.blocks.iter().flat_map(move |block| {
+            (0..CELLS).filter(|cell| block.flags[*cell] & block::TISSUE != 0).map(move |cell| HeatCell {
+                middle_in_rest: self.grid.centre(block, cell),
+                volume: self.grid.cell_volume() * block.share(cell),
+                celsius: self.grid.celsius(block, cell, &self.organ),
+                damage: block.damage[cell],
+                water: block.water[cell],
+                is_charred: block.flags[cell] & CHARRED != 0,
+                is_removed: !block.is_tissue(cell),
+                element: block.site(cell).element,
+            })
+        })
+    }
+
+    /// Holds a vertex of the mesh at a temperature \[°C\], as a large vessel would, or lets it go. Whether there is one, and
+    /// that is a temperature.
+    pub fn hold(&mut self, vertex: u32, celsius: Option<f64>) -> bool {
+        let vertex = vertex as usize;
+        let is_valid = celsius.is_none_or(|celsius| (-100.0..=1e4).contains(&celsius));
+        if vertex >= self.positions.len() || !is_valid {
+            return false;
+        }
+        if let Some(celsius) = celsius {
+            let gain = self.organ.capacity[vertex] * (celsius - self.organ.celsius[vertex]);
+            self.ledger.held -= gain;
+            self.organ.celsius[vertex] = celsius;
+        }
+        self.organ.held[vertex] = celsius.is_some();
+        true
+    }
+
+    /// Heat in the tissue above the body's temperature \[J\].
+    #[must_use]
+    pub fn stored(&self) -> f64 {
+        self.organ.stored() + self.grid.stored()
+    }
+
+    /// Where the heat went since the beginning.
+    #[must_use]
+    pub fn ledger(&self) -> &HeatLedger {
+        &self.ledger
+    }
+
+    /// Properties of the tissue.
+    #[must_use]
+    pub fn material(&self) -> &ThermalMaterial {
+        &self.material
+    }
+}

@@ -1,0 +1,184 @@
+//! Everything that heat has done, to go on from.
+
+use serde::{Deserialize, Serialize};
+
+use super::block::{Block, CELLS};
+use super::burn::ElementBurns;
+use super::error::ElectrosurgeryError;
+use super::ledger::HeatLedger;
+use super::{Electrosurgery, LatticeConfig, ThermalMaterial, Tissue};
+
+/// A block of the lattice; cells in the order x, y, z, x fastest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BlockState {
+    /// Where it is, in blocks from the origin.
+    pub key: [i32; 3],
+    /// Whether heat moves in it.
+    pub is_active: bool,
+    /// Largest excess \[K\].
+    pub peak: f64,
+    /// Temperatures above the mesh's \[K\].
+    pub excess: Vec<f64>,
+    /// Shares of water left.
+    pub water: Vec<f64>,
+    /// Ω.
+    pub damage: Vec<f64>,
+    /// Bits: tissue, removed, coagulated, charred.
+    pub flags: Vec<u8>,
+}
+
+/// State of tissue under electrodes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ElectrosurgeryState {
+    /// Temperatures of the mesh's vertices \[°C\].
+    pub celsius: Vec<f64>,
+    /// Ω of the mesh's vertices.
+    pub damage: Vec<f64>,
+    /// Heat capacities of the mesh's vertices that are left \[J/K\].
+    pub capacity: Vec<f64>,
+    /// Heat loss to blood that is left \[W/K\].
+    pub perfusion: Vec<f64>,
+    /// Whether vertices are held.
+    pub held: Vec<bool>,
+    /// Volumes of each element that are removed, coagulated, charred \[m³\].
+    pub burns: Vec<[f64; 3]>,
+    /// Elements that are gone, in the order in which they went.
+    pub removed: Vec<u32>,
+    /// Blocks in the order of their keys.
+    pub blocks: Vec<BlockState>,
+    /// Where the heat went.
+    pub ledger: HeatLedger,
+}
+
+fn wrong<T>(what: impl Into<String>) -> Result<T, ElectrosurgeryError> {
+    Err(ElectrosurgeryError::State(what.into()))
+}
+
+fn fits(name: &str, values: &[f64], count: usize, least: f64) -> Result<(), ElectrosurgeryError> {
+    if values.len() != count {
+        return wrong(format!("{name}: {} values, {count} are valid", values.len()));
+    }
+    match values.iter().position(|value| !(value.is_finite() && *value >= least)) {
+        Some(at) => wrong(format!("{name}: value {at} is {}, finite from {least} is valid", values[at])),
+        None => Ok(()),
+    }
+}
+
+impl BlockState {
+    fn of(block: &Block) -> Self {
+        Self {
+            key: block.key,
+            is_active: block.is_active,
+            peak: block.peak,
+            excess: block.excess.to_vec(),
+            water: block.water.to_vec(),
+            damage: block.damage.to_vec(),
+            flags: block.flags.to_vec(),
+        }
+    }
+
+    fn check(&self) -> Result<(), ElectrosurgeryError> {
+        fits("excess", &self.excess, CELLS, f64::MIN)?;
+        fits("water", &self.water, CELLS, 0.0)?;
+        fits("damage", &self.damage, CELLS, 0.0)?;
+        fits("peak", &[self.peak], 1, 0.0)?;
+        if self.flags.len() != CELLS || self.water.iter().any(|water| *water > 1.0) {
+            return wrong(format!("block {:?}: {CELLS} flags, and water up to 1, are valid", self.key));
+        }
+        Ok(())
+    }
+}
+
+impl Electrosurgery {
+    /// Everything to go on from.
+    #[must_use]
+    pub fn state(&self) -> ElectrosurgeryState {
+        let ElementBurns { removed, coagulated, charred, .. } = &self.burns;
+        ElectrosurgeryState {
+            celsius: self.organ.celsius.clone(),
+            damage: self.organ_damage.clone(),
+            capacity: self.organ.capacity.clone(),
+            perfusion: self.organ.perfusion.clone(),
+            held: self.organ.held.clone(),
+            burns: (0..removed.len()).map(|e| [removed[e], coagulated[e], charred[e]]).collect(),
+            removed: self.burns.order.clone(),
+            blocks: self.grid.blocks.iter().map(BlockState::of).collect(),
+            ledger: self.ledger,
+        }
+    }
+
+    /// The tissue of a state: it goes on as the one that the state was taken from, bit for bit.
+    ///
+    /// # Errors
+    /// As [`Electrosurgery::new`]; a state of another tissue, or with numbers that cannot be.
+    pub fn restore(
+        tissue: &Tissue<'_>,
+        material: ThermalMaterial,
+        lattice: LatticeConfig,
+        state: &ElectrosurgeryState,
+    ) -> Result<Self, ElectrosurgeryError> {
+        let mut restored = Self::new(tissue, material, lattice)?;
+        let (vertices, elements) = (restored.positions.len(), restored.elements.len());
+        fits("celsius", &state.celsius, vertices, -273.15)?;
+        fits("damage", &state.damage, vertices, 0.0)?;
+        fits("capacity", &state.capacity, vertices, 0.0)?;
+        fits("perfusion", &state.perfusion, vertices, 0.0)?;
+        let HeatLedger { supplied, latent, steam, removed, perfusion, held, stored_before } = state.ledger;
+        let ledger = [supplied, latent, steam, removed, perfusion, held, stored_before];
+        fits("ledger", &ledger, ledger.len(), f64::MIN)?;
+        if state.held.len() != vertices || state.burns.len() != elements {
+            return wrong(format!("held and burns: {vertices} and {elements} are valid"));
+        }
+        let burns: Vec<f64> = state.burns.iter().flatten().copied().collect();
+        fits("burns", &burns, 3 * elements, f64::MIN)?;
+        if let Some(alien) = state.removed.iter().find(|element| **element as usize >= elements) {
+            return wrong(format!("removed: element {alien}, 0 to {elements} - 1 are valid"));
+        }
+        let is_sorted = state.blocks.windows(2).all(|pair| pair[0].key < pair[1].key);
+        if !is_sorted || state.blocks.len() > lattice.blocks_max {
+            return wrong(format!("blocks: at most {}, sorted by their keys, are valid", lattice.blocks_max));
+        }
+        let lost = (0..vertices)
+            .find(|vertex| state.capacity[*vertex] <= 0.0 && restored.organ.capacity[*vertex] > 0.0);
+        if let Some(vertex) = lost {
+            return wrong(format!("capacity: vertex {vertex} has none"));
+        }
+        restored.organ.celsius.clone_from(&state.celsius);
+        restored.organ.capacity.clone_from(&state.capacity);
+        restored.organ.perfusion.clone_from(&state.perfusion);
+        restored.organ.held.clone_from(&state.held);
+        restored.organ_damage.clone_from(&state.damage);
+        restored.ledger = state.ledger;
+        for (element, [removed, coagulated, charred]) in state.burns.iter().enumerate() {
+            restored.burns.removed[element] = *removed;
+            restored.burns.coagulated[element] = *coagulated;
+            restored.burns.charred[element] = *charred;
+        }
+        // In the order in which they went: sums keep their bits.
+        for element in &state.removed {
+            if std::mem::replace(&mut restored.burns.is_removed[*element as usize], true) {
+                return wrong(format!("removed: element {element} is named twice"));
+            }
+            let (corners, conduction) = &restored.elements[*element as usize];
+            restored.organ.disconnect(&corners[..restored.corners], conduction);
+        }
+        restored.burns.order.clone_from(&state.removed);
+        for block in &state.blocks {
+            block.check()?;
+            let Some(kept) = restored.grid.remember(block.key) else {
+                return wrong(format!("block {:?}: there is no tissue", block.key));
+            };
+            kept.excess.copy_from_slice(&block.excess);
+            kept.water.copy_from_slice(&block.water);
+            kept.damage.copy_from_slice(&block.damage);
+            // What is tissue the mesh tells.
+            for (kept, flag) in kept.flags.iter_mut().zip(&block.flags) {
+                if *kept != 0 {
+                    *kept = *flag | super::block::TISSUE;
+                }
+            }
+            (kept.is_active, kept.peak) = (block.is_active, block.peak);
+        }
+        Ok(restored)
+    }
+}

@@ -1,0 +1,34 @@
+//! Simulators: each physical method a plain solver in a file of its own, and a thin controller beside it that applies
+//! it to the entities that carry its component. A solver takes slices and numbers, knows no scene, and steps by a
+//! given time; it commits a step only if every number of it is finite. [`controller`] schedules them.
+//!
+//! | Method | File |
+//! |---|---|
+//! | tetrahedral meshes: what is wrong with them, their boundary, boxes | [`tet_mesh`] |
+//! | linear quasi-static finite elements with a precomputed inverse | [`linear_fem`], [`elasticity`] |
+//! | implicit dynamic finite elements, corotational and neo-Hookean | [`dynamic_fem`] |
+//! | sparse matrices of 3×3 blocks and their Cholesky factors | [`sparse`] |
+//! | surfaces that are cut along any path, and tear | [`cutting`] |
+//! | what the jaws hold of a surface | [`picking`] |
+//! | masses and springs: thread, cloth, tube, volume, explicit and implicit | [`mass_spring`] |
+//! | position-based: distances, neo-Hookean volumes, small steps | [`xpbd`] |
+//! | Electrosurgery: enthalpy method, Pennes perfusion, Arrhenius damage | `electrosurgery/` |
+//! | Suture thread, knots, needle | [`thread`] |
+//! | Liquids, smoke, bleeding, vital signs | `fluid/` |
+//! | Rigid bodies: momenta, impulses | `rigid/` |
+#![forbid(unsafe_code)]
+
+pub mod controller;
+pub mod cutting;
+pub mod dynamic_fem;
+pub mod elasticity;
+pub mod electrosurgery;
+pub mod fluid;
+pub mod linear_fem;
+pub mod mass_spring;
+pub mod picking;
+pub mod rigid;
+pub mod sparse;
+pub mod tet_mesh;
+pub mod thread;
+pub mod xpbd;

@@ -1,0 +1,95 @@
+//! What a constraint holds: a weighted mean of nodes.
+
+use nalgebra::{Unit, Vector3};
+use thiserror::Error;
+
+/// Most nodes that one attachment is spread over.
+pub const WEIGHTS_MAX: usize = 512;
+
+/// What is held of the mean displacement of an attachment's nodes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Hold {
+    /// All of it, as in a grasp or at a needle.
+    Point,
+    /// Its part along a direction; it slides across.
+    Along(Unit<Vector3<f64>>),
+    /// Its part along a direction is kept from falling below the target, as by a tool that may leave: force only along
+    /// the direction, never against it.
+    AtLeast(Unit<Vector3<f64>>),
+}
+
+impl Hold {
+    /// Directions that are held: how many, and which.
+    pub(super) fn directions(&self) -> ([Vector3<f64>; 3], usize) {
+        match self {
+            Self::Point => ([Vector3::x(), Vector3::y(), Vector3::z()], 3),
+            Self::Along(along) | Self::AtLeast(along) => ([along.into_inner(); 3], 1),
+        }
+    }
+}
+
+/// Nodes with weights whose mean displacement is held: one node, a point in an element by its barycentric weights, or a
+/// patch of the surface.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attachment {
+    /// Nodes and their weights, which add up to 1.
+    pub weights: Vec<(u32, f64)>,
+    /// What of their mean is held.
+    pub hold: Hold,
+}
+
+/// Why something cannot be attached to.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum AttachmentError {
+    /// Too few or too many nodes.
+    #[error("an attachment to {0} nodes: 1 to {WEIGHTS_MAX} are valid")]
+    Count(usize),
+    /// A node that there is none of.
+    #[error("an attachment to node {node}, but there are {nodes}: 0 to {nodes} - 1 are valid")]
+    NoNode {
+        /// What was named.
+        node: u32,
+        /// How many there are.
+        nodes: usize,
+    },
+    /// Weights that are no mean.
+    #[error("the weights of an attachment add up to {0}, not to 1")]
+    Sum(f64),
+}
+
+impl Attachment {
+    /// Of one node.
+    #[must_use]
+    pub fn node(node: u32, hold: Hold) -> Self {
+        Self { weights: vec![(node, 1.0)], hold }
+    }
+
+    /// Of a point in an element, by its corners and barycentric weights.
+    #[must_use]
+    pub fn barycentric(corners: [u32; 4], weights: [f64; 4], hold: Hold) -> Self {
+        Self {
+            weights: corners.into_iter().zip(weights).filter(|(_, weight)| *weight != 0.0).collect(),
+            hold,
+        }
+    }
+
+    pub(super) fn check(&self, nodes: usize) -> Result<(), AttachmentError> {
+        check_weights(&self.weights, nodes)
+    }
+}
+
+/// Whether weights are those of a mean of existing nodes.
+pub(super) fn check_weights(weights: &[(u32, f64)], nodes: usize) -> Result<(), AttachmentError> {
+    if weights.is_empty() || weights.len() > WEIGHTS_MAX {
+        return Err(AttachmentError::Count(weights.len()));
+    }
+    if let Some(&(node, _)) = weights.iter().find(|(node, _)| *node as usize >= nodes) {
+        return Err(AttachmentError::NoNode { node, nodes });
+    }
+    let sum: f64 = weights.iter().map(|(_, weight)| weight).sum();
+    // The negation holds for NaN too.
+    if !((sum - 1.0).abs() <= 1e-9) {
+        return Err(AttachmentError::Sum(sum));
+    }
+    Ok(())
+}

@@ -1,0 +1,300 @@
+//! The precomputed inverse: displacements of all free surface nodes per unit force at each of them.
+//!
+//! Interior nodes are eliminated first and surface nodes last, so that the tail of the Cholesky factor is the factor of
+//! the stiffness condensed onto the surface; its inverse is the part of K⁻¹ between surface nodes, and nothing else of
+//! K⁻¹ is ever formed.
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::inverse::{inverse, inverse_scratch};
+use faer::{Mat, Par};
+use nalgebra::Vector3;
+use thiserror::Error;
+
+use crate::elasticity::{Elastic, stiffness};
+use crate::sparse::{FactorError, SparseCholesky, minimum_degree};
+use crate::tet_mesh::TetMesh;
+
+/// How much a precomputation may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Bytes of the stored compliance: 36 per pair of free surface nodes.
+    pub bytes_max: u64,
+    /// Nodes of the whole mesh.
+    pub nodes_max: usize,
+}
+
+impl Default for Limits {
+    /// 1 GiB, some 5,400 free surface nodes (while it is computed six times as much is needed), and 100,000 nodes.
+    fn default() -> Self {
+        Self { bytes_max: 1 << 30, nodes_max: 100_000 }
+    }
+}
+
+/// Why there is no compliance.
+#[derive(Clone, Copy, Debug, Error, PartialEq)]
+pub enum PrecomputeError {
+    /// A fixed node that there is none of.
+    #[error("node {node} is to be fixed, but there are {nodes}: 0 to {nodes} - 1 are valid")]
+    NoNode {
+        /// What was named.
+        node: u32,
+        /// How many there are.
+        nodes: usize,
+    },
+    /// The dense part would be too large.
+    #[error(
+        "{surface_nodes} free surface nodes need {bytes} bytes of compliance, but at most {bytes_max} are allowed: \
+         coarsen the surface, fix more of it, or raise the limit"
+    )]
+    TooLarge {
+        /// Free nodes of the surface.
+        surface_nodes: usize,
+        /// What they take.
+        bytes: u64,
+        /// What is allowed.
+        bytes_max: u64,
+    },
+    /// The sparse part would be too large.
+    #[error("the mesh has {nodes} nodes, but at most {nodes_max} are allowed")]
+    TooManyNodes {
+        /// How many there are.
+        nodes: usize,
+        /// How many are allowed.
+        nodes_max: usize,
+    },
+    /// A part of the body could move as a whole.
+    #[error(
+        "the part of the body that node {node} belongs to has no three fixed nodes that span a triangle: it could move \
+         as a whole"
+    )]
+    Loose {
+        /// The smallest node of that part.
+        node: u32,
+    },
+    /// Every node of the surface is fixed.
+    #[error("no node of the surface is free: nothing could be touched")]
+    NothingFree,
+    /// The body is not held, or there is no room.
+    #[error(transparent)]
+    Factor(#[from] FactorError),
+    /// No room for the dense part.
+    #[error("there is no room for the dense inverse of {0} rows")]
+    OutOfMemory(usize),
+    /// The caller asked to stop.
+    #[error("the precomputation was cancelled")]
+    Cancelled,
+}
+
+/// Which nodes stand where: fixed ones nowhere, free interior ones first, free surface ones last.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Boundary {
+    /// Row of each node in the order of elimination.
+    pub(super) numbers: Vec<Option<u32>>,
+    /// Free interior nodes: the first rows.
+    pub(super) interior: usize,
+    /// Free surface nodes, ascending: the last rows.
+    pub(super) surface: Vec<u32>,
+}
+
+impl Boundary {
+    /// Of a mesh with these nodes fixed.
+    ///
+    /// # Errors
+    /// A node that does not exist; nothing left free on the surface.
+    pub fn new(mesh: &TetMesh, fixed: &[u32]) -> Result<Self, PrecomputeError> {
+        let nodes = mesh.rest().len();
+        let mut free = vec![true; nodes];
+        for &node in fixed {
+            *free.get_mut(node as usize).ok_or(PrecomputeError::NoNode { node, nodes })? = false;
+        }
+        let surface: Vec<u32> =
+            mesh.surface_nodes().iter().copied().filter(|&node| free[node as usize]).collect();
+        if surface.is_empty() {
+            return Err(PrecomputeError::NothingFree);
+        }
+        if let Some(node) = loose(mesh, &free) {
+            return Err(PrecomputeError::Loose { node });
+        }
+        let mut inner = free;
+        for &node in mesh.surface_nodes() {
+            inner[node as usize] = false;
+        }
+        let interior: Vec<u32> = (0..nodes as u32).filter(|&node| inner[node as usize]).collect();
+        let mut local = vec![None; nodes];
+        for (index, &node) in interior.iter().enumerate() {
+            local[node as usize] = Some(index as u32);
+        }
+        let edges = mesh.tets().iter().flat_map(|tet| {
+            let own = tet.map(|node| local[node as usize]);
+            (0..4).flat_map(move |i| (0..i).filter_map(move |j| Some((own[i]?, own[j]?))))
+        });
+        let order = minimum_degree(interior.len(), edges);
+        let mut numbers = vec![None; nodes];
+        for (row, &index) in order.iter().enumerate() {
+            numbers[interior[index as usize] as usize] = Some(row as u32);
+        }
+        for (index, &node) in surface.iter().enumerate() {
+            numbers[node as usize] = Some((interior.len() + index) as u32);
+        }
+        Ok(Self { numbers, interior: interior.len(), surface })
+    }
+
+    /// All free nodes.
+    pub(super) fn free(&self) -> usize {
+        self.interior + self.surface.len()
+    }
+
+    /// Row of a node among the free surface nodes; `None` for others.
+    pub(super) fn surface_row(&self, node: u32) -> Option<usize> {
+        (self.numbers[node as usize]? as usize).checked_sub(self.interior)
+    }
+}
+
+/// The smallest node of a part that is not held against every motion as a whole, if there is one: hanging together by
+/// common nodes, it needs three fixed nodes that span a triangle.
+fn loose(mesh: &TetMesh, free: &[bool]) -> Option<u32> {
+    let mut parent: Vec<u32> = (0..free.len() as u32).collect();
+    fn root(parent: &mut [u32], mut node: u32) -> u32 {
+        while parent[node as usize] != node {
+            parent[node as usize] = parent[parent[node as usize] as usize];
+            node = parent[node as usize];
+        }
+        node
+    }
+    for [first, others @ ..] in mesh.tets() {
+        for other in others {
+            let (a, b) = (root(&mut parent, *first), root(&mut parent, *other));
+            parent[a.max(b) as usize] = a.min(b);
+        }
+    }
+    // Per part: a fixed node, the way from it to the farthest one, and whether one lies beside that way.
+    let mut first: Vec<Option<u32>> = vec![None; free.len()];
+    let mut along = vec![Vector3::zeros(); free.len()];
+    let mut spans = vec![false; free.len()];
+    let fixed: Vec<(u32, usize)> = (0..free.len() as u32)
+        .filter(|&node| !free[node as usize])
+        .map(|node| (node, root(&mut parent, node) as usize))
+        .collect();
+    let way = |from: u32, to: u32| mesh.rest()[to as usize] - mesh.rest()[from as usize];
+    for &(node, part) in &fixed {
+        let reach = way(*first[part].get_or_insert(node), node);
+        if reach.norm_squared() > along[part].norm_squared() {
+            along[part] = reach;
+        }
+    }
+    for &(node, part) in &fixed {
+        if let Some(begin) = first[part] {
+            spans[part] |= along[part].cross(&way(begin, node)).norm() > 1e-9 * along[part].norm_squared();
+        }
+    }
+    (0..free.len() as u32).find(|&node| parent[node as usize] == node && !spans[node as usize])
+}
+
+/// Displacements of the free surface nodes per force on them \[m/N\], as f32: its rounding moves a force that is read
+/// back by far less than the mesh does, and halves what has to be read in every cycle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Compliance {
+    /// Row i, column j, both three to a node of `nodes`.
+    pub(super) entries: Vec<f32>,
+    pub(super) nodes: Vec<u32>,
+    /// Of the mesh, the material and the fixed nodes.
+    pub(super) fingerprint: u64,
+}
+
+impl Compliance {
+    /// Computes it, and tells `progress` the share that is done, in \[0, 1\]; where that answers `false`, it stops.
+    ///
+    /// # Errors
+    /// What is out of range or too large, a body that is held by nothing, cancelled.
+    pub fn precompute(
+        mesh: &TetMesh,
+        material: &Elastic,
+        fixed: &[u32],
+        limits: &Limits,
+        progress: &mut dyn FnMut(f64) -> bool,
+    ) -> Result<Self, PrecomputeError> {
+        let boundary = Boundary::new(mesh, fixed)?;
+        let factor = factor(mesh, material, &boundary, limits)?;
+        Self::from_factor(mesh, material, fixed, &boundary, &factor, progress)
+    }
+
+    pub(super) fn from_factor(
+        mesh: &TetMesh,
+        material: &Elastic,
+        fixed: &[u32],
+        boundary: &Boundary,
+        factor: &SparseCholesky,
+        progress: &mut dyn FnMut(f64) -> bool,
+    ) -> Result<Self, PrecomputeError> {
+        let rows = 3 * boundary.surface.len();
+        let mut go_on = |share: f64| if progress(share) { Ok(()) } else { Err(PrecomputeError::Cancelled) };
+        go_on(0.2)?;
+        let mut lower = Mat::<f64>::zeros(rows, rows);
+        factor.tail(3 * boundary.interior, |row, column, value| lower[(row, column)] = value);
+        go_on(0.3)?;
+        let mut dense = Mat::<f64>::zeros(rows, rows);
+        let mut memory = MemBuffer::try_new(inverse_scratch::<f64>(rows, Par::Seq))
+            .map_err(|_| PrecomputeError::OutOfMemory(rows))?;
+        inverse(dense.as_mut(), lower.as_ref(), Par::Seq, MemStack::new(&mut memory));
+        drop((memory, lower));
+        go_on(0.9)?;
+        let mut entries = vec![0.0_f32; rows * rows];
+        // Blocks of rows, so that both halves of the symmetric matrix are written nearby.
+        const BLOCK: usize = 64;
+        for top in (0..rows).step_by(BLOCK) {
+            for column in 0..rows {
+                let values = dense.col(column);
+                for row in top.max(column)..(top + BLOCK).min(rows) {
+                    let value = values[row] as f32;
+                    entries[row * rows + column] = value;
+                    entries[column * rows + row] = value;
+                }
+            }
+        }
+        go_on(1.0)?;
+        let nodes = boundary.surface.clone();
+        Ok(Self { entries, nodes, fingerprint: super::bytes::fingerprint(mesh, material, fixed) })
+    }
+
+    /// The free surface nodes that it is between, ascending.
+    #[must_use]
+    pub fn nodes(&self) -> &[u32] {
+        &self.nodes
+    }
+
+    /// What it was computed from: a hash of the mesh, the material and the fixed nodes.
+    #[must_use]
+    pub fn fingerprint(&self) -> u64 {
+        self.fingerprint
+    }
+
+    /// Displacements of all free surface nodes, three to a node, per unit force along one axis of the `index`-th of
+    /// them \[m/N\].
+    #[must_use]
+    pub fn row(&self, index: usize, axis: usize) -> &[f32] {
+        let rows = 3 * self.nodes.len();
+        &self.entries[(3 * index + axis) * rows..][..rows]
+    }
+}
+
+/// The sparse factor of the whole, free nodes in the order of the boundary.
+pub(super) fn factor(
+    mesh: &TetMesh,
+    material: &Elastic,
+    boundary: &Boundary,
+    limits: &Limits,
+) -> Result<SparseCholesky, PrecomputeError> {
+    let nodes = mesh.rest().len();
+    if nodes > limits.nodes_max {
+        return Err(PrecomputeError::TooManyNodes { nodes, nodes_max: limits.nodes_max });
+    }
+    let surface_nodes = boundary.surface.len();
+    let bytes = 36 * (surface_nodes as u64).pow(2);
+    if bytes > limits.bytes_max {
+        return Err(PrecomputeError::TooLarge { surface_nodes, bytes, bytes_max: limits.bytes_max });
+    }
+    let matrix = stiffness(mesh, material, &boundary.numbers, boundary.free());
+    let mut factor = SparseCholesky::new(matrix.pattern(), 3)?;
+    factor.factor(matrix.pattern(), matrix.values())?;
+    Ok(factor)
+}

@@ -1,0 +1,103 @@
+//! How far a deformation is from small: the rotation and the strain of every element.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::tet_mesh::TetMesh;
+
+/// Rotation of an element beyond which linear elasticity misleads \[rad\]: 10°.
+pub const ROTATION_LIMIT: f64 = 10.0 * std::f64::consts::PI / 180.0;
+/// Principal strain beyond which linear elasticity misleads: 10 %.
+pub const STRAIN_LIMIT: f64 = 0.1;
+
+/// The largest rotation and strain of any element.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Deformation {
+    /// Largest rotation \[rad\]; π for an element that is turned inside out.
+    pub rotation: f64,
+    /// The element that turned the most.
+    pub rotated_tet: u32,
+    /// Largest principal strain in magnitude, in the frame of the element; infinite for one turned inside out.
+    pub strain: f64,
+    /// The element that is strained the most.
+    pub strained_tet: u32,
+}
+
+impl Deformation {
+    /// Of displacements of all nodes \[m\].
+    ///
+    /// # Panics
+    /// When there is not one displacement per node.
+    #[must_use]
+    pub fn of(mesh: &TetMesh, displacements: &[Vector3<f64>]) -> Self {
+        assert_eq!(displacements.len(), mesh.rest().len(), "one displacement per node");
+        let mut most = Self::default();
+        for (index, tet) in mesh.tets().iter().enumerate() {
+            let [a, b, c, d] = tet.map(|node| displacements[node as usize]);
+            let edges = Matrix3::from_columns(&[b - a, c - a, d - a]);
+            let gradient = Matrix3::identity() + edges * mesh.inverse_shapes()[index];
+            let (rotation, strain) = rotation_and_strain(&gradient);
+            if rotation > most.rotation {
+                (most.rotation, most.rotated_tet) = (rotation, index as u32);
+            }
+            if strain > most.strain {
+                (most.strain, most.strained_tet) = (strain, index as u32);
+            }
+        }
+        most
+    }
+
+    /// Whether both are small enough for linear elasticity to be believed.
+    #[must_use]
+    pub fn is_small(&self) -> bool {
+        self.rotation <= ROTATION_LIMIT && self.strain <= STRAIN_LIMIT
+    }
+}
+
+/// Rotations that Newton's iteration is given; from a deformation within any limits six are plenty.
+const NEWTON_MAX: usize = 20;
+
+/// Angle of the rotation in F = R S \[rad\], and the largest principal |S − 1|.
+fn rotation_and_strain(gradient: &Matrix3<f64>) -> (f64, f64) {
+    let flipped = (std::f64::consts::PI, f64::INFINITY);
+    if !(gradient.determinant() > 0.0) {
+        return flipped;
+    }
+    // The polar decomposition by Newton's iteration (Higham 1986).
+    let mut rotation = *gradient;
+    for _ in 0..NEWTON_MAX {
+        let Some(inverse) = rotation.try_inverse() else { return flipped };
+        let next = (rotation + inverse.transpose()) * 0.5;
+        let change = (next - rotation).amax();
+        rotation = next;
+        if change < 1e-12 {
+            break;
+        }
+    }
+    let axial = Vector3::new(
+        rotation[(2, 1)] - rotation[(1, 2)],
+        rotation[(0, 2)] - rotation[(2, 0)],
+        rotation[(1, 0)] - rotation[(0, 1)],
+    );
+    let angle = axial.norm().atan2(rotation.trace() - 1.0);
+    let stretch = rotation.transpose() * gradient;
+    let symmetric = (stretch + stretch.transpose()) * 0.5;
+    let strain =
+        symmetric.symmetric_eigenvalues().iter().map(|value| (value - 1.0).abs()).fold(0.0, f64::max);
+    (angle, strain)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Rotation3;
+
+    #[test]
+    fn a_rotation_and_a_stretch_are_told_apart() {
+        let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.4).into_inner();
+        let stretch = Matrix3::from_diagonal(&Vector3::new(1.2, 0.95, 1.0));
+        let (rotation, strain) = rotation_and_strain(&(turn * stretch));
+        assert!((rotation - 0.4).abs() < 1e-12 && (strain - 0.2).abs() < 1e-12, "{rotation} {strain}");
+        let (rotation, strain) = rotation_and_strain(&Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -0.5)));
+        assert!(rotation > 3.0 && strain.is_infinite());
+    }
+}

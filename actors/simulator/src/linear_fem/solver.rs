@@ -1,0 +1,561 @@
+//! The run-time side: constraints come and go, and every cycle answers with the forces that hold them.
+
+use nalgebra::Vector3;
+
+use super::active::{ActiveSet, Packed};
+use super::attachment::{Attachment, Hold, check_weights};
+use super::compliance::{Boundary, Compliance, Limits, factor};
+use super::deformation::Deformation;
+use super::error::LinearFemError;
+use crate::elasticity::Elastic;
+use crate::sparse::SparseCholesky;
+use crate::tet_mesh::TetMesh;
+
+/// Directions that can be held at once: 128 grasped points.
+pub(super) const ROWS_MAX: usize = 384;
+
+/// Names a constraint for as long as it is held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Handle(pub u64);
+
+/// A force on a weighted mean of free surface nodes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Load<'a> {
+    /// Nodes and weights, which add up to 1; see [`patch`](super::patch()).
+    pub weights: &'a [(u32, f64)],
+    /// The force \[N\].
+    pub force: Vector3<f64>,
+}
+
+/// The force that a constraint exerts on the body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reaction {
+    /// Which constraint.
+    pub handle: Handle,
+    /// The force on the body \[N\]; what a hand feels is its opposite.
+    pub force: Vector3<f64>,
+}
+
+/// What one cycle found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Solution<'a> {
+    /// One per constraint, in the order in which they came.
+    pub reactions: &'a [Reaction],
+    /// Rounds until it was clear which one-sided constraints act; 1 where there are none.
+    pub rounds: usize,
+}
+
+/// A constraint as it is held.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Held {
+    /// Its name.
+    pub handle: Handle,
+    /// What it holds.
+    pub attachment: Attachment,
+    /// Where: the displacement of the mean from rest \[m\].
+    pub target: Vector3<f64>,
+}
+
+/// One direction that is held.
+#[derive(Clone, Debug)]
+pub(super) struct Row {
+    held: usize,
+    direction: Vector3<f64>,
+    one_sided: bool,
+    /// Displacements of the free surface nodes per force along it \[m/N\].
+    compliance: Vec<f32>,
+    /// Displacement by the dead load along it \[m\].
+    dead: f64,
+}
+
+/// What a cycle that fails goes back to.
+#[derive(Default)]
+struct Before {
+    multipliers: Vec<f64>,
+    rows: Vec<u32>,
+    factor: Vec<f64>,
+}
+
+/// A linear elastic body whose surface is touched.
+pub struct LinearFem {
+    pub(super) mesh: TetMesh,
+    boundary: Boundary,
+    factor: SparseCholesky,
+    compliance: Compliance,
+    pub(super) held: Vec<Held>,
+    pub(super) next: u64,
+    pub(super) rows: Vec<Row>,
+    w: Packed,
+    pub(super) active: ActiveSet,
+    pub(super) multipliers: Vec<f64>,
+    pub(super) dead_load: Vec<Vector3<f64>>,
+    /// Displacements by the dead load, of all free nodes.
+    dead: Vec<f64>,
+    reactions: Vec<Reaction>,
+    pub(super) loads: Vec<(usize, Vector3<f64>)>,
+    loads_before: Vec<(usize, Vector3<f64>)>,
+    before: Before,
+    right: Vec<f64>,
+    trial: Vec<f64>,
+    skipped: Vec<bool>,
+    single: Vec<f32>,
+    spare: Vec<Vec<f32>>,
+}
+
+impl LinearFem {
+    /// Precomputes and begins at rest.
+    ///
+    /// # Errors
+    /// As [`Compliance::precompute`].
+    pub fn new(
+        mesh: TetMesh,
+        material: &Elastic,
+        fixed: &[u32],
+        limits: &Limits,
+        progress: &mut dyn FnMut(f64) -> bool,
+    ) -> Result<Self, LinearFemError> {
+        let boundary = Boundary::new(&mesh, fixed)?;
+        let factor = factor(&mesh, material, &boundary, limits)?;
+        let compliance = Compliance::from_factor(&mesh, material, fixed, &boundary, &factor, progress)?;
+        Ok(Self::assembled(mesh, boundary, factor, compliance))
+    }
+
+    /// Begins at rest with a compliance that was computed before.
+    ///
+    /// # Errors
+    /// A compliance of something else; otherwise as [`Compliance::precompute`].
+    pub fn with_compliance(
+        mesh: TetMesh,
+        material: &Elastic,
+        fixed: &[u32],
+        limits: &Limits,
+        compliance: Compliance,
+    ) -> Result<Self, LinearFemError> {
+        if compliance.fingerprint != super::bytes::fingerprint(&mesh, material, fixed) {
+            return Err(LinearFemError::OtherCompliance);
+        }
+        let boundary = Boundary::new(&mesh, fixed)?;
+        let factor = factor(&mesh, material, &boundary, limits)?;
+        Ok(Self::assembled(mesh, boundary, factor, compliance))
+    }
+
+    fn assembled(mesh: TetMesh, boundary: Boundary, factor: SparseCholesky, compliance: Compliance) -> Self {
+        let (rows, free) = (3 * boundary.surface.len(), 3 * boundary.free());
+        Self {
+            mesh,
+            boundary,
+            factor,
+            compliance,
+            held: Vec::new(),
+            next: 0,
+            rows: Vec::new(),
+            w: Packed::default(),
+            active: ActiveSet::default(),
+            multipliers: Vec::new(),
+            dead_load: Vec::new(),
+            dead: vec![0.0; free],
+            reactions: Vec::new(),
+            loads: Vec::new(),
+            loads_before: Vec::new(),
+            before: Before::default(),
+            right: Vec::new(),
+            trial: Vec::new(),
+            skipped: Vec::new(),
+            single: vec![0.0; rows],
+            spare: Vec::new(),
+        }
+    }
+
+    /// The body.
+    #[must_use]
+    pub fn mesh(&self) -> &TetMesh {
+        &self.mesh
+    }
+
+    /// The precomputed inverse, to be written.
+    #[must_use]
+    pub fn compliance(&self) -> &Compliance {
+        &self.compliance
+    }
+
+    /// Constraints, in the order in which they came.
+    #[must_use]
+    pub fn held(&self) -> &[Held] {
+        &self.held
+    }
+
+    /// Forces on all nodes that stay \[N\], such as weight; an empty slice for none. A sparse solve, not for every cycle.
+    ///
+    /// # Errors
+    /// Another number of forces than of nodes, a force that is no number.
+    pub fn set_dead_load(&mut self, forces: &[Vector3<f64>]) -> Result<(), LinearFemError> {
+        let nodes = self.mesh.rest().len();
+        if !forces.is_empty() && forces.len() != nodes {
+            return Err(LinearFemError::Forces { found: forces.len(), nodes });
+        }
+        if !forces.iter().flatten().all(|x| x.is_finite()) {
+            return Err(LinearFemError::NotFinite { what: "a dead load" });
+        }
+        self.dead_load = forces.to_vec();
+        self.dead.fill(0.0);
+        for (number, force) in self.boundary.numbers.iter().zip(forces) {
+            if let Some(number) = number {
+                self.dead[3 * *number as usize..][..3].copy_from_slice(force.as_slice());
+            }
+        }
+        self.factor.solve(&mut self.dead);
+        for row in &mut self.rows {
+            row.dead =
+                mean(&self.boundary, &self.dead, &self.held[row.held].attachment.weights, &row.direction);
+        }
+        Ok(())
+    }
+
+    /// Holds something, at first where it is at rest; move it with [`Self::set_target`]. With surface nodes only it
+    /// costs a few rows of the compliance, with interior nodes a sparse solve.
+    ///
+    /// # Errors
+    /// Weights that are no mean, too much held, or held already.
+    pub fn hold(&mut self, attachment: Attachment) -> Result<Handle, LinearFemError> {
+        let handle = Handle(self.next);
+        let first = self.rows.len();
+        self.enter(Held { handle, attachment, target: Vector3::zeros() })?;
+        for row in first..self.rows.len() {
+            if !self.rows[row].one_sided && !self.active.append(row, &self.w) {
+                let node = self.held[self.held.len() - 1].attachment.weights[0].0;
+                self.leave(self.held.len() - 1);
+                return Err(LinearFemError::Dependent { node });
+            }
+        }
+        self.next += 1;
+        Ok(handle)
+    }
+
+    /// Lets go of something.
+    ///
+    /// # Errors
+    /// Nothing of that name.
+    pub fn release(&mut self, handle: Handle) -> Result<(), LinearFemError> {
+        let index = self.index(handle)?;
+        self.leave(index);
+        Ok(())
+    }
+
+    /// Moves what is held: the displacement of its mean from rest \[m\], of which a direction takes its part.
+    ///
+    /// # Errors
+    /// Nothing of that name, a number that is none.
+    pub fn set_target(&mut self, handle: Handle, target: Vector3<f64>) -> Result<(), LinearFemError> {
+        let index = self.index(handle)?;
+        if !target.iter().all(|x| x.is_finite()) {
+            return Err(LinearFemError::NotFinite { what: "the target of a constraint" });
+        }
+        self.held[index].target = target;
+        Ok(())
+    }
+
+    fn index(&self, handle: Handle) -> Result<usize, LinearFemError> {
+        self.held
+            .binary_search_by_key(&handle, |held| held.handle)
+            .map_err(|_| LinearFemError::NoHandle(handle))
+    }
+
+    /// Adds the rows of a constraint to W; none of them acts yet.
+    pub(super) fn enter(&mut self, held: Held) -> Result<(), LinearFemError> {
+        held.attachment.check(self.mesh.rest().len())?;
+        let (directions, count) = held.attachment.hold.directions();
+        if self.rows.len() + count > ROWS_MAX {
+            return Err(LinearFemError::Full);
+        }
+        if !directions.iter().flatten().all(|x| x.is_finite()) {
+            return Err(LinearFemError::NotFinite { what: "the direction of a constraint" });
+        }
+        let weights = &held.attachment.weights;
+        let one_sided = matches!(held.attachment.hold, Hold::AtLeast(_));
+        let inner = weights.iter().any(|&(node, _)| {
+            (self.boundary.numbers[node as usize]).is_some_and(|row| (row as usize) < self.boundary.interior)
+        });
+        let own = self.held.len();
+        for direction in &directions[..count] {
+            let mut compliance = self.spare.pop().unwrap_or_else(|| vec![0.0; self.single.len()]);
+            compliance.fill(0.0);
+            let full = if inner {
+                let mut full = vec![0.0; 3 * self.boundary.free()];
+                spread(&self.boundary, &mut full, weights, direction);
+                self.factor.solve(&mut full);
+                let surface = &full[3 * self.boundary.interior..];
+                compliance.iter_mut().zip(surface).for_each(|(to, from)| *to = *from as f32);
+                Some(full)
+            } else {
+                for &(node, weight) in weights {
+                    let Some(index) = self.boundary.surface_row(node) else { continue };
+                    for axis in 0..3 {
+                        add(
+                            &mut compliance,
+                            self.compliance.row(index, axis),
+                            (weight * direction[axis]) as f32,
+                        );
+                    }
+                }
+                None
+            };
+            let dead = mean(&self.boundary, &self.dead, weights, direction);
+            self.rows.push(Row { held: own, direction: *direction, one_sided, compliance, dead });
+            // With every row there is, itself last. Of two rows at least the newer one's displacements are known where
+            // the other is: everywhere if it is of the interior, else on the surface, where it is itself.
+            let new = &self.rows[self.rows.len() - 1];
+            for row in &self.rows {
+                let entry = match &full {
+                    Some(full) => {
+                        let other =
+                            if row.held == own { weights } else { &self.held[row.held].attachment.weights };
+                        mean(&self.boundary, full, other, &row.direction)
+                    }
+                    None => surface_mean(&self.boundary, &row.compliance, weights, &new.direction),
+                };
+                self.w.values.push(entry);
+            }
+            self.w.size += 1;
+            self.multipliers.push(0.0);
+        }
+        self.held.push(held);
+        Ok(())
+    }
+
+    /// Takes a constraint and its rows away.
+    pub(super) fn leave(&mut self, index: usize) {
+        while let Some(row) = self.rows.iter().rposition(|row| row.held == index) {
+            if let Some(place) = self.active.rows.iter().position(|&active| active as usize == row) {
+                self.active.delete(place);
+            }
+            self.active
+                .rows
+                .iter_mut()
+                .filter(|active| **active as usize > row)
+                .for_each(|active| *active -= 1);
+            self.spare.push(self.rows.remove(row).compliance);
+            self.w.remove(row);
+            self.multipliers.remove(row);
+        }
+        self.rows.iter_mut().filter(|row| row.held > index).for_each(|row| row.held -= 1);
+        self.held.remove(index);
+    }
+
+    /// One cycle: the forces that hold every constraint at its target under these loads, which replace those of the
+    /// cycle before.
+    ///
+    /// # Errors
+    /// A load that is none; then everything is as it was.
+    pub fn solve(&mut self, loads: &[Load]) -> Result<Solution<'_>, LinearFemError> {
+        for load in loads {
+            check_weights(load.weights, self.mesh.rest().len())?;
+            if !load.force.iter().all(|x| x.is_finite()) {
+                return Err(LinearFemError::NotFinite { what: "a load" });
+            }
+            if let Some(&(node, _)) =
+                load.weights.iter().find(|(n, _)| self.boundary.surface_row(*n).is_none())
+            {
+                return Err(LinearFemError::NotOnSurface { node });
+            }
+        }
+        std::mem::swap(&mut self.loads, &mut self.loads_before);
+        self.loads.clear();
+        for load in loads {
+            for &(node, weight) in load.weights {
+                if let Some(index) = self.boundary.surface_row(node) {
+                    self.loads.push((index, load.force * weight));
+                }
+            }
+        }
+        self.right.clear();
+        for row in &self.rows {
+            let target = self.held[row.held].target.dot(&row.direction);
+            let loaded: f64 =
+                self.loads.iter().map(|(index, force)| at(&row.compliance, *index).dot(force)).sum();
+            self.right.push(target - row.dead - loaded);
+        }
+        self.before.multipliers.clone_from(&self.multipliers);
+        self.before.rows.clone_from(&self.active.rows);
+        self.before.factor.clone_from(&self.active.factor.values);
+        let rounds = match self.settle() {
+            Ok(rounds) => rounds,
+            Err(error) => {
+                std::mem::swap(&mut self.loads, &mut self.loads_before);
+                self.multipliers.clone_from(&self.before.multipliers);
+                self.active.rows.clone_from(&self.before.rows);
+                self.active.factor.values.clone_from(&self.before.factor);
+                self.active.factor.size = self.before.rows.len();
+                return Err(error);
+            }
+        };
+        self.reactions.clear();
+        self.reactions
+            .extend(self.held.iter().map(|held| Reaction { handle: held.handle, force: Vector3::zeros() }));
+        for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
+            self.reactions[row.held].force += row.direction * *multiplier;
+        }
+        Ok(Solution { reactions: &self.reactions, rounds })
+    }
+
+    /// Finds the forces, and which one-sided rows act: the active-set method for least squares with signs (Lawson,
+    /// Hanson 1974) on W, from where the last cycle ended.
+    fn settle(&mut self) -> Result<usize, LinearFemError> {
+        let rounds_max = 16 + 8 * self.rows.len();
+        self.skipped.clear();
+        self.skipped.resize(self.rows.len(), false);
+        let mut rounds = 0;
+        loop {
+            rounds += 1;
+            if rounds > rounds_max {
+                return Err(LinearFemError::NotSettled(rounds_max));
+            }
+            self.trial.clear();
+            self.trial.extend(self.active.rows.iter().map(|&row| self.right[row as usize]));
+            self.active.solve(&mut self.trial);
+            // As far towards it as no one-sided row pulls.
+            let mut share = 1.0;
+            let mut blocking = None;
+            for (place, (&row, &value)) in self.active.rows.iter().zip(&self.trial).enumerate() {
+                let now = self.multipliers[row as usize];
+                if self.rows[row as usize].one_sided && value < 0.0 {
+                    let until = now / (now - value);
+                    if blocking.is_none() || until < share {
+                        (share, blocking) = (until, Some(place));
+                    }
+                }
+            }
+            for (&row, &value) in self.active.rows.iter().zip(&self.trial) {
+                let now = &mut self.multipliers[row as usize];
+                *now = if blocking.is_none() { value } else { *now + share * (value - *now) };
+            }
+            if let Some(place) = blocking {
+                self.multipliers[self.active.rows[place] as usize] = 0.0;
+                self.active.delete(place);
+                continue;
+            }
+            let Some(row) = self.most_violated() else { return Ok(rounds) };
+            if !self.active.append(row, &self.w) {
+                self.skipped[row] = true;
+            }
+        }
+    }
+
+    /// The one-sided row that does not act and lies the deepest below its target, if any does.
+    fn most_violated(&self) -> Option<usize> {
+        let mut deepest = None;
+        // A billionth of the largest distance asked for: no hand and no eye tells it from none.
+        let mut least = 1e-9 * self.right.iter().fold(0.0_f64, |most, b| most.max(b.abs()));
+        for (row, own) in self.rows.iter().enumerate() {
+            if !own.one_sided || self.skipped[row] || self.active.rows.contains(&(row as u32)) {
+                continue;
+            }
+            let reached: f64 = self
+                .active
+                .rows
+                .iter()
+                .map(|&k| self.w.at(row, k as usize) * self.multipliers[k as usize])
+                .sum();
+            let depth = self.right[row] - reached;
+            if depth > least {
+                (least, deepest) = (depth, Some(row));
+            }
+        }
+        deepest
+    }
+
+    /// Displacements of the free surface nodes \[m\], in the order of [`Compliance::nodes`], as the last cycle left them.
+    pub fn surface_displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
+        self.single.fill(0.0);
+        for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
+            if *multiplier != 0.0 {
+                add(&mut self.single, &row.compliance, *multiplier as f32);
+            }
+        }
+        for (index, force) in &self.loads {
+            for axis in 0..3 {
+                add(&mut self.single, self.compliance.row(*index, axis), force[axis] as f32);
+            }
+        }
+        let dead = &self.dead[3 * self.boundary.interior..];
+        out.clear();
+        out.extend(
+            self.single
+                .chunks_exact(3)
+                .zip(dead.chunks_exact(3))
+                .map(|(moved, dead)| Vector3::from_fn(|axis, _| f64::from(moved[axis]) + dead[axis])),
+        );
+    }
+
+    /// Displacements of all nodes \[m\], interior and fixed ones too, by a sparse solve in f64: for those who look at the
+    /// inside, not for every cycle.
+    pub fn displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
+        let mut full = vec![0.0; 3 * self.boundary.free()];
+        for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
+            let weights = &self.held[row.held].attachment.weights;
+            spread(&self.boundary, &mut full, weights, &(row.direction * *multiplier));
+        }
+        for (index, force) in &self.loads {
+            let at = 3 * (self.boundary.interior + index);
+            (0..3).for_each(|axis| full[at + axis] += force[axis]);
+        }
+        self.factor.solve(&mut full);
+        full.iter_mut().zip(&self.dead).for_each(|(u, dead)| *u += dead);
+        out.clear();
+        out.extend(self.boundary.numbers.iter().map(|number| {
+            number.map_or_else(Vector3::zeros, |number| {
+                Vector3::from_column_slice(&full[3 * number as usize..][..3])
+            })
+        }));
+    }
+
+    /// How far from small the deformation is, over all elements; costs as much as [`Self::displacements`] and a pass
+    /// over the elements.
+    pub fn deformation(&mut self) -> Deformation {
+        let mut displacements = Vec::new();
+        self.displacements(&mut displacements);
+        Deformation::of(&self.mesh, &displacements)
+    }
+}
+
+/// to += factor · from.
+fn add(to: &mut [f32], from: &[f32], factor: f32) {
+    if factor != 0.0 {
+        to.iter_mut().zip(from).for_each(|(to, from)| *to += factor * from);
+    }
+}
+
+/// The vector of a node among those of the surface.
+fn at(values: &[f32], index: usize) -> Vector3<f64> {
+    Vector3::from_fn(|axis, _| f64::from(values[3 * index + axis]))
+}
+
+/// The mean over free surface nodes, along a direction.
+fn surface_mean(
+    boundary: &Boundary,
+    values: &[f32],
+    weights: &[(u32, f64)],
+    direction: &Vector3<f64>,
+) -> f64 {
+    let parts = weights
+        .iter()
+        .filter_map(|&(node, weight)| Some(weight * at(values, boundary.surface_row(node)?).dot(direction)));
+    parts.sum()
+}
+
+/// The mean over free nodes, along a direction.
+fn mean(boundary: &Boundary, values: &[f64], weights: &[(u32, f64)], direction: &Vector3<f64>) -> f64 {
+    let parts = weights.iter().filter_map(|&(node, weight)| {
+        let own = &values[3 * boundary.numbers[node as usize]? as usize..][..3];
+        Some(weight * Vector3::from_column_slice(own).dot(direction))
+    });
+    parts.sum()
+}
+
+/// Adds a force, spread over free nodes.
+fn spread(boundary: &Boundary, values: &mut [f64], weights: &[(u32, f64)], force: &Vector3<f64>) {
+    for &(node, weight) in weights {
+        if let Some(number) = boundary.numbers[node as usize] {
+            (0..3).for_each(|axis| values[3 * number as usize + axis] += weight * force[axis]);
+        }
+    }
+}

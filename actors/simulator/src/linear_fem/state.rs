@@ -1,0 +1,90 @@
+//! Everything of a linear body that changes, so that one that was lost can be continued.
+
+use nalgebra::Vector3;
+
+use super::active::Packed;
+use super::error::LinearFemError;
+use super::solver::{Held, LinearFem};
+
+/// Everything that changes; the rest follows from the mesh, the material and the boundary.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LinearFemState {
+    /// Constraints in the order in which they came.
+    pub held: Vec<Held>,
+    /// The next handle.
+    pub next: u64,
+    /// Rows that act, and the factor of W between them.
+    pub active: Vec<u32>,
+    /// The factor, its lower triangle by rows.
+    pub factor: Vec<f64>,
+    /// Force along each row \[N\].
+    pub multipliers: Vec<f64>,
+    /// Forces on all nodes that stay \[N\], such as weight; empty for none.
+    pub dead_load: Vec<Vector3<f64>>,
+}
+
+impl LinearFem {
+    /// Everything that changes, to continue from.
+    #[must_use]
+    pub fn state(&self) -> LinearFemState {
+        LinearFemState {
+            held: self.held.clone(),
+            next: self.next,
+            active: self.active.rows.clone(),
+            factor: self.active.factor.values.clone(),
+            multipliers: self.multipliers.clone(),
+            dead_load: self.dead_load.clone(),
+        }
+    }
+
+    /// Continues from a state, bit for bit.
+    ///
+    /// # Errors
+    /// A state of something else; then everything is as it was.
+    pub fn restore(&mut self, state: &LinearFemState) -> Result<(), LinearFemError> {
+        let before = (self.state(), std::mem::take(&mut self.loads));
+        let done = self.replace(state);
+        if done.is_err() {
+            // What was there fits.
+            let _ = self.replace(&before.0);
+            self.loads = before.1;
+        }
+        done
+    }
+
+    fn replace(&mut self, state: &LinearFemState) -> Result<(), LinearFemError> {
+        while !self.held.is_empty() {
+            self.leave(self.held.len() - 1);
+        }
+        self.set_dead_load(&state.dead_load)?;
+        for held in &state.held {
+            if self.held.last().is_some_and(|last| last.handle >= held.handle) || held.handle.0 >= state.next
+            {
+                return Err(LinearFemError::State("handles do not ascend"));
+            }
+            if !held.target.iter().all(|x| x.is_finite()) {
+                return Err(LinearFemError::NotFinite { what: "the target of a constraint" });
+            }
+            self.enter(held.clone())?;
+        }
+        let (rows, size) = (self.rows.len(), state.active.len());
+        let mut seen = state.active.clone();
+        seen.sort_unstable();
+        seen.dedup();
+        if seen.len() != size || seen.last().is_some_and(|&last| last as usize >= rows) {
+            return Err(LinearFemError::State("rows that act are not among those held"));
+        }
+        let sizes = state.factor.len() == size * (size + 1) / 2 && state.multipliers.len() == rows;
+        if !sizes || !state.factor.iter().chain(&state.multipliers).all(|x| x.is_finite()) {
+            return Err(LinearFemError::State("its numbers are too few, too many or not finite"));
+        }
+        if (0..size).any(|row| !(state.factor[row * (row + 3) / 2] > 0.0)) {
+            return Err(LinearFemError::State("its factor has a pivot that is not positive"));
+        }
+        self.active.rows.clone_from(&state.active);
+        self.active.factor = Packed { values: state.factor.clone(), size };
+        self.multipliers.clone_from(&state.multipliers);
+        self.next = state.next;
+        Ok(())
+    }
+}

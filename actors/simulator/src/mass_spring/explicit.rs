@@ -1,0 +1,97 @@
+//! Symplectic Euler: velocities from the forces now, positions from the velocities then.
+
+use nalgebra::Vector3;
+
+use super::{Input, MassSpring, Report, StepError, TooLarge, bound, forces};
+
+impl MassSpring {
+    pub(super) fn step_explicit(
+        &mut self,
+        dt: f64,
+        input: &Input<'_>,
+        too_large: TooLarge,
+    ) -> Result<Report, StepError> {
+        let (mobility, meeting) = (&self.scratch.mobility, &mut self.scratch.meeting);
+        let (stiff, damped) = bound::of_contacts(input.contacts, mobility, meeting);
+        let damping = self.config.damping + self.config.lag * self.eigenvalue + damped;
+        let safe = bound::safe_step(self.eigenvalue + stiff, damping);
+        let parts = match too_large {
+            _ if dt <= safe => 1,
+            TooLarge::Accept => 1,
+            TooLarge::Refuse => return Err(StepError::TooLarge { step: dt, safe }),
+            TooLarge::Divide { most } => {
+                let parts = (dt / safe).ceil();
+                if parts > f64::from(most) {
+                    return Err(StepError::TooManyParts { step: dt, parts, safe, most });
+                }
+                parts as u32
+            }
+        };
+        let part = dt / f64::from(parts);
+        for index in 0..parts {
+            self.explicit_part(part, f64::from(index) * part, input);
+        }
+        // What was led is where it had to be, not where the sum of the parts has rounded to.
+        for led in input.prescribed {
+            self.scratch.next.positions[led.node as usize] = led.position;
+        }
+        for force in &mut self.scratch.contact_forces {
+            *force /= dt;
+        }
+        Ok(Report { parts, safe_step: safe, iterations: 0, residual: 0.0 })
+    }
+
+    /// One part of a step, `since` its beginning.
+    fn explicit_part(&mut self, part: f64, since: f64, input: &Input<'_>) {
+        let scratch = &mut self.scratch;
+        let (positions, velocities) = (&mut scratch.next.positions, &mut scratch.next.velocities);
+        scratch.forces.fill(Vector3::zeros());
+        forces::add_forces(&self.network, self.config.lag, positions, velocities, &mut scratch.forces);
+        for force in input.forces {
+            scratch.forces[force.node as usize] += force.force;
+        }
+        for ((contact, began), total) in
+            input.contacts.iter().zip(&scratch.touched).zip(&mut scratch.contact_forces)
+        {
+            let out = contact.normal.dot(&(contact.point(positions) - began - contact.velocity * since));
+            let leaving = contact.normal.dot(&contact.slip(velocities));
+            let force = contact.normal * contact.pressing(contact.depth - out, leaving);
+            for (node, share) in contact.joint() {
+                scratch.forces[node as usize] += force * share;
+            }
+            *total += force * part;
+        }
+        let damping = self.config.damping;
+        for ((velocity, force), mobility) in velocities.iter_mut().zip(&scratch.forces).zip(&scratch.mobility)
+        {
+            if *mobility > 0.0 {
+                *velocity += (force * *mobility + input.gravity - *velocity * damping) * part;
+            }
+        }
+        // Friction ends a slip or slows it, and never turns it round: so it holds at rest, whatever pulls.
+        for ((contact, began), total) in
+            input.contacts.iter().zip(&scratch.touched).zip(&mut scratch.contact_forces)
+        {
+            let out = contact.normal.dot(&(contact.point(positions) - began - contact.velocity * since));
+            let yields = contact.mobility(&scratch.mobility);
+            if contact.friction == 0.0 || contact.depth <= out || yields == 0.0 {
+                continue;
+            }
+            let slip = contact.slip(velocities);
+            let slip = slip - contact.normal * contact.normal.dot(&slip);
+            let speed = slip.norm();
+            let pressed = contact.stiffness * (contact.depth - out) * part;
+            let impulse = (speed / yields).min(contact.friction * pressed);
+            if impulse > 0.0 {
+                let impulse = slip * (-impulse / speed);
+                for (node, share) in contact.joint() {
+                    velocities[node as usize] += impulse * (share * scratch.mobility[node as usize]);
+                }
+                *total += impulse;
+            }
+        }
+        for (position, velocity) in positions.iter_mut().zip(velocities.iter()) {
+            *position += velocity * part;
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Backward Euler: M Δv = h f at the end of the step, linearised where the iteration stands. The first iteration
+//! linearises at the beginning of the step (Baraff and Witkin 1998); further ones are Newton's.
+
+mod cholesky;
+mod conjugate_gradients;
+
+use nalgebra::Vector3;
+
+use super::matrix::StepMatrix;
+use super::{Input, LinearSolver, MassSpring, Network, Report, StepError, forces};
+use cholesky::Cholesky;
+use conjugate_gradients::ConjugateGradients;
+
+/// Slip \[m/s\] at which friction has reached its full size; below, it is a drag.
+const CREEP: f64 = 1e-3;
+
+/// What an implicit step needs beside the state.
+#[derive(Clone, Debug)]
+pub(super) struct Implicit {
+    matrix: StepMatrix,
+    solver: Solver,
+    /// Right-hand side, and what is solved for: change of velocity \[m/s\].
+    right: Vec<Vector3<f64>>,
+    change: Vec<Vector3<f64>>,
+    /// How far the positions are from where the velocity leads.
+    lead: Vec<Vector3<f64>>,
+}
+
+#[derive(Clone, Debug)]
+enum Solver {
+    ConjugateGradients(ConjugateGradients),
+    Cholesky(Cholesky),
+}
+
+impl Implicit {
+    pub fn new(network: &Network, solver: LinearSolver) -> Self {
+        let zeros = vec![Vector3::zeros(); network.masses.len()];
+        let solver = match solver {
+            LinearSolver::ConjugateGradients { tolerance, iterations_max } => {
+                Solver::ConjugateGradients(ConjugateGradients::new(tolerance, iterations_max))
+            }
+            LinearSolver::Cholesky => Solver::Cholesky(Cholesky::new(network)),
+        };
+        Self {
+            matrix: StepMatrix::default(),
+            solver,
+            right: zeros.clone(),
+            change: zeros.clone(),
+            lead: zeros,
+        }
+    }
+}
+
+impl MassSpring {
+    pub(super) fn step_implicit(
+        &mut self,
+        h: f64,
+        input: &Input<'_>,
+        newton: u32,
+    ) -> Result<Report, StepError> {
+        // Taken out for the time of the step, so that solver and state can be borrowed side by side.
+        let Some(mut implicit) = self.implicit.take() else { return Err(StepError::Factorisation) };
+        let mut report = Report { parts: 1, safe_step: f64::INFINITY, ..Report::default() };
+        let mut result = Ok(());
+        for iteration in 0..newton {
+            self.linearise(&mut implicit, h, input);
+            result = self.solve(&mut implicit, input, &mut report);
+            if result.is_err() {
+                break;
+            }
+            self.advance(&implicit, h, iteration + 1 == newton, input);
+        }
+        self.implicit = Some(implicit);
+        result?;
+        Ok(report)
+    }
+
+    /// Matrix and right-hand side where the iteration stands.
+    fn linearise(&mut self, implicit: &mut Implicit, h: f64, input: &Input<'_>) {
+        let scratch = &mut self.scratch;
+        let (positions, velocities) = (&scratch.next.positions, &scratch.next.velocities);
+        let matrix = &mut implicit.matrix;
+        matrix.linearise(&self.network, h, self.config.lag, positions);
+        scratch.forces.fill(Vector3::zeros());
+        forces::add_forces(&self.network, self.config.lag, positions, velocities, &mut scratch.forces);
+        for force in input.forces {
+            scratch.forces[force.node as usize] += force.force;
+        }
+
+        // f(x₀ + h v) is linearised about the positions of this iteration: what separates the two, times h K.
+        let began = &self.state.positions;
+        for (((lead, velocity), position), began) in
+            implicit.lead.iter_mut().zip(velocities).zip(positions).zip(began)
+        {
+            *lead = velocity - (position - began) / h;
+        }
+        matrix.contacts.clear();
+        for ((contact, touched), total) in
+            input.contacts.iter().zip(&scratch.touched).zip(&mut scratch.contact_forces)
+        {
+            let slip = contact.slip(velocities);
+            let normal = contact.normal;
+            // At the end of the step, from its beginning: the normal part is linear in the velocity.
+            let out = normal.dot(&(contact.point(positions) - touched - contact.velocity * h));
+            let ahead: Vector3<f64> =
+                contact.joint().into_iter().map(|(node, share)| implicit.lead[node as usize] * share).sum();
+            let depth = contact.depth - out - h * normal.dot(&ahead);
+            let pressing = contact.pressing(depth, normal.dot(&slip));
+            let across = slip - normal * normal.dot(&slip);
+            let drag = contact.friction * pressing / across.norm().max(CREEP);
+            matrix.press(contact, h, pressing, drag);
+            *total = normal * pressing - across * drag;
+            for (node, share) in contact.joint() {
+                scratch.forces[node as usize] += *total * share;
+            }
+        }
+
+        let damping = self.config.damping;
+        matrix.masses.clear();
+        for (node, right) in implicit.right.iter_mut().enumerate() {
+            let mass = self.network.masses[node];
+            let (velocity, before) = (velocities[node], self.state.velocities[node]);
+            *right = (before - velocity + (input.gravity - velocity * damping) * h) * mass
+                + scratch.forces[node] * h;
+            let held = scratch.mobility[node] == 0.0;
+            matrix.masses.push(if held { 0.0 } else { mass * (1.0 + h * damping) });
+        }
+        // Springs only: the contacts' depth has been taken at its end already. Damping has no share in the lead.
+        let lag = self.config.lag;
+        for (spring, block) in self.network.springs.iter().zip(&matrix.springs) {
+            let [a, b] = spring.nodes.map(|node| node as usize);
+            let stiff = super::matrix::Block { along: block.along - h * lag * spring.stiffness, ..*block };
+            let force = stiff.matrix() * (implicit.lead[b] - implicit.lead[a]);
+            implicit.right[a] += force;
+            implicit.right[b] -= force;
+        }
+        for (hinge, block) in self.network.hinges.iter().zip(&matrix.hinges) {
+            let stiff = super::matrix::Block { along: block.along - h * lag * hinge.stiffness, ..*block };
+            let sum: Vector3<f64> =
+                (0..4).map(|at| implicit.lead[hinge.nodes[at] as usize] * hinge.weights[at]).sum();
+            let force = stiff.matrix() * sum;
+            for (node, weight) in hinge.nodes.into_iter().zip(hinge.weights) {
+                implicit.right[node as usize] -= force * weight;
+            }
+        }
+        for (right, mass) in implicit.right.iter_mut().zip(&matrix.masses) {
+            if *mass == 0.0 {
+                *right = Vector3::zeros();
+            }
+        }
+    }
+
+    fn solve(
+        &mut self,
+        implicit: &mut Implicit,
+        input: &Input<'_>,
+        report: &mut Report,
+    ) -> Result<(), StepError> {
+        let Implicit { matrix, solver, right, change, .. } = implicit;
+        match solver {
+            Solver::ConjugateGradients(solver) => {
+                let (iterations, residual) =
+                    solver.solve(matrix, &self.network, input.contacts, right, change);
+                report.iterations += iterations;
+                report.residual = residual;
+                Ok(())
+            }
+            Solver::Cholesky(solver) => solver.solve(matrix, &self.network, input.contacts, right, change),
+        }
+    }
+
+    /// Velocities and positions of the end of the step as the iteration sees them.
+    fn advance(&mut self, implicit: &Implicit, h: f64, last: bool, input: &Input<'_>) {
+        let scratch = &mut self.scratch;
+        let next = &mut scratch.next;
+        for (velocity, change) in next.velocities.iter_mut().zip(&implicit.change) {
+            *velocity += change;
+        }
+        for ((position, began), velocity) in
+            next.positions.iter_mut().zip(&self.state.positions).zip(&next.velocities)
+        {
+            *position = began + velocity * h;
+        }
+        for led in input.prescribed {
+            next.positions[led.node as usize] = led.position;
+        }
+        if last {
+            // What the linear system made of the contacts' forces is what acted: the momentum that it gave.
+            for ((contact, block), total) in
+                input.contacts.iter().zip(&implicit.matrix.contacts).zip(&mut scratch.contact_forces)
+            {
+                let change: Vector3<f64> = contact
+                    .joint()
+                    .into_iter()
+                    .map(|(node, share)| implicit.change[node as usize] * share)
+                    .sum();
+                *total -= block.matrix() * change / h;
+            }
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! Sparse Cholesky of the step's matrix: pattern and ordering once per network, numbers in each step.
+
+use std::sync::Arc;
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::LltRegularization;
+
+use faer::sparse::linalg::cholesky::{
+    CholeskySymbolicParams, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
+use faer::{Conj, MatMut, Par, Side, Spec};
+use nalgebra::Vector3;
+
+use super::StepMatrix;
+use crate::mass_spring::matrix::pairs;
+use crate::mass_spring::{Contact, Network, StepError};
+
+/// The lower triangle, by columns.
+pub(super) struct Cholesky {
+    pattern: Arc<SymbolicSparseColMat<usize>>,
+    symbolic: Option<Arc<SymbolicCholesky<usize>>>,
+    /// Blocks below the diagonal of each block column, as (row, column) in ascending order of column, then row; the
+    /// diagonal block first.
+    starts: Vec<usize>,
+    rows: Vec<u32>,
+    values: Vec<f64>,
+    factor: Vec<f64>,
+    right: Vec<f64>,
+    room: MemBuffer,
+}
+
+impl std::fmt::Debug for Cholesky {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.debug_struct("Cholesky").field("blocks", &self.rows.len()).finish_non_exhaustive()
+    }
+}
+
+impl Clone for Cholesky {
+    fn clone(&self) -> Self {
+        Self {
+            pattern: Arc::clone(&self.pattern),
+            symbolic: self.symbolic.clone(),
+            starts: self.starts.clone(),
+            rows: self.rows.clone(),
+            values: self.values.clone(),
+            factor: self.factor.clone(),
+            right: self.right.clone(),
+            room: room(self.symbolic.as_deref()),
+        }
+    }
+}
+
+fn room(symbolic: Option<&SymbolicCholesky<usize>>) -> MemBuffer {
+    let needed = symbolic.map(|symbolic| {
+        symbolic
+            .factorize_numeric_llt_scratch::<f64>(Par::Seq, Spec::default())
+            .or(symbolic.solve_in_place_scratch::<f64>(1, Par::Seq))
+    });
+    MemBuffer::new(needed.unwrap_or_default())
+}
+
+impl Cholesky {
+    pub fn new(network: &Network) -> Self {
+        let nodes = network.masses.len();
+        let mut blocks: Vec<(u32, u32)> = (0..nodes as u32).map(|node| (node, node)).collect();
+        let mut add = |a: u32, b: u32| blocks.push((a.min(b), a.max(b)));
+        network.springs.iter().for_each(|spring| add(spring.nodes[0], spring.nodes[1]));
+        for hinge in &network.hinges {
+            pairs(&hinge.nodes, &hinge.weights, |a, b, _| add(a, b));
+        }
+        blocks.sort_unstable();
+        blocks.dedup();
+        let mut starts = vec![0; nodes + 1];
+        blocks.iter().for_each(|&(column, _)| starts[column as usize + 1] += 1);
+        (0..nodes).for_each(|node| starts[node + 1] += starts[node]);
+        let rows: Vec<u32> = blocks.into_iter().map(|(_, row)| row).collect();
+
+        let (mut column_starts, mut scalar_rows) = (vec![0], Vec::with_capacity(9 * rows.len()));
+        for node in 0..nodes {
+            for axis in 0..3 {
+                for &row in &rows[starts[node]..starts[node + 1]] {
+                    let from = if row as usize == node { axis } else { 0 };
+                    scalar_rows.extend((from..3).map(|of| 3 * row as usize + of));
+                }
+                column_starts.push(scalar_rows.len());
+            }
+        }
+        let values = vec![0.0; scalar_rows.len()];
+        let pattern =
+            SymbolicSparseColMat::new_checked(3 * nodes, 3 * nodes, column_starts, None, scalar_rows);
+        // Out of memory is the only failure, and is told by the first step.
+        let symbolic = factorize_symbolic_cholesky(
+            pattern.as_ref(),
+            Side::Lower,
+            SymmetricOrdering::Amd,
+            CholeskySymbolicParams::default(),
+        )
+        .ok()
+        .map(Arc::new);
+        let factor = vec![0.0; symbolic.as_ref().map_or(0, |symbolic| symbolic.len_val())];
+        let room = room(symbolic.as_deref());
+        Self {
+            pattern: Arc::new(pattern),
+            symbolic,
+            starts,
+            rows,
+            values,
+            factor,
+            right: vec![0.0; 3 * nodes],
+            room,
+        }
+    }
+
+    /// Where a block's first number of each of its three columns stands; `None` for a pair the pattern does not have.
+    fn place(&self, row: u32, column: u32) -> Option<[usize; 3]> {
+        let from = self.starts[column as usize];
+        let blocks = &self.rows[from..self.starts[column as usize + 1]];
+        let at = blocks.binary_search(&row).ok()?;
+        let starts = self.pattern.col_ptr();
+        // The diagonal block has lost 0, 1 and 2 numbers in its columns.
+        let place = |axis: usize| {
+            let skipped = if at == 0 { 0 } else { 3 * at - axis };
+            starts[3 * column as usize + axis] + skipped
+        };
+        Some([place(0), place(1), place(2)])
+    }
+
+    pub fn solve(
+        &mut self,
+        matrix: &StepMatrix,
+        network: &Network,
+        contacts: &[Contact],
+        right: &[Vector3<f64>],
+        solution: &mut [Vector3<f64>],
+    ) -> Result<(), StepError> {
+        self.assemble(matrix, network, contacts);
+        let Some(symbolic) = &self.symbolic else { return Err(StepError::Factorisation) };
+        for (slot, right) in self.right.chunks_exact_mut(3).zip(right) {
+            slot.copy_from_slice(right.as_slice());
+        }
+        let stack = MemStack::new(&mut self.room);
+        let factor = symbolic
+            .factorize_numeric_llt(
+                &mut self.factor,
+                SparseColMatRef::new(self.pattern.as_ref().as_ref(), &self.values),
+                Side::Lower,
+                LltRegularization::default(),
+                Par::Seq,
+                stack,
+                Spec::default(),
+            )
+            .map_err(|_| StepError::Factorisation)?;
+        let rows = self.right.len();
+        let vector = MatMut::from_column_major_slice_mut(&mut self.right, rows, 1);
+        factor.solve_in_place_with_conj(Conj::No, vector, Par::Seq, stack);
+        for (slot, solution) in self.right.chunks_exact(3).zip(solution) {
+            *solution = Vector3::from_column_slice(slot);
+        }
+        Ok(())
+    }
+
+    fn assemble(&mut self, matrix: &StepMatrix, network: &Network, contacts: &[Contact]) {
+        let mut values = std::mem::take(&mut self.values);
+        values.fill(0.0);
+        let starts = self.pattern.col_ptr();
+        for (node, &mass) in matrix.masses.iter().enumerate() {
+            // A held node has a row of its own: what is solved for is no change.
+            let diagonal = if mass > 0.0 { mass } else { network.masses[node] };
+            (0..3).for_each(|axis| values[starts[3 * node + axis]] += diagonal);
+        }
+        matrix.for_each_pair(network, contacts, |a, b, weight, block| {
+            let held = |node: u32| matrix.masses[node as usize] == 0.0;
+            if held(a) || held(b) {
+                return;
+            }
+            // Symmetric, so that the block below the diagonal is the one above it.
+            let Some(places) = self.place(a.max(b), a.min(b)) else { return };
+            let own = block.matrix() * weight;
+            for (axis, place) in places.into_iter().enumerate() {
+                let from = if a == b { axis } else { 0 };
+                (from..3).for_each(|of| values[place + of - from] += own[(of, axis)]);
+            }
+        });
+        self.values = values;
+    }
+}

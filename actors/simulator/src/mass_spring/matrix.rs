@@ -1,0 +1,150 @@
+//! The matrix of a backward Euler step, M(1 + hα) + hC + h²K, element by element: each contributes `a·I + b·u uᵀ` times the
+//! products of its weights, four numbers, so that a product with a vector reads less memory than an assembled matrix of
+//! the same network would. Definite by construction: of a compressed spring only what acts along its axis is kept.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::contact::Contact;
+use super::forces::pull_of_rest;
+use super::network::Network;
+
+/// `along·u uᵀ + all·I`, with `u` a unit vector.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Block {
+    pub all: f64,
+    pub along: f64,
+    pub axis: Vector3<f64>,
+}
+
+impl Block {
+    #[inline]
+    fn times(&self, vector: &Vector3<f64>) -> Vector3<f64> {
+        vector * self.all + self.axis * (self.along * self.axis.dot(vector))
+    }
+    pub(super) fn matrix(&self) -> Matrix3<f64> {
+        Matrix3::from_diagonal_element(self.all) + self.axis * self.axis.transpose() * self.along
+    }
+}
+
+/// All parts of the matrix, in the order of the network's elements.
+#[derive(Clone, Debug, Default)]
+pub(super) struct StepMatrix {
+    /// Mass of each node, damping included; 0 where it is held \[kg\].
+    pub masses: Vec<f64>,
+    pub springs: Vec<Block>,
+    pub hinges: Vec<Block>,
+    pub contacts: Vec<Block>,
+}
+
+impl StepMatrix {
+    /// Linearises springs and hinges at these positions: the stiffness alone where `h` is 1 and `lag` is 0.
+    pub fn linearise(&mut self, network: &Network, h: f64, lag: f64, positions: &[Point3<f64>]) {
+        self.springs.clear();
+        self.springs.extend(network.springs.iter().map(|spring| {
+            let [a, b] = spring.nodes.map(|node| positions[node as usize]);
+            let along = b - a;
+            let length = along.norm();
+            let inverse = if length > 0.0 { 1.0 / length } else { 0.0 };
+            block(spring.stiffness, h, lag, along * inverse, 1.0 - spring.rest * inverse)
+        }));
+        self.hinges.clear();
+        self.hinges.extend(network.hinges.iter().map(|hinge| {
+            if hinge.rest == 0.0 && lag == 0.0 {
+                return Block { all: h * h * hinge.stiffness, ..Block::default() };
+            }
+            let vector = hinge.vector(positions);
+            let length = vector.norm();
+            let pull =
+                if hinge.rest > 0.0 { pull_of_rest(hinge.rest, length, hinge.sense(positions)) } else { 0.0 };
+            let inverse = if length > 0.0 { 1.0 / length } else { 0.0 };
+            block(hinge.stiffness, h, lag, vector * inverse, 1.0 - pull)
+        }));
+    }
+
+    /// Linearises contacts: a penalty where it presses, and friction as the drag that it is at this slip.
+    pub fn press(&mut self, contact: &Contact, h: f64, pressing: f64, drag: f64) {
+        let all = h * drag;
+        let normal = if pressing > 0.0 { h * h * contact.stiffness + h * contact.damping } else { 0.0 };
+        self.contacts.push(Block { all, along: normal - all, axis: contact.normal });
+    }
+
+    /// Adds the product of springs and hinges, and of contacts, with `vector` to `product`.
+    pub fn add_product(
+        &self,
+        network: &Network,
+        contacts: &[Contact],
+        vector: &[Vector3<f64>],
+        product: &mut [Vector3<f64>],
+    ) {
+        for (spring, block) in network.springs.iter().zip(&self.springs) {
+            let [a, b] = spring.nodes.map(|node| node as usize);
+            let force = block.times(&(vector[b] - vector[a]));
+            product[a] -= force;
+            product[b] += force;
+        }
+        for (hinge, block) in network.hinges.iter().zip(&self.hinges) {
+            let ([a, b, c, d], w) = (hinge.nodes.map(|node| node as usize), hinge.weights);
+            let sum = vector[a] * w[0] + vector[b] * w[1] + vector[c] * w[2] + vector[d] * w[3];
+            let force = block.times(&sum);
+            product[a] += force * w[0];
+            product[b] += force * w[1];
+            product[c] += force * w[2];
+            product[d] += force * w[3];
+        }
+        for (contact, block) in contacts.iter().zip(&self.contacts) {
+            let sum: Vector3<f64> =
+                contact.joint().into_iter().map(|(node, share)| vector[node as usize] * share).sum();
+            let force = block.times(&sum);
+            for (node, share) in contact.joint() {
+                product[node as usize] += force * share;
+            }
+        }
+    }
+
+    /// Calls `each` with every product of two nodes: row, column and block; (row, column) but not (column, row).
+    pub fn for_each_pair(
+        &self,
+        network: &Network,
+        contacts: &[Contact],
+        mut each: impl FnMut(u32, u32, f64, &Block),
+    ) {
+        for (spring, block) in network.springs.iter().zip(&self.springs) {
+            let [a, b] = spring.nodes;
+            each(a, a, 1.0, block);
+            each(b, b, 1.0, block);
+            each(a, b, -1.0, block);
+        }
+        for (hinge, block) in network.hinges.iter().zip(&self.hinges) {
+            pairs(&hinge.nodes, &hinge.weights, |a, b, weight| each(a, b, weight, block));
+        }
+        for (contact, block) in contacts.iter().zip(&self.contacts) {
+            let joint = contact.joint();
+            pairs(&joint.map(|of| of.0), &joint.map(|of| of.1), |a, b, weight| each(a, b, weight, block));
+        }
+    }
+}
+
+/// Each pair of an element's nodes once, those with no weight left out.
+pub(super) fn pairs<const N: usize>(
+    nodes: &[u32; N],
+    weights: &[f64; N],
+    mut each: impl FnMut(u32, u32, f64),
+) {
+    for first in 0..N {
+        for second in 0..=first {
+            let weight = weights[first] * weights[second];
+            if weight != 0.0 {
+                each(nodes[first], nodes[second], weight);
+            }
+        }
+    }
+}
+
+/// Stiffness along the axis, and across it what tension makes of it; damping along the axis.
+#[inline]
+fn block(stiffness: f64, h: f64, lag: f64, axis: Vector3<f64>, across: f64) -> Block {
+    let stiff = h * h * stiffness;
+    let all = stiff * across.max(0.0);
+    // Under a push inside out the share across is above 1: never less along the axis than along the axis.
+    Block { all, along: stiff - all.min(stiff) + h * lag * stiffness, axis }
+}

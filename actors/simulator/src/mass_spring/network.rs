@@ -1,0 +1,287 @@
+//! Springs and hinges, and how a line, a surface or a volume becomes a network of them that stands for the material:
+//! halving the elements changes the network, not what it does.
+//!
+//! A spring's stiffness is its share of the continuum: `EA / length` along a thread; on triangles and tetrahedra the
+//! area or volume about an edge, times the modulus, over its squared length (Van Gelder, *Approximate simulation of elastic
+//! membranes by triangulated spring meshes*, 1998), which for edges in all directions alike is the isotropic continuum
+//! with Poisson's ratio 1/3 in a plane and 1/4 in space, and no other one.
+//!
+//! A hinge holds the length of a weighted sum of positions. Across an edge with cotangent weights that is the curvature
+//! vector, 2 sin(θ/2) times the edge's length (Bergou et al., *A quadratic bending model for inextensible surfaces*,
+//! 2006); on three nodes of a line it is the change of direction. Its energy on equilateral triangles is that of a plate
+//! for curvature in any direction; on right-angled ones up to three times that, by direction.
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::error::{Faulty, NetworkError};
+
+/// Holds two nodes at a distance.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Spring {
+    /// Which two.
+    pub nodes: [u32; 2],
+    /// Length without force \[m\].
+    pub rest: f64,
+    /// Force per elongation \[N/m\].
+    pub stiffness: f64,
+}
+
+/// Holds the length of `Σ weightᵢ xᵢ`, the curvature vector, at what it is at rest.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Hinge {
+    /// The edge's two nodes and the two across from it; on a line first, middle and last, and the middle once more.
+    pub nodes: [u32; 4],
+    /// Sum zero; a pure number on a surface, 1/m on a line.
+    pub weights: [f64; 4],
+    /// Length of the vector without force.
+    pub rest: f64,
+    /// On which side the two lie across the edge at rest: the sign of their volume; 0 where there are no sides.
+    pub side: f64,
+    /// Second derivative of the energy by the vector's length.
+    pub stiffness: f64,
+}
+
+impl Hinge {
+    /// The curvature vector at these positions.
+    #[inline]
+    #[must_use]
+    pub fn vector(&self, positions: &[Point3<f64>]) -> Vector3<f64> {
+        let [a, b, c, d] = self.nodes.map(|node| positions[node as usize].coords);
+        a * self.weights[0] + b * self.weights[1] + c * self.weights[2] + d * self.weights[3]
+    }
+
+    /// 1 while the hinge is bent to the side to which it is bent at rest, −1 when it is turned inside out.
+    #[inline]
+    pub(crate) fn sense(&self, positions: &[Point3<f64>]) -> f64 {
+        if self.side * self.rest == 0.0 {
+            return 1.0;
+        }
+        let sense = self.side * volume(&self.nodes, positions);
+        if sense < 0.0 { -1.0 } else { 1.0 }
+    }
+}
+
+/// Six times the volume of a tetrahedron.
+pub(crate) fn volume(nodes: &[u32; 4], positions: &[Point3<f64>]) -> f64 {
+    let [a, b, c, d] = nodes.map(|node| positions[node as usize]);
+    (b - a).cross(&(c - a)).dot(&(d - a))
+}
+
+/// Masses, springs and hinges.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Network {
+    /// One per node \[kg\].
+    pub masses: Vec<f64>,
+    /// In ascending order of their nodes where a mesh made them.
+    pub springs: Vec<Spring>,
+    /// In ascending order of their edges where a mesh made them.
+    pub hinges: Vec<Hinge>,
+}
+
+/// Of a thread.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LineMaterial {
+    /// Axial stiffness EA \[N\].
+    pub axial_stiffness: f64,
+    /// Bending stiffness EI \[N·m²\]; 0 for none.
+    pub bending_stiffness: f64,
+    /// Mass per length \[kg/m\].
+    pub density: f64,
+}
+
+/// Of a cloth, a membrane or the wall of a tube.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceMaterial {
+    /// Young's modulus times thickness \[N/m\].
+    pub membrane_stiffness: f64,
+    /// Flexural rigidity \[N·m\]; 0 for none.
+    pub bending_stiffness: f64,
+    /// Mass per area \[kg/m²\].
+    pub density: f64,
+}
+
+/// Of a volume.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct VolumeMaterial {
+    /// Young's modulus \[Pa\].
+    pub young_modulus: f64,
+    /// Mass per volume \[kg/m³\].
+    pub density: f64,
+}
+
+/// Refuses a parameter outside its range.
+pub(crate) fn parameter(what: &'static str, value: f64, least: f64) -> Result<(), NetworkError> {
+    let above = if least > 0.0 { value >= least } else { value >= 0.0 };
+    let valid = if least > 0.0 { "above 0 and finite" } else { "0 or more and finite" };
+    if above && value.is_finite() { Ok(()) } else { Err(NetworkError::Parameter { what, value, valid }) }
+}
+
+/// Refuses nodes that are nowhere, and elements that name what is not there.
+pub(crate) fn check_elements<const N: usize>(
+    kind: &'static str,
+    rest: &[Point3<f64>],
+    elements: &[[u32; N]],
+) -> Result<(), NetworkError> {
+    if rest.is_empty() {
+        return Err(NetworkError::Empty);
+    }
+    let far = |point: &Point3<f64>| !point.iter().all(|coordinate| coordinate.is_finite());
+    Faulty::among(rest.len(), |node| far(&rest[node])).refuse(NetworkError::NotFinite)?;
+    let nodes = rest.len();
+    Faulty::among(elements.len(), |element| {
+        let of = &elements[element];
+        of.iter().enumerate().any(|(at, node)| *node as usize >= nodes || of[..at].contains(node))
+    })
+    .refuse(|faulty| NetworkError::Nodes { kind, nodes, faulty })
+}
+
+/// Least positive number that counts as stiffness, density or extent.
+pub(crate) const LEAST: f64 = 1e-30;
+
+impl Network {
+    /// A thread: springs along its segments and, where exactly two segments meet, a hinge.
+    ///
+    /// # Errors
+    /// Whatever is wrong with mesh or material, elements by their index.
+    pub fn from_line(
+        rest: &[Point3<f64>],
+        segments: &[[u32; 2]],
+        material: &LineMaterial,
+    ) -> Result<Self, NetworkError> {
+        parameter("axial_stiffness", material.axial_stiffness, LEAST)?;
+        parameter("bending_stiffness", material.bending_stiffness, 0.0)?;
+        parameter("density", material.density, LEAST)?;
+        check_elements("segment", rest, segments)?;
+        let length = |[a, b]: [u32; 2]| (rest[b as usize] - rest[a as usize]).norm();
+        Faulty::among(segments.len(), |segment| length(segments[segment]) <= LEAST)
+            .refuse(|faulty| NetworkError::NoExtent { kind: "segment", faulty })?;
+        let mut network = Self { masses: vec![0.0; rest.len()], ..Self::default() };
+        let mut neighbours: Vec<(u32, u32)> = Vec::with_capacity(2 * segments.len());
+        for &[a, b] in segments {
+            let rest = length([a, b]);
+            network.springs.push(Spring {
+                nodes: [a.min(b), a.max(b)],
+                rest,
+                stiffness: material.axial_stiffness / rest,
+            });
+            for node in [a, b] {
+                network.masses[node as usize] += 0.5 * material.density * rest;
+            }
+            neighbours.extend([(a, b), (b, a)]);
+        }
+        network.springs.sort_by_key(|spring| spring.nodes);
+        neighbours.sort_unstable();
+        if material.bending_stiffness > 0.0 {
+            for about in neighbours.chunk_by(|first, second| first.0 == second.0) {
+                if let &[(middle, first), (_, last)] = about {
+                    let [before, after] = [length([first, middle]), length([middle, last])];
+                    let mut hinge = Hinge {
+                        nodes: [first, middle, last, middle],
+                        weights: [1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after, 0.0],
+                        rest: 0.0,
+                        side: 0.0,
+                        stiffness: 2.0 * material.bending_stiffness / (before + after),
+                    };
+                    hinge.rest = hinge.vector(rest).norm();
+                    network.hinges.push(hinge);
+                }
+            }
+        }
+        network.check(rest.len())?;
+        Ok(network)
+    }
+
+    /// A volume: springs along the edges of its tetrahedra, of either orientation.
+    ///
+    /// # Errors
+    /// Whatever is wrong with mesh or material, elements by their index.
+    pub fn from_volume(
+        rest: &[Point3<f64>],
+        tets: &[[u32; 4]],
+        material: &VolumeMaterial,
+    ) -> Result<Self, NetworkError> {
+        parameter("young_modulus", material.young_modulus, LEAST)?;
+        parameter("density", material.density, LEAST)?;
+        check_elements("tetrahedron", rest, tets)?;
+        let extent = |tet: &[u32; 4]| volume(tet, rest).abs() / 6.0;
+        Faulty::among(tets.len(), |tet| extent(&tets[tet]) <= LEAST)
+            .refuse(|faulty| NetworkError::NoExtent { kind: "tetrahedron", faulty })?;
+        let mut network = Self { masses: vec![0.0; rest.len()], ..Self::default() };
+        let mut shares: Vec<([u32; 2], f64)> = Vec::with_capacity(6 * tets.len());
+        for tet in tets {
+            let extent = extent(tet);
+            for (at, &a) in tet.iter().enumerate() {
+                network.masses[a as usize] += 0.25 * material.density * extent;
+                shares.extend(tet[..at].iter().map(|&b| ([a.min(b), a.max(b)], extent)));
+            }
+        }
+        // Stable, so that each sum has one order.
+        shares.sort_by_key(|share| share.0);
+        for edge in shares.chunk_by(|first, second| first.0 == second.0) {
+            let nodes = edge[0].0;
+            let squared = (rest[nodes[1] as usize] - rest[nodes[0] as usize]).norm_squared();
+            let about: f64 = edge.iter().map(|share| share.1).sum();
+            network.springs.push(Spring {
+                nodes,
+                rest: squared.sqrt(),
+                stiffness: material.young_modulus * about / squared,
+            });
+        }
+        network.check(rest.len())?;
+        Ok(network)
+    }
+
+    /// Adds the springs, hinges and masses of another network over the same nodes: a tube with a volume inside.
+    ///
+    /// # Errors
+    /// When the other has another number of nodes.
+    pub fn merge(&mut self, other: &Self) -> Result<(), NetworkError> {
+        let (given, expected) = (other.masses.len(), self.masses.len());
+        if given != expected {
+            return Err(NetworkError::Length { what: "masses", given, expected });
+        }
+        self.masses.iter_mut().zip(&other.masses).for_each(|(own, more)| *own += more);
+        self.springs.extend(&other.springs);
+        self.hinges.extend(&other.hinges);
+        Ok(())
+    }
+
+    /// Checks what can be wrong with a network of any origin.
+    ///
+    /// # Errors
+    /// The first kind of fault, with every element that has it.
+    pub fn check(&self, nodes: usize) -> Result<(), NetworkError> {
+        if nodes == 0 {
+            return Err(NetworkError::Empty);
+        }
+        if self.masses.len() != nodes {
+            let given = self.masses.len();
+            return Err(NetworkError::Length { what: "masses", given, expected: nodes });
+        }
+        let number = |value: f64| value >= 0.0 && value.is_finite();
+        let positive = |value: f64| value >= LEAST && value.is_finite();
+        Faulty::among(nodes, |node| !positive(self.masses[node])).refuse(NetworkError::Masses)?;
+        Faulty::among(self.springs.len(), |index| {
+            let [a, b] = self.springs[index].nodes;
+            a == b || a.max(b) as usize >= nodes
+        })
+        .refuse(|faulty| NetworkError::Nodes { kind: "spring", nodes, faulty })?;
+        Faulty::among(self.hinges.len(), |index| {
+            let hinge = &self.hinges[index];
+            hinge.nodes.iter().any(|&node| node as usize >= nodes)
+        })
+        .refuse(|faulty| NetworkError::Nodes { kind: "hinge", nodes, faulty })?;
+        Faulty::among(self.springs.len(), |index| {
+            let spring = &self.springs[index];
+            !number(spring.rest) || !number(spring.stiffness)
+        })
+        .refuse(|faulty| NetworkError::Numbers { kind: "spring", faulty })?;
+        Faulty::among(self.hinges.len(), |index| {
+            let hinge = &self.hinges[index];
+            let finite = hinge.weights.iter().all(|weight| weight.is_finite()) && hinge.side.is_finite();
+            !number(hinge.rest) || !number(hinge.stiffness) || !finite
+        })
+        .refuse(|faulty| NetworkError::Numbers { kind: "hinge", faulty })
+    }
+}

@@ -1,0 +1,159 @@
+//! Rigid bodies of our own: momenta, selectable integrators, impulses at contacts that a detector found (Baraff, *An
+//! introduction to physically based modeling: rigid body simulation*, 1997).
+//!
+//! | Concept | File |
+//! |---|---|
+//! | A body and its integrators | `body.rs` |
+//! | Contacts | `contact.rs` |
+//! | Impulses | `response.rs` |
+
+mod body;
+mod contact;
+mod error;
+mod response;
+
+use nalgebra::Vector3;
+
+pub use body::{Integrator, RigidMass, RigidState};
+pub use contact::{ContactConfig, ContactImpulse, RigidContact};
+pub use error::{RigidError, RigidStepError};
+
+use response::Response;
+
+/// What pushes a body from outside during a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Wrench {
+    /// Force at the centre of mass, in world \[N\].
+    pub force: Vector3<f64>,
+    /// Torque about the centre of mass, in world axes \[N·m\].
+    pub torque: Vector3<f64>,
+}
+
+/// Bodies that move and collide.
+#[derive(Clone, Debug)]
+pub struct RigidBodies {
+    masses: Vec<RigidMass>,
+    states: Vec<RigidState>,
+    next: Vec<RigidState>,
+    gravity: Vector3<f64>,
+    integrator: Integrator,
+    config: ContactConfig,
+    response: Response,
+}
+
+impl RigidBodies {
+    /// Bodies with their states; a run goes on from the states and, with [`RigidBodies::begin_with`], the impulses.
+    ///
+    /// # Errors
+    /// Lists of different lengths; all bodies with a mass, an inertia or a state that cannot be; a parameter out of range.
+    pub fn new(
+        masses: &[RigidMass],
+        states: &[RigidState],
+        gravity: Vector3<f64>,
+        integrator: Integrator,
+        config: ContactConfig,
+    ) -> Result<Self, RigidError> {
+        error::check(masses, states, &gravity, &config)?;
+        Ok(Self {
+            masses: masses.to_vec(),
+            states: states.to_vec(),
+            next: states.to_vec(),
+            gravity,
+            integrator,
+            config,
+            response: Response::default(),
+        })
+    }
+
+    /// The bodies' states.
+    #[must_use]
+    pub fn states(&self) -> &[RigidState] {
+        &self.states
+    }
+
+    /// The bodies' inertias.
+    #[must_use]
+    pub fn masses(&self) -> &[RigidMass] {
+        &self.masses
+    }
+
+    /// What each contact of the last step came to, in their order.
+    #[must_use]
+    pub fn impulses(&self) -> &[ContactImpulse] {
+        &self.response.impulses
+    }
+
+    /// Lets the next step begin with these impulses, one for each of its contacts: with the states, they are what a run goes
+    /// on from, bit for bit. What is not finite counts as none.
+    pub fn begin_with(&mut self, impulses: &[ContactImpulse]) {
+        self.response.impulses.clear();
+        let is_finite = |of: &&ContactImpulse| of.impulse.iter().all(|x| x.is_finite());
+        if impulses.iter().all(|of| is_finite(&of)) {
+            self.response.impulses.extend_from_slice(impulses);
+        }
+    }
+
+    /// Strikes a body: an impulse \[N·s\] at a point, both in world.
+    ///
+    /// # Errors
+    /// A body that there is none of; an impulse or a point that is not finite.
+    pub fn strike(
+        &mut self,
+        body: u32,
+        impulse: &Vector3<f64>,
+        point_in_world: &nalgebra::Point3<f64>,
+    ) -> Result<(), RigidStepError> {
+        let bodies = self.states.len();
+        let state =
+            self.states.get_mut(body as usize).ok_or(RigidStepError::NoBody { contact: 0, body, bodies })?;
+        if !impulse.iter().chain(point_in_world.iter()).all(|x| x.is_finite()) {
+            return Err(RigidStepError::Body { body: body as usize });
+        }
+        state.momentum += impulse;
+        state.angular_momentum += (point_in_world - state.position).cross(impulse);
+        Ok(())
+    }
+
+    /// Moves all on by `dt` \[s\] under gravity, `wrenches` (one for each body, or none at all) and the contacts.
+    ///
+    /// # Errors
+    /// A step that is no time; lists that do not fit; a contact that cannot be; a body that came to be nowhere. The bodies
+    /// are as before.
+    pub fn step(
+        &mut self,
+        dt: f64,
+        wrenches: &[Wrench],
+        contacts: &[RigidContact],
+    ) -> Result<(), RigidStepError> {
+        error::check_step(dt, wrenches, contacts, &self.states)?;
+        self.next.copy_from_slice(&self.states);
+        if self.integrator == Integrator::ExplicitEuler {
+            // Positions by what the velocities were.
+            for (next, mass) in self.next.iter_mut().zip(&self.masses) {
+                *next = mass.moved(next, dt, self.integrator);
+            }
+        }
+        for (index, next) in self.next.iter_mut().enumerate() {
+            let wrench = wrenches.get(index).copied().unwrap_or_default();
+            let force = wrench.force + self.gravity * self.masses[index].mass;
+            if self.integrator == Integrator::RungeKutta4 {
+                // The velocity at the end takes it too far: exact for a constant force.
+                next.position -= force * (dt * dt / 2.0 / self.masses[index].mass);
+            }
+            next.momentum += force * dt;
+            next.angular_momentum += wrench.torque * dt;
+        }
+        self.response.solve(dt, &self.masses, &self.states, &mut self.next, contacts, &self.config);
+        if self.integrator != Integrator::ExplicitEuler {
+            for (next, mass) in self.next.iter_mut().zip(&self.masses) {
+                *next = mass.moved(next, dt, self.integrator);
+            }
+        }
+        self.response.correct(dt, &mut self.next);
+        if let Some(body) = self.next.iter().position(|state| !error::is_finite(state)) {
+            return Err(RigidStepError::Body { body });
+        }
+        std::mem::swap(&mut self.states, &mut self.next);
+        Ok(())
+    }
+}

@@ -1,0 +1,297 @@
+//! What can be wrong with a tetrahedral mesh: everything is listed, not the first only.
+
+use std::cmp::Ordering;
+use std::fmt;
+
+use nalgebra::Point3;
+use thiserror::Error;
+
+use super::boundary::faces;
+use super::{MeshRules, mean_ratio, shape};
+
+/// One thing that is wrong with a mesh. Nodes and elements by their numbers in what was given.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum Defect {
+    /// Nothing to simulate.
+    #[error("there are no tetrahedra")]
+    Empty,
+    /// More than an index can tell apart.
+    #[error("{nodes} nodes and {tets} tetrahedra are more than {} can be told apart", u32::MAX / 4)]
+    TooMany {
+        /// Nodes.
+        nodes: usize,
+        /// Elements.
+        tets: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error("node {node} has a coordinate that is not a finite number")]
+    NotFinite {
+        /// Which node.
+        node: u32,
+    },
+    /// An element names a node that there is none of.
+    #[error("tetrahedron {tet} names node {node}, but there are {nodes}: 0 to {nodes} - 1 are valid")]
+    NoNode {
+        /// Which element.
+        tet: u32,
+        /// What it names.
+        node: u32,
+        /// How many there are.
+        nodes: usize,
+    },
+    /// An element names a node twice.
+    #[error("tetrahedron {tet} names node {node} more than once")]
+    RepeatedCorner {
+        /// Which element.
+        tet: u32,
+        /// The node.
+        node: u32,
+    },
+    /// An element is turned inside out.
+    #[error("tetrahedron {tet} is inverted: its volume is {volume:e} m³")]
+    Inverted {
+        /// Which element.
+        tet: u32,
+        /// Its volume \[m³\].
+        volume: f64,
+    },
+    /// An element has no volume, for the size of its edges.
+    #[error("tetrahedron {tet} is flat: its volume is {volume:e} m³")]
+    Flat {
+        /// Which element.
+        tet: u32,
+        /// Its volume \[m³\].
+        volume: f64,
+    },
+    /// An element is too badly shaped.
+    #[error(
+        "tetrahedron {tet} is a sliver: its mean ratio is {mean_ratio:.2e}, at least {least} is asked for"
+    )]
+    Sliver {
+        /// Which element.
+        tet: u32,
+        /// Its mean ratio.
+        mean_ratio: f64,
+        /// What the rules ask for.
+        least: f64,
+    },
+    /// Two elements have the same four corners.
+    #[error("tetrahedra {first} and {second} have the same corners")]
+    SameCorners {
+        /// The one.
+        first: u32,
+        /// The other.
+        second: u32,
+    },
+    /// More than two elements share a face.
+    #[error(
+        "face {corners:?} belongs to {count} tetrahedra, {first} and {second} among them: at most two can share it"
+    )]
+    SharedFace {
+        /// Its corners, ascending.
+        corners: [u32; 3],
+        /// How many share it.
+        count: usize,
+        /// The first of them.
+        first: u32,
+        /// The second.
+        second: u32,
+    },
+    /// Two elements lie on the same side of the face that they share.
+    #[error("tetrahedra {first} and {second} overlap: they lie on the same side of face {corners:?}")]
+    Overlap {
+        /// Corners of the face, ascending.
+        corners: [u32; 3],
+        /// The one.
+        first: u32,
+        /// The other.
+        second: u32,
+    },
+    /// Two nodes at the same place.
+    #[error("nodes {first} and {second} are at the same place")]
+    Coincident {
+        /// The smaller.
+        first: u32,
+        /// The larger.
+        second: u32,
+    },
+    /// A node without any element.
+    #[error("node {node} belongs to no tetrahedron")]
+    Unreferenced {
+        /// Which node.
+        node: u32,
+    },
+}
+
+/// A mesh that cannot be used, and all that is wrong with it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeshError {
+    /// Every defect: of nodes, of elements, of faces.
+    pub defects: Vec<Defect>,
+}
+
+/// Defects that a message shows; the rest are counted.
+const SHOWN: usize = 8;
+
+impl fmt::Display for MeshError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "the tetrahedral mesh has {} defects", self.defects.len())?;
+        for (index, defect) in self.defects.iter().take(SHOWN).enumerate() {
+            write!(out, "{} {defect}", if index == 0 { ":" } else { ";" })?;
+        }
+        match self.defects.len().saturating_sub(SHOWN) {
+            0 => Ok(()),
+            more => write!(out, "; and {more} more"),
+        }
+    }
+}
+
+impl std::error::Error for MeshError {}
+
+/// Volume over the cube of the longest edge below which a tetrahedron counts as flat: its orientation is rounding.
+const FLAT: f64 = 1e-12;
+
+/// Everything that is wrong: of nodes, then of elements, then of faces. Elements that name no real node are left out of
+/// the later tests.
+#[must_use]
+pub fn defects(rest: &[Point3<f64>], tets: &[[u32; 4]], rules: &MeshRules) -> Vec<Defect> {
+    let most = (u32::MAX / 4) as usize;
+    if rest.len() > most || tets.len() > most {
+        return vec![Defect::TooMany { nodes: rest.len(), tets: tets.len() }];
+    }
+    if tets.is_empty() {
+        return vec![Defect::Empty];
+    }
+    let mut found = Vec::new();
+    let finite: Vec<bool> = rest.iter().map(|point| point.iter().all(|x| x.is_finite())).collect();
+    found.extend((0..rest.len()).filter(|&i| !finite[i]).map(|node| Defect::NotFinite { node: node as u32 }));
+    coincident(rest, rules, &mut found);
+    let mut used = vec![false; rest.len()];
+    for node in tets.iter().flatten() {
+        if let Some(used) = used.get_mut(*node as usize) {
+            *used = true;
+        }
+    }
+    found
+        .extend((0..rest.len()).filter(|&i| !used[i]).map(|node| Defect::Unreferenced { node: node as u32 }));
+
+    let mut sound = Vec::with_capacity(tets.len());
+    for (index, tet) in tets.iter().enumerate() {
+        let before = found.len();
+        element(rest, &finite, index as u32, tet, rules, &mut found);
+        // An inverted element may still be turned: its faces count, but not as those of its sound neighbours do.
+        if found.len() == before {
+            sound.push((index as u32, *tet));
+        }
+    }
+    between(&sound, &mut found);
+    found
+}
+
+/// One element by itself.
+fn element(
+    rest: &[Point3<f64>],
+    finite: &[bool],
+    tet: u32,
+    corners: &[u32; 4],
+    rules: &MeshRules,
+    found: &mut Vec<Defect>,
+) {
+    let before = found.len();
+    for (i, &node) in corners.iter().enumerate() {
+        if node as usize >= rest.len() {
+            found.push(Defect::NoNode { tet, node, nodes: rest.len() });
+        } else if corners[..i].contains(&node) {
+            found.push(Defect::RepeatedCorner { tet, node });
+        }
+    }
+    if found.len() > before || corners.iter().any(|&node| !finite[node as usize]) {
+        return;
+    }
+    let shape = shape(rest, corners);
+    let volume = shape.determinant() / 6.0;
+    let longest = shape.column_iter().map(|edge| edge.norm()).fold(0.0, f64::max);
+    // The negation holds for an overflow too.
+    if !(volume.abs() > FLAT * longest.powi(3)) {
+        found.push(Defect::Flat { tet, volume });
+        return;
+    }
+    if volume < 0.0 {
+        found.push(Defect::Inverted { tet, volume });
+    }
+    let mean_ratio = mean_ratio(rest, corners).abs();
+    if !(mean_ratio >= rules.mean_ratio_min) {
+        found.push(Defect::Sliver { tet, mean_ratio, least: rules.mean_ratio_min });
+    }
+}
+
+/// Elements among each other: the same corners, faces that too many share.
+fn between(sound: &[(u32, [u32; 4])], found: &mut Vec<Defect>) {
+    let mut by_corners: Vec<_> = sound
+        .iter()
+        .map(|&(index, mut corners)| {
+            corners.sort_unstable();
+            (corners, index)
+        })
+        .collect();
+    by_corners.sort_unstable();
+    let mut repeated = Vec::new();
+    for same in by_corners.chunk_by(|one, other| one.0 == other.0) {
+        for &(_, second) in &same[1..] {
+            found.push(Defect::SameCorners { first: same[0].1, second });
+            repeated.push(second);
+        }
+    }
+    repeated.sort_unstable();
+    let apart: Vec<_> =
+        sound.iter().filter(|(index, _)| repeated.binary_search(index).is_err()).copied().collect();
+    let corners: Vec<_> = apart.iter().map(|&(_, corners)| corners).collect();
+    for same in faces(&corners).chunk_by(|one, other| one.sorted == other.sorted) {
+        let number = |which: usize| apart[same[which].tet as usize].0;
+        if same.len() > 2 {
+            let (first, second) = (number(0), number(1));
+            found.push(Defect::SharedFace { corners: same[0].sorted, count: same.len(), first, second });
+        } else if same.len() == 2 && same[0].ascending() == same[1].ascending() {
+            let (first, second) = (number(0), number(1));
+            found.push(Defect::Overlap { corners: same[0].sorted, first, second });
+        }
+    }
+}
+
+/// Nodes at the same place, each with the smallest number there.
+fn coincident(rest: &[Point3<f64>], rules: &MeshRules, found: &mut Vec<Defect>) {
+    let Some(within) = rules.coincident_within else { return };
+    found.extend(
+        pairs_within(rest, within).into_iter().map(|[first, second]| Defect::Coincident { first, second }),
+    );
+}
+
+/// Pairs (smaller, larger) of nodes that are within a distance, each larger one once, ascending by the larger.
+pub(super) fn pairs_within(rest: &[Point3<f64>], within: f64) -> Vec<[u32; 2]> {
+    let mut order: Vec<u32> =
+        (0..rest.len() as u32).filter(|&i| rest[i as usize].iter().all(|x| x.is_finite())).collect();
+    let key = |node: u32| rest[node as usize];
+    let by_place = |one: &u32, other: &u32| {
+        let (one, other) = (key(*one), key(*other));
+        let axes = one.iter().zip(other.iter()).map(|(a, b)| a.partial_cmp(b).unwrap_or(Ordering::Equal));
+        axes.fold(Ordering::Equal, Ordering::then)
+    };
+    // Stable: of nodes at the same place the smaller number stays first.
+    order.sort_by(by_place);
+    let mut pairs = Vec::new();
+    if within <= 0.0 {
+        for same in order.chunk_by(|one, other| by_place(one, other).is_eq()) {
+            pairs.extend(same[1..].iter().map(|&other| [same[0], other]));
+        }
+    } else {
+        for (at, &one) in order.iter().enumerate() {
+            // Along x only those within the distance come into question.
+            let near = order[at + 1..].iter().take_while(|&&other| key(other).x - key(one).x <= within);
+            let same = near.filter(|&&other| (key(other) - key(one)).norm() <= within);
+            pairs.extend(same.map(|&other| [one.min(other), one.max(other)]));
+        }
+    }
+    pairs.sort_unstable_by_key(|&[first, second]| (second, first));
+    pairs.dedup_by_key(|pair| pair[1]);
+    pairs
+}

@@ -1,0 +1,195 @@
+//! A tetrahedral mesh at rest, checked once, as solvers of continua take it: volumes, gradients of the shape functions,
+//! the boundary surface, masses.
+//!
+//! Meshes of other people come with bad elements. [`defects`] lists all of them with their numbers, [`TetMesh::new`]
+//! refuses a mesh that has any, [`TetMesh::repaired`] mends what can be mended and says what it did.
+
+#![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
+
+mod boundary;
+mod boxes;
+mod defect;
+mod repair;
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+pub use boxes::{BoxCells, box_cells};
+pub use defect::{Defect, MeshError, defects};
+pub use repair::Repairs;
+
+/// What counts as a bad element.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeshRules {
+    /// The least mean ratio of an element, in (0, 1]: 12 (3 V)^(2/3) over the sum of its squared edges, 1 for a regular
+    /// tetrahedron (Liu, Joe 1994). Below it an element is called a sliver.
+    pub mean_ratio_min: f64,
+    /// Nodes nearer to each other than this are called the same \[m\]; `None` where a cut may have doubled them.
+    pub coincident_within: Option<f64>,
+}
+
+impl Default for MeshRules {
+    fn default() -> Self {
+        Self { mean_ratio_min: 0.02, coincident_within: Some(0.0) }
+    }
+}
+
+/// Tetrahedra of positive volume with all that follows from their shape at rest.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TetMesh {
+    rest: Vec<Point3<f64>>,
+    tets: Vec<[u32; 4]>,
+    volumes: Vec<f64>,
+    inverse_shapes: Vec<Matrix3<f64>>,
+    surface: Vec<[u32; 3]>,
+    surface_nodes: Vec<u32>,
+}
+
+impl TetMesh {
+    /// Takes positions at rest \[m\] and positively oriented elements, and looks through all of them.
+    ///
+    /// # Errors
+    /// [`MeshError`] with every defect there is.
+    pub fn new(rest: &[Point3<f64>], tets: &[[u32; 4]], rules: &MeshRules) -> Result<Self, MeshError> {
+        let defects = defects(rest, tets, rules);
+        if defects.is_empty() {
+            Ok(Self::checked(rest.to_vec(), tets.to_vec()))
+        } else {
+            Err(MeshError { defects })
+        }
+    }
+
+    /// Mends what can be mended: inverted elements are turned, coincident nodes merged, elements without volume, slivers
+    /// and repeated elements dropped, as are nodes that no element uses. The numbering of what stays follows the old.
+    ///
+    /// # Errors
+    /// [`MeshError`] with the defects that cannot be mended: coordinates that are no numbers, corners that do not exist,
+    /// faces of more than two elements, elements that overlap, or nothing left.
+    pub fn repaired(
+        rest: &[Point3<f64>],
+        tets: &[[u32; 4]],
+        rules: &MeshRules,
+    ) -> Result<(Self, Repairs), MeshError> {
+        let (rest, tets, repairs) = repair::repair(rest, tets, rules)?;
+        Ok((Self::checked(rest, tets), repairs))
+    }
+
+    /// What [`defects`] found nothing in.
+    fn checked(rest: Vec<Point3<f64>>, tets: Vec<[u32; 4]>) -> Self {
+        let shapes: Vec<_> = tets.iter().map(|tet| shape(&rest, tet)).collect();
+        let volumes = shapes.iter().map(|shape| shape.determinant() / 6.0).collect();
+        // Not singular: volumes are positive.
+        let inverse_shapes =
+            shapes.iter().map(|shape| shape.try_inverse().unwrap_or_else(Matrix3::zeros)).collect();
+        let surface = boundary::surface(&tets);
+        let mut surface_nodes: Vec<u32> = surface.iter().flatten().copied().collect();
+        surface_nodes.sort_unstable();
+        surface_nodes.dedup();
+        Self { rest, tets, volumes, inverse_shapes, surface, surface_nodes }
+    }
+
+    /// Positions at rest \[m\].
+    #[must_use]
+    pub fn rest(&self) -> &[Point3<f64>] {
+        &self.rest
+    }
+
+    /// Corners of the elements, positively oriented: the fourth lies where the counter-clockwise turn of the first three
+    /// points to.
+    #[must_use]
+    pub fn tets(&self) -> &[[u32; 4]] {
+        &self.tets
+    }
+
+    /// Volumes of the elements at rest \[m³\], all positive.
+    #[must_use]
+    pub fn volumes(&self) -> &[f64] {
+        &self.volumes
+    }
+
+    /// Inverses of the matrices of the edges from the first corner at rest \[1/m\]: with the same edges deformed as the
+    /// columns of D, D times this is the deformation gradient.
+    #[must_use]
+    pub fn inverse_shapes(&self) -> &[Matrix3<f64>] {
+        &self.inverse_shapes
+    }
+
+    /// Gradients of the four shape functions of an element at rest \[1/m\].
+    ///
+    /// # Panics
+    /// When there is no such element.
+    #[must_use]
+    pub fn gradients(&self, tet: usize) -> [Vector3<f64>; 4] {
+        gradients(&self.inverse_shapes[tet])
+    }
+
+    /// Triangles of the boundary, counter-clockwise seen from outside, in the order of the elements that they belong to.
+    #[must_use]
+    pub fn surface(&self) -> &[[u32; 3]] {
+        &self.surface
+    }
+
+    /// Nodes of the boundary, ascending.
+    #[must_use]
+    pub fn surface_nodes(&self) -> &[u32] {
+        &self.surface_nodes
+    }
+
+    /// Volume of the whole \[m³\].
+    #[must_use]
+    pub fn volume(&self) -> f64 {
+        self.volumes.iter().sum()
+    }
+
+    /// Mass of each node \[kg\], a quarter of each of its elements', for a density \[kg/m³\].
+    #[must_use]
+    pub fn lumped_masses(&self, density: f64) -> Vec<f64> {
+        let mut masses = vec![0.0; self.rest.len()];
+        for (tet, volume) in self.tets.iter().zip(&self.volumes) {
+            for &node in tet {
+                masses[node as usize] += 0.25 * density * volume;
+            }
+        }
+        masses
+    }
+
+    /// The element that a point of the rest shape lies in, or is nearest to by its smallest barycentric weight, with the
+    /// weights; `None` for a mesh of no elements. Looks through all elements: for attaching things, not for every step.
+    #[must_use]
+    pub fn locate(&self, point: &Point3<f64>) -> Option<(usize, [f64; 4])> {
+        let mut best: Option<(usize, [f64; 4], f64)> = None;
+        for (index, tet) in self.tets.iter().enumerate() {
+            let inner = self.inverse_shapes[index] * (point - self.rest[tet[0] as usize]);
+            let weights = [1.0 - inner.sum(), inner.x, inner.y, inner.z];
+            let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
+            if best.is_none_or(|(.., known)| least > known) {
+                best = Some((index, weights, least));
+            }
+        }
+        best.map(|(index, weights, _)| (index, weights))
+    }
+}
+
+/// Edges from the first corner as columns \[m\].
+pub(crate) fn shape(positions: &[Point3<f64>], tet: &[u32; 4]) -> Matrix3<f64> {
+    let [a, b, c, d] = tet.map(|node| positions[node as usize]);
+    Matrix3::from_columns(&[b - a, c - a, d - a])
+}
+
+/// Gradients of the shape functions from the inverse of the matrix of edges.
+pub(crate) fn gradients(inverse_shape: &Matrix3<f64>) -> [Vector3<f64>; 4] {
+    let [b, c, d] = [0, 1, 2].map(|row| inverse_shape.row(row).transpose());
+    [-(b + c + d), b, c, d]
+}
+
+/// Mean ratio of a tetrahedron, with the sign of its volume.
+pub(crate) fn mean_ratio(positions: &[Point3<f64>], tet: &[u32; 4]) -> f64 {
+    let volume = shape(positions, tet).determinant() / 6.0;
+    let corners = tet.map(|node| positions[node as usize]);
+    let mut squares = 0.0;
+    for i in 0..4 {
+        for j in i + 1..4 {
+            squares += (corners[j] - corners[i]).norm_squared();
+        }
+    }
+    if squares > 0.0 { volume.signum() * 12.0 * (3.0 * volume.abs()).powf(2.0 / 3.0) / squares } else { 0.0 }
+}

@@ -1,0 +1,139 @@
+//! Mending a mesh: what was done is said, what cannot be done is refused.
+
+use nalgebra::Point3;
+
+use super::MeshRules;
+use super::defect::{Defect, MeshError, defects, pairs_within};
+
+/// What was mended, by the numbers of the mesh that came.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Repairs {
+    /// Inverted elements that were turned by swapping their last two corners.
+    pub turned_tets: Vec<u32>,
+    /// Elements that were dropped: flat, slivers, with a corner twice, or there already.
+    pub dropped_tets: Vec<u32>,
+    /// Nodes that were merged into one of a smaller number: (which, into which).
+    pub merged_nodes: Vec<(u32, u32)>,
+    /// Nodes that no element uses, and that were dropped; without those merged.
+    pub dropped_nodes: Vec<u32>,
+    /// The old number of each node that is left.
+    pub kept_nodes: Vec<u32>,
+    /// The old number of each element that is left.
+    pub kept_tets: Vec<u32>,
+}
+
+impl Repairs {
+    /// Whether there was nothing to mend.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.turned_tets.is_empty()
+            && self.dropped_tets.is_empty()
+            && self.merged_nodes.is_empty()
+            && self.dropped_nodes.is_empty()
+    }
+}
+
+type Repaired = (Vec<Point3<f64>>, Vec<[u32; 4]>, Repairs);
+
+pub(super) fn repair(
+    rest: &[Point3<f64>],
+    tets: &[[u32; 4]],
+    rules: &MeshRules,
+) -> Result<Repaired, MeshError> {
+    let beyond: Vec<_> = defects(rest, tets, rules)
+        .into_iter()
+        .filter(|defect| {
+            matches!(
+                defect,
+                Defect::Empty | Defect::TooMany { .. } | Defect::NotFinite { .. } | Defect::NoNode { .. }
+            )
+        })
+        .collect();
+    if !beyond.is_empty() {
+        return Err(MeshError { defects: beyond });
+    }
+    let mut repairs = Repairs::default();
+    let mut into: Vec<u32> = (0..rest.len() as u32).collect();
+    if let Some(within) = rules.coincident_within {
+        for [first, second] in pairs_within(rest, within) {
+            into[second as usize] = into[first as usize];
+            repairs.merged_nodes.push((second, into[first as usize]));
+        }
+    }
+    let mut mended: Vec<[u32; 4]> = tets.iter().map(|tet| tet.map(|node| into[node as usize])).collect();
+    // Those of single elements first: whether neighbours overlap can be said of sound elements only.
+    let unmerged = MeshRules { coincident_within: None, ..*rules };
+    let mut dropped = vec![false; tets.len()];
+    for defect in defects(rest, &mended, &unmerged) {
+        match defect {
+            Defect::Inverted { tet, .. } => {
+                mended[tet as usize].swap(2, 3);
+                repairs.turned_tets.push(tet);
+            }
+            Defect::Flat { tet, .. } | Defect::Sliver { tet, .. } | Defect::RepeatedCorner { tet, .. } => {
+                dropped[tet as usize] = true;
+            }
+            _ => {}
+        }
+    }
+    let mut seen: Vec<([u32; 4], usize)> = (0..tets.len())
+        .filter(|&tet| !dropped[tet])
+        .map(|tet| {
+            let mut corners = mended[tet];
+            corners.sort_unstable();
+            (corners, tet)
+        })
+        .collect();
+    seen.sort_unstable();
+    for same in seen.chunk_by(|one, other| one.0 == other.0) {
+        for &(_, tet) in &same[1..] {
+            dropped[tet] = true;
+        }
+    }
+    repairs.turned_tets.retain(|&tet| !dropped[tet as usize]);
+    let (kept_tets, dropped_tets): (Vec<u32>, Vec<u32>) =
+        (0..tets.len() as u32).partition(|&tet| !dropped[tet as usize]);
+    (repairs.kept_tets, repairs.dropped_tets) = (kept_tets, dropped_tets);
+
+    let mut used = vec![false; rest.len()];
+    for &tet in &repairs.kept_tets {
+        for node in mended[tet as usize] {
+            used[node as usize] = true;
+        }
+    }
+    let mut number = vec![0; rest.len()];
+    for node in 0..rest.len() as u32 {
+        if used[node as usize] {
+            number[node as usize] = repairs.kept_nodes.len() as u32;
+            repairs.kept_nodes.push(node);
+        } else if into[node as usize] == node {
+            repairs.dropped_nodes.push(node);
+        }
+    }
+    let nodes: Vec<_> = repairs.kept_nodes.iter().map(|&node| rest[node as usize]).collect();
+    let elements: Vec<_> =
+        repairs.kept_tets.iter().map(|&tet| mended[tet as usize].map(|node| number[node as usize])).collect();
+    let left = defects(&nodes, &elements, &unmerged);
+    if left.is_empty() {
+        return Ok((nodes, elements, repairs));
+    }
+    // By the numbers that the caller knows.
+    let tet_of = |tet: u32| repairs.kept_tets[tet as usize];
+    let corners_of = |corners: [u32; 3]| corners.map(|node| repairs.kept_nodes[node as usize]);
+    let defects = left
+        .into_iter()
+        .map(|defect| match defect {
+            Defect::SharedFace { corners, count, first, second } => Defect::SharedFace {
+                corners: corners_of(corners),
+                count,
+                first: tet_of(first),
+                second: tet_of(second),
+            },
+            Defect::Overlap { corners, first, second } => {
+                Defect::Overlap { corners: corners_of(corners), first: tet_of(first), second: tet_of(second) }
+            }
+            other => other,
+        })
+        .collect();
+    Err(MeshError { defects })
+}

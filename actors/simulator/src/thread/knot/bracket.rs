@@ -1,0 +1,180 @@
+//! The Jones polynomial by Kauffman's bracket (Kauffman 1987), crossing by crossing over the pairings of what is open
+//! (as Bar-Natan's planar algebra does), so that its cost follows the width of the diagram and not `2ⁿ`.
+
+use std::collections::BTreeMap;
+
+use super::KnotError;
+use super::diagram::Diagram;
+
+/// Crossings of a simplified diagram at most.
+pub const CROSSINGS_MAX: usize = 40;
+/// Pairings that are carried at once at most.
+const PAIRINGS_MAX: usize = 20_000;
+
+/// A polynomial with powers from `lowest` upwards.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Laurent {
+    /// Power of the first coefficient.
+    pub lowest: i32,
+    /// Of one power after the other; neither first nor last is 0.
+    pub coefficients: Vec<i64>,
+}
+
+impl Laurent {
+    /// One term.
+    #[must_use]
+    pub fn term(coefficient: i64, power: i32) -> Self {
+        Self { lowest: power, coefficients: vec![coefficient] }.trimmed()
+    }
+
+    /// Sum of two.
+    #[must_use]
+    pub fn plus(&self, other: &Self) -> Self {
+        if self.coefficients.is_empty() || other.coefficients.is_empty() {
+            return if self.coefficients.is_empty() { other.clone() } else { self.clone() };
+        }
+        let end = |of: &Self| of.lowest + of.coefficients.len() as i32;
+        let lowest = self.lowest.min(other.lowest);
+        let mut coefficients = vec![0; (end(self).max(end(other)) - lowest) as usize];
+        for of in [self, other] {
+            for (k, value) in of.coefficients.iter().enumerate() {
+                coefficients[(of.lowest - lowest) as usize + k] += value;
+            }
+        }
+        Self { lowest, coefficients }.trimmed()
+    }
+
+    /// Product of two.
+    #[must_use]
+    pub fn times(&self, other: &Self) -> Self {
+        if self.coefficients.is_empty() || other.coefficients.is_empty() {
+            return Self::default();
+        }
+        let mut coefficients = vec![0; self.coefficients.len() + other.coefficients.len() - 1];
+        for (i, a) in self.coefficients.iter().enumerate() {
+            for (j, b) in other.coefficients.iter().enumerate() {
+                coefficients[i + j] += a * b;
+            }
+        }
+        Self { lowest: self.lowest + other.lowest, coefficients }.trimmed()
+    }
+
+    /// The same of the mirror image.
+    #[must_use]
+    pub fn mirrored(&self) -> Self {
+        let highest = self.lowest + self.coefficients.len() as i32 - 1;
+        Self { lowest: -highest, coefficients: self.coefficients.iter().rev().copied().collect() }
+    }
+
+    fn trimmed(mut self) -> Self {
+        while self.coefficients.last() == Some(&0) {
+            self.coefficients.pop();
+        }
+        let zeros = self.coefficients.iter().take_while(|&&value| value == 0).count();
+        self.coefficients.drain(..zeros);
+        self.lowest = if self.coefficients.is_empty() { 0 } else { self.lowest + zeros as i32 };
+        self
+    }
+}
+
+/// Open ends joined two by two: each arc that is open with the one at its other end.
+type Pairing = BTreeMap<usize, usize>;
+
+/// The Jones polynomial of a diagram, in t.
+///
+/// # Errors
+/// More crossings, or more pairings at once, than are handled.
+pub fn jones(diagram: &Diagram) -> Result<Laurent, KnotError> {
+    let crossings = diagram.crossings();
+    if crossings > CROSSINGS_MAX {
+        return Err(KnotError::TooManyCrossings(crossings));
+    }
+    if crossings == 0 {
+        return Ok(Laurent::term(1, 0));
+    }
+    let places = diagram.places();
+    let circle = Laurent::term(-1, 2).plus(&Laurent::term(-1, -2));
+    let mut states: BTreeMap<Pairing, Laurent> = BTreeMap::from([(Pairing::new(), Laurent::term(1, 0))]);
+    for crossing in order(diagram, &places) {
+        let [a, b, c, d] = diagram.around(crossing, &places).map(|(arc, _)| arc);
+        let mut next: BTreeMap<Pairing, Laurent> = BTreeMap::new();
+        for (pairing, value) in &states {
+            for (power, joins) in [(1, [(a, b), (c, d)]), (-1, [(a, d), (b, c)])] {
+                let mut pairing = pairing.clone();
+                let mut value = value.times(&Laurent::term(1, power));
+                for (one, other) in joins {
+                    if join(&mut pairing, one, other) {
+                        value = value.times(&circle);
+                    }
+                }
+                let sum = next.get(&pairing).map_or_else(|| value.clone(), |sum| sum.plus(&value));
+                next.insert(pairing, sum);
+            }
+        }
+        states = next;
+        if states.len() > PAIRINGS_MAX {
+            return Err(KnotError::TooManyCrossings(crossings));
+        }
+    }
+    let bracket = states.into_values().fold(Laurent::default(), |sum, value| sum.plus(&value));
+    let writhe = diagram.writhe();
+    let sign = if writhe % 2 == 0 { 1 } else { -1 };
+    let framed = bracket.times(&Laurent::term(sign, -3 * writhe));
+    // One circle too many was counted, and t is A⁻⁴.
+    let framed = divided_by_circle(&framed);
+    let mut jones = Laurent::default();
+    for (k, &value) in framed.coefficients.iter().enumerate() {
+        jones = jones.plus(&Laurent::term(value, -(framed.lowest + k as i32) / 4));
+    }
+    Ok(jones)
+}
+
+/// Crossings so that each next one touches as much as possible of what is open.
+fn order(diagram: &Diagram, places: &[[usize; 2]]) -> Vec<usize> {
+    let crossings = diagram.crossings();
+    let mut touched = vec![false; 2 * crossings];
+    let mut left: Vec<_> = (0..crossings).collect();
+    let mut order = Vec::with_capacity(crossings);
+    while !left.is_empty() {
+        let open = |crossing: usize| {
+            diagram.around(crossing, places).iter().filter(|(arc, _)| touched[*arc]).count()
+        };
+        let best = (0..left.len()).max_by_key(|&k| (open(left[k]), usize::MAX - left[k])).unwrap_or(0);
+        let crossing = left.remove(best);
+        for (arc, _) in diagram.around(crossing, places) {
+            touched[arc] = !touched[arc];
+        }
+        order.push(crossing);
+    }
+    order
+}
+
+/// Joins an end of one arc to an end of another; true where that closes a circle. An arc that is open already is met at
+/// its other end.
+fn join(pairing: &mut Pairing, one: usize, other: usize) -> bool {
+    if one == other && !pairing.contains_key(&one) {
+        // Both ends of a loop that nothing else has met.
+        return true;
+    }
+    let first = pairing.remove(&one);
+    if first == Some(other) {
+        pairing.remove(&other);
+        return true;
+    }
+    let second = pairing.remove(&other);
+    let (first, second) = (first.unwrap_or(one), second.unwrap_or(other));
+    pairing.insert(first, second);
+    pairing.insert(second, first);
+    false
+}
+
+/// By −A² − A⁻², which divides it.
+fn divided_by_circle(of: &Laurent) -> Laurent {
+    let mut rest = of.coefficients.clone();
+    let mut quotient = vec![0; rest.len().saturating_sub(4)];
+    for k in 0..quotient.len() {
+        quotient[k] = -rest[k];
+        rest[k + 4] += quotient[k];
+    }
+    Laurent { lowest: of.lowest + 2, coefficients: quotient }.trimmed()
+}

@@ -1,0 +1,44 @@
+//! Which knot a thread has been tied into, told by invariants that can: square and granny knot have the Alexander
+//! polynomial and the determinant in common, but neither the signature nor the Jones polynomial.
+//!
+//! | Part | File |
+//! |---|---|
+//! | Closing an open curve, taking corners out | `polygon.rs` |
+//! | Projection, crossings, Reidemeister moves | `diagram.rs` |
+//! | Jones polynomial | `bracket.rs` |
+//! | Signature, determinant | `goeritz.rs` |
+//! | Names, and throws one by one | `name.rs` |
+//!
+//! An open thread is closed by [`close`]: its ends are led away from the middle of the thread and joined far out. A throw of `k` half hitches, tied with both ends around something, closes to
+//! the torus knot of `2k + 1` half turns, and throws one after the other to their connected sum.
+
+mod bracket;
+mod diagram;
+mod goeritz;
+mod name;
+mod polygon;
+
+pub use bracket::{CROSSINGS_MAX, Laurent, jones};
+pub use diagram::Diagram;
+pub use goeritz::signature_and_determinant;
+pub use name::{Hand, Knot, KnotKind, Throw, identify, identify_closed, notation, throws};
+pub use polygon::{close, simplified};
+
+use thiserror::Error;
+
+/// Why a curve's knot cannot be told.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum KnotError {
+    /// Too few points.
+    #[error("a curve of {0} points; valid: 3 or more")]
+    Points(usize),
+    /// A point with a number that is not finite.
+    #[error("point {0} of the curve is not finite")]
+    NotFinite(usize),
+    /// Crossings that cannot be told in any direction.
+    #[error("the curve meets itself")]
+    MeetsItself,
+    /// More than can be evaluated.
+    #[error("a diagram of {0} crossings that cannot be simplified; valid: at most {CROSSINGS_MAX}")]
+    TooManyCrossings(usize),
+}

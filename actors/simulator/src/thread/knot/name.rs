@@ -1,0 +1,250 @@
+//! Names of the knots that threads are tied into, and the throws that they are made of.
+
+use std::fmt;
+
+use nalgebra::Point3;
+
+use super::bracket::{Laurent, jones};
+use super::diagram::Diagram;
+use super::goeritz::signature_and_determinant;
+use super::{KnotError, close, simplified};
+
+/// Which way a throw is twisted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Hand {
+    /// Its crossings are positive.
+    Right,
+    /// Its crossings are negative.
+    Left,
+}
+
+/// One throw: the ends led around each other once, twice …
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Throw {
+    /// How often: 1 for an overhand throw, 2 for a surgeon's.
+    pub wraps: u32,
+    /// Which way.
+    pub hand: Hand,
+}
+
+/// What a knot is called.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum KnotKind {
+    /// None at all.
+    Unknot,
+    /// 3₁: a single throw, an overhand knot.
+    Trefoil(Hand),
+    /// 4₁.
+    FigureEight,
+    /// Two single throws of opposite hands, a reef knot.
+    Square,
+    /// Two single throws of one hand.
+    Granny(Hand),
+    /// A double throw and a single one of the opposite hand.
+    Surgeon(Hand),
+    /// Other sums of throws; their order cannot be told from a closed curve: most wraps first, right before left.
+    Throws(Vec<Throw>),
+    /// None of these.
+    Other,
+}
+
+/// A knot by its invariants.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Knot {
+    /// Its name; the hand of a surgeon's knot is that of its double throw.
+    pub kind: KnotKind,
+    /// 0 for what is its own mirror image; −2 for the right-handed trefoil.
+    pub signature: i32,
+    /// Of Alexander's polynomial at −1.
+    pub determinant: u64,
+    /// In t.
+    pub jones: Laurent,
+    /// Of the diagram in which it was read.
+    pub crossings: usize,
+}
+
+/// Throws of one knot at most.
+const THROWS_MAX: usize = 5;
+/// Wraps of one throw at most.
+const WRAPS_MAX: u32 = 3;
+
+impl fmt::Display for Hand {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str(match self {
+            Self::Right => "right-handed",
+            Self::Left => "left-handed",
+        })
+    }
+}
+
+impl fmt::Display for KnotKind {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Self::Unknot => f.write_str("unknot"),
+            Self::Trefoil(hand) => write!(f, "{hand} trefoil"),
+            Self::FigureEight => f.write_str("figure-eight knot"),
+            Self::Square => f.write_str("square knot"),
+            Self::Granny(hand) => write!(f, "{hand} granny knot"),
+            Self::Surgeon(hand) => write!(f, "{hand} surgeon's knot"),
+            Self::Throws(throws) => write!(f, "knot of {} throws", throws.len()),
+            Self::Other => f.write_str("knot without a name"),
+        }
+    }
+}
+
+/// Throws in order as surgeons write them (Tera, Åberg 1976): wraps, with `=` between throws of opposite hands and `x`
+/// between throws of one hand.
+#[must_use]
+pub fn notation(throws: &[Throw]) -> String {
+    let mut text = String::new();
+    for (i, throw) in throws.iter().enumerate() {
+        if i > 0 {
+            text.push(if throws[i - 1].hand == throw.hand { 'x' } else { '=' });
+        }
+        text.push_str(&throw.wraps.to_string());
+    }
+    text
+}
+
+/// The knot of a thread, open at both ends; see [`close`].
+///
+/// # Errors
+/// What keeps its crossings from being read.
+pub fn identify(points: &[Point3<f64>]) -> Result<Knot, KnotError> {
+    identify_closed(&close(points)?)
+}
+
+/// The knot of a closed curve; its last point is joined to its first.
+///
+/// # Errors
+/// What keeps its crossings from being read.
+pub fn identify_closed(points: &[Point3<f64>]) -> Result<Knot, KnotError> {
+    // A curve that meets itself is refused before its corners are taken out.
+    if let Some(bad) = points.iter().position(|point| !point.iter().all(|x| x.is_finite())) {
+        return Err(KnotError::NotFinite(bad));
+    }
+    let diagram = Diagram::of(&simplified(points))?.simplified();
+    let (signature, determinant) = signature_and_determinant(&diagram);
+    let jones = jones(&diagram)?;
+    Ok(Knot { kind: kind(&jones, signature), signature, determinant, jones, crossings: diagram.crossings() })
+}
+
+/// The throws of a thread tied around something, the first one first: the ends are shortened on both sides until one
+/// throw after the other comes undone. Empty for what is not a sequence of throws.
+///
+/// # Errors
+/// What keeps the crossings of the whole thread from being read.
+pub fn throws(points: &[Point3<f64>]) -> Result<Vec<Throw>, KnotError> {
+    let mut all = factors(&identify(points)?.kind);
+    let mut sequence = Vec::new();
+    let mut cut = 1;
+    while all.len() > 1 && 2 * cut + 4 < points.len() {
+        // What is cut through in the middle of a throw has no name, or the wrong number of them.
+        if let Ok(inner) = identify(&points[cut..points.len() - cut]) {
+            let left = factors(&inner.kind);
+            if left.len() + 1 == all.len()
+                && let Some(removed) = difference(&all, &left)
+            {
+                sequence.push(removed);
+                all = left;
+            }
+        }
+        cut += 1;
+    }
+    // Those that never came undone one by one are the innermost.
+    sequence.extend(all.into_iter().rev());
+    sequence.reverse();
+    Ok(sequence)
+}
+
+/// The throw that is in `all` and not in `left`, when that is all there is between them.
+fn difference(all: &[Throw], left: &[Throw]) -> Option<Throw> {
+    let mut rest = all.to_vec();
+    for throw in left {
+        rest.remove(rest.iter().position(|other| other == throw)?);
+    }
+    rest.pop().filter(|_| rest.is_empty())
+}
+
+fn factors(kind: &KnotKind) -> Vec<Throw> {
+    let single = |hand: Hand| Throw { wraps: 1, hand };
+    match kind {
+        KnotKind::Unknot | KnotKind::FigureEight | KnotKind::Other => Vec::new(),
+        KnotKind::Trefoil(hand) => vec![single(*hand)],
+        KnotKind::Square => vec![single(Hand::Right), single(Hand::Left)],
+        KnotKind::Granny(hand) => vec![single(*hand); 2],
+        KnotKind::Surgeon(hand) => {
+            let other = if *hand == Hand::Right { Hand::Left } else { Hand::Right };
+            vec![Throw { wraps: 2, hand: *hand }, single(other)]
+        }
+        KnotKind::Throws(throws) => throws.clone(),
+    }
+}
+
+/// Jones polynomial of the torus knot of `2·wraps + 1` half turns (Jones 1987), right-handed:
+/// `t^w (1 + t² − t³ + t⁴ … − t^{2w+1})`.
+fn torus(wraps: u32) -> Laurent {
+    let w = wraps as i32;
+    let mut polynomial = Laurent::term(1, w);
+    for k in 2..=2 * w + 1 {
+        polynomial = polynomial.plus(&Laurent::term(if k % 2 == 0 { 1 } else { -1 }, w + k));
+    }
+    polynomial
+}
+
+fn of_throw(throw: &Throw) -> Laurent {
+    let polynomial = torus(throw.wraps);
+    if throw.hand == Hand::Right { polynomial } else { polynomial.mirrored() }
+}
+
+fn kind(jones: &Laurent, signature: i32) -> KnotKind {
+    if *jones == Laurent::term(1, 0) {
+        return KnotKind::Unknot;
+    }
+    if *jones == (Laurent { lowest: -2, coefficients: vec![1, -1, 1, -1, 1] }) && signature == 0 {
+        return KnotKind::FigureEight;
+    }
+    let mut kinds = Vec::new();
+    for wraps in (1..=WRAPS_MAX).rev() {
+        kinds.extend([Hand::Right, Hand::Left].map(|hand| Throw { wraps, hand }));
+    }
+    let mut chosen = Vec::new();
+    if !product(jones, signature, &Laurent::term(1, 0), &kinds, &mut chosen) {
+        return KnotKind::Other;
+    }
+    match chosen[..] {
+        [Throw { wraps: 1, hand }] => KnotKind::Trefoil(hand),
+        [Throw { wraps: 1, hand: a }, Throw { wraps: 1, hand: b }] if a == b => KnotKind::Granny(a),
+        [Throw { wraps: 1, .. }, Throw { wraps: 1, .. }] => KnotKind::Square,
+        [Throw { wraps: 2, hand: a }, Throw { wraps: 1, hand: b }] if a != b => KnotKind::Surgeon(a),
+        _ => KnotKind::Throws(chosen),
+    }
+}
+
+/// Looks for throws, in the order of `kinds`, whose polynomials multiply to `wanted` and whose signatures add up.
+fn product(
+    wanted: &Laurent,
+    signature: i32,
+    so_far: &Laurent,
+    kinds: &[Throw],
+    chosen: &mut Vec<Throw>,
+) -> bool {
+    if !chosen.is_empty() && so_far == wanted {
+        let sum: i32 = chosen
+            .iter()
+            .map(|throw| throw.wraps as i32 * if throw.hand == Hand::Right { -2 } else { 2 })
+            .sum();
+        return sum == signature;
+    }
+    if chosen.len() == THROWS_MAX {
+        return false;
+    }
+    for (k, throw) in kinds.iter().enumerate() {
+        chosen.push(*throw);
+        if product(wanted, signature, &so_far.times(&of_throw(throw)), &kinds[k..], chosen) {
+            return true;
+        }
+        chosen.pop();
+    }
+    false
+}

@@ -1,0 +1,224 @@
+//! Suture thread: a nearly inextensible elastic rod that bends, twists, touches itself and what is around it, and stays
+//! where friction holds it.
+//!
+//! | Part | File |
+//! |---|---|
+//! | Discrete elastic rod, implicit | `rod.rs` |
+//! | Direct solver along the rod | `block_band.rs` |
+//! | Contact with static friction | `contact/` |
+//! | One step of rod and contacts together | `island/` |
+//! | Which knot it is | [`knot`] |
+
+//!
+//! # Why this method
+//! A thread of 2-0 silk weighs 41 ng per segment of a millimetre's half and carries newtons: explicit steps would have
+//! to be under a microsecond, and iterative projection needs as many sweeps as there are segments before a pull at one
+//! end is felt at the other. Here one factorisation along the rod, O(n), carries any tension over its whole length in
+//! one iteration, and contacts see each other through the rod's own compliance, so that a knot under load is one
+//! problem and not a sequence of collisions.
+
+mod block_band;
+mod boundary;
+mod contact;
+mod error;
+mod frame;
+mod island;
+pub mod knot;
+mod material;
+mod rod;
+mod state;
+
+pub use boundary::{HOLD_STIFFNESS, Hold, Load, TwistHold};
+pub use contact::{CONTACTS_MAX, Obstacle, Shape};
+pub use error::{ThreadError, ThreadStepError, Trouble};
+pub use material::ThreadMaterial;
+pub use state::{ContactKey, ContactMemory, NODES_MAX, ThreadState};
+
+use nalgebra::{Point3, Vector3};
+
+/// The longest step \[s\].
+pub const STEP_MAX: f64 = 2e-3;
+
+/// Sweeps over the contacts of one linearised solution at most, unless told otherwise.
+pub const SWEEPS: usize = 200;
+
+/// What acts on a thread during one step. Everything is in the world.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Surroundings<'a> {
+    /// \[m/s²\].
+    pub gravity: Vector3<f64>,
+    /// Nodes that are led.
+    pub holds: &'a [Hold],
+    /// Edges that are kept from turning.
+    pub twist_holds: &'a [TwistHold],
+    /// Forces on nodes.
+    pub loads: &'a [Load],
+    /// What the thread can touch; an obstacle keeps its place in the list from step to step.
+    pub obstacles: &'a [Obstacle<'a>],
+}
+
+/// How a step went.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ThreadReport {
+    /// Parts into which the step had to be divided; 1 when it went as a whole.
+    pub parts: usize,
+    /// Solutions of the linearised rod, over all parts.
+    pub iterations: usize,
+    /// Contacts that were solved for in the last part.
+    pub contacts: usize,
+    /// Sweeps over the contacts, over all parts.
+    pub sweeps: usize,
+    /// The largest strain of an edge, up to sign.
+    pub strain_max: f64,
+    /// How deep a contact is at most \[m\].
+    pub penetration_max: f64,
+}
+
+/// Force and torque of the thread on an obstacle, in the world, the torque about the obstacle's origin at the end of the
+/// step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reaction {
+    /// \[N\].
+    pub force: Vector3<f64>,
+    /// \[N·m\].
+    pub torque: Vector3<f64>,
+}
+
+/// A thread.
+#[derive(Clone, Debug)]
+pub struct Thread {
+    material: ThreadMaterial,
+    state: ThreadState,
+    island: island::Island,
+}
+
+impl Thread {
+    /// One at rest through `positions` \[m\], without strain or twist, as long as they are.
+    ///
+    /// # Errors
+    /// What is wrong with the material, or which nodes and edges are not a thread.
+    pub fn new(material: ThreadMaterial, positions: &[Point3<f64>]) -> Result<Self, ThreadError> {
+        Self::restore(material, ThreadState::at_rest(positions))
+    }
+
+    /// One that goes on from `state`, bit for bit.
+    ///
+    /// # Errors
+    /// As [`Thread::new`], and lists of different lengths.
+    pub fn restore(material: ThreadMaterial, state: ThreadState) -> Result<Self, ThreadError> {
+        material.check()?;
+        state.check(material.radius)?;
+        Ok(Self { material, state, island: island::Island::new(SWEEPS) })
+    }
+
+    /// How many sweeps over the contacts a linearised solution may take; [`SWEEPS`] unless told, 1 to 10,000. Of a
+    /// thread that slides while many contacts hold it, about as many as there are of them are needed; one that rests
+    /// goes on from the forces of the last step and takes few.
+    pub fn set_sweeps(&mut self, sweeps: usize) {
+        self.island.sweeps_max = sweeps.clamp(1, 10_000);
+    }
+
+    /// Of what it is made.
+    #[must_use]
+    pub fn material(&self) -> &ThreadMaterial {
+        &self.material
+    }
+
+    /// Everything needed to go on from here.
+    #[must_use]
+    pub fn state(&self) -> &ThreadState {
+        &self.state
+    }
+
+    /// Of the nodes, in the world \[m\].
+    #[must_use]
+    pub fn positions(&self) -> &[Point3<f64>] {
+        &self.state.positions
+    }
+
+    /// Goes on by `dt` \[s\].
+    ///
+    /// # Errors
+    /// Input that makes no sense, by name; or the node at which no step could be found. The state is then what it was.
+    pub fn step(&mut self, dt: f64, around: &Surroundings) -> Result<ThreadReport, ThreadStepError> {
+        self.check(dt, around)?;
+        self.island.step(&self.material, &mut self.state, dt, around)
+    }
+
+    /// Forces of the holds on the thread in the last step, in their order \[N\].
+    #[must_use]
+    pub fn hold_forces(&self) -> &[Vector3<f64>] {
+        self.island.hold_forces()
+    }
+
+    /// Torques about their edges of the twist holds on the thread in the last step, in their order \[N·m\].
+    #[must_use]
+    pub fn hold_torques(&self) -> &[f64] {
+        self.island.hold_torques()
+    }
+
+    /// What the thread did to the obstacles in the last step, in their order.
+    #[must_use]
+    pub fn reactions(&self) -> &[Reaction] {
+        self.island.reactions()
+    }
+
+    fn check(&self, dt: f64, around: &Surroundings) -> Result<(), ThreadStepError> {
+        if dt.is_nan() || dt <= 0.0 || dt > STEP_MAX {
+            return Err(ThreadStepError::Step(dt));
+        }
+        let given = |what, index, why: &str| Err(ThreadStepError::Given { what, index, why: why.to_owned() });
+        if !around.gravity.iter().all(|x| x.is_finite()) {
+            return given("gravity", 0, "not finite");
+        }
+        let nodes = self.state.positions.len();
+        for (index, hold) in around.holds.iter().enumerate() {
+            if hold.node >= nodes {
+                return given(
+                    "hold",
+                    index,
+                    &format!("there is no node {}; valid: below {nodes}", hold.node),
+                );
+            }
+            if !hold.to.iter().all(|x| x.is_finite()) {
+                return given("hold", index, "its place is not finite");
+            }
+            if !(hold.stiffness > 0.0 && hold.stiffness <= 1e9)
+                || hold.force_max.is_nan()
+                || hold.force_max < 0.0
+            {
+                return given(
+                    "hold",
+                    index,
+                    "valid: stiffness above 0, at most 1e9 N/m; force_max 0 or more",
+                );
+            }
+        }
+        for (index, hold) in around.twist_holds.iter().enumerate() {
+            if hold.edge + 1 >= nodes {
+                return given("twist hold", index, &format!("there is no edge {}", hold.edge));
+            }
+            if !hold.director.iter().all(|x| x.is_finite()) || hold.director.norm() < 1e-9 {
+                return given("twist hold", index, "its director is no direction");
+            }
+        }
+        for (index, load) in around.loads.iter().enumerate() {
+            if load.node >= nodes {
+                return given(
+                    "load",
+                    index,
+                    &format!("there is no node {}; valid: below {nodes}", load.node),
+                );
+            }
+            if !load.force.iter().all(|x| x.is_finite()) {
+                return given("load", index, "its force is not finite");
+            }
+        }
+        for (index, obstacle) in around.obstacles.iter().enumerate() {
+            if let Some(why) = obstacle.wrong() {
+                return given("obstacle", index, &why);
+            }
+        }
+        Ok(())
+    }
+}

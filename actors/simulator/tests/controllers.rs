@@ -1,0 +1,169 @@
+//! Simulators as controllers on a scene: what they read, what they write, and that another life of theirs goes on.
+
+mod stage;
+
+use nalgebra::Vector3;
+use stage::{Stage, scene};
+use trocar_scene::{
+    Activation, Burn, CollisionList, Frozen, InstrumentForce, InstrumentTarget, LocalContactModel, Pose,
+    SurfaceMesh, Temperature, VertexPositions,
+};
+use trocar_simulator::controller::{
+    DynamicFemController, ElectrosurgeryController, InstrumentsConfig, InstrumentsController,
+    MassSpringController,
+};
+
+const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
+
+/// A rod that points down; its tip is its origin.
+const ROD: &str = r#"
+[[entity]]
+name = "rod"
+pose = { translation = [0.0, 0.0, 0.03], rotation = [1.0, 0.0, 0.0, 0.0] }
+instrument = { kind = "hook_cautery", shaft_length = 0.1, shaft_radius = 0.002, jaw_length = 0.004, jaws = 0 }
+"#;
+
+fn down(x: f64, y: f64, z: f64) -> Pose {
+    Pose {
+        translation: Vector3::new(x, y, z),
+        ..Pose::from(nalgebra::Isometry3::rotation(Vector3::x() * std::f64::consts::PI))
+    }
+}
+
+#[test]
+fn an_electrode_heats_burns_and_removes_while_it_is_switched_on_and_another_life_goes_on() {
+    let text = format!(
+        "{ROD}electrode = {{ power = 30.0, contact_area = 1e-6 }}\n\
+         [[entity]]\nname = \"fold\"\nmesh = {{ sheet = {{ size = [0.02, 0.02], cells = [20, 20] }} }}\n\
+         cauterised = {{ thickness = 0.001 }}\n"
+    );
+    let mut stage = Stage::new(scene(&text), 100.0, ElectrosurgeryController::new);
+    let before = stage.get::<SurfaceMesh>("fold").triangles.len();
+    stage.put("rod", down(0.0, 0.0, 0.0005));
+    stage.tick();
+    assert_eq!(stage.measured("fold.heat_supplied_j"), 0.0, "it is off");
+    stage.put("rod", Activation { level: 1.0, since: stage.now() });
+    for _ in 0..20 {
+        stage.tick();
+    }
+    assert!(stage.measured("fold.heat_supplied_j") > 1.0, "{}", stage.measured("fold.heat_supplied_j"));
+    let hottest = stage.get::<Temperature>("fold").celsius.iter().copied().fold(0.0, f64::max);
+    assert!(hottest > 60.0, "{hottest} °C");
+    assert!(stage.get::<Burn>("fold").omega.iter().any(|omega| *omega > 1.0));
+    let (supplied, removed) =
+        (stage.measured("fold.heat_supplied_j"), stage.measured("fold.removed_volume_m3"));
+    stage.rebuild(ElectrosurgeryController::new);
+    for _ in 0..20 {
+        stage.tick();
+    }
+    assert!(stage.measured("fold.heat_supplied_j") > supplied, "it goes on from there");
+    assert!(stage.measured("fold.removed_volume_m3") > removed);
+    assert!(stage.get::<SurfaceMesh>("fold").triangles.len() < before, "there is a hole");
+    assert!(stage.measured("fold.heat_missing_share") < 0.01);
+    assert!(!stage.has::<Frozen>("fold"));
+}
+
+/// A rod pressed on a soft body pushes it down, and is told what that takes.
+fn pressed<C: trocar_scene::Controller>(
+    mut stage: Stage<C>,
+    body: &str,
+    top: f64,
+    secs: f64,
+    hz: f64,
+) -> Stage<C> {
+    let ticks = (secs * hz) as u64;
+    for tick in 0..ticks {
+        let share = tick as f64 / ticks as f64;
+        stage.put("rod", down(0.0, 0.0, top + 0.004 - 0.010 * share));
+        stage.tick();
+    }
+    assert!(!stage.has::<Frozen>(body), "{}", stage.get::<Frozen>(body).reason);
+    let lowest =
+        stage.get::<VertexPositions>(body).positions.iter().map(|p| p.z).fold(f64::INFINITY, f64::min);
+    assert!(lowest.is_finite());
+    let lists: Vec<CollisionList> =
+        stage.store.view().iter::<CollisionList>().map(|(_, list)| list.clone()).collect();
+    let force: Vector3<f64> = lists.iter().flat_map(|list| &list.collisions).map(|c| c.force_in_world).sum();
+    assert!(force.z < -1e-3, "the body is pushed down by {} N", force.z);
+    stage
+}
+
+const GAUZE: &str = r#"
+[[entity]]
+name = "gauze"
+mesh = { sheet = { size = [0.06, 0.06], cells = [20, 20] } }
+mass_spring = { method = "implicit" }
+anchors = { regions = [{ box = { min = [-0.04, 0.029, -1.0], max = [0.04, 0.04, 1.0] } }, { box = { min = [-0.04, -0.04, -1.0], max = [0.04, -0.029, 1.0] } }] }
+"#;
+
+#[test]
+fn a_gauze_gives_way_to_a_rod_and_goes_on_to_the_bit_in_another_life() {
+    let build = |context: &trocar_scene::BuildContext<'_>| MassSpringController::new(GRAVITY, context);
+    let stage = || Stage::new(scene(&format!("{ROD}{GAUZE}")), 100.0, build);
+    let whole = pressed(stage(), "gauze", 0.0, 0.5, 100.0);
+    let mut one = stage();
+    for tick in 0..50_u64 {
+        if tick == 25 {
+            one.rebuild(build);
+        }
+        one.put("rod", down(0.0, 0.0, 0.004 - 0.010 * (tick as f64 / 50.0)));
+        one.tick();
+    }
+    let [a, b] = [&whole, &one].map(|stage| stage.get::<VertexPositions>("gauze"));
+    assert_eq!(a, b);
+    let corner = a.positions[0];
+    assert!((corner - nalgebra::Point3::new(-0.03, -0.03, 0.0)).norm() < 1e-15, "anchors hold: {corner}");
+}
+
+const PAD: &str = r#"
+[[entity]]
+name = "pad"
+pose = { translation = [0.0, 0.0, -0.01] }
+mesh = { block = { size = [0.04, 0.04, 0.02], cells = [8, 8, 4] } }
+dynamic_fem = { young_modulus = 5000.0 }
+anchors = { regions = [{ box = { min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0099] } }] }
+"#;
+
+#[test]
+fn a_pad_of_finite_elements_gives_way_to_a_rod() {
+    let build = |context: &trocar_scene::BuildContext<'_>| DynamicFemController::new(GRAVITY, context);
+    let stage = pressed(Stage::new(scene(&format!("{ROD}{PAD}")), 100.0, build), "pad", 0.0, 0.4, 100.0);
+    let moved = stage.measured("pad.displacement_max_m");
+    assert!((0.001..0.01).contains(&moved), "{moved} m");
+}
+
+#[test]
+fn an_instrument_is_told_what_pushes_it() {
+    let store = scene(&format!("{ROD}{GAUZE}"));
+    let mut stage = Stage::new(store, 1000.0, |context| {
+        InstrumentsController::new(InstrumentsConfig::default(), context)
+    });
+    let target = InstrumentTarget { tip_in_world: down(0.0, 0.0, -0.002), ..InstrumentTarget::default() };
+    stage.put("rod", target);
+    stage.tick();
+    assert_eq!(stage.get::<Pose>("rod"), target.tip_in_world);
+    assert_eq!(stage.get::<InstrumentForce>("rod").force, Vector3::zeros());
+    // A contact that somebody found: the gauze is pushed down by 0.5 N, at a depth of 1 mm.
+    let (rod, gauze) = (stage.entity("rod"), stage.entity("gauze"));
+    let collision = trocar_scene::Collision {
+        a: rod,
+        primitive_a: trocar_scene::Primitive::Shaft,
+        b: gauze,
+        primitive_b: trocar_scene::Primitive::Triangle(3),
+        points_in_world: [nalgebra::Point3::new(0.0, 0.0, -0.002); 2],
+        normal_in_world: -Vector3::z(),
+        depth: 0.001,
+        force_in_world: Vector3::new(0.0, 0.0, -0.5),
+        velocity_constraint: 0.0,
+        method: trocar_scene::Detection::Simulator,
+        detected_at: stage.now(),
+    };
+    stage.put("gauze", CollisionList { collisions: vec![collision], penetration_max: 0.001 });
+    stage.tick();
+    let force = stage.get::<InstrumentForce>("rod").force;
+    assert!((force - Vector3::new(0.0, 0.0, 0.5)).norm() < 1e-12, "{force}");
+    let plane = stage.get::<LocalContactModel>("rod").planes[0].expect("a plane");
+    assert!((plane.stiffness - 500.0).abs() < 1e-9 && (plane.normal_in_world - Vector3::z()).norm() < 1e-12);
+    // At the present tip it pushes with what the contact does.
+    assert!(((plane.point_in_world.z - -0.002) * plane.stiffness - 0.5).abs() < 1e-12);
+}

@@ -1,0 +1,172 @@
+//! Picking: who holds what, and that it follows.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_simulator::cutting::{Sheet, Sweep};
+use trocar_simulator::mass_spring::{
+    Config, Input, Integrator, LinearSolver, MassSpring, Network, Prescribed, SurfaceMaterial,
+};
+use trocar_simulator::picking::{Jaws, Led, PickError, Picks, draw_along};
+
+/// A strip of `n` squares of 1 cm, two triangles each: triangles 2i and 2i + 1 have the corners 2i to 2i + 3.
+fn strip(n: u32) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
+    let points =
+        (0..=n).flat_map(|i| [0.0, 0.01].map(|y| Point3::new(0.01 * f64::from(i), y, 0.0))).collect();
+    let triangles =
+        (0..n).flat_map(|i| [[2 * i, 2 * i + 2, 2 * i + 1], [2 * i + 1, 2 * i + 2, 2 * i + 3]]).collect();
+    (points, triangles)
+}
+
+fn jaws<'a>(instrument: u64, pose_in_world: Isometry3<f64>, touched: [&'a [u32]; 2]) -> Jaws<'a> {
+    Jaws { instrument, pose_in_world, closed: true, touched }
+}
+
+#[test]
+fn only_what_both_jaws_touch_is_picked_and_opening_lets_it_go() {
+    let (points, triangles) = strip(8);
+    let here = Isometry3::translation(0.01, 0.02, 0.03);
+    let mut picks = Picks::default();
+    let open = Jaws { closed: false, ..jaws(7, here, [&[4, 5], &[4, 5]]) };
+    picks.update(&triangles, &points, &[open]).expect("heard");
+    assert_eq!(picks, Picks::default(), "open jaws pick nothing");
+    picks.update(&triangles, &points, &[jaws(7, here, [&[6, 4, 5], &[5, 4, 3]])]).expect("heard");
+    assert_eq!(picks.of(7).expect("a pick").triangles, [4, 5]);
+    assert_eq!((picks.holder(4), picks.holder(6)), (Some(7), None));
+    // Closed on, they do not take more.
+    picks.update(&triangles, &points, &[jaws(7, here, [&[1, 2], &[1, 2]])]).expect("heard");
+    assert_eq!(picks.of(7).expect("a pick").triangles, [4, 5]);
+    picks.update(&triangles, &points, &[open]).expect("heard");
+    assert_eq!(picks, Picks::default());
+    // One jaw alone picks nothing, and an instrument that is gone has let go.
+    picks.update(&triangles, &points, &[jaws(7, here, [&[1, 2], &[]])]).expect("heard");
+    assert_eq!(picks, Picks::default());
+    picks.update(&triangles, &points, &[jaws(7, here, [&[1], &[1]])]).expect("heard");
+    picks.update(&triangles, &points, &[]).expect("heard");
+    assert_eq!(picks, Picks::default());
+}
+
+#[test]
+fn what_is_picked_follows_the_instrument_as_a_rigid_body() {
+    let (points, triangles) = strip(8);
+    let before = Isometry3::new(Vector3::new(0.01, 0.02, 0.03), Vector3::new(0.3, -0.2, 0.9));
+    let after = Isometry3::new(Vector3::new(-0.02, 0.05, 0.01), Vector3::new(-1.3, 0.4, 0.1));
+    let mut picks = Picks::default();
+    picks.update(&triangles, &points, &[jaws(1, before, [&[4, 5], &[4, 5]])]).expect("heard");
+    // A session that is resumed goes on holding.
+    let picks: Picks = serde_json::from_str(&serde_json::to_string(&picks).expect("text")).expect("picks");
+    let led = picks.led(&[jaws(1, after, [&[], &[]])]);
+    assert_eq!(led.iter().map(|led| led.vertex).collect::<Vec<_>>(), [4, 5, 6, 7]);
+    for led in led {
+        let wanted = after * before.inverse_transform_point(&points[led.vertex as usize]);
+        assert!((led.position_in_world - wanted).norm() < 1e-15);
+    }
+}
+
+#[test]
+fn of_two_instruments_the_first_keeps_what_both_want() {
+    let (points, triangles) = strip(8);
+    let pose = Isometry3::identity();
+    let (left, right) = (jaws(1, pose, [&[2, 3, 4], &[2, 3, 4]]), jaws(2, pose, [&[4, 5, 6], &[4, 5, 6]]));
+    let mut picks = Picks::default();
+    picks.update(&triangles, &points, &[left]).expect("heard");
+    picks.update(&triangles, &points, &[left, right]).expect("heard");
+    assert_eq!(picks.of(1).expect("a pick").triangles, [2, 3, 4]);
+    assert_eq!(picks.of(2).expect("a pick").triangles, [5, 6]);
+    // Each vertex is led once, the shared ones by the first.
+    let moved = [left, Jaws { pose_in_world: Isometry3::translation(0.0, 0.0, 0.1), ..right }];
+    let led = picks.led(&moved);
+    assert!(led.windows(2).all(|pair| pair[0].vertex < pair[1].vertex));
+    assert!(led.iter().all(|led| (led.position_in_world.z > 0.05) == (led.vertex > 6)), "{led:?}");
+    // When the first lets go, the other keeps its own; closed again, the first finds those taken.
+    let open = Jaws { closed: false, ..left };
+    picks.update(&triangles, &points, &[open, right]).expect("heard");
+    assert_eq!(picks.of(2).expect("a pick").triangles, [5, 6]);
+    picks.update(&triangles, &points, &[jaws(1, pose, [&[5, 6], &[5, 6]]), right]).expect("heard");
+    assert!(picks.of(1).is_none());
+}
+
+#[test]
+fn neighbours_are_drawn_along_half_way_and_others_stay() {
+    let (mut points, triangles) = strip(8);
+    let before = points.clone();
+    let up = Vector3::new(0.0, 0.0, 0.01);
+    let led: Vec<_> =
+        (6..10).map(|vertex| Led { vertex, position_in_world: before[vertex as usize] + up }).collect();
+    draw_along(&mut points, &triangles, &led, &[5]);
+    for (vertex, (after, before)) in points.iter().zip(&before).enumerate() {
+        let wanted = match vertex {
+            6..10 => 0.01,
+            4 | 10 | 11 => 0.005,
+            _ => 0.0,
+        };
+        assert!((after.z - before.z - wanted).abs() < 1e-15, "vertex {vertex}: {after}");
+    }
+}
+
+/// The whole of it: picked, led by a solver, cut while held, let go.
+#[test]
+fn a_held_sheet_follows_through_a_solver_and_a_cut() {
+    // Four strips side by side, of which the second is held.
+    let (row, _) = strip(12);
+    let points: Vec<_> = (0..5)
+        .flat_map(|j| row.iter().step_by(2).map(move |point| Point3::new(point.x, 0.01 * f64::from(j), 0.0)))
+        .collect();
+    let triangles: Vec<[u32; 3]> = (0..48_u32)
+        .flat_map(|square| {
+            let corner = square / 12 * 13 + square % 12;
+            [[corner, corner + 1, corner + 14], [corner, corner + 14, corner + 13]]
+        })
+        .collect();
+    let mut sheet = Sheet::new(points.clone(), triangles).expect("a sheet");
+    let material = SurfaceMaterial { membrane_stiffness: 50.0, bending_stiffness: 1e-8, density: 0.15 };
+    let network = Network::from_surface(sheet.rest(), sheet.triangles(), &material).expect("a network");
+    let integrator = Integrator::Implicit { solver: LinearSolver::Cholesky, newton: 1 };
+    let config = Config { integrator, damping: 5.0, ..Config::default() };
+    let mut solver = MassSpring::new(network, points, &[0, 13, 26], config).expect("a solver");
+    let mut picks = Picks::default();
+    let touched: &[u32] = &[44, 45];
+    let pose = |frame: u32| Isometry3::translation(0.1, 0.0, 1e-4 * f64::from(frame));
+    for frame in 0..200 {
+        let now = jaws(9, pose(frame), [touched, touched]);
+        picks.update(sheet.triangles(), &solver.state().positions, &[now]).expect("heard");
+        if frame == 100 {
+            // Across the held triangles, along the strip.
+            let edge = |x: f64| [Point3::new(x, 0.015, -0.05), Point3::new(x, 0.015, 0.05)];
+            let sweep = Sweep { before: edge(0.13), after: edge(0.098) };
+            let change = sheet.cut(&solver.state().positions.clone(), &[sweep]).expect("a cut");
+            assert!(!change.is_empty());
+            solver
+                .rebuild(&[0, 13, 26], |network, state| {
+                    change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
+                    change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
+                    let about = |vertex| sheet.about(vertex);
+                    network.update_surface(sheet.rest(), sheet.triangles(), &material, &change.stale, about)
+                })
+                .expect("a network");
+            picks.follow(&change.triangles, sheet.triangles(), &solver.state().positions, &[now]);
+            assert!(picks.of(9).expect("a pick").triangles.len() > 2);
+        }
+        let led = picks.led(&[now]);
+        let prescribed: Vec<_> =
+            led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world }).collect();
+        solver.step(1e-3, &Input { prescribed: &prescribed, ..Input::default() }).expect("a step");
+        for led in led {
+            assert_eq!(solver.state().positions[led.vertex as usize], led.position_in_world);
+        }
+    }
+    let held = picks.of(9).expect("a pick").vertices[0].vertex as usize;
+    assert!((solver.state().positions[held].z - 0.0199).abs() < 1e-9);
+    let open = Jaws { closed: false, ..jaws(9, pose(200), [touched, touched]) };
+    picks.update(sheet.triangles(), &solver.state().positions, &[open]).expect("heard");
+    assert!(picks.led(&[open]).is_empty());
+}
+
+#[test]
+fn an_instrument_that_touches_what_is_not_there_is_refused() {
+    let (points, triangles) = strip(2);
+    let mut picks = Picks::default();
+    let error = picks.update(&triangles, &points, &[jaws(3, Isometry3::identity(), [&[0], &[9]])]);
+    assert_eq!(error, Err(PickError::Triangle { instrument: 3, triangle: 9, triangles: 4, vertices: 6 }));
+    let nowhere = Isometry3::translation(f64::NAN, 0.0, 0.0);
+    assert_eq!(picks.update(&triangles, &points, &[jaws(3, nowhere, [&[0], &[0]])]), Err(PickError::Pose(3)));
+    assert_eq!(picks, Picks::default());
+}

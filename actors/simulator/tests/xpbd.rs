@@ -1,0 +1,215 @@
+//! XPBD against closed forms, linear elements, and itself on other numbers of threads.
+
+use nalgebra::{Point3, Vector3};
+use trocar_simulator::mass_spring::{NodeForce, Prescribed, StepError};
+use trocar_simulator::xpbd::{Body, Distance, Elasticity, Xpbd, XpbdConfig, XpbdInput};
+
+const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
+
+/// Stretch of the chain of twenty grams on springs of 50 N/m after it has come to rest, over that of the closed form.
+fn chain(dt: f64, iterations: u32) -> f64 {
+    let rest: Vec<_> = (0..21).map(|node| Point3::new(0.0, 0.0, -0.05 * f64::from(node))).collect();
+    let distances: Vec<_> = (0..20)
+        .map(|node| Distance { nodes: [node, node + 1], rest: 0.05, compliance: 1.0 / 50.0 })
+        .collect();
+    let body = Body { rest: &rest, masses: &[1e-3; 21], distances: &distances, ..Body::default() };
+    let config = XpbdConfig { parts: 1, iterations, damping: 4.0, ..XpbdConfig::default() };
+    let mut solver = Xpbd::new(&body, &[0], config).expect("a body");
+    for _ in 0..(12.0 / dt) as usize {
+        solver.step(dt, &XpbdInput { gravity: DOWN, ..XpbdInput::default() }).expect("a step");
+    }
+    (-solver.state().positions[20].z - 1.0) / 0.041202
+}
+
+#[test]
+fn a_hanging_chain_converges_to_its_closed_form_with_small_steps() {
+    for (dt, iterations) in [(1e-3, 5), (1e-3, 10), (5e-4, 5), (2.5e-4, 5)] {
+        let found = chain(dt, iterations);
+        assert!((found - 1.0).abs() < 0.01, "{dt} s, {iterations} iterations: {found}");
+    }
+    // Few iterations of a large step are too soft, and more of them help: the error is one of convergence.
+    let (few, more) = (chain(1.0 / 60.0, 1), chain(1.0 / 60.0, 20));
+    assert!(few > 5.0 && more < 2.0 && more > 1.02, "{few} and {more}");
+}
+
+/// The failing control: plain position-based dynamics, whose stiffness is a share of each correction.
+#[test]
+fn plain_position_based_dynamics_has_the_stiffness_of_its_iterations() {
+    let stretch = |dt: f64, iterations: u32| {
+        let mut heights: Vec<f64> = (0..21).map(|node| -0.05 * f64::from(node)).collect();
+        let mut velocities = [0.0; 21];
+        for _ in 0..(8.0 / dt) as usize {
+            let before = heights.clone();
+            for node in 1..21 {
+                velocities[node] = (velocities[node] - 9.81 * dt) / (1.0 + 4.0 * dt);
+                heights[node] += velocities[node] * dt;
+            }
+            for _ in 0..iterations {
+                for node in 0..20 {
+                    let off = 0.5 * (heights[node] - heights[node + 1] - 0.05);
+                    let (upper, lower) = if node == 0 { (0.0, 1.0) } else { (0.5, 0.5) };
+                    heights[node] -= off * upper;
+                    heights[node + 1] += off * lower;
+                }
+            }
+            (1..21).for_each(|node| velocities[node] = (heights[node] - before[node]) / dt);
+        }
+        (-heights[20] - 1.0) / 0.041202
+    };
+    let (few, many, small) = (stretch(1e-3, 5), stretch(1e-3, 20), stretch(5e-4, 5));
+    assert!((few - 1.0).abs() > 0.1 && (many - 1.0).abs() > 0.1, "{few}, {many}");
+    assert!(few / many > 2.0 && few / small > 2.0, "{few}, {many}, {small}");
+}
+
+/// Six tetrahedra to a cell, corners ordered i-major.
+fn beam(cells: [u32; 3], size: [f64; 3]) -> (Vec<Point3<f64>>, Vec<[u32; 4]>) {
+    let side = cells.map(|count| count + 1);
+    let at = |axis: usize, index: u32| size[axis] * f64::from(index) / f64::from(cells[axis]);
+    let points = (0..side[0])
+        .flat_map(|i| {
+            (0..side[1])
+                .flat_map(move |j| (0..side[2]).map(move |k| Point3::new(at(0, i), at(1, j), at(2, k))))
+        })
+        .collect();
+    let six: [[u32; 4]; 6] =
+        [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]];
+    let mut tets = Vec::new();
+    for i in 0..cells[0] {
+        for j in 0..cells[1] {
+            for k in 0..cells[2] {
+                let corner =
+                    |local: u32| ((i + local / 4) * side[1] + j + local / 2 % 2) * side[2] + k + local % 2;
+                tets.extend(six.map(|tet| tet.map(corner)));
+            }
+        }
+    }
+    (points, tets)
+}
+
+const SOFT: Elasticity = Elasticity { young_modulus: 1e5, poisson_ratio: 0.3, density: 1000.0 };
+
+#[test]
+fn a_beam_bends_as_the_same_tetrahedra_do_in_linear_elasticity() {
+    let (points, tets) = beam([10, 2, 2], [0.1, 0.02, 0.02]);
+    let clamped: Vec<u32> = (0..points.len() as u32).filter(|&node| points[node as usize].x < 1e-9).collect();
+    let ends: Vec<u32> =
+        (0..points.len() as u32).filter(|&node| points[node as usize].x > 0.1 - 1e-9).collect();
+    // Uniform traction: each triangle of the end face gives a third to each of its corners.
+    let mut shares = vec![0.0; points.len()];
+    for tet in &tets {
+        let on_end: Vec<u32> = tet.iter().copied().filter(|node| ends.contains(node)).collect();
+        if on_end.len() == 3 {
+            on_end.iter().for_each(|&node| shares[node as usize] += 0.01 / 8.0 / 3.0);
+        }
+    }
+    let forces: Vec<_> = ends
+        .iter()
+        .map(|&node| NodeForce { node, force: Vector3::new(0.0, 0.0, -shares[node as usize]) })
+        .collect();
+    assert!((shares.iter().sum::<f64>() - 0.01).abs() < 1e-12);
+    let body = Body { rest: &points, tets: &tets, elasticity: Some(SOFT), ..Body::default() };
+    let sunk_with = |parts: u32| {
+        let config = XpbdConfig { parts, damping: 20.0, ..XpbdConfig::default() };
+        let mut solver = Xpbd::new(&body, &clamped, config).expect("a body");
+        for _ in 0..900 {
+            solver.step(1e-3, &XpbdInput { forces: &forces, ..XpbdInput::default() }).expect("a step");
+        }
+        assert_eq!(solver.inverted().count, 0);
+        let sunk = |node: &u32| points[*node as usize].z - solver.state().positions[*node as usize].z;
+        ends.iter().map(sunk).sum::<f64>() / ends.len() as f64 / 1.306_239_43e-3 - 1.0
+    };
+    // Too soft by what the square of the part's length makes it, whatever the iterations: small steps are the method.
+    let (coarse, fine) = (sunk_with(16), sunk_with(64));
+    assert!((0.0..0.04).contains(&coarse), "{coarse}");
+    assert!(fine.abs() < 0.004, "{fine}");
+}
+
+#[test]
+fn a_body_turned_inside_out_recovers() {
+    let (points, tets) = beam([3, 3, 3], [0.03; 3]);
+    let body = Body { rest: &points, tets: &tets, elasticity: Some(SOFT), ..Body::default() };
+    let config = XpbdConfig { parts: 20, damping: 10.0, speed_max: 1e4, ..XpbdConfig::default() };
+    let mut solver = Xpbd::new(&body, &[], config).expect("a body");
+    let mut state = solver.state().clone();
+    state.positions[0] = Point3::new(0.025, 0.025, 0.025);
+    solver.restore(state).expect("a state");
+    assert!(solver.inverted().count > 0);
+    for _ in 0..2000 {
+        solver.step(1e-3, &XpbdInput::default()).expect("a step");
+    }
+    assert_eq!(solver.inverted().count, 0);
+    let edge = (solver.state().positions[0] - solver.state().positions[1]).norm();
+    assert!((edge / 0.01 - 1.0).abs() < 1e-3, "{edge}");
+}
+
+#[test]
+fn the_bits_are_the_same_on_any_number_of_threads_and_after_a_restart() {
+    let (points, tets) = beam([24, 16, 16], [0.24, 0.16, 0.16]);
+    let body = Body { rest: &points, tets: &tets, elasticity: Some(SOFT), ..Body::default() };
+    let led = [Prescribed { node: 0, position: points[0] + Vector3::new(0.001, 0.002, 0.0) }];
+    let input = XpbdInput { gravity: DOWN, prescribed: &led, ..XpbdInput::default() };
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| {
+            let mut solver =
+                Xpbd::new(&body, &[5], XpbdConfig { parts: 2, ..XpbdConfig::default() }).expect("a body");
+            for _ in 0..3 {
+                solver.step(1e-3, &input).expect("a step");
+            }
+            let text = serde_json::to_string(solver.state()).expect("text");
+            let mut again =
+                Xpbd::new(&body, &[5], XpbdConfig { parts: 2, ..XpbdConfig::default() }).expect("a body");
+            again.restore(serde_json::from_str(&text).expect("a state")).expect("a state");
+            for _ in 0..3 {
+                solver.step(1e-3, &input).expect("a step");
+                again.step(1e-3, &input).expect("a step");
+            }
+            assert_eq!(solver.state(), again.state());
+            solver.state().clone()
+        })
+    };
+    let one = run(1);
+    assert_eq!(one.positions[0], led[0].position);
+    assert_eq!(one.positions[5], points[5]);
+    assert!(one == run(2) && one == run(3));
+}
+
+#[test]
+fn momentum_is_kept_and_nonsense_refused() {
+    let (points, mut tets) = beam([2, 2, 2], [0.02; 3]);
+    let body = Body { rest: &points, tets: &tets, elasticity: Some(SOFT), ..Body::default() };
+    let mut solver = Xpbd::new(&body, &[], XpbdConfig::default()).expect("a body");
+    let mut state = solver.state().clone();
+    for (node, position) in state.positions.iter_mut().enumerate() {
+        position.x += 1e-3 * (1.7 * node as f64).sin();
+    }
+    solver.restore(state).expect("a state");
+    let middle = |solver: &Xpbd| {
+        // Corners differ in mass by the tetrahedra that they have.
+        let mut sum = Vector3::zeros();
+        for tet in &tets {
+            tet.iter().for_each(|&node| sum += solver.state().positions[node as usize].coords);
+        }
+        sum / (4.0 * tets.len() as f64)
+    };
+    let began = middle(&solver);
+    for _ in 0..200 {
+        solver.step(1e-3, &XpbdInput::default()).expect("a step");
+    }
+    assert!((middle(&solver) - began).norm() < 1e-12);
+
+    let before = solver.state().clone();
+    let force = [NodeForce { node: 0, force: Vector3::new(f64::NAN, 0.0, 0.0) }];
+    let refused = solver.step(1e-3, &XpbdInput { forces: &force, ..XpbdInput::default() });
+    assert!(matches!(refused, Err(StepError::NotFinite { .. })), "{refused:?}");
+    assert_eq!(*solver.state(), before);
+    tets[1].swap(0, 1);
+    tets[3] = [0, 1, 2, 2];
+    let body = Body { rest: &points, tets: &tets, elasticity: Some(SOFT), ..Body::default() };
+    let error = Xpbd::new(&body, &[], XpbdConfig::default()).expect_err("one node twice");
+    assert!(error.to_string().ends_with("(there are 27): 3"), "{error}");
+    tets[3] = tets[2];
+    let body = Body { rest: &points, tets: &tets, elasticity: Some(SOFT), ..Body::default() };
+    let error = Xpbd::new(&body, &[], XpbdConfig::default()).expect_err("turned over");
+    assert_eq!(error.to_string(), "tetrahedrons without extent: 1");
+}

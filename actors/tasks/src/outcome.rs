@@ -1,0 +1,254 @@
+//! A scene that is judged by what came of it: quantities that simulators measure, within bounds at the end.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use trocar_scene::{
+    Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Frozen, Measured,
+    Snapshot, TaskError, TaskState, Tick,
+};
+
+/// Most expectations of a scenario.
+const EXPECTATIONS_MAX: usize = 256;
+
+/// Which value of a quantity counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Which {
+    /// The one at the end.
+    #[default]
+    Last,
+    /// The largest that there was.
+    Largest,
+    /// The smallest that there was.
+    Smallest,
+}
+
+/// What is expected of one quantity.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Expectation {
+    /// Its name, as a simulator measures it: `gauze.cut_area_m2`.
+    pub measure: String,
+    /// Which value counts.
+    #[serde(default)]
+    pub which: Which,
+    /// Least value that is good.
+    #[serde(default = "anything_above")]
+    pub min: f64,
+    /// Largest value that is good.
+    #[serde(default = "anything_below")]
+    pub max: f64,
+}
+
+fn anything_above() -> f64 {
+    f64::MIN
+}
+fn anything_below() -> f64 {
+    f64::MAX
+}
+
+impl Expectation {
+    /// Its name among the values: that of the quantity, and which value of it.
+    fn key(&self) -> String {
+        let which = match self.which {
+            Which::Last => return self.measure.clone(),
+            Which::Largest => "largest",
+            Which::Smallest => "smallest",
+        };
+        format!("{}.{which}", self.measure)
+    }
+}
+
+/// The judgement as a scenario file describes it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OutcomeConfig {
+    /// When it is over \[s\].
+    pub seconds: f64,
+    /// What is expected then.
+    #[serde(default)]
+    pub expect: Vec<Expectation>,
+}
+
+impl OutcomeConfig {
+    /// Refuses what cannot be judged.
+    ///
+    /// # Errors
+    /// Says what, and what would be valid.
+    pub fn check(&self) -> Result<(), String> {
+        if !(0.0..=86_400.0).contains(&self.seconds) {
+            return Err(format!("seconds: {} is out of range (0 to 86,400)", self.seconds));
+        }
+        if self.expect.len() > EXPECTATIONS_MAX {
+            return Err(format!(
+                "{} expectations are too many (at most {EXPECTATIONS_MAX})",
+                self.expect.len()
+            ));
+        }
+        let empty = self.expect.iter().find(|expected| expected.min.is_nan() || expected.min > expected.max);
+        match empty {
+            Some(Expectation { measure, min, max, .. }) => {
+                Err(format!("'{measure}': no value is at least {min} and at most {max}"))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// The values that count so far, in the order of the expectations.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct OutcomeState {
+    /// `None` until it has been measured.
+    pub values: Vec<Option<f64>>,
+    /// Bodies that their simulators had to stop, with the reason.
+    pub frozen: Vec<String>,
+    /// Whether the judgement has been given.
+    pub over: bool,
+}
+impl Component for OutcomeState {
+    const NAME: &'static str = "outcome_state";
+}
+
+/// Judges a scene when its time is over.
+pub struct OutcomeController {
+    config: OutcomeConfig,
+    name: String,
+    state: OutcomeState,
+}
+
+impl OutcomeController {
+    /// Goes on where an earlier life stopped.
+    ///
+    /// # Errors
+    /// What cannot be judged.
+    pub fn new(config: &OutcomeConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        config.check().map_err(|reason| ControllerError::Scene(format!("outcome: {reason}")))?;
+        let mut state = context.scene.get::<OutcomeState>(context.me).cloned().unwrap_or_default();
+        state.values.resize(config.expect.len(), None);
+        Ok(Self { config: config.clone(), name: context.name.to_owned(), state })
+    }
+
+    fn look(&mut self, scene: &Snapshot) {
+        self.state.frozen.clear();
+        let frozen = scene.iter::<Frozen>();
+        let told = |(body, frozen): (_, &Frozen)| format!("{} frozen: {}", scene.name(body), frozen.reason);
+        self.state.frozen.extend(frozen.map(told));
+        for (expected, value) in self.config.expect.iter().zip(&mut self.state.values) {
+            let measured =
+                || scene.iter::<Measured>().filter_map(|(_, all)| all.values.get(&expected.measure));
+            let Some(&now) = measured().next() else { continue };
+            let before = value.unwrap_or(now);
+            *value = Some(match expected.which {
+                Which::Last => now,
+                Which::Largest => before.max(now),
+                Which::Smallest => before.min(now),
+            });
+        }
+    }
+
+    fn judged(&self, secs: f64) -> TaskState {
+        let over = self.state.over;
+        let mut outcome = BTreeMap::new();
+        let mut errors = Vec::new();
+        let mut done = 0;
+        for (expected, value) in self.config.expect.iter().zip(&self.state.values) {
+            if let Some(value) = value {
+                outcome.insert(expected.key(), *value);
+            }
+            if value.is_some_and(|value| value >= expected.min && value <= expected.max) {
+                done += 1;
+            } else if over {
+                let kind = match value {
+                    Some(value) if *value < expected.min => {
+                        format!("{} below {}", expected.measure, expected.min)
+                    }
+                    Some(_) => format!("{} above {}", expected.key(), expected.max),
+                    None => format!("{} was not measured", expected.key()),
+                };
+                errors.push(TaskError { kind, at_secs: secs, entity: None });
+            }
+        }
+        errors.extend(self.state.frozen.iter().map(|kind| TaskError {
+            kind: kind.clone(),
+            at_secs: secs,
+            entity: None,
+        }));
+        let steps = self.config.expect.len() as u32;
+        let score = over.then(|| if steps == 0 { 100.0 } else { 100.0 * f64::from(done) / f64::from(steps) });
+        TaskState {
+            task: self.name.clone(),
+            phase: if over { "over".into() } else { "running".into() },
+            done,
+            steps,
+            seconds: secs,
+            over,
+            completed: over && done == steps && self.state.frozen.is_empty(),
+            cut_off: false,
+            score,
+            errors,
+            metrics: [("outcome".to_owned(), outcome)].into(),
+        }
+    }
+}
+
+impl Controller for OutcomeController {
+    fn access(&self) -> Access {
+        Access::new()
+            .reads::<Measured>()
+            .reads::<Frozen>()
+            .writes::<TaskState>(EntitySet::Own)
+            .writes::<OutcomeState>(EntitySet::Own)
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        if self.state.over {
+            return Ok(());
+        }
+        self.look(scene);
+        let secs = tick.time.as_secs_f64();
+        self.state.over = secs >= self.config.seconds;
+        out.put(tick.me, self.judged(secs));
+        out.put(tick.me, self.state.clone());
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn judge(values: &[Option<f64>], over: bool) -> TaskState {
+        let expect =
+            |measure: &str, min, max| Expectation { measure: measure.into(), which: Which::Last, min, max };
+        let config = OutcomeConfig {
+            seconds: 1.0,
+            expect: vec![expect("area_m2", 1.0, 2.0), expect("force_n", f64::MIN, 3.0)],
+        };
+        let state = OutcomeState { values: values.to_vec(), frozen: Vec::new(), over };
+        OutcomeController { config, name: "judge".into(), state }.judged(1.0)
+    }
+
+    #[test]
+    fn what_is_within_its_bounds_counts_and_what_is_not_is_named() {
+        let good = judge(&[Some(1.5), Some(-4.0)], true);
+        assert!(good.completed && good.over && good.errors.is_empty() && good.score == Some(100.0));
+        assert_eq!(good.metrics["outcome"]["area_m2"], 1.5);
+        let bad = judge(&[Some(0.5), None], true);
+        assert!(!bad.completed && bad.over && bad.score == Some(0.0));
+        let kinds: Vec<&str> = bad.errors.iter().map(|error| error.kind.as_str()).collect();
+        assert_eq!(kinds, ["area_m2 below 1", "force_n was not measured"]);
+        let early = judge(&[Some(1.5), None], false);
+        assert!(
+            !early.completed && !early.over && early.errors.is_empty() && (early.done, early.steps) == (1, 2)
+        );
+    }
+
+    #[test]
+    fn bounds_that_nothing_can_be_within_are_refused() {
+        let expect = vec![Expectation { measure: "x".into(), which: Which::Last, min: 2.0, max: 1.0 }];
+        let error = OutcomeConfig { seconds: 1.0, expect }.check().unwrap_err();
+        assert!(error.contains("'x'"), "{error}");
+        assert!(OutcomeConfig { seconds: f64::NAN, expect: Vec::new() }.check().is_err());
+    }
+}
