@@ -3,7 +3,7 @@
 //!
 //! The seed is printed; `TROCAR_KILL_SEED` sets it.
 
-use trocar::run::RunOptions;
+use trocar::run::{RunOptions, RunOutcome};
 use trocar_kernel::faults::{FaultPlan, secs};
 use trocar_kernel::recorder::{Recording, Replay};
 use trocar_tests::{app, finish, lockstep, peg_transfer};
@@ -58,7 +58,8 @@ fn plan(seed: u64) -> FaultPlan {
     plan
 }
 
-fn completes(options: RunOptions) {
+/// Plays the exercise under the plan and holds everything but its completion against the promises.
+fn play(options: RunOptions) -> RunOutcome {
     let seed = seed();
     let plan = plan(seed);
     let described: Vec<&str> = plan.faults.iter().map(|fault| fault.id.as_str()).collect();
@@ -69,7 +70,9 @@ fn completes(options: RunOptions) {
     let options = RunOptions { faults: Some(plan.clone()), record: Some(file.clone()), ..options };
     let outcome = finish(&app, &peg_transfer(&app, &[]), &options);
     let summary = &outcome.summary;
-    assert!(summary.task.completed, "{:?}\n{:?}\n{:?}", summary.task, summary.faults, summary.error);
+    if summary.error.is_some() || summary.task.cut_off {
+        return outcome;
+    }
     for fault in &summary.faults {
         assert!(fault.injected_secs.is_some() && fault.resumed_secs.is_some(), "{fault:?}");
     }
@@ -88,14 +91,44 @@ fn completes(options: RunOptions) {
     let mut replay = Replay::new(&recording, app.registry()).expect("a first keyframe");
     let replayed = replay.run_to_end().expect("every commit applies");
     assert_eq!(Some(replayed.to_string()), summary.state_hash);
+    outcome
+}
+
+fn told(outcome: &RunOutcome) -> String {
+    let summary = &outcome.summary;
+    format!(
+        "{:?}\n{:?}\n{:?}\n{:?}\n{:?}",
+        summary.task, summary.faults, summary.error, outcome.kernel.incidents, summary.controllers
+    )
+}
+
+/// Whether the machine did not give the physics or the trainee the time that they need: then what a grip of theirs
+/// would have held says nothing of the program.
+fn was_starved(outcome: &RunOutcome) -> bool {
+    ["engine", "autopilot"].iter().any(|name| {
+        let row = outcome.summary.controllers.iter().find(|row| row.name == *name).expect("its row");
+        row.missed as f64 > 0.1 * row.scheduled as f64 || row.lateness_us.max > 100e3
+    })
 }
 
 #[test]
 fn every_kind_of_actor_is_killed_once_in_lockstep_and_the_exercise_completes() {
-    completes(lockstep(3));
+    let outcome = play(lockstep(3));
+    assert!(outcome.summary.task.completed, "{}", told(&outcome));
 }
 
+/// What a starved machine dropped may be tried again, twice; what was dropped with all the time it needed fails.
 #[test]
 fn every_kind_of_actor_is_killed_once_live_and_the_exercise_completes() {
-    completes(RunOptions { seed: 3, ..RunOptions::default() });
+    let mut failed = Vec::new();
+    for _ in 0..3 {
+        let outcome = play(RunOptions { seed: 3, ..RunOptions::default() });
+        if outcome.summary.task.completed {
+            return;
+        }
+        assert!(was_starved(&outcome), "with all the time it needed: {}", told(&outcome));
+        println!("starved: {}", told(&outcome));
+        failed.push(outcome.summary.task);
+    }
+    panic!("starved three times: {failed:?}");
 }

@@ -6,11 +6,13 @@ use std::path::{Path, PathBuf};
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand};
 
 /// Rooms of the house: crate → folder.
-const ROOMS: [(&str, &str); 11] = [
+const ROOMS: [(&str, &str); 13] = [
     ("trocar-scene", "scene"),
     ("trocar-devices", "devices"),
     ("trocar-kernel", "actors/kernel"),
     ("trocar-engine", "actors/engine"),
+    ("trocar-collision", "actors/collision"),
+    ("trocar-simulator", "actors/simulator"),
     ("trocar-haptics", "actors/haptics"),
     ("trocar-input", "actors/input"),
     ("trocar-tasks", "actors/tasks"),
@@ -21,11 +23,13 @@ const ROOMS: [(&str, &str); 11] = [
 ];
 
 /// Whom each crate may know of its neighbours. What is not listed is not allowed.
-const ARROWS: [(&str, &[&str]); 11] = [
+const ARROWS: [(&str, &[&str]); 13] = [
     ("trocar-scene", &[]),
     ("trocar-devices", &[]),
     ("trocar-kernel", &["trocar-scene"]),
     ("trocar-engine", &["trocar-scene"]),
+    ("trocar-collision", &["trocar-scene"]),
+    ("trocar-simulator", &["trocar-scene", "trocar-collision"]),
     ("trocar-tasks", &["trocar-scene"]),
     ("trocar-haptics", &["trocar-scene", "trocar-devices"]),
     ("trocar-input", &["trocar-scene", "trocar-devices"]),
@@ -36,13 +40,18 @@ const ARROWS: [(&str, &[&str]); 11] = [
             "trocar-devices",
             "trocar-kernel",
             "trocar-engine",
+            "trocar-collision",
+            "trocar-simulator",
             "trocar-haptics",
             "trocar-input",
             "trocar-tasks",
         ],
     ),
     ("trocar-viewer", &["trocar-scene"]),
-    ("trocar-cli", &["trocar", "trocar-viewer", "trocar-scene", "trocar-devices", "trocar-kernel"]),
+    (
+        "trocar-cli",
+        &["trocar", "trocar-viewer", "trocar-scene", "trocar-devices", "trocar-kernel", "trocar-collision"],
+    ),
     (
         "trocar-tests",
         &[
@@ -51,6 +60,7 @@ const ARROWS: [(&str, &[&str]); 11] = [
             "trocar-devices",
             "trocar-kernel",
             "trocar-engine",
+            "trocar-collision",
             "trocar-haptics",
             "trocar-input",
             "trocar-tasks",
@@ -59,20 +69,22 @@ const ARROWS: [(&str, &[&str]); 11] = [
 ];
 
 /// Libraries that only some crates may know directly. `*` stands for any ending.
-const RESERVED: [(&str, &[&str]); 9] = [
+const RESERVED: [(&str, &[&str]); 10] = [
     ("actix*", &["trocar-kernel"]),
     ("tokio*", &["trocar-kernel"]),
     ("rapier*", &["trocar-engine"]),
     ("wgpu*", &["trocar-viewer"]),
     ("winit", &["trocar-viewer"]),
-    ("rayon*", &[]),
+    ("egui*", &["trocar-viewer"]),
+    ("rayon*", &["trocar-simulator"]),
     ("axum*", &[]),
     ("clap*", &["trocar-cli"]),
     ("indicatif", &["trocar-cli"]),
 ];
 
 /// Crates that are pure: no clock, no thread, no socket of their own.
-const PURE: [&str; 4] = ["scene", "actors/engine", "actors/haptics", "actors/tasks"];
+const PURE: [&str; 6] =
+    ["scene", "actors/engine", "actors/collision", "actors/simulator", "actors/haptics", "actors/tasks"];
 /// Lines of a file beyond which a newcomer loses the way.
 const LINES_MAX: usize = 600;
 /// Modules with a hash map that is only looked up in, never walked.
@@ -83,13 +95,14 @@ const LOOKUPS: [&str; 4] = [
     "ui/viewer/src/gpu/passes.rs",
 ];
 /// Modules in which unsafe code is allowed: scheduling, timers, what the kernel says of event devices, counting
-/// allocations, a foreign engine's ABI.
-const UNSAFE: [&str; 5] = [
+/// allocations, a foreign engine's ABI, an X display that is lost.
+const UNSAFE: [&str; 6] = [
     "devices/src/gamepad/evdev.rs",
     "devices/src/sched.rs",
     "actors/kernel/src/runtime/sched.rs",
     "ui/cli/src/bench/counting.rs",
     "ui/sdk/templates/engine/src/ffi.rs",
+    "ui/viewer/src/window/display.rs",
 ];
 
 fn root() -> PathBuf {
