@@ -129,7 +129,11 @@ impl Bleeding {
         let tissue = ThermalMaterial::default();
         let conductance = 4.0 * tissue.conductivity * self.vessel.radius * self.state.damage.sqrt();
         let cooling = tissue.blood_capacity * rate.max(0.0);
-        if conductance <= 0.0 { celsius } else { BODY + (celsius - BODY) * conductance / (conductance + cooling) }
+        if conductance <= 0.0 {
+            celsius
+        } else {
+            BODY + (celsius - BODY) * conductance / (conductance + cooling)
+        }
     }
 
     /// The tissue around the hole is at `celsius` \[°C\] for `dt` \[s\], while `rate` \[m³/s\] comes out: what of its rim is

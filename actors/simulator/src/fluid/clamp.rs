@@ -78,7 +78,8 @@ mod tests {
         assert_eq!(TUBE.closed_share(0.0), 1.0);
         // Half as wide inside: two half circles of 0.5 mm, and between them what is left of the perimeter.
         let (gap, around) = (1e-3, std::f64::consts::PI * 2e-3);
-        let section = gap * (around - std::f64::consts::PI * gap) / 2.0 + std::f64::consts::PI * gap * gap / 4.0;
+        let section =
+            gap * (around - std::f64::consts::PI * gap) / 2.0 + std::f64::consts::PI * gap * gap / 4.0;
         let open = section / (std::f64::consts::PI * 1e-6);
         assert!((1.0 - TUBE.closed_share(1.4e-3) - open).abs() < 1e-12);
     }

@@ -61,7 +61,10 @@ mod tests {
             let derivative = (above - below) / 2e-6;
             let scale = kernel.value_and_slope(0.0).0 / 0.3;
             let single = kernel.value_and_slope_single(r as f32);
-            assert!((f64::from(single.0) - value).abs() < 1e-5 * scale && kernel.value_and_slope_single(0.31).0 == 0.0);
+            assert!(
+                (f64::from(single.0) - value).abs() < 1e-5 * scale
+                    && kernel.value_and_slope_single(0.31).0 == 0.0
+            );
             assert!((f64::from(single.1) - slope).abs() * r < 1e-4 * scale);
             assert!((slope * r - derivative).abs() < 1e-4 * scale, "{r}: {slope} {derivative}");
         }

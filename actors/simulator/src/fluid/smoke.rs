@@ -230,9 +230,7 @@ mod tests {
     fn puffs_stray_as_their_diffusivity_says() {
         let config = SmokeConfig { warmth: 0.0, lifetime: 100.0, ..SmokeConfig::default() };
         let mut smoke = Smoke::new(config).expect("smoke");
-        smoke
-            .step(0.01, &[(Point3::origin(), 1000.0 * config.puff)], &Vector3::zeros())
-            .expect("a step");
+        smoke.step(0.01, &[(Point3::origin(), 1000.0 * config.puff)], &Vector3::zeros()).expect("a step");
         for _ in 0..200 {
             smoke.step(0.01, &[], &Vector3::zeros()).expect("a step");
         }

@@ -328,7 +328,8 @@ mod tests {
     #[test]
     fn a_small_body_answers_the_same_share_in_the_same_way() {
         let small = Circulation::default().of_blood(0.3e-3);
-        let mut patients = [Circulation::default(), small].map(|body| VitalSigns::new(body).expect("a patient"));
+        let mut patients =
+            [Circulation::default(), small].map(|body| VitalSigns::new(body).expect("a patient"));
         for _ in 0..300 {
             patients[0].step(1.0, 5e-6).expect("a step");
             patients[1].step(1.0, 0.3e-6).expect("a step");

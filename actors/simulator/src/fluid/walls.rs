@@ -24,9 +24,11 @@ impl WallSample {
     #[must_use]
     pub fn place(&self, positions: &[Point3<f64>]) -> Point3<f64> {
         let parts = self.nodes.iter().zip(self.weights);
-        Point3::from(parts.fold(Vector3::zeros(), |sum, (&node, weight)| {
-            sum + positions[node as usize].coords * weight
-        }))
+        Point3::from(
+            parts.fold(Vector3::zeros(), |sum, (&node, weight)| {
+                sum + positions[node as usize].coords * weight
+            }),
+        )
     }
 }
 
@@ -106,7 +108,9 @@ mod tests {
             .collect();
         let cells = (0..n).flat_map(|i| (0..n).map(move |j| (i, j)));
         let fine_triangles: Vec<[u32; 3]> = cells
-            .flat_map(|(i, j)| [[at(i, j), at(i + 1, j), at(i, j + 1)], [at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]])
+            .flat_map(|(i, j)| {
+                [[at(i, j), at(i + 1, j), at(i, j + 1)], [at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]]
+            })
             .collect();
         let coarse = sample(&fine, &fine_triangles, 0.004, 100_000).len();
         assert!((100..260).contains(&coarse), "{coarse} samples of 16 cm²");
