@@ -5,14 +5,16 @@
 //! burned or cut. What a solver refuses freezes the one body that it is about; the others go on.
 
 pub mod bleeding;
+pub mod cuts;
 pub mod deformable;
 pub mod dynamic_fem;
 pub mod electrosurgery;
 pub mod fluid;
+pub mod grips;
 pub mod instruments;
-pub mod jaws;
 pub mod mass_spring;
 pub mod smoke;
+pub mod soft;
 pub mod tools;
 pub mod touch;
 pub mod vital_signs;
@@ -29,6 +31,7 @@ pub use fluid::{FluidController, Liquid, LiquidState, LiquidWall};
 pub use instruments::{InstrumentsConfig, InstrumentsController};
 pub use mass_spring::{MassSpringBody, MassSpringController};
 pub use smoke::{Plume, SmokeCloud, SmokeCloudState, SmokeController};
+pub use soft::{SoftController, SoftMethod};
 pub use vital_signs::{Patient, PatientState, VitalSignsController};
 
 /// Registers the components of this crate.
@@ -37,7 +40,8 @@ pub use vital_signs::{Patient, PatientState, VitalSignsController};
 /// When a name is already taken by another type.
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<MassSpringBody>()?;
-    builder.register::<jaws::SurfaceState>()?;
+    builder.register::<cuts::Cuts>()?;
+    builder.register::<grips::Grips>()?;
     builder.register::<DynamicFemBody>()?;
     builder.register::<CauterisedBody>()?;
     builder.register::<ElectrodeTip>()?;
