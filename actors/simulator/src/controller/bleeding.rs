@@ -1,20 +1,19 @@
 //! The controller of vessels: what cuts or burns them opens them, jaws close them, coagulation of the tissue about the hole
 //! seals them. What comes out is told as a total, from which the liquid and the patient take what is theirs.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
-    EntitySet, Instrument, InstrumentKind, JawState, LineMesh, Measured, Pose, RestPositions, Snapshot,
-    Temperature, TetMesh, Tick, VertexPositions,
+    EntitySet, Instrument, JawState, LineMesh, Measured, Pose, RestPositions, Snapshot, Temperature, TetMesh,
+    Tick, VertexPositions,
 };
 
+use super::cuts::swept;
 use super::electrosurgery::{HeatState, RemovedElements};
+use super::grips::holds;
 use super::vital_signs::PatientState;
-use crate::cutting::Sweep;
 use crate::electrosurgery::BODY;
 use crate::fluid::bleeding::{Bleeding, BleedingState, Vessel as Pipe};
 use crate::fluid::clamp::{Jaws, Tube};
@@ -24,8 +23,6 @@ use crate::fluid::{Hole, sever};
 const HEAT_REACH: f64 = 0.01;
 /// Vertices whose temperature counts at the hole.
 const HEATERS: usize = 4;
-/// Full opening below which blades cut \[rad\].
-const CLOSED: f64 = 0.12;
 
 /// A vessel: a line from its source (the first vertex) to its end, with blood in it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -186,27 +183,15 @@ impl Body {
 
     /// Closed blades that sweep through it cut it through, where they do so first.
     fn cut(&mut self, scene: &Snapshot, world_from_body: &Isometry3<f64>) {
-        let before: BTreeMap<Entity, [Point3<f64>; 2]> = self.state.blades.drain(..).collect();
         let whole = length(&self.line);
-        for (entity, instrument) in scene.iter::<Instrument>() {
-            let closed = scene.get::<JawState>(entity).is_some_and(|jaws| jaws.angle < CLOSED);
-            if instrument.kind != InstrumentKind::Scissors || !closed {
-                continue;
+        for sweep in swept(&mut self.state.blades, scene, world_from_body) {
+            let cut = sever::first_crossing(&self.line, &sweep).map(|at| at / whole);
+            // Beyond a cut there is no blood to lose.
+            if let Some(hole) = cut.filter(|at| self.state.bleeding.damage < 1.0 || *at < self.state.hole) {
+                self.bleeding.sever();
+                self.state.bleeding = *self.bleeding.state();
+                self.state.hole = hole;
             }
-            let body_from_tip = world_from_body.inverse() * scene.world_pose(entity);
-            let hinge = Point3::new(0.0, 0.0, -instrument.jaw_length);
-            let after = [body_from_tip * hinge, body_from_tip * Point3::origin()];
-            if let Some(before) = before.get(&entity) {
-                let sweep = Sweep { before: *before, after };
-                let cut = sever::first_crossing(&self.line, &sweep).map(|at| at / whole);
-                // Beyond a cut there is no blood to lose.
-                if let Some(hole) = cut.filter(|at| self.state.bleeding.damage < 1.0 || *at < self.state.hole)
-                {
-                    self.bleeding.sever();
-                    self.state.hole = hole;
-                }
-            }
-            self.state.blades.push((entity, after));
         }
     }
 
@@ -269,8 +254,7 @@ impl Body {
         let tube = Tube { radius: self.vessel.radius, wall: self.vessel.wall };
         let mut closed: f64 = 0.0;
         for (entity, instrument) in scene.iter::<Instrument>() {
-            let holds = instrument.kind.has_jaws() && instrument.kind != InstrumentKind::Scissors;
-            if !holds || instrument.jaws < 2 {
+            if !holds(instrument.kind) || instrument.jaws < 2 {
                 continue;
             }
             let angle = scene.get::<JawState>(entity).map_or(instrument.jaw_angle_max, |jaws| jaws.angle);
