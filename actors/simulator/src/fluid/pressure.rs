@@ -5,8 +5,8 @@
 
 use super::rows::Rows;
 
-/// Length of the step that goes on past a bound, of 2 over the largest eigenvalue of the scaled operator.
-const EXPANSION: f32 = 1.0;
+/// Iterations after which the slope is computed from the beginning, if rows were held at their bounds since.
+const RENEWAL: u32 = 10;
 
 /// Lists that a solve needs; kept, so that none is made anew.
 #[derive(Clone, Debug, Default)]
@@ -25,6 +25,8 @@ pub(super) struct Solver {
     direction: Vec<f32>,
     image: Vec<f32>,
     rates: Vec<f32>,
+    /// Rows that were held at their bounds since the slope was computed from the beginning.
+    drift: usize,
 }
 
 fn dot(a: &[f32], b: &[f32]) -> f64 {
@@ -77,6 +79,7 @@ impl Solver {
     /// Slope at where it is, from the beginning.
     fn renew_slope(&mut self, rows: &Rows, dt: f32) {
         self.apply(rows, dt, false);
+        self.drift = 0;
         for row in 0..self.slope.len() {
             self.slope[row] = self.image[row] - self.wanted[row] * self.scale[row];
         }
@@ -112,14 +115,21 @@ impl Solver {
         }
         let mut iterations = 0;
         let mut rest = 0.0;
+        let mut since = 0;
         if active > 0 {
             self.renew_slope(rows, dt);
             loop {
                 let (free, bound, mean) = self.left(active);
                 rest = mean;
+                if self.drift > 0 && (mean <= tolerance || since >= RENEWAL) {
+                    self.renew_slope(rows, dt);
+                    since = 0;
+                    continue;
+                }
                 if mean <= tolerance || iterations >= most {
                     break;
                 }
+                since += 1;
                 iterations += 1;
                 if bound > free {
                     self.leave_bounds(rows, dt);
@@ -164,26 +174,24 @@ impl Solver {
             return false;
         }
         let length = (dot(&self.slope, &self.direction) / curvature) as f32;
-        let to_bound = self.scaled.iter().zip(&self.direction).filter(|(_, direction)| **direction > 0.0);
-        let room = to_bound.map(|(value, direction)| value / direction).fold(f32::INFINITY, f32::min);
-        if length <= room {
-            self.go(length);
-            let turned = self.scaled.iter().zip(&self.slope).zip(&self.image);
-            let sum: f64 = turned
-                .filter(|((value, _), _)| **value > 0.0)
-                .map(|((_, slope), image)| f64::from(*slope) * f64::from(*image))
-                .sum();
-            let share = (sum / curvature) as f32;
-            for row in 0..self.direction.len() {
-                self.direction[row] =
-                    if self.scaled[row] > 0.0 { self.slope[row] - share * self.direction[row] } else { 0.0 };
+        self.go(length);
+        // Who went past its bound stays at it. What that changes for others is small, and made good when the slope is next
+        // computed from the beginning: at the latest before anything is believed.
+        for value in &mut self.scaled {
+            if *value < 0.0 {
+                *value = 0.0;
+                self.drift += 1;
             }
-        } else {
-            self.go(room);
-            for (value, slope) in self.scaled.iter_mut().zip(&self.slope) {
-                *value = if *value > 0.0 { (*value - EXPANSION * slope).max(0.0) } else { 0.0 };
-            }
-            self.renew_slope(rows, dt);
+        }
+        let turned = self.scaled.iter().zip(&self.slope).zip(&self.image);
+        let sum: f64 = turned
+            .filter(|((value, _), _)| **value > 0.0)
+            .map(|((_, slope), image)| f64::from(*slope) * f64::from(*image))
+            .sum();
+        let share = (sum / curvature) as f32;
+        for row in 0..self.direction.len() {
+            self.direction[row] =
+                if self.scaled[row] > 0.0 { self.slope[row] - share * self.direction[row] } else { 0.0 };
         }
         true
     }
@@ -194,7 +202,7 @@ mod tests {
     use super::*;
     use crate::fluid::kernel::Kernel;
     use crate::fluid::neighbours::{CellGrid, CellStarts};
-    use crate::fluid::rows::Walls;
+    use crate::fluid::rows::{Axes, Walls};
     use nalgebra::{DMatrix, DVector, Point3};
     use rand::{Rng, SeedableRng};
 
@@ -213,7 +221,8 @@ mod tests {
         let mut rows = Rows::default();
         let sorted = cells.order.iter().map(|index| points[*index as usize]);
         rows.places = sorted.map(|p| [p.x as f32, p.y as f32, p.z as f32, 0.0]).collect();
-        let walls = Walls { cells: &none, places: &[], volumes: &[] };
+        let axes = Axes::default();
+        let walls = Walls { cells: &none, places: &[], axes: &axes, volumes: &[] };
         rows.build(&grid, &cells, &walls, &Kernel::new(0.2), 1e-3, 0.15);
         rows
     }

@@ -12,13 +12,13 @@ const DRY: u32 = u32::MAX;
 pub(super) struct Rows {
     /// Where the list of each row begins; one more than there are rows.
     pub starts: Vec<u32>,
-    /// Rows of the neighbours.
-    pub others: Vec<u32>,
-    /// Volume of what is not a plain particle of the two, times the kernel's slope \[m³/m⁵\]: times the way from one to the
-    /// other it is the gradient that the two have in common.
-    pub factors: Vec<f32>,
+    /// Row of each neighbour, and volume of what is not a plain particle of the two times the kernel's slope \[m³/m⁵\]: times
+    /// the way from one to the other it is the gradient that the two have in common.
+    links: Vec<(u32, f32)>,
     /// Places, from the corner of the box \[m\].
     pub places: Vec<[f32; 4]>,
+    /// Particles that have a wall beside them.
+    pub beside_walls: Vec<u32>,
     /// Sums of kernels times volumes: 1 is neither compressed nor thin.
     pub compression: Vec<f32>,
     /// Diagonal of the product of divergence and gradient \[1/m²\].
@@ -28,51 +28,80 @@ pub(super) struct Rows {
     /// Which sample each row of a wall is, in the order of their cells.
     pub wet: Vec<u32>,
     row_of_wall: Vec<u32>,
-    candidates: Candidates,
+    axes: Axes,
+    near: Near,
 }
 
-/// What may be near to the particles of a cell.
+/// Places, an axis at a time.
 #[derive(Clone, Debug, Default)]
-struct Candidates {
-    rows: Vec<u32>,
-    volumes: Vec<f32>,
-    axes: [Vec<f32>; 3],
-    squares: Vec<f32>,
-    near: Vec<u32>,
-}
+pub(super) struct Axes([Vec<f32>; 3]);
 
-impl Candidates {
-    fn clear(&mut self) {
-        self.rows.clear();
-        self.volumes.clear();
-        self.axes.iter_mut().for_each(Vec::clear);
-    }
-
-    fn push(&mut self, row: u32, volume: f32, place: &[f32; 4]) {
-        self.rows.push(row);
-        self.volumes.push(volume);
-        for (axis, x) in self.axes.iter_mut().zip(place) {
-            axis.push(*x);
+impl Axes {
+    pub(super) fn set(&mut self, places: &[[f32; 4]]) {
+        for (axis, list) in self.0.iter_mut().enumerate() {
+            list.clear();
+            list.extend(places.iter().map(|place| place[axis]));
         }
     }
+}
 
-    /// Which of them are within a distance of a place; their squares of distance stand in `squares`.
-    fn find(&mut self, place: &[f32; 4], square: f32) {
-        let count = self.rows.len();
-        self.squares.resize(count, 0.0);
-        let [xs, ys, zs] = &self.axes;
-        for (((square, x), y), z) in self.squares.iter_mut().zip(xs).zip(ys).zip(zs) {
+/// What is near to a place.
+#[derive(Clone, Debug, Default)]
+struct Near {
+    squares: Vec<f32>,
+    indices: Vec<u32>,
+    found: Vec<Found>,
+}
+
+/// Row, volume, way and kernel's value and slope times volume of what is near.
+#[derive(Clone, Copy, Debug, Default)]
+struct Found {
+    row: u32,
+    volume: f32,
+    apart: [f32; 3],
+    square: f32,
+    value: f32,
+    factor: f32,
+}
+
+impl Near {
+    /// Which of a range of places are within a distance of one; `row` says which row one is, and its volume.
+    fn find(
+        &mut self,
+        place: &[f32; 4],
+        square: f32,
+        Axes([xs, ys, zs]): &Axes,
+        range: std::ops::Range<usize>,
+        row: impl Fn(usize) -> (u32, f32),
+    ) {
+        let first = range.start;
+        self.squares.resize(range.len(), 0.0);
+        let all = xs[range.clone()].iter().zip(&ys[range.clone()]).zip(&zs[range.clone()]);
+        for (square, ((x, y), z)) in self.squares.iter_mut().zip(all) {
             let [dx, dy, dz] = [place[0] - x, place[1] - y, place[2] - z];
             *square = dx * dx + dy * dy + dz * dz;
         }
         // Without branches: most are too far.
-        self.near.resize(count + 1, 0);
-        let mut found = 0;
+        self.indices.resize(range.len() + 1, 0);
+        let mut count = 0;
         for (index, distance) in self.squares.iter().enumerate() {
-            self.near[found] = index as u32;
-            found += usize::from(*distance < square);
+            self.indices[count] = index as u32;
+            count += usize::from(*distance < square);
         }
-        self.near.truncate(found);
+        for &index in &self.indices[..count] {
+            let (square, at) = (self.squares[index as usize], first + index as usize);
+            let apart = [place[0] - xs[at], place[1] - ys[at], place[2] - zs[at]];
+            let (row, volume) = row(at);
+            self.found.push(Found { row, volume, apart, square, ..Found::default() });
+        }
+    }
+
+    /// Kernels of all that was found.
+    fn weigh(&mut self, kernel: &Kernel) {
+        for found in &mut self.found {
+            let (value, slope) = kernel.value_and_slope_single(found.square.sqrt());
+            (found.value, found.factor) = (found.volume * value, found.volume * slope);
+        }
     }
 }
 
@@ -80,6 +109,7 @@ impl Candidates {
 pub(super) struct Walls<'a> {
     pub cells: &'a CellStarts,
     pub places: &'a [[f32; 4]],
+    pub axes: &'a Axes,
     pub volumes: &'a [f32],
 }
 
@@ -103,52 +133,48 @@ impl Rows {
         let count = self.places.len();
         self.particles = count;
         self.starts.clear();
-        self.others.clear();
-        self.factors.clear();
+        self.links.clear();
+        self.beside_walls.clear();
         self.compression.clear();
         self.diagonal.clear();
         let square = (kernel.support * kernel.support) as f32;
         let own = volume * kernel.value_and_slope(0.0).0 as f32;
         self.find_wet(grid, cells, walls, square);
-        let mut candidates = std::mem::take(&mut self.candidates);
+        self.axes.set(&self.places);
+        let mut near = std::mem::take(&mut self.near);
         for cell in 0..grid.count() {
-            let inside = cells.range(cell, cell);
-            if inside.is_empty() {
-                continue;
-            }
-            candidates.clear();
-            for (from, to) in grid.rows_about(cell) {
-                for row in cells.range(from, to) {
-                    candidates.push(row as u32, volume, &self.places[row]);
-                }
-                for wall in walls.cells.range(from, to) {
-                    if self.row_of_wall[wall] != DRY {
-                        candidates.push(self.row_of_wall[wall], walls.volumes[wall], &walls.places[wall]);
+            for row in cells.range(cell, cell) {
+                let place = self.places[row];
+                near.found.clear();
+                for (from, to) in grid.rows_about(cell) {
+                    let of_particle = |at: usize| (at as u32, volume);
+                    near.find(&place, square, &self.axes, cells.range(from, to), of_particle);
+                    let beside = walls.cells.range(from, to);
+                    if !beside.is_empty() {
+                        let of_wall = |at: usize| (self.row_of_wall[at], walls.volumes[at]);
+                        near.find(&place, square, walls.axes, beside, of_wall);
                     }
                 }
-            }
-            for row in inside {
-                let place = self.places[row];
-                candidates.find(&place, square);
-                self.add_row(kernel, row as u32, &place, own, &candidates);
+                // At the very edge of its reach a wall may be dry.
+                near.found.retain(|found| found.row != row as u32 && found.row != DRY);
+                near.weigh(kernel);
+                self.add_row(row as u32, own, &near);
             }
         }
         for index in 0..self.wet.len() {
             let wall = self.wet[index] as usize;
-            let place = walls.places[wall];
+            let (place, own_volume) = (walls.places[wall], walls.volumes[wall]);
             self.places.push(place);
-            let share = walls.volumes[wall] / volume;
-            candidates.clear();
+            near.found.clear();
             for (from, to) in grid.rows_about(grid.cell_of(&place)) {
-                for row in cells.range(from, to) {
-                    candidates.push(row as u32, walls.volumes[wall], &self.places[row]);
-                }
+                let of_particle = |at: usize| (at as u32, own_volume);
+                near.find(&place, square, &self.axes, cells.range(from, to), of_particle);
             }
-            candidates.find(&place, square);
-            self.add_row(kernel, (count + index) as u32, &place, 1.0 - beside * share, &candidates);
+            near.weigh(kernel);
+            self.add_row((count + index) as u32, 1.0 - beside * own_volume / volume, &near);
         }
-        self.starts.push(self.others.len() as u32);
-        self.candidates = candidates;
+        self.starts.push(self.links.len() as u32);
+        self.near = near;
     }
 
     /// Finds the samples of walls that have a particle within the support.
@@ -170,29 +196,28 @@ impl Rows {
         }
     }
 
-    fn add_row(&mut self, kernel: &Kernel, row: u32, place: &[f32; 4], own: f32, candidates: &Candidates) {
-        self.starts.push(self.others.len() as u32);
-        let is_wall = row as usize >= self.particles;
+    fn add_row(&mut self, row: u32, own: f32, near: &Near) {
+        self.starts.push(self.links.len() as u32);
+        let particles = self.particles as u32;
         let (mut compression, mut squares, mut sum) = (own, 0.0_f32, [0.0_f32; 3]);
-        for &near in &candidates.near {
-            let near = near as usize;
-            let other = candidates.rows[near];
-            if other == row {
-                continue;
-            }
-            let (value, slope) = kernel.value_and_slope_single(candidates.squares[near].sqrt());
-            let factor = candidates.volumes[near] * slope;
-            compression += candidates.volumes[near] * value;
-            let gradient: [f32; 3] =
-                std::array::from_fn(|axis| factor * (place[axis] - candidates.axes[axis][near]));
+        let mut has_wall = false;
+        for found in &near.found {
+            compression += found.value;
+            let gradient = found.apart.map(|apart| found.factor * apart);
             // Walls do not give way.
-            if (other as usize) < self.particles {
+            if found.row < particles {
                 squares += gradient.iter().map(|x| x * x).sum::<f32>();
+            } else {
+                has_wall = true;
             }
             (0..3).for_each(|axis| sum[axis] += gradient[axis]);
-            self.others.push(other);
-            self.factors.push(factor);
         }
+        let links = near.found.iter();
+        self.links.extend(links.map(|found| (found.row, found.factor)));
+        if has_wall {
+            self.beside_walls.push(row);
+        }
+        let is_wall = row >= particles;
         let own = if is_wall { 0.0 } else { sum.iter().map(|x| x * x).sum::<f32>() };
         self.compression.push(compression);
         self.diagonal.push(squares + own);
@@ -202,10 +227,7 @@ impl Rows {
     #[inline]
     pub(super) fn of(&self, row: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
         let (from, to) = (self.starts[row] as usize, self.starts[row + 1] as usize);
-        self.others[from..to]
-            .iter()
-            .zip(&self.factors[from..to])
-            .map(|(other, factor)| (*other as usize, *factor))
+        self.links[from..to].iter().map(|(other, factor)| (*other as usize, *factor))
     }
 
     /// How many neighbours a row has.
@@ -213,17 +235,22 @@ impl Rows {
         self.starts[row + 1] - self.starts[row]
     }
 
+    fn links_of(&self, row: usize) -> &[(u32, f32)] {
+        &self.links[self.starts[row] as usize..self.starts[row + 1] as usize]
+    }
+
     /// What pressures over density \[m²/s²\] make of each particle's acceleration, against it: G p \[m/s²\].
     pub(super) fn gradient(&self, pressures: &[f32], out: &mut [[f32; 4]]) {
         for (row, out) in out.iter_mut().enumerate().take(self.particles) {
             let (place, pressure) = (self.places[row], pressures[row]);
-            let mut sum = [0.0_f32; 4];
-            for (other, factor) in self.of(row) {
-                let times = factor * (pressure + pressures[other]);
-                let there = &self.places[other];
-                (0..4).for_each(|axis| sum[axis] += times * (place[axis] - there[axis]));
-            }
-            *out = sum;
+            let push = |sum: &mut [f32; 4], (other, factor): (u32, f32)| {
+                let times = factor * (pressure + pressures[other as usize]);
+                let there = self.places[other as usize];
+                for axis in 0..4 {
+                    sum[axis] += times * (place[axis] - there[axis]);
+                }
+            };
+            *out = two_sums(self.links_of(row), push);
         }
     }
 
@@ -232,14 +259,28 @@ impl Rows {
     pub(super) fn compression_rate(&self, velocities: &[[f32; 4]], out: &mut [f32]) {
         for (row, out) in out.iter_mut().enumerate() {
             let (place, velocity) = (self.places[row], velocities[row]);
-            let mut sum = [0.0_f32; 4];
-            for (other, factor) in self.of(row) {
-                let (there, its) = (&self.places[other], &velocities[other]);
-                (0..4).for_each(|axis| {
-                    sum[axis] += factor * (place[axis] - there[axis]) * (velocity[axis] - its[axis]);
-                });
-            }
-            *out = sum.iter().sum();
+            let close = |sum: &mut [f32; 4], (other, factor): (u32, f32)| {
+                let (there, its) = (self.places[other as usize], velocities[other as usize]);
+                for axis in 0..4 {
+                    sum[axis] += factor * ((place[axis] - there[axis]) * (velocity[axis] - its[axis]));
+                }
+            };
+            *out = two_sums(self.links_of(row), close).iter().sum();
         }
     }
+}
+
+/// Adds up over links in two sums, of which neither waits for the other.
+#[inline]
+fn two_sums(links: &[(u32, f32)], add: impl Fn(&mut [f32; 4], (u32, f32))) -> [f32; 4] {
+    let (mut even, mut odd) = ([0.0; 4], [0.0; 4]);
+    let pairs = links.chunks_exact(2);
+    if let [last] = pairs.remainder() {
+        add(&mut even, *last);
+    }
+    for pair in pairs {
+        add(&mut even, pair[0]);
+        add(&mut odd, pair[1]);
+    }
+    std::array::from_fn(|axis| even[axis] + odd[axis])
 }

@@ -18,7 +18,7 @@ use super::error::{FluidError, FluidStepError, parameter};
 use super::kernel::Kernel;
 use super::neighbours::{CellGrid, CellStarts};
 use super::pressure::Solver;
-use super::rows::{Rows, Walls};
+use super::rows::{Axes, Rows, Walls};
 
 /// Support of the kernel in spacings of particles.
 const SUPPORT: f64 = 2.0;
@@ -56,6 +56,7 @@ pub struct Fluid {
     wall_forces: Vec<Vector3<f64>>,
     /// From the corner of the box, in the order of their cells.
     wall_places: Vec<[f32; 4]>,
+    wall_axes: Axes,
     rows: Rows,
     solver: Solver,
     change: Vec<Vector3<f64>>,
@@ -103,6 +104,7 @@ impl Fluid {
             wall_volumes: Vec::new(),
             wall_forces: Vec::new(),
             wall_places: Vec::new(),
+            wall_axes: Axes::default(),
             rows: Rows::default(),
             solver: Solver::default(),
             change: Vec::new(),
@@ -204,6 +206,7 @@ impl Fluid {
         let min = self.config.min;
         self.wall_places.clear();
         self.wall_places.extend(self.walls.iter().map(|sample| seen_from(&min, sample)));
+        self.wall_axes.set(&self.wall_places);
         self.wall_forces.clear();
         self.wall_forces.resize(samples.len(), Vector3::zeros());
         Ok(())
@@ -358,7 +361,12 @@ impl Fluid {
         let volume = self.particle_volume() as f32;
         self.rows.places.clear();
         self.rows.places.extend(self.state.positions.iter().map(|position| seen_from(&min, position)));
-        let walls = Walls { cells: &self.wall_cells, places: &self.wall_places, volumes: &self.wall_volumes };
+        let walls = Walls {
+            cells: &self.wall_cells,
+            places: &self.wall_places,
+            axes: &self.wall_axes,
+            volumes: &self.wall_volumes,
+        };
         self.rows.build(&self.grid, &self.cells, &walls, &self.kernel, volume, NEXT_LAYER);
     }
 
@@ -370,15 +378,18 @@ impl Fluid {
         if self.config.viscosity > 0.0 {
             let softening = (0.01 * self.kernel.support.powi(2)) as f32;
             let scale = (10.0 * self.config.viscosity * dt) as f32;
+            self.solver.resize(rows.count());
+            for (to, velocity) in self.solver.velocities.iter_mut().zip(&self.state.velocities) {
+                *to = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
+            }
             for (row, change) in self.change.iter_mut().enumerate() {
-                let (place, velocity) = (rows.places[row], self.state.velocities[row]);
+                let (place, velocity) = (rows.places[row], self.solver.velocities[row]);
                 for (other, factor) in rows.of(row).filter(|(other, _)| *other < rows.particles) {
                     let there = &rows.places[other];
                     let apart: [f32; 3] = std::array::from_fn(|axis| place[axis] - there[axis]);
                     let square = apart.iter().map(|x| x * x).sum::<f32>();
-                    let its = &self.state.velocities[other];
-                    let approach: f32 =
-                        (0..3).map(|axis| (velocity[axis] - its[axis]) as f32 * apart[axis]).sum();
+                    let its = &self.solver.velocities[other];
+                    let approach: f32 = (0..3).map(|axis| (velocity[axis] - its[axis]) * apart[axis]).sum();
                     let push = factor * scale * approach / (square + softening);
                     (0..3).for_each(|axis| change[axis] += f64::from(push * apart[axis]));
                 }
@@ -457,7 +468,8 @@ impl Fluid {
         let mass = self.config.density * self.particle_volume();
         // In a corner the second sample may send back to the first.
         for _ in 0..2 {
-            for a in 0..self.rows.particles {
+            for &a in &self.rows.beside_walls {
+                let a = a as usize;
                 for (other, _) in self.rows.of(a).filter(|(other, _)| *other >= self.rows.particles) {
                     let b = self.rows.wet[other - self.rows.particles] as usize;
                     let apart = self.state.positions[a] - self.walls[b];
