@@ -46,6 +46,7 @@ pub(crate) struct Complementarity {
     slides: Vec<Slide>,
     /// Row by row, the right-hand side last.
     system: Vec<f64>,
+    column: Vec<f64>,
 }
 
 impl Complementarity {
@@ -66,21 +67,18 @@ impl Complementarity {
     ///
     /// Sweeps find out which places push and which of them slide; Newton steps on the equations of those places (Alart,
     /// Curnier 1991) then carry the tension of a strand along all that hold it at once, for which sweeps alone need as
-    /// many as there are places, squared. A Newton step that does not lead nearer to the law is taken back.
+    /// many as there are places, squared. Newton steps that do not end where the law holds are taken back, and more sweeps
+    /// come before the next ones.
     pub fn solve(&mut self, sweeps: usize, tolerance: f64) -> usize {
-        let mut error = self.error();
-        if error <= tolerance {
-            return 0;
-        }
-        let mut patience = 1;
+        // What is at rest needs no sweep.
+        let mut patience = 0;
         let mut done = 0;
         while done < sweeps {
             for _ in 0..patience {
                 self.sweep();
                 done += 1;
             }
-            error = self.error();
-            if error <= tolerance {
+            if self.error() <= tolerance {
                 return done;
             }
             self.start.clone_from(&self.force);
@@ -100,7 +98,7 @@ impl Complementarity {
             }
             std::mem::swap(&mut self.force, &mut self.start);
             std::mem::swap(&mut self.gap, &mut self.start_gap);
-            patience = (2 * patience).min(PATIENCE_MAX);
+            patience = (2 * patience).clamp(1, PATIENCE_MAX);
         }
         sweeps + 1
     }
@@ -186,20 +184,34 @@ impl Complementarity {
         }
         self.system.clear();
         self.system.resize(count * (count + 1), 0.0);
+        let mut slides = self.slides.iter().peekable();
         for column in 0..count {
             let of = self.unknowns[column];
-            let slide = self.slides.iter().find(|slide| slide.normal == column).copied();
-            for row in 0..count {
-                let mut value = self.coupling(rows, self.unknowns[row], of);
-                if let Some(slide) = slide {
-                    let by = Unknown { row: of.row + 1, across: Some(slide.along), stiffening: 0.0 };
-                    value += slide.friction * self.coupling(rows, self.unknowns[row], by);
+            // How far every row moves for this force, and for the friction that comes with it.
+            self.column.clear();
+            self.column.resize(rows, 0.0);
+            match of.across {
+                None => add(&mut self.column, &self.compliance[of.row * rows..][..rows], 1.0),
+                Some(across) => {
+                    for k in 0..2 {
+                        let from = &self.compliance[(of.row + k) * rows..][..rows];
+                        add(&mut self.column, from, across[k]);
+                    }
                 }
-                if row == column {
-                    value += of.stiffening;
-                }
-                self.system[row * (count + 1) + column] = value;
             }
+            if let Some(slide) = slides.next_if(|slide| slide.normal == column) {
+                for k in 0..2 {
+                    let from = &self.compliance[(of.row + 1 + k) * rows..][..rows];
+                    add(&mut self.column, from, slide.friction * slide.along[k]);
+                }
+            }
+            for (row, unknown) in self.unknowns.iter().enumerate() {
+                self.system[row * (count + 1) + column] = match unknown.across {
+                    None => self.column[unknown.row],
+                    Some([x, y]) => self.column[unknown.row] * x + self.column[unknown.row + 1] * y,
+                };
+            }
+            self.system[column * (count + 1) + column] += of.stiffening;
         }
         for row in 0..count {
             let of = self.unknowns[row];
@@ -241,19 +253,6 @@ impl Complementarity {
             }
             self.set(place, force);
             index = next;
-        }
-    }
-
-    /// How far the row of one unknown moves per force on another \[m/N\].
-    fn coupling(&self, rows: usize, row: Unknown, column: Unknown) -> f64 {
-        let w = |r: usize, c: usize| self.compliance[c * rows + r];
-        let of = |r: usize| match column.across {
-            None => w(r, column.row),
-            Some([x, y]) => w(r, column.row) * x + w(r, column.row + 1) * y,
-        };
-        match row.across {
-            None => of(row.row),
-            Some([x, y]) => of(row.row) * x + of(row.row + 1) * y,
         }
     }
 
