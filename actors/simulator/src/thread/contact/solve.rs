@@ -1,12 +1,15 @@
 //! Forces of many contacts that act on each other through one elastic body: block Gauss–Seidel over Coulomb's law
-//! (Jourdan, Alart, Jean 1998) on the assembled compliance, and Newton's method for what it leaves (Alart, Curnier 1991).
+//! (Jourdan, Alart, Jean 1998) on the assembled compliance, with conjugate steps, and Newton's method for what it leaves
+//! (Alart, Curnier 1991).
 
 /// Equations of one Newton step at most; of more, sweeps are cheaper.
 const UNKNOWNS_MAX: usize = 500;
-/// Sweeps between two Newton steps at most.
-const PATIENCE_MAX: usize = 16;
+/// Sweeps after the first Newton steps that did not end; twice as many after the next ones.
+const PATIENCE: usize = 24;
 /// Newton steps in a row at most.
 const NEWTON_MAX: usize = 12;
+/// After so many they have to be nearer to the law than the sweeps were.
+const NEWTON_TRIALS: usize = 4;
 
 /// One equation of a Newton step.
 #[derive(Clone, Copy, Debug)]
@@ -42,6 +45,8 @@ pub(crate) struct Complementarity {
     /// Forces and gaps before a Newton step.
     start: Vec<f64>,
     start_gap: Vec<f64>,
+    /// The last step of conjugate sweeps.
+    direction: Vec<f64>,
     unknowns: Vec<Unknown>,
     slides: Vec<Slide>,
     /// Row by row, the right-hand side last.
@@ -74,16 +79,14 @@ impl Complementarity {
         let mut patience = 0;
         let mut done = 0;
         while done < sweeps {
-            for _ in 0..patience {
-                self.sweep();
-                done += 1;
-            }
-            if self.error() <= tolerance {
+            done += self.sweeps(patience.min(sweeps - done), tolerance);
+            let before = self.error();
+            if before <= tolerance {
                 return done;
             }
             self.start.clone_from(&self.force);
             self.start_gap.clone_from(&self.gap);
-            for _ in 0..NEWTON_MAX {
+            for step in 0..NEWTON_MAX {
                 if !self.newton() {
                     break;
                 }
@@ -92,13 +95,13 @@ impl Complementarity {
                 if after <= tolerance {
                     return done;
                 }
-                if after.is_infinite() {
+                if after.is_infinite() || (step + 1 >= NEWTON_TRIALS && after > before) {
                     break;
                 }
             }
             std::mem::swap(&mut self.force, &mut self.start);
             std::mem::swap(&mut self.gap, &mut self.start_gap);
-            patience = (2 * patience).clamp(1, PATIENCE_MAX);
+            patience = (2 * patience).max(PATIENCE);
         }
         sweeps + 1
     }
@@ -193,16 +196,16 @@ impl Complementarity {
             match of.across {
                 None => add(&mut self.column, &self.compliance[of.row * rows..][..rows], 1.0),
                 Some(across) => {
-                    for k in 0..2 {
+                    for (k, share) in across.into_iter().enumerate() {
                         let from = &self.compliance[(of.row + k) * rows..][..rows];
-                        add(&mut self.column, from, across[k]);
+                        add(&mut self.column, from, share);
                     }
                 }
             }
             if let Some(slide) = slides.next_if(|slide| slide.normal == column) {
-                for k in 0..2 {
+                for (k, share) in slide.along.into_iter().enumerate() {
                     let from = &self.compliance[(of.row + 1 + k) * rows..][..rows];
-                    add(&mut self.column, from, slide.friction * slide.along[k]);
+                    add(&mut self.column, from, slide.friction * share);
                 }
             }
             for (row, unknown) in self.unknowns.iter().enumerate() {
@@ -267,6 +270,33 @@ impl Complementarity {
                 self.force[row] = force;
             }
         }
+    }
+
+    /// So many sweeps, each a step of descent, with successive steps made conjugate (Silcowitz, Niebe, Erleben 2010): of a
+    /// strand that slides as a whole they come nearer than Newton's steps, which lose their way among its places.
+    fn sweeps(&mut self, count: usize, tolerance: f64) -> usize {
+        let rows = self.force.len();
+        self.direction.clear();
+        self.direction.resize(rows, 0.0);
+        let mut before = 0.0_f64;
+        for done in 1..=count {
+            self.start.clone_from(&self.force);
+            if self.sweep() <= tolerance || done == count {
+                return done;
+            }
+            let square: f64 = self.force.iter().zip(&self.start).map(|(a, b)| (a - b) * (a - b)).sum();
+            let keep = if before > 0.0 && square <= before { square / before } else { 0.0 };
+            before = square;
+            for row in 0..rows {
+                let along = keep * self.direction[row];
+                self.direction[row] = along + self.force[row] - self.start[row];
+                if along != 0.0 {
+                    self.force[row] += along;
+                    add(&mut self.gap, &self.compliance[row * rows..][..rows], along);
+                }
+            }
+        }
+        count
     }
 
     /// There and back again, so that a strand passes what it feels on in either direction; how far a place moved at most.
