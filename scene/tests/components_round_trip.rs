@@ -331,8 +331,8 @@ fn hands_and_tasks(formats: &mut Formats) {
         PersonInput {
             source: 3,
             in_charge: Side::Right,
-            left: PersonHand { moved: [0.1, -0.2, 0.3], rolled: 0.4, opening: Some(0.5) },
-            right: PersonHand { moved: [1.0, 2.0, -3.0], rolled: -0.7, opening: None },
+            left: PersonHand { moved: [0.1, -0.2, 0.3], rolled: 0.4, opening: Some(0.5), activation: 1.0 },
+            right: PersonHand { moved: [1.0, 2.0, -3.0], rolled: -0.7, opening: None, activation: 0.0 },
             held: PersonActions { grip: 0.25, fine: 1.0, ..PersonActions::default() },
             view: Some(PersonView { world_from_view: pose(), field_of_view: 0.9 }),
             sampled_at: SimTime(9),

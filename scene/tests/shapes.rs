@@ -168,12 +168,27 @@ fn instruments_have_a_shaft_and_jaws_that_meet_at_the_tip() {
         (InstrumentKind::Scissors, 2, 3),
         (InstrumentKind::NeedleDriver, 2, 3),
         (InstrumentKind::Probe, 2, 1),
+        (InstrumentKind::HookCautery, 0, 2),
+        (InstrumentKind::Retractor, 0, 2),
+        (InstrumentKind::BandPasser, 0, 2),
+        (InstrumentKind::LoopApplier, 0, 2),
+        (InstrumentKind::KnotPusher, 0, 3),
     ] {
         let instrument = Instrument { kind, jaws, ..build.clone() };
         let parts = shapes::instrument_surface(&instrument, 24).expect("valid");
         let name = format!("{kind:?} with {jaws} jaws");
         assert_proper(&name, &parts.assembled(0.5), bodies, 2 * bodies as i64);
     }
+    let hook = Instrument { kind: InstrumentKind::HookCautery, ..build.clone() };
+    let whole = shapes::instrument_surface(&hook, 24).expect("valid").assembled(0.0);
+    let reach = |axis: usize| whole.positions.iter().map(|p| p[axis]).fold(f64::MIN, f64::max);
+    // Its heel is the tip, and its toe is at a right angle to the shaft, as long as it is said to be.
+    assert!(reach(2).abs() < 1e-12 && (reach(0) - 0.45 * build.jaw_length).abs() < 1e-12);
+    let volume = shapes::working_end(&hook)[0].surface(240).volume();
+    let wire = 0.5 * build.jaw_thickness;
+    let length = build.jaw_length - wire + 0.45 * build.jaw_length;
+    // The mitre takes away on one side what it adds on the other.
+    assert!((volume / (std::f64::consts::PI * wire * wire * length) - 1.0).abs() < 1e-3);
     let parts = shapes::instrument_surface(&build, 24).expect("valid");
     let [a, b] = [&parts.jaw_a, &parts.jaw_b].map(|jaw| jaw.as_ref().expect("two jaws"));
     assert!((a.volume() - b.volume()).abs() < 1e-18);

@@ -5,8 +5,8 @@ mod stage;
 use nalgebra::Vector3;
 use stage::{Stage, scene};
 use trocar_scene::{
-    Activation, Burn, CollisionList, Frozen, InstrumentForce, InstrumentTarget, LocalContactModel, Pose,
-    SurfaceMesh, Temperature, VertexPositions,
+    Activation, Burn, CollisionList, Frozen, InstrumentForce, InstrumentTarget, JawState, LocalContactModel,
+    Pose, SurfaceMesh, Temperature, VertexPositions,
 };
 use trocar_simulator::controller::{
     DynamicFemController, ElectrosurgeryController, InstrumentsConfig, InstrumentsController,
@@ -130,6 +130,69 @@ fn a_pad_of_finite_elements_gives_way_to_a_rod() {
     let stage = pressed(Stage::new(scene(&format!("{ROD}{PAD}")), 100.0, build), "pad", 0.0, 0.4, 100.0);
     let moved = stage.measured("pad.displacement_max_m");
     assert!((0.001..0.01).contains(&moved), "{moved} m");
+}
+
+/// Two jaws that point down.
+const GRASPER: &str = r#"
+[[entity]]
+name = "rod"
+pose = { translation = [0.0, 0.0, 0.03], rotation = [1.0, 0.0, 0.0, 0.0] }
+instrument = { kind = "grasper", shaft_length = 0.1, shaft_radius = 0.002, jaw_length = 0.01, jaws = 2 }
+"#;
+
+fn jaws(angle: f64) -> JawState {
+    JawState { angle, ..JawState::default() }
+}
+
+/// Jaws that close on a body lift it, feel what it pulls, hold it in another life, and let go when they open.
+fn lifted<C: trocar_scene::Controller>(
+    body: &str,
+    text: &str,
+    build: impl Fn(&trocar_scene::BuildContext<'_>) -> Result<C, trocar_scene::ControllerError>,
+) {
+    let mut stage = Stage::new(scene(&format!("{GRASPER}{text}")), 100.0, &build);
+    let held = |stage: &Stage<C>| stage.measured(&format!("{body}.held_vertices"));
+    stage.put("rod", jaws(0.6));
+    stage.put("rod", down(0.0, 0.0, -0.0008));
+    for _ in 0..5 {
+        stage.tick();
+    }
+    assert_eq!(held(&stage), 0.0, "open jaws hold nothing");
+    stage.put("rod", jaws(0.0));
+    stage.tick();
+    stage.tick();
+    let vertices = held(&stage);
+    assert!(vertices >= 3.0, "{vertices}");
+    for tick in 0..50 {
+        if tick == 25 {
+            stage.rebuild(&build);
+        }
+        stage.put("rod", down(0.0, 0.0, -0.0008 + 0.0001 * f64::from(tick)));
+        stage.tick();
+    }
+    assert_eq!(held(&stage), vertices, "another life holds the same");
+    let pulled = stage.measured(&format!("{body}.held_force_n"));
+    assert!(pulled > 1e-3, "{pulled} N");
+    let (rod, entity) = (stage.entity("rod"), stage.entity(body));
+    let lists: Vec<CollisionList> =
+        stage.store.view().iter::<CollisionList>().map(|(_, list)| list.clone()).collect();
+    let grip = lists.iter().flat_map(|list| &list.collisions).find(|c| c.a == rod && c.b == entity);
+    let grip = grip.expect("everybody sees the grip");
+    assert!(grip.force_in_world.z > 0.9 * pulled && grip.depth > 0.002, "{grip:?}");
+    stage.put("rod", jaws(0.6));
+    stage.tick();
+    assert_eq!((held(&stage), stage.measured(&format!("{body}.held_force_n"))), (0.0, 0.0));
+    assert!(!stage.has::<Frozen>(body));
+}
+
+#[test]
+fn jaws_lift_a_gauze_and_feel_its_pull() {
+    lifted("gauze", GAUZE, |context| MassSpringController::new(GRAVITY, context));
+}
+
+#[test]
+fn jaws_lift_a_fold_of_finite_elements_and_feel_its_pull() {
+    lifted("pad", PAD, |context| DynamicFemController::new(GRAVITY, context));
 }
 
 #[test]

@@ -75,6 +75,7 @@ actions! {
     Grip, grip, "closes the jaws, as far as it is pressed; they open again when it is released";
     JawClose, jaw_close, "makes the opening of the released jaws smaller";
     JawOpen, jaw_open, "makes the opening of the released jaws larger";
+    Activate, activate, "switches the instrument on, as a pedal does, until it is released";
     Turn, turn, "makes the pointer roll the instrument instead of moving it";
     Clutch, clutch, "lets pointer and wheel move without the hand";
     Fine, fine, "makes every motion a fifth as large";
@@ -92,6 +93,8 @@ pub struct PersonHand {
     pub rolled: f64,
     /// How far the jaws shall be open, as a share of their largest opening; none: as they are.
     pub opening: Option<f64>,
+    /// How far the instrument is switched on, 0 to 1: only ever while something is held down.
+    pub activation: f64,
 }
 
 /// From where a person looks.
@@ -167,6 +170,7 @@ impl Component for PersonInput {
             }
             ComponentError::range("rolled", hand.rolled, totals, "-1e6 to 1e6 rad")?;
             ComponentError::range("opening", hand.opening.unwrap_or(0.0), 0.0..=1.0, "0 to 1")?;
+            ComponentError::range("activation", hand.activation, 0.0..=1.0, "0 to 1")?;
         }
         for action in PersonAction::ALL {
             ComponentError::range(action.name(), self.held.get(*action), 0.0..=1.0, "0 to 1")?;
@@ -211,6 +215,7 @@ mod tests {
         assert!(refused(&|input| input.right.rolled = -1e7).contains("rolled"));
         assert!(refused(&|input| input.right.rolled = f64::NAN).contains("not finite"));
         assert!(refused(&|input| input.left.opening = Some(1.5)).contains("opening"));
+        assert!(refused(&|input| input.right.activation = -0.1).contains("activation"));
         assert!(refused(&|input| input.held.fine = 2.0).contains("fine"));
         let view = |field_of_view| PersonView { world_from_view: Pose::default(), field_of_view };
         assert!(refused(&|input| input.view = Some(view(0.0))).contains("field_of_view"));

@@ -1,9 +1,11 @@
-//! Instruments: a shaft and jaws of half-round, tapered blades, curved like those of a Maryland dissector.
+//! Instruments: a shaft and jaws of half-round, tapered blades, curved like those of a Maryland dissector, or a
+//! [`working_end`] without jaws.
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 
 use super::builder::{Builder, Corner};
 use super::lathe::cylinder;
+use super::working_end::working_end;
 use super::{ShapeError, length, segments as check_segments};
 use crate::components::{Instrument, InstrumentKind};
 use crate::mesh::SurfaceData;
@@ -16,7 +18,7 @@ const CREASE: f64 = 0.7;
 /// The parts of an instrument, each a closed body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InstrumentSurface {
-    /// The shaft, in the instrument's frame.
+    /// The shaft, with what is beyond it and no jaw, in the instrument's frame.
     pub shaft: SurfaceData,
     /// Jaw A, closed, in the hinge's frame: origin at the hinge, z towards the tip, the pad in the plane x = 0, the
     /// blade at x ≥ 0. `None` for an instrument with fewer jaws.
@@ -85,7 +87,9 @@ pub fn instrument_surface(instrument: &Instrument, segments: usize) -> Result<In
         | InstrumentKind::Retractor
         | InstrumentKind::BandPasser => None,
     };
-    let jaw_length = if blade.is_some() && instrument.jaws > 0 { instrument.jaw_length } else { 0.0 };
+    let end = working_end(instrument);
+    let has_end = !end.is_empty() || (blade.is_some() && instrument.jaws > 0);
+    let jaw_length = if has_end { instrument.jaw_length } else { 0.0 };
     if jaw_length >= instrument.shaft_length {
         return Err(ShapeError::OutOfRange {
             field: "jaw_length",
@@ -95,7 +99,12 @@ pub fn instrument_surface(instrument: &Instrument, segments: usize) -> Result<In
     }
     let half_shaft = 0.5 * (instrument.shaft_length - jaw_length);
     let middle = Isometry3::translation(0.0, 0.0, -jaw_length - half_shaft);
-    let shaft = cylinder(instrument.shaft_radius, half_shaft, segments)?.transformed(&middle);
+    let mut shaft = cylinder(instrument.shaft_radius, half_shaft, segments)?.transformed(&middle);
+    for rod in &end {
+        length("jaw_length", instrument.jaw_length)?;
+        length("radius", rod.radius)?;
+        shaft.append(&rod.surface(segments));
+    }
     let (jaw_a, jaw_b) = match blade {
         Some(blade) if instrument.jaws > 0 => {
             length("jaw_length", instrument.jaw_length)?;

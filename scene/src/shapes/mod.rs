@@ -10,6 +10,7 @@ mod instrument;
 mod lathe;
 mod peg_board;
 mod polygon;
+mod working_end;
 
 use thiserror::Error;
 
@@ -17,6 +18,7 @@ pub use cuboid::cuboid;
 pub use instrument::{InstrumentSurface, instrument_from_hinge, instrument_surface};
 pub use lathe::{capsule, cylinder, sphere, torus};
 pub use peg_board::{PegBoard, peg_board};
+pub use working_end::{BentRod, working_end};
 
 use crate::component::Component;
 use crate::components::Shape;

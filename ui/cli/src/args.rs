@@ -227,10 +227,11 @@ pub struct BenchArgs {
     /// The suite; see `trocar list suites`
     #[arg(default_value = "kernel")]
     pub suite: String,
-    /// A Python with coal and FCL (tests/peers/requirements.txt), which the suite `collision` times beside ours
+    /// A Python with the peers that are timed beside ours: coal and FCL for the suite `collision`
+    /// (tests/peers/requirements.txt), MuJoCo and pypbd for `simulator` (tests/peers/requirements-simulator.txt)
     #[arg(long, value_name = "PYTHON")]
     pub peers: Option<PathBuf>,
-    /// Also draw how costs grow, as SVG (suite `collision`)
+    /// Also draw how costs grow, as SVG (suites `collision` and `simulator`)
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
     /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)

@@ -74,9 +74,11 @@ fn a_viewer_of_ones_own_shows_a_session_on_a_terminal() {
     let pictures: Vec<&str> = text.split("\x1b[H\x1b[2J").skip(1).collect();
     assert_eq!(pictures.len(), 20);
     for picture in &pictures {
-        assert_eq!(picture.matches('o').count(), 6, "six rings can move:\n{picture}");
+        // Each tip may be over a ring.
+        assert!((4..=6).contains(&picture.matches('o').count()), "six rings can move:\n{picture}");
         assert!(picture.contains('L') && picture.contains('R'), "{picture}");
     }
+    assert_eq!(pictures[0].matches('o').count(), 6, "nobody is there yet:\n{}", pictures[0]);
     let place = |picture: &str| picture.find('L');
     assert!(pictures.iter().any(|picture| place(picture) != place(pictures[0])), "nothing moves:\n{text}");
 }

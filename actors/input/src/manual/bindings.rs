@@ -95,7 +95,7 @@ impl Default for Bindings {
 }
 
 /// The controls of each action, unless a file says something else.
-const DEFAULTS: [(PersonAction, &[&str]); 15] = [
+const DEFAULTS: [(PersonAction, &[&str]); 16] = [
     (PersonAction::MoveLeft, &["KeyA", "ArrowLeft", "PadLeftStickLeft"]),
     (PersonAction::MoveRight, &["KeyD", "ArrowRight", "PadLeftStickRight"]),
     (PersonAction::MoveUp, &["KeyW", "ArrowUp", "PadLeftStickUp"]),
@@ -107,6 +107,7 @@ const DEFAULTS: [(PersonAction, &[&str]); 15] = [
     (PersonAction::Grip, &["MouseLeft", "KeyF", "PadRightTrigger"]),
     (PersonAction::JawClose, &["KeyZ", "PadDown"]),
     (PersonAction::JawOpen, &["KeyX", "PadUp"]),
+    (PersonAction::Activate, &["KeyB", "PadSouth"]),
     (PersonAction::Turn, &["MouseRight"]),
     (PersonAction::Clutch, &["Space", "PadLeftTrigger"]),
     (PersonAction::Fine, &["ShiftLeft", "ShiftRight", "PadLeftShoulder"]),

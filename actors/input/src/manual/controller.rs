@@ -1,12 +1,13 @@
-//! The controller that schedules [`ManualHand`]: what a person has asked for → targets of the hands, and nothing else.
+//! The controller that schedules [`ManualHand`]: what a person has asked for → targets of the hands, and what
+//! is switched on at their instruments.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
-    Access, BuildContext, Camera, Commands, Component, Controller, ControllerError, DeviceInfo, DeviceState,
-    Entity, EntitySet, Hand, HandTarget, Instrument, Name, Parent, PersonInput, PersonView, Port, Pose, Side,
-    SimTime, Snapshot, Tick,
+    Access, Activation, BuildContext, Camera, Commands, Component, Controller, ControllerError, DeviceInfo,
+    DeviceState, Entity, EntitySet, Hand, HandTarget, Instrument, Name, Parent, PersonInput, PersonView,
+    Port, Pose, Side, SimTime, Snapshot, Tick,
 };
 
 use nalgebra::{Isometry3, Vector3};
@@ -54,12 +55,15 @@ pub fn sit_down(scene: &Snapshot, out: &mut Commands) -> Result<(), NoHands> {
     Ok(())
 }
 
-/// Moves the hands as a person asks by [`PersonInput`]; to be run at 100 Hz. Writes [`HandTarget`] only.
+/// Moves the hands as a person asks by [`PersonInput`]; to be run at 100 Hz. Writes [`HandTarget`], and [`Activation`]
+/// where it changes.
 pub struct ManualController {
     limits: HandLimits,
     person: Entity,
     /// Left, right.
     hands: [Option<Entity>; 2],
+    /// Of the hands that there are.
+    instruments: Vec<Entity>,
     state: ManualState,
 }
 
@@ -97,7 +101,9 @@ impl ManualController {
                 ManualState { source: input.source, stepped_at: context.time, hands }
             }
         };
-        Ok(Self { limits: *limits, person, hands, state })
+        let instruments: Result<Vec<Entity>, _> =
+            hands.into_iter().flatten().map(|hand| Ok(rig_of(scene, hand)?.instrument)).collect();
+        Ok(Self { limits: *limits, person, hands, instruments: instruments?, state })
     }
 }
 
@@ -148,6 +154,8 @@ impl Controller for ManualController {
             .reads::<Camera>()
             .reads::<DeviceInfo>()
             .reads::<DeviceState>()
+            .reads::<Activation>()
+            .writes::<Activation>(EntitySet::Of(self.instruments.clone()))
             .writes::<HandTarget>(EntitySet::Of(self.hands.iter().flatten().copied().collect()))
             .writes::<ManualState>(EntitySet::Own)
     }
@@ -183,6 +191,12 @@ impl Controller for ManualController {
             let place = hand.place(&reach);
             let handle_in_device = place.handle_in_device.into();
             out.put(entity, HandTarget { handle_in_device, gripper: place.gripper });
+            // Nobody there: nothing is on.
+            let level = input.map_or(0.0, |input| input.hand(side).activation);
+            let before = scene.get::<Activation>(rig.instrument).map_or(0.0, |before| before.level);
+            if level != before {
+                out.put(rig.instrument, Activation { level, since: tick.time });
+            }
         }
         self.state.stepped_at = tick.time;
         out.put(tick.me, self.state.clone());

@@ -34,6 +34,8 @@ pub struct Controls {
     released: [f64; 2],
     /// Whether the press of the grip belongs to the hand in charge; one that another hand began is nobody's.
     owns_grip: bool,
+    /// Likewise of the press that switches the instrument on.
+    owns_activation: bool,
     pad: GamepadState,
 }
 
@@ -69,6 +71,7 @@ impl Controls {
             hands,
             released,
             owns_grip: false,
+            owns_activation: false,
             pad: GamepadState::default(),
         }
     }
@@ -94,16 +97,19 @@ impl Controls {
         match action {
             PersonAction::SwitchHand if before < DOWN_FROM && asked >= DOWN_FROM => self.switch_hand(),
             PersonAction::Grip => self.grip(before, asked),
+            PersonAction::Activate => self.activate(before, asked),
             _ => {}
         }
         true
     }
 
-    /// Everything is released, as when a window loses the keyboard. The jaws stay as they are.
+    /// Everything is released, as when a window loses the keyboard. The jaws stay as they are; what is switched on goes
+    /// off.
     pub fn release_all(&mut self) {
         self.amounts = [0.0; Control::COUNT];
         self.input.held = Default::default();
         self.owns_grip = false;
+        self.switch_off();
         self.pad = GamepadState::default();
     }
 
@@ -133,6 +139,7 @@ impl Controls {
     pub fn gamepad(&mut self, pad: Option<&GamepadState>) {
         if pad.is_none() && self.pad != GamepadState::default() {
             self.owns_grip = false;
+            self.switch_off();
         }
         let (pad, before) = (pad.copied().unwrap_or_default(), self.pad);
         // Only what has changed: another control of the same action may be down.
@@ -195,7 +202,8 @@ impl Controls {
             // Only ever after days: what is lost is the motion of the last few milliseconds.
             self.input.source = self.input.source.wrapping_add(1);
             for hand in [&mut self.input.left, &mut self.input.right] {
-                *hand = PersonHand { opening: hand.opening, ..PersonHand::default() };
+                let PersonHand { opening, activation, .. } = *hand;
+                *hand = PersonHand { opening, activation, ..PersonHand::default() };
             }
         }
         self.input.view = view;
@@ -230,13 +238,33 @@ impl Controls {
         self.input.hand_mut(self.input.in_charge).rolled += angle * fineness;
     }
 
-    /// The hand that was in charge stays as it is; what is pressed now moves nobody's jaws until it is released.
+    /// The hand that was in charge stays as it is, but for what is switched on; what is pressed now moves nobody's jaws
+    /// and switches nothing on until it is released.
     fn switch_hand(&mut self) {
         let other = self.input.in_charge.other();
         if self.hands[other as usize] {
+            self.switch_off();
             self.input.in_charge = other;
             self.owns_grip = false;
         }
+    }
+
+    fn activate(&mut self, before: f64, asked: f64) {
+        if before < RELEASED_BELOW && asked >= RELEASED_BELOW {
+            self.owns_activation = true;
+        }
+        if self.owns_activation {
+            let level = if asked < RELEASED_BELOW { 0.0 } else { asked };
+            self.input.hand_mut(self.input.in_charge).activation = level;
+            self.owns_activation = level > 0.0;
+        }
+    }
+
+    /// Nothing is switched on by a press that nobody watches any more.
+    fn switch_off(&mut self) {
+        self.owns_activation = false;
+        self.input.left.activation = 0.0;
+        self.input.right.activation = 0.0;
     }
 
     fn grip(&mut self, before: f64, asked: f64) {
@@ -321,6 +349,27 @@ mod tests {
         let input = state(&mut controls);
         assert!((input.left.moved[0] - 0.25 * 0.004).abs() < 1e-15);
         assert_eq!(input.held.move_right, 0.0);
+    }
+
+    #[test]
+    fn what_is_switched_on_belongs_to_the_hand_that_it_was_pressed_for_and_to_no_other() {
+        let mut controls = controls();
+        controls.press(control("KeyB"), 1.0);
+        assert_eq!(state(&mut controls).left.activation, 1.0);
+        controls.press(control("Tab"), 1.0);
+        controls.press(control("Tab"), 0.0);
+        let input = state(&mut controls);
+        assert_eq!((input.left.activation, input.right.activation), (0.0, 0.0), "no hand inherits it");
+        controls.press(control("KeyB"), 0.0);
+        controls.press(control("KeyB"), 0.5);
+        assert_eq!(state(&mut controls).right.activation, 0.5);
+        controls.release_all();
+        assert_eq!(state(&mut controls).right.activation, 0.0);
+        let pad = GamepadState { buttons: 1, ..GamepadState::default() };
+        controls.gamepad(Some(&pad));
+        assert_eq!(state(&mut controls).right.activation, 1.0);
+        controls.gamepad(None);
+        assert_eq!(state(&mut controls).right.activation, 0.0, "a pad that is unplugged holds nothing down");
     }
 
     #[test]

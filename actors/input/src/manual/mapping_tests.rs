@@ -42,7 +42,7 @@ fn at_home(rig: &HandRig) -> ManualHand {
 }
 
 fn asked(moved: [f64; 3], rolled: f64) -> PersonHand {
-    PersonHand { moved, rolled, opening: None }
+    PersonHand { moved, rolled, ..PersonHand::default() }
 }
 
 /// Asks and waits until the hand is there, with a tip that is always where it should be.

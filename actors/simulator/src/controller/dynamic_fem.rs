@@ -1,19 +1,14 @@
 //! The controller of soft volumes in motion: dynamic finite elements.
 
-use std::collections::BTreeMap;
-
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{
-    Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,
-    ControllerError, Entity, EntitySet, Frozen, Instrument, JawState, Measured, Pose, Snapshot, Tick,
-    Velocity,
-};
+use trocar_scene::{Component, ComponentError, Snapshot};
 
 use super::deformable::Deformable;
-use super::tools::{Rod, rods_of_all};
-use super::touch::{COLLISIONS_MAX, Skin, Touch, collision, touches};
+use super::soft::{Measures, Site, SoftController, SoftMethod};
+use super::tools::Rod;
+use super::touch::{Skin, Touch};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, DynamicFemState, Inputs};
 use crate::elasticity::Elastic;
 use crate::tet_mesh::{MeshRules, TetMesh};
@@ -93,111 +88,76 @@ impl DynamicFemBody {
     }
 }
 
-struct Body {
-    body: Deformable,
+/// Finite elements of one body.
+pub struct DynamicFemMethod {
     kind: DynamicFemBody,
     solver: DynamicFem,
-    is_pinned: Vec<bool>,
-    frozen: bool,
+    contacts: Vec<Contact>,
+    prescribed: Vec<(u32, Point3<f64>)>,
+}
+
+impl SoftMethod for DynamicFemMethod {
+    type Kind = DynamicFemBody;
+    const CONTROLLER: &'static str = "dynamic-fem";
+
+    fn build(kind: &DynamicFemBody, body: &Deformable, _scene: &Snapshot) -> Result<Self, String> {
+        let solver = kind.solver(body)?;
+        Ok(Self { kind: *kind, solver, contacts: Vec::new(), prescribed: Vec::new() })
+    }
+
+    fn positions(&self) -> &[Point3<f64>] {
+        self.solver.positions()
+    }
+
+    fn velocities(&self) -> &[Vector3<f64>] {
+        self.solver.velocities()
+    }
+
+    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
+        Skin { positions: self.positions(), triangles: &body.triangles, segments: &[], thickness: 0.0 }
+    }
+
+    fn step(
+        &mut self,
+        _body: &Deformable,
+        site: &Site<'_>,
+        forces: &mut Vec<Vector3<f64>>,
+    ) -> Result<(), String> {
+        self.contacts.clear();
+        self.contacts.extend(site.touches.iter().map(|touch| contact(touch, site.rods, &self.kind)));
+        self.prescribed.clear();
+        self.prescribed.extend(site.led.iter().map(|led| (led.vertex, led.position_in_world)));
+        let inputs = Inputs {
+            acceleration: site.gravity,
+            contacts: &self.contacts,
+            prescribed: &self.prescribed,
+            ..Inputs::default()
+        };
+        self.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())?;
+        forces.clear();
+        forces.extend(self.contacts.iter().map(|contact| force_of(contact, self.solver.positions())));
+        Ok(())
+    }
+
+    fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
+        let reactions = self.solver.reactions().iter();
+        -reactions
+            .filter(|(node, _)| held.binary_search(node).is_ok())
+            .map(|(_, force)| force)
+            .sum::<Vector3<f64>>()
+    }
+
+    fn measure(&self, body: &Deformable, measures: &mut Measures<'_>) {
+        let energies = self.solver.energies();
+        measures.put("kinetic_energy_j", energies.kinetic);
+        measures.put("elastic_energy_j", energies.elastic);
+        let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
+        measures.put("displacement_max_m", moved.fold(0.0, f64::max));
+    }
 }
 
 /// Steps every body that carries [`DynamicFemBody`].
-pub struct DynamicFemController {
-    gravity_in_world: Vector3<f64>,
-    bodies: Vec<Body>,
-    rods: Vec<Rod>,
-    touches: Vec<Touch>,
-    contacts: Vec<Contact>,
-}
-
-impl DynamicFemController {
-    /// Reads the bodies, and goes on from where an earlier life left them.
-    ///
-    /// # Errors
-    /// Names the body, and what is wrong with it.
-    pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
-        let mut bodies = Vec::new();
-        for entity in Deformable::carriers::<DynamicFemBody>(context.scene) {
-            let Some(kind) = context.scene.get::<DynamicFemBody>(entity).copied() else { continue };
-            let body = Deformable::read(context.scene, entity)?;
-            let solver = kind
-                .solver(&body)
-                .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
-            let mut is_pinned = vec![false; body.rest.len()];
-            body.pinned.iter().for_each(|&node| is_pinned[node as usize] = true);
-            let frozen = context.scene.get::<Frozen>(entity).is_some();
-            bodies.push(Body { body, kind, solver, is_pinned, frozen });
-        }
-        if bodies.is_empty() {
-            return Err(ControllerError::Scene("dynamic-fem: no entity has a 'dynamic_fem'".into()));
-        }
-        let (rods, touches, contacts) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Self { gravity_in_world, bodies, rods, touches, contacts })
-    }
-}
-
-impl Controller for DynamicFemController {
-    fn access(&self) -> Access {
-        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
-        Deformable::access(&bodies)
-            .reads::<DynamicFemBody>()
-            .reads::<Pose>()
-            .reads::<Velocity>()
-            .reads::<Instrument>()
-            .reads::<JawState>()
-            .writes::<Measured>(EntitySet::Own)
-            .contributes::<CollisionList>()
-    }
-
-    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        let mut collisions: Vec<Collision> = Vec::new();
-        let mut measured = Measured::default();
-        let mut depth_max = 0.0_f64;
-        for body in &mut self.bodies {
-            let world_from_body = scene.world_pose(body.body.entity);
-            let mut pushed = 0.0;
-            if !body.frozen {
-                rods_of_all(scene, &world_from_body, &mut self.rods);
-                let skin = Skin {
-                    positions: body.solver.positions(),
-                    triangles: &body.body.triangles,
-                    segments: &[],
-                    thickness: 0.0,
-                };
-                touches(&self.rods, &skin, &mut self.touches);
-                // What is held anyway cannot be pushed.
-                let held = |touch: &Touch| touch.nodes.iter().all(|&node| body.is_pinned[node as usize]);
-                self.touches.retain(|touch| !held(touch));
-                self.contacts.clear();
-                self.contacts.extend(self.touches.iter().map(|touch| contact(touch, &self.rods, &body.kind)));
-                let acceleration = Deformable::gravity(&self.gravity_in_world, &world_from_body);
-                let inputs = Inputs { acceleration, contacts: &self.contacts, ..Inputs::default() };
-                match body.solver.step(tick.period.as_secs_f64(), &inputs) {
-                    Ok(_) => {
-                        body.body.write(body.solver.positions(), body.solver.velocities(), out);
-                        for (touch, contact) in self.touches.iter().zip(&self.contacts) {
-                            let force = force_of(contact, body.solver.positions());
-                            depth_max = depth_max.max(touch.depth);
-                            pushed += force.norm();
-                            let (rod, on) = (self.rods[touch.rod], body.body.entity);
-                            collisions.push(collision(touch, &rod, on, &force, &world_from_body, tick.time));
-                        }
-                    }
-                    Err(error) => {
-                        body.frozen = true;
-                        body.body.freeze(&error, tick, out);
-                    }
-                }
-            }
-            measure(body, pushed, &mut measured.values);
-        }
-        collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
-        collisions.truncate(COLLISIONS_MAX);
-        out.contribute(CollisionList { collisions, penetration_max: depth_max });
-        out.put(tick.me, measured);
-        Ok(())
-    }
-}
+pub type DynamicFemController = SoftController<DynamicFemMethod>;
 
 /// The plane that touches the rod where the body is nearest to it.
 fn contact(touch: &Touch, rods: &[Rod], kind: &DynamicFemBody) -> Contact {
@@ -213,22 +173,10 @@ fn contact(touch: &Touch, rods: &[Rod], kind: &DynamicFemBody) -> Contact {
 }
 
 /// What a contact exerts on the body where it is now \[N\].
-fn force_of(contact: &Contact, positions: &[nalgebra::Point3<f64>]) -> Vector3<f64> {
+fn force_of(contact: &Contact, positions: &[Point3<f64>]) -> Vector3<f64> {
     let place = contact.weights.iter().fold(Vector3::zeros(), |sum, &(node, weight)| {
         if weight == 0.0 { sum } else { sum + positions[node as usize].coords * weight }
     });
     let depth = (contact.point.coords - place).dot(&contact.normal);
     contact.normal * (contact.stiffness * depth.max(0.0))
-}
-
-fn measure(body: &Body, pushed: f64, values: &mut BTreeMap<String, f64>) {
-    let name = &body.body.name;
-    values.insert(format!("{name}.contact_force_n"), pushed);
-    let energies = body.solver.energies();
-    values.insert(format!("{name}.kinetic_energy_j"), energies.kinetic);
-    values.insert(format!("{name}.elastic_energy_j"), energies.elastic);
-    let moved =
-        body.solver.positions().iter().zip(body.body.rest.iter()).map(|(now, rest)| (now - rest).norm());
-    values.insert(format!("{name}.displacement_max_m"), moved.fold(0.0, f64::max));
-    values.insert(format!("{name}.frozen"), f64::from(u8::from(body.frozen)));
 }

@@ -62,6 +62,8 @@ impl InstrumentsConfig {
 pub struct InstrumentsController {
     config: InstrumentsConfig,
     instruments: Vec<Entity>,
+    /// Of each in turn.
+    pushes: Vec<Push>,
 }
 
 /// What pushes an instrument.
@@ -86,24 +88,33 @@ impl InstrumentsController {
         if instruments.is_empty() {
             return Err(ControllerError::Scene("instruments: the scene has none".into()));
         }
-        Ok(Self { config, instruments })
+        Ok(Self { config, instruments, pushes: Vec::new() })
     }
 
-    fn push_on(scene: &Snapshot, instrument: Entity, tip: &nalgebra::Point3<f64>) -> Push {
-        let mut push = Push::default();
+    /// What pushes each instrument: one pass over what everybody has found, of which most is about others.
+    fn add_pushes(&mut self, scene: &Snapshot) {
+        self.pushes.clear();
+        self.pushes.resize(self.instruments.len(), Push::default());
         for collision in scene.iter::<CollisionList>().flat_map(|(_, list)| &list.collisions) {
             // A collision holds the force on its second one.
-            let force = match (collision.a == instrument, collision.b == instrument) {
-                (false, true) => collision.force_in_world,
-                (true, false) => -collision.force_in_world,
-                _ => continue,
-            };
-            push.force += force;
-            push.torque += (collision.middle_in_world() - tip).cross(&force);
-            push.size += force.norm();
-            push.size_by_depth += force.norm() * collision.depth.max(0.0);
+            for (entity, force) in
+                [(collision.a, -collision.force_in_world), (collision.b, collision.force_in_world)]
+            {
+                if collision.a == collision.b {
+                    continue;
+                }
+                let Some(at) = self.instruments.iter().position(|instrument| *instrument == entity) else {
+                    continue;
+                };
+                let Some(target) = scene.get::<InstrumentTarget>(entity) else { continue };
+                let tip = nalgebra::Point3::from(target.tip_in_world.translation);
+                let push = &mut self.pushes[at];
+                push.force += force;
+                push.torque += (collision.middle_in_world() - tip).cross(&force);
+                push.size += force.norm();
+                push.size_by_depth += force.norm() * collision.depth.max(0.0);
+            }
         }
-        push
     }
 
     fn model(&self, target: &InstrumentTarget, mass: f64, push: &Push, tick: &Tick<'_>) -> LocalContactModel {
@@ -149,7 +160,8 @@ impl Controller for InstrumentsController {
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        for &entity in &self.instruments {
+        self.add_pushes(scene);
+        for (&entity, push) in self.instruments.iter().zip(&self.pushes) {
             let (Some(instrument), Some(target)) =
                 (scene.get::<Instrument>(entity), scene.get::<InstrumentTarget>(entity))
             else {
@@ -168,13 +180,11 @@ impl Controller for InstrumentsController {
             let step = self.config.jaw_rate_max * tick.period.as_secs_f64();
             let angle = before + (wanted - before).clamp(-step, step);
             let rate = (angle - before) / tick.period.as_secs_f64();
-            let tip = target.tip_in_world.translation.into();
-            let push = Self::push_on(scene, entity, &tip);
             let shorter = (self.config.force_max / push.force.norm().max(FORCE_MIN)).min(1.0);
             out.put(entity, JawState { angle, rate, pad_force: [0.0; 2] });
             let (force, torque) = (push.force * shorter, push.torque * shorter);
             out.put(entity, InstrumentForce { force, torque, at: tick.time });
-            out.put(entity, self.model(target, instrument.mass, &push, tick));
+            out.put(entity, self.model(target, instrument.mass, push, tick));
         }
         Ok(())
     }

@@ -3,19 +3,17 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use nalgebra::{Isometry3, Point3, Vector2, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
-    Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,
-    ControllerError, Entity, EntitySet, Frozen, Instrument, InstrumentKind, JawState, Measured, Pose,
-    Snapshot, SurfaceMesh, TextureCoordinates, Tick, Velocity,
+    Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
 };
 
+use super::cuts::Cuts;
 use super::deformable::Deformable;
-use super::jaws::{Holder, SurfaceState};
-use super::tools::{Rod, rods_of_all};
-use super::touch::{COLLISIONS_MAX, Skin, Touch, collision, touches};
+use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
+use super::touch::{Skin, Touch};
 use crate::cutting::{Sheet, Sweep, TopologyChange};
 use crate::mass_spring::{
     Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, Prescribed, State,
@@ -136,7 +134,7 @@ impl MassSpringBody {
         Config { integrator, lag: self.lag, damping: self.damping, ..Config::default() }
     }
 
-    fn network(&self, body: &Deformable) -> Result<Network, ControllerError> {
+    fn network(&self, body: &Deformable) -> Result<Network, String> {
         let network = match self.springs {
             Springs::Line { axial_stiffness, bending_stiffness, density } => Network::from_line(
                 &body.rest,
@@ -152,7 +150,7 @@ impl MassSpringBody {
                 Network::from_volume(&body.rest, &body.tets, &VolumeMaterial { young_modulus, density })
             }
         };
-        network.map_err(|error| ControllerError::Scene(format!("'{}': {error}", body.name)))
+        network.map_err(|error| error.to_string())
     }
 
     fn skin<'a>(&self, body: &'a Deformable, positions: &'a [Point3<f64>]) -> Skin<'a> {
@@ -166,69 +164,80 @@ impl MassSpringBody {
     }
 }
 
-struct Body {
-    body: Deformable,
+/// Masses and springs of one body.
+pub struct MassSpringMethod {
     kind: MassSpringBody,
     solver: MassSpring,
-    /// A surface can be held and cut.
-    sheet: Option<Sheet>,
-    surface: SurfaceState,
-    frozen: bool,
+    contacts: Vec<Contact>,
+    prescribed: Vec<Prescribed>,
+    /// A surface can be cut.
+    surface: Option<Surface>,
 }
 
-impl Body {
-    fn read(scene: &Snapshot, entity: Entity, kind: MassSpringBody) -> Result<Self, ControllerError> {
-        let body = Deformable::read(scene, entity)?;
-        let wrong =
-            |error: &dyn std::fmt::Display| ControllerError::Scene(format!("'{}': {error}", body.name));
-        let network = kind.network(&body)?;
-        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
-        let solver =
-            MassSpring::restore(network, state, &body.pinned, kind.config()).map_err(|e| wrong(&e))?;
-        let known = scene.get::<SurfaceState>(entity).cloned();
-        let mut surface = known.clone().unwrap_or_default();
-        let sheet = match kind.springs {
-            Springs::Surface { .. } => {
-                let (rest, triangles) = (body.rest.to_vec(), body.triangles.to_vec());
-                let sheet = match &known {
-                    Some(known) => known.sheet(rest, triangles),
-                    None => Sheet::new(rest, triangles),
-                };
-                Some(sheet.map_err(|e| wrong(&e))?)
-            }
-            _ => None,
-        };
-        if let Some(sheet) = &sheet {
-            surface.take(sheet.state());
-        }
-        let frozen = scene.get::<Frozen>(entity).is_some();
-        Ok(Self { body, kind, solver, sheet, surface, frozen })
-    }
+/// A surface that can be cut, and what has become of it.
+struct Surface {
+    sheet: Sheet,
+    cuts: Cuts,
+    /// Areas of its pieces, the largest first \[m²\].
+    areas: Vec<f64>,
+    changed: bool,
+}
 
-    /// Cuts where blades have swept, and lets springs, textures and what is held follow.
+impl Surface {
+    fn new(body: &Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let (rest, triangles) = (body.rest.to_vec(), body.triangles.to_vec());
+        let known = scene.get::<Cuts>(body.entity);
+        let sheet = match known {
+            Some(known) => known.sheet(rest, triangles),
+            None => Sheet::new(rest, triangles),
+        };
+        let sheet = sheet.map_err(|error| error.to_string())?;
+        let mut cuts = known.cloned().unwrap_or_default();
+        cuts.take(sheet.state());
+        Ok(Self { areas: areas(&sheet), sheet, cuts, changed: known.is_none() })
+    }
+}
+
+/// Areas of the pieces of a sheet, the largest first \[m²\].
+fn areas(sheet: &Sheet) -> Vec<f64> {
+    let mut areas: BTreeMap<u32, f64> = BTreeMap::new();
+    for (piece, corners) in sheet.pieces().iter().zip(sheet.triangles()) {
+        let [a, b, c] = corners.map(|vertex| sheet.rest()[vertex as usize]);
+        *areas.entry(*piece).or_default() += 0.5 * (b - a).cross(&(c - a)).norm();
+    }
+    let mut areas: Vec<f64> = areas.into_values().collect();
+    areas.sort_by(|a, b| b.total_cmp(a));
+    areas
+}
+
+impl MassSpringMethod {
+    /// Cuts where blades have swept, and lets springs and textures follow.
     fn cut(
         &mut self,
+        body: &mut Deformable,
         sweeps: &[Sweep],
         uv: &mut Vec<Vector2<f64>>,
     ) -> Result<Option<TopologyChange>, String> {
-        let (Some(sheet), Springs::Surface { membrane_stiffness, bending_stiffness, density }) =
-            (&mut self.sheet, self.kind.springs)
+        let (Some(surface), Springs::Surface { membrane_stiffness, bending_stiffness, density }) =
+            (&mut self.surface, self.kind.springs)
         else {
             return Ok(None);
         };
         if sweeps.is_empty() {
             return Ok(None);
         }
+        let sheet = &mut surface.sheet;
         let before = self.solver.state().positions.clone();
         let change = sheet.cut(&before, sweeps).map_err(|error| error.to_string())?;
         if change.is_empty() {
             return Ok(None);
         }
-        self.surface.cut_length += change.length;
-        self.surface.take(sheet.state());
+        surface.cuts.length += change.length;
+        surface.cuts.take(sheet.state());
+        surface.areas = areas(sheet);
         let material = SurfaceMaterial { membrane_stiffness, bending_stiffness, density };
         // Whoever reads the scene anew finds the same ones.
-        let anchored = |point: &Point3<f64>| self.body.anchors.hold(point);
+        let anchored = |point: &Point3<f64>| body.anchors.hold(point);
         let rest = sheet.rest().iter().enumerate();
         let pinned: Vec<u32> = rest.filter(|(_, point)| anchored(point)).map(|(at, _)| at as u32).collect();
         let followed = self.solver.rebuild(&pinned, |network, state| {
@@ -241,218 +250,134 @@ impl Body {
         if uv.len() == before.len() {
             change.carry(uv, |a, b, share| a + (b - a) * share);
         }
-        self.body.pinned = pinned;
-        self.body.rest = Arc::new(sheet.rest().to_vec());
-        self.body.triangles = Arc::new(sheet.triangles().to_vec());
+        body.pinned = pinned;
+        body.rest = Arc::new(sheet.rest().to_vec());
+        body.triangles = Arc::new(sheet.triangles().to_vec());
         Ok(Some(change))
     }
 
-    /// Cuts where the blades of scissors have been, and tells the scene of the new mesh.
-    fn follow_blades(
+    fn contact(&self, touch: &Touch) -> Contact {
+        Contact {
+            nodes: touch.nodes,
+            weights: touch.weights,
+            normal: touch.normal,
+            depth: touch.depth,
+            velocity: touch.velocity,
+            stiffness: self.kind.contact_stiffness,
+            damping: 0.0,
+            friction: self.kind.friction,
+        }
+    }
+}
+
+impl SoftMethod for MassSpringMethod {
+    type Kind = MassSpringBody;
+    const CONTROLLER: &'static str = "mass-spring";
+
+    fn build(kind: &MassSpringBody, body: &Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let network = kind.network(body)?;
+        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
+        let solver = MassSpring::restore(network, state, &body.pinned, kind.config())
+            .map_err(|error| error.to_string())?;
+        let surface = match kind.springs {
+            Springs::Surface { .. } => Some(Surface::new(body, scene)?),
+            _ => None,
+        };
+        Ok(Self { kind: *kind, solver, contacts: Vec::new(), prescribed: Vec::new(), surface })
+    }
+
+    fn access(access: Access, bodies: &[Entity]) -> Access {
+        let all = || EntitySet::Of(bodies.to_vec());
+        access.writes::<SurfaceMesh>(all()).writes::<Cuts>(all()).writes::<TextureCoordinates>(all())
+    }
+
+    fn positions(&self) -> &[Point3<f64>] {
+        &self.solver.state().positions
+    }
+
+    fn velocities(&self) -> &[Vector3<f64>] {
+        &self.solver.state().velocities
+    }
+
+    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
+        self.kind.skin(body, self.positions())
+    }
+
+    fn is_cut_by_blades(&self) -> bool {
+        self.surface.is_some()
+    }
+
+    fn reshape(
         &mut self,
-        scene: &Snapshot,
-        world_from_body: &Isometry3<f64>,
+        body: &mut Deformable,
+        site: &Site<'_>,
         out: &mut Commands,
-    ) -> Result<(), String> {
-        let sweeps = self.surface.sweeps(scene, world_from_body);
-        let entity = self.body.entity;
-        let texture = scene.get::<TextureCoordinates>(entity);
+    ) -> Result<Option<Reshaped>, String> {
+        let Some(surface) = &mut self.surface else { return Ok(None) };
+        let had_blades = !surface.cuts.blades.is_empty();
+        let sweeps = surface.cuts.sweeps(site.scene, site.world_from_body);
+        surface.changed |= had_blades || !surface.cuts.blades.is_empty();
+        let texture = site.scene.get::<TextureCoordinates>(body.entity);
         let mut uv =
             if sweeps.is_empty() { Vec::new() } else { texture.map_or_else(Vec::new, |t| t.uv.to_vec()) };
-        let Some(change) = self.cut(&sweeps, &mut uv)? else { return Ok(()) };
-        let holders = Holder::all(scene, world_from_body, &[], &[], |_| Vec::new());
-        let jaws: Vec<_> = holders.iter().map(Holder::jaws).collect();
-        let positions = &self.solver.state().positions;
-        self.surface.picks.follow(&change.triangles, &self.body.triangles, positions, &jaws);
+        let Some(change) = self.cut(body, &sweeps, &mut uv)? else { return Ok(None) };
         if texture.is_some() {
-            out.put(entity, TextureCoordinates { uv: Arc::new(uv) });
+            out.put(body.entity, TextureCoordinates { uv: Arc::new(uv) });
         }
-        self.body.changed_topology();
-        out.put(entity, SurfaceMesh { triangles: self.body.triangles.clone() });
+        body.changed_topology();
+        out.put(body.entity, SurfaceMesh { triangles: body.triangles.clone() });
+        Ok(Some(Reshaped { parents: change.triangles }))
+    }
+
+    fn step(
+        &mut self,
+        _body: &Deformable,
+        site: &Site<'_>,
+        forces: &mut Vec<Vector3<f64>>,
+    ) -> Result<(), String> {
+        let mut contacts = std::mem::take(&mut self.contacts);
+        contacts.clear();
+        contacts.extend(site.touches.iter().map(|touch| self.contact(touch)));
+        self.contacts = contacts;
+        self.prescribed.clear();
+        let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
+        self.prescribed.extend(led);
+        let input = Input {
+            gravity: site.gravity,
+            contacts: &self.contacts,
+            prescribed: &self.prescribed,
+            ..Input::default()
+        };
+        self.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
+        forces.clear();
+        forces.extend_from_slice(self.solver.contact_forces());
         Ok(())
     }
 
-    /// Lets jaws take and let go, and says where they have what they hold.
-    fn hold(
-        &mut self,
-        scene: &Snapshot,
-        world_from_body: &Isometry3<f64>,
-        rods: &[Rod],
-        touches: &[Touch],
-    ) -> Result<Vec<Prescribed>, String> {
-        let Some(sheet) = &self.sheet else { return Ok(Vec::new()) };
-        let holders =
-            Holder::all(scene, world_from_body, rods, touches, |vertex| sheet.about(vertex).to_vec());
-        let jaws: Vec<_> = holders.iter().map(Holder::jaws).collect();
-        let positions = &self.solver.state().positions;
-        self.surface.picks.update(sheet.triangles(), positions, &jaws).map_err(|error| error.to_string())?;
-        let led = self.surface.picks.led(&jaws);
-        let free = led.into_iter().filter(|led| self.body.pinned.binary_search(&led.vertex).is_err());
-        Ok(free.map(|led| Prescribed { node: led.vertex, position: led.position_in_world }).collect())
+    fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
+        self.solver.pull_on(held)
     }
 
-    /// Areas of its pieces, the largest first \[m²\].
-    fn areas(&self) -> Vec<f64> {
-        let Some(sheet) = &self.sheet else { return Vec::new() };
-        let mut areas: BTreeMap<u32, f64> = BTreeMap::new();
-        for (piece, corners) in sheet.pieces().iter().zip(sheet.triangles()) {
-            let [a, b, c] = corners.map(|vertex| sheet.rest()[vertex as usize]);
-            *areas.entry(*piece).or_default() += 0.5 * (b - a).cross(&(c - a)).norm();
+    fn publish(&mut self, body: &Deformable, out: &mut Commands) {
+        if let Some(surface) = self.surface.as_mut().filter(|surface| surface.changed) {
+            out.put(body.entity, surface.cuts.clone());
+            surface.changed = false;
         }
-        let mut areas: Vec<f64> = areas.into_values().collect();
-        areas.sort_by(|a, b| b.total_cmp(a));
-        areas
+    }
+
+    fn measure(&self, _body: &Deformable, measures: &mut Measures<'_>) {
+        measures.put("elastic_energy_j", self.solver.elastic_energy());
+        measures.put("kinetic_energy_j", self.solver.kinetic_energy());
+        let heights = || self.positions().iter().map(|position| position.z);
+        measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
+        measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));
+        if let Some(surface) = &self.surface {
+            measures.put("pieces", surface.areas.len() as f64);
+            measures.put("cut_area_m2", surface.areas.get(1).copied().unwrap_or(0.0));
+            measures.put("cut_length_m", surface.cuts.length);
+        }
     }
 }
 
 /// Steps every body that carries [`MassSpringBody`].
-pub struct MassSpringController {
-    gravity_in_world: Vector3<f64>,
-    bodies: Vec<Body>,
-    rods: Vec<Rod>,
-    touches: Vec<Touch>,
-    contacts: Vec<Contact>,
-}
-
-impl MassSpringController {
-    /// Reads the bodies, and goes on where an earlier life left them.
-    ///
-    /// # Errors
-    /// Names the body, and what is wrong with it.
-    pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
-        let mut bodies = Vec::new();
-        for entity in Deformable::carriers::<MassSpringBody>(context.scene) {
-            let Some(kind) = context.scene.get::<MassSpringBody>(entity).copied() else { continue };
-            bodies.push(Body::read(context.scene, entity, kind)?);
-        }
-        if bodies.is_empty() {
-            return Err(ControllerError::Scene("mass-spring: no entity has a 'mass_spring'".into()));
-        }
-        let (rods, touches, contacts) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Self { gravity_in_world, bodies, rods, touches, contacts })
-    }
-}
-
-impl Controller for MassSpringController {
-    fn access(&self) -> Access {
-        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
-        let all = || EntitySet::Of(bodies.clone());
-        Deformable::access(&bodies)
-            .writes::<SurfaceMesh>(all())
-            .writes::<SurfaceState>(all())
-            .writes::<TextureCoordinates>(all())
-            .reads::<MassSpringBody>()
-            .reads::<Pose>()
-            .reads::<Velocity>()
-            .reads::<Instrument>()
-            .reads::<JawState>()
-            .writes::<Measured>(EntitySet::Own)
-            .contributes::<CollisionList>()
-    }
-
-    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        let mut collisions = Vec::new();
-        let mut measured = Measured::default();
-        let mut depth_max = 0.0_f64;
-        for body in &mut self.bodies {
-            let world_from_body = scene.world_pose(body.body.entity);
-            let mut pushed = 0.0;
-            if !body.frozen {
-                rods_of_all(scene, &world_from_body, &mut self.rods);
-                if let Err(reason) = body.follow_blades(scene, &world_from_body, out) {
-                    body.frozen = true;
-                    body.body.freeze(&reason, tick, out);
-                    measure(body, pushed, &mut measured.values);
-                    continue;
-                }
-                let skin = body.kind.skin(&body.body, &body.solver.state().positions);
-                touches(&self.rods, &skin, &mut self.touches);
-                let prescribed = match body.hold(scene, &world_from_body, &self.rods, &self.touches) {
-                    Ok(prescribed) => prescribed,
-                    Err(reason) => {
-                        body.frozen = true;
-                        body.body.freeze(&reason, tick, out);
-                        measure(body, pushed, &mut measured.values);
-                        continue;
-                    }
-                };
-                // What is held goes where it is led, whatever touches it; blades cut and do not push.
-                let led = |touch: &Touch| {
-                    let is_led = |node: &u32| prescribed.iter().any(|led| led.node == *node);
-                    touch.nodes.iter().any(is_led) || is_blade(scene, self.rods[touch.rod].instrument)
-                };
-                self.touches.retain(|touch| !led(touch));
-                self.contacts.clear();
-                self.contacts.extend(self.touches.iter().map(|touch| contact(touch, &body.kind)));
-                let gravity = Deformable::gravity(&self.gravity_in_world, &world_from_body);
-                let input =
-                    Input { gravity, contacts: &self.contacts, prescribed: &prescribed, ..Input::default() };
-                match body.solver.step(tick.period.as_secs_f64(), &input) {
-                    Ok(_) => {
-                        let State { positions, velocities } = body.solver.state();
-                        body.body.write(positions, velocities, out);
-                        if body.sheet.is_some() {
-                            out.put(body.body.entity, body.surface.clone());
-                        }
-                        let forces = body.solver.contact_forces();
-                        for (touch, force) in self.touches.iter().zip(forces) {
-                            depth_max = depth_max.max(touch.depth);
-                            pushed += force.norm();
-                            let (of, on) = (self.rods[touch.rod], body.body.entity);
-                            collisions.push(collision(touch, &of, on, force, &world_from_body, tick.time));
-                        }
-                    }
-                    Err(error) => {
-                        body.frozen = true;
-                        body.body.freeze(&error, tick, out);
-                    }
-                }
-            }
-            measure(body, pushed, &mut measured.values);
-        }
-        collisions.sort_by(|a: &Collision, b| b.depth.total_cmp(&a.depth));
-        collisions.truncate(COLLISIONS_MAX);
-        out.contribute(CollisionList { collisions, penetration_max: depth_max });
-        out.put(tick.me, measured);
-        Ok(())
-    }
-}
-
-/// Whether an instrument has blades.
-fn is_blade(scene: &Snapshot, instrument: Entity) -> bool {
-    scene.get::<Instrument>(instrument).is_some_and(|instrument| instrument.kind == InstrumentKind::Scissors)
-}
-
-fn contact(touch: &Touch, kind: &MassSpringBody) -> Contact {
-    Contact {
-        nodes: touch.nodes,
-        weights: touch.weights,
-        normal: touch.normal,
-        depth: touch.depth,
-        velocity: touch.velocity,
-        stiffness: kind.contact_stiffness,
-        damping: 0.0,
-        friction: kind.friction,
-    }
-}
-
-fn measure(body: &Body, pushed: f64, values: &mut BTreeMap<String, f64>) {
-    let name = &body.body.name;
-    values.insert(format!("{name}.contact_force_n"), pushed);
-    values.insert(format!("{name}.elastic_energy_j"), body.solver.elastic_energy());
-    values.insert(format!("{name}.kinetic_energy_j"), body.solver.kinetic_energy());
-    let lowest =
-        body.solver.state().positions.iter().map(|position| position.z).fold(f64::INFINITY, f64::min);
-    values.insert(format!("{name}.lowest_m"), lowest);
-    let highest = body.solver.state().positions.iter().map(|p| p.z).fold(f64::NEG_INFINITY, f64::max);
-    values.insert(format!("{name}.highest_m"), highest);
-    if body.sheet.is_some() {
-        let areas = body.areas();
-        values.insert(format!("{name}.pieces"), areas.len() as f64);
-        values.insert(format!("{name}.cut_area_m2"), areas.get(1).copied().unwrap_or(0.0));
-        values.insert(format!("{name}.cut_length_m"), body.surface.cut_length);
-        let held: usize = body.surface.picks.picks.iter().map(|pick| pick.vertices.len()).sum();
-        values.insert(format!("{name}.held_vertices"), held as f64);
-    }
-    values.insert(format!("{name}.frozen"), f64::from(u8::from(body.frozen)));
-}
+pub type MassSpringController = SoftController<MassSpringMethod>;

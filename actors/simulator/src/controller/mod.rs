@@ -4,12 +4,14 @@
 //! Everything that a later life needs is in the scene: shapes at rest, positions and velocities of vertices, what is held,
 //! burned or cut. What a solver refuses freezes the one body that it is about; the others go on.
 
+pub mod cuts;
 pub mod deformable;
 pub mod dynamic_fem;
 pub mod electrosurgery;
+pub mod grips;
 pub mod instruments;
-pub mod jaws;
 pub mod mass_spring;
+pub mod soft;
 pub mod tools;
 pub mod touch;
 
@@ -22,6 +24,7 @@ pub use electrosurgery::{
 };
 pub use instruments::{InstrumentsConfig, InstrumentsController};
 pub use mass_spring::{MassSpringBody, MassSpringController};
+pub use soft::{SoftController, SoftMethod};
 
 /// Registers the components of this crate.
 ///
@@ -29,7 +32,8 @@ pub use mass_spring::{MassSpringBody, MassSpringController};
 /// When a name is already taken by another type.
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<MassSpringBody>()?;
-    builder.register::<jaws::SurfaceState>()?;
+    builder.register::<cuts::Cuts>()?;
+    builder.register::<grips::Grips>()?;
     builder.register::<DynamicFemBody>()?;
     builder.register::<CauterisedBody>()?;
     builder.register::<ElectrodeTip>()?;

@@ -1,7 +1,7 @@
 //! Instruments as solvers meet them: rods with round ends, where they are and how they move.
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_scene::shapes::instrument_from_hinge;
+use trocar_scene::shapes::{instrument_from_hinge, working_end};
 use trocar_scene::{Entity, Instrument, JawState, Snapshot, Velocity};
 
 /// Most of a shaft that takes part, from the hinge backwards \[m\].
@@ -20,7 +20,7 @@ pub struct Rod {
     pub velocities: [Vector3<f64>; 2],
 }
 
-/// The rods of every instrument in the scene: shaft and jaws, in the frame of a body at `world_from_body`, in the order
+/// The rods of every instrument in the scene: shaft, and jaws or what else its end is made of, in the frame of a body at `world_from_body`, in the order
 /// of the instruments' entities. Clears `rods` first.
 pub fn rods_of_all(scene: &Snapshot, world_from_body: &Isometry3<f64>, rods: &mut Vec<Rod>) {
     rods.clear();
@@ -44,7 +44,8 @@ pub fn rods_of_all(scene: &Snapshot, world_from_body: &Isometry3<f64>, rods: &mu
             });
         };
         let jaws = if instrument.kind.has_jaws() { instrument.jaws.min(2) } else { 0 };
-        let front = if jaws == 0 { 0.0 } else { instrument.jaw_length };
+        let end = working_end(instrument);
+        let front = if jaws == 0 && end.is_empty() { 0.0 } else { instrument.jaw_length };
         let back = front + SHAFT_REACH.min(instrument.shaft_length - front).max(0.0);
         let radius = instrument.shaft_radius;
         add(Point3::new(0.0, 0.0, -back), Point3::new(0.0, 0.0, -front - radius), radius);
@@ -54,6 +55,9 @@ pub fn rods_of_all(scene: &Snapshot, world_from_body: &Isometry3<f64>, rods: &mu
             // The pad is in the plane x = 0 of the closed jaw.
             let middle = |z: f64| jaw * Point3::new(side * radius, 0.0, z);
             add(middle(radius), middle(instrument.jaw_length - radius), radius);
+        }
+        for rod in &end {
+            rod.axis.windows(2).for_each(|piece| add(piece[0], piece[1], rod.radius));
         }
     }
 }

@@ -6,8 +6,10 @@ pub mod counting;
 mod exercise;
 mod idle;
 mod memory;
+mod peer;
 mod plot;
 mod session;
+mod simulator;
 mod viewer;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -20,7 +22,7 @@ use crate::output;
 use crate::report::short;
 
 /// Suites by name, and what they measure.
-pub const SUITES: [(&str, &str); 5] = [
+pub const SUITES: [(&str, &str); 6] = [
     (
         "kernel",
         "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step, sessions",
@@ -34,8 +36,15 @@ pub const SUITES: [(&str, &str); 5] = [
         "collision",
         "surfaces against each other beside coal and FCL (--peers), a shaft, a proxy, detectors live, growth with the number of triangles",
     ),
+    (
+        "simulator",
+        "finite elements beside MuJoCo and position-based bodies beside pypbd (--peers), cloth, thread, heat, liquid, growth with size",
+    ),
     ("memory", "what sessions hold over an hour of simulated time; takes about ten minutes"),
 ];
+
+/// Suites that look at how costs grow, and with the number of what.
+const GROWING: [(&str, &str); 2] = [("collision", "triangles"), ("simulator", "elements")];
 
 /// A figure or a few, and what is shown while they are measured.
 type Part = (&'static str, fn() -> Result<Vec<BenchResult>, Failure>);
@@ -80,9 +89,9 @@ pub fn bench(args: &BenchArgs) -> Result<Exit, Failure> {
     if let Some(file) = &args.plot {
         // Before minutes of measuring, not after.
         output::check_writable(file)?;
-        if args.suite != "collision" {
+        if !GROWING.iter().any(|(suite, _)| *suite == args.suite) {
             return Err(Failure::usage(format!(
-                "--plot: '{}' has nothing that grows; 'collision' has",
+                "--plot: '{}' has nothing that grows; 'collision' and 'simulator' have",
                 args.suite
             )));
         }
@@ -90,7 +99,8 @@ pub fn bench(args: &BenchArgs) -> Result<Exit, Failure> {
     let mut summary = BenchSummary::new(machine());
     let result = measure(args, &mut summary);
     if let (Ok(()), Some(file)) = (&result, &args.plot)
-        && let Some(svg) = plot::growth(&summary.results)
+        && let Some((_, of)) = GROWING.iter().find(|(suite, _)| *suite == args.suite)
+        && let Some(svg) = plot::growth(&summary.results, of)
     {
         std::fs::write(file, svg)
             .map_err(|error| Failure::invalid(format!("{}: {error}", file.display())))?;
@@ -120,8 +130,15 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         ("detectors live beside two hands", &collision::live),
         ("growth with the number of triangles", &collision::growth),
     ];
+    let simulator: [(&'static str, Measure<'_>); 4] = [
+        ("finite elements", &|| simulator::elements(args.peers.as_deref())),
+        ("cloth and position-based bodies", &|| simulator::soft(args.peers.as_deref())),
+        ("thread, heat and liquid", &simulator::flows),
+        ("growth with size", &simulator::growth),
+    ];
     let parts: &[Part] = match args.suite.as_str() {
         "collision" => return run(&collision, summary),
+        "simulator" => return run(&simulator, summary),
         "session" => &SESSION,
         "viewer" => &VIEWER,
         "memory" => &MEMORY,

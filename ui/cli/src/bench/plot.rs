@@ -14,10 +14,12 @@ const MARGIN: [f64; 4] = [64.0, 24.0, 110.0, 48.0];
 const STYLE: &str = "<style>svg{background:#fff;font:13px sans-serif}.grid{stroke:#ddd}.line{fill:none;stroke-width:2}\
                      .end{text-anchor:end}.mid{text-anchor:middle}\
                      .c0{stroke:#0072b2}.c1{stroke:#d55e00}.c2{stroke:#009e73}.c3{stroke:#cc79a7}\
-                     text.c0,text.c1,text.c2,text.c3{stroke:none}circle{stroke:none}\
+                     .c4{stroke:#56b4e9}.c5{stroke:#e69f00}.c6{stroke:#000}.c7{stroke:#999}\
+                     text,circle{stroke:none}\
                      text.c0,circle.c0{fill:#0072b2}text.c1,circle.c1{fill:#d55e00}text.c2,circle.c2{fill:#009e73}\
-                     text.c3,circle.c3{fill:#cc79a7}</style>";
-const CLASSES: [&str; 4] = ["c0", "c1", "c2", "c3"];
+                     text.c3,circle.c3{fill:#cc79a7}text.c4,circle.c4{fill:#56b4e9}text.c5,circle.c5{fill:#e69f00}\
+                     text.c6,circle.c6{fill:#000}text.c7,circle.c7{fill:#999}</style>";
+const CLASSES: [&str; 8] = ["c0", "c1", "c2", "c3", "c4", "c5", "c6", "c7"];
 
 /// Sizes and times of one kind of work, smallest first.
 type Line = Vec<(f64, f64)>;
@@ -47,8 +49,8 @@ fn decades(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (10f64.powf(low), 10f64.powf(high.log10().ceil().max(low + 1.0)))
 }
 
-/// The picture as SVG; `None` when there is nothing that grows.
-pub fn growth(rows: &[BenchResult]) -> Option<String> {
+/// The picture as SVG, over the number of what is named; `None` when there is nothing that grows.
+pub fn growth(rows: &[BenchResult], of: &str) -> Option<String> {
     let lines = lines(rows);
     let unit = &rows.iter().find(|row| row.name.contains("_growth_"))?.unit;
     let points = || lines.values().flatten();
@@ -57,7 +59,7 @@ pub fn growth(rows: &[BenchResult]) -> Option<String> {
     let x = Scale::log(decades(points().map(|point| point.0)), left, SIZE[0] - right);
     let y = Scale::log(decades(points().map(|point| point.1)), SIZE[1] - below, top);
     let mut chart = Chart::new(SIZE[0], SIZE[1], "cost against size", x, y);
-    chart.axes("triangles", unit, 10, 10);
+    chart.axes(of, unit, 10, 10);
     for ((what, line), class) in lines.iter().zip(CLASSES.iter().cycle()) {
         chart.line(class, line.iter().copied());
         for (size, time) in line {
@@ -89,7 +91,7 @@ mod tests {
             row("collision_growth_first_1000", 4.0),
             row("collision_growth_first_10000", 5.0),
         ];
-        let svg = growth(&rows).expect("it grows");
+        let svg = growth(&rows, "triangles").expect("it grows");
         let path = svg.split("<path class=\"line c0\" d=\"M").nth(1).and_then(|rest| rest.split('"').next());
         let heights: Vec<f64> = path
             .expect("a line")
@@ -101,7 +103,7 @@ mod tests {
         assert!(
             svg.contains(">build</text>") && svg.contains(">1000</text>") && svg.contains(">10000</text>")
         );
-        assert_eq!(growth(&rows[..1]), None);
-        assert_eq!(growth(&[row("a_growth_b_0", 1.0), row("a_growth_b_10", 0.0)]), None);
+        assert_eq!(growth(&rows[..1], "triangles"), None);
+        assert_eq!(growth(&[row("a_growth_b_0", 1.0), row("a_growth_b_10", 0.0)], "triangles"), None);
     }
 }

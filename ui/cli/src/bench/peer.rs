@@ -1,0 +1,80 @@
+//! A peer program of somebody else's: a Python script as a child process that times its own blocks when asked, so that
+//! blocks of ours alternate with blocks of theirs. One JSON object per line, in and out.
+
+use std::fs;
+use std::io::{BufRead, BufReader, Write};
+use std::path::Path;
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::failure::Failure;
+
+/// A script that runs in a Python which has what it needs.
+pub struct Peer {
+    child: Child,
+    requests: ChildStdin,
+    answers: BufReader<ChildStdout>,
+    folder: TempDir,
+}
+
+impl Peer {
+    /// Starts it.
+    ///
+    /// # Errors
+    /// When it does not start.
+    pub fn start(python: &Path, script: &str) -> Result<Self, Failure> {
+        let folder = tempfile::tempdir().map_err(Failure::internal)?;
+        let file = folder.path().join("peer.py");
+        fs::write(&file, script).map_err(Failure::internal)?;
+        let mut child = Command::new(python)
+            .arg(file)
+            // One thread, as ours.
+            .envs(["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"].map(|name| (name, "1")))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .map_err(|error| Failure::usage(format!("--peers {}: {error}", python.display())))?;
+        let (Some(requests), Some(answers)) = (child.stdin.take(), child.stdout.take()) else {
+            return Err(Failure::internal("the peer has no input or output"));
+        };
+        Ok(Self { child, requests, answers: BufReader::new(answers), folder })
+    }
+
+    /// A folder for what it is to read, gone with it.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Asks and waits for the answer.
+    ///
+    /// # Errors
+    /// When it has ended, or says what was wrong.
+    pub fn ask(&mut self, request: &Value) -> Result<Value, Failure> {
+        writeln!(self.requests, "{request}").map_err(Failure::internal)?;
+        let mut line = String::new();
+        self.answers.read_line(&mut line).map_err(Failure::internal)?;
+        if line.is_empty() {
+            return Err(Failure::internal("the peer has ended; see what it said above"));
+        }
+        let answer: Value = serde_json::from_str(&line).map_err(Failure::internal)?;
+        match answer.get("error") {
+            Some(error) => Err(Failure::internal(format!("the peer answered: {error}"))),
+            None => Ok(answer),
+        }
+    }
+}
+
+/// A list of numbers in an answer; none where there is no such list.
+pub fn numbers(answer: &Value, key: &str) -> Vec<f64> {
+    answer[key].as_array().map(|list| list.iter().filter_map(Value::as_f64).collect()).unwrap_or_default()
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        // It ends by itself when nobody asks any more; whether it does is nobody's concern.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,156 @@
+//! Finite elements: the precomputed linear ones against the times of a haptic loop, the corotational ones beside MuJoCo.
+
+use std::hint::black_box;
+use std::path::Path;
+
+use nalgebra::Vector3;
+use trocar::summary::{BenchResult, Better};
+use trocar_kernel::bench::median_and_spread;
+use trocar_simulator::dynamic_fem::{Config, DynamicFem, Inputs};
+use trocar_simulator::elasticity::Elastic;
+use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, Load};
+
+use super::bodies::{GRAVITY, block};
+use super::peers::MujocoBeam;
+use super::{BLOCKS, at_most, per_run, scaled, secs, told};
+use crate::failure::Failure;
+
+/// Young's modulus \[Pa\] and Poisson's ratio of a soft organ.
+const ORGAN: (f64, f64) = (1e4, 0.4);
+
+/// A precomputed block, clamped at x = 0.
+pub fn precomputed(cells: [usize; 3], size: [f64; 3]) -> Result<LinearFem, Failure> {
+    let (mesh, wall) = block(cells, size)?;
+    let material = Elastic::new(ORGAN.0, ORGAN.1).map_err(Failure::internal)?;
+    LinearFem::new(mesh, &material, &wall, &Limits::default(), &mut |_| true).map_err(Failure::internal)
+}
+
+/// How fast this thread reads memory \[bytes/s\]: the largest of several sums over 64 MiB.
+fn read_bandwidth() -> f64 {
+    let memory = vec![1.0_f32; 1 << 24];
+    let pass = || {
+        // Eight sums at once, so that adding is never what takes the time.
+        let sums = memory.chunks_exact(8).fold([0.0_f32; 8], |mut sums, chunk| {
+            sums.iter_mut().zip(chunk).for_each(|(sum, value)| *sum += value);
+            sums
+        });
+        black_box(sums);
+    };
+    let fastest = (0..BLOCKS).map(|_| secs(pass)).fold(f64::INFINITY, f64::min);
+    (memory.len() * size_of::<f32>()) as f64 / fastest
+}
+
+/// Linear finite elements with a precomputed inverse.
+pub fn linear() -> Result<Vec<BenchResult>, Failure> {
+    let mut rows = Vec::new();
+    let (cells, size) = ([15, 14, 14], [0.1; 3]);
+    let mut body = precomputed(cells, size)?;
+    let mut times = Vec::new();
+    for _ in 0..3 {
+        let mut made = Ok(());
+        times.push(secs(|| made = precomputed(cells, size).map(drop)));
+        made?;
+    }
+    rows.push(at_most("linear_fem_precompute_1009_nodes", "s", median_and_spread(&times), 1.0));
+
+    let free = body.compliance().nodes().to_vec();
+    let start = free.len() / 2;
+    let ten: Result<Vec<_>, _> =
+        (0..10).map(|i| body.hold(Attachment::node(free[start + i], Hold::Point))).collect();
+    let ten = ten.map_err(Failure::internal)?;
+    let mut phase = 0.0_f64;
+    let contact = per_run(500, || {
+        phase += 0.01;
+        for handle in &ten {
+            let target = Vector3::new(0.0, 1e-3 * phase.sin(), 0.0);
+            black_box(body.set_target(*handle, target).is_ok());
+        }
+        black_box(body.solve(&[]).map(|solution| solution.reactions[0]).is_ok());
+    });
+    rows.push(at_most("linear_fem_contact_10_nodes", "µs", scaled(contact, 1e6), 20.0));
+    let mut out = Vec::new();
+    let surface = per_run(200, || body.surface_displacements(black_box(&mut out)));
+    rows.push(at_most("linear_fem_surface_1009_nodes", "µs", scaled(surface, 1e6), 100.0));
+    // It reads, for each of the ten held nodes and each axis, one row of the inverse.
+    let bytes = 30 * body.compliance().row(0, 0).len() * size_of::<f32>();
+    let share = bytes as f64 / surface.0 / read_bandwidth();
+    rows.push(told("linear_fem_surface_bandwidth_share", "share", share, Better::Higher));
+
+    // The bar of SOFA's benchmark: 320 nodes.
+    let mut bar = precomputed([19, 3, 3], [0.19, 0.03, 0.03])?;
+    let free = bar.compliance().nodes().to_vec();
+    let end = Attachment::node(free[free.len() - 1], Hold::Point);
+    let end = bar.hold(end).map_err(Failure::internal)?;
+    let load = [(free[free.len() / 2], 1.0)];
+    let step = per_run(500, || {
+        phase += 0.01;
+        black_box(bar.set_target(end, Vector3::new(0.0, 0.0, 1e-3 * phase.sin())).is_ok());
+        let force = Vector3::new(0.0, 1e-3, 0.0);
+        black_box(bar.solve(&[Load { weights: &load, force }]).is_ok());
+        bar.surface_displacements(black_box(&mut out));
+    });
+    rows.push(at_most("linear_fem_bar_320_nodes", "ms", scaled(step, 1e3), 0.2));
+    Ok(rows)
+}
+
+/// A corotational beam that swings under its weight.
+pub fn beam(cells: [usize; 3]) -> Result<DynamicFem, Failure> {
+    let (mesh, wall) = block(cells, [0.1, 0.02, 0.02])?;
+    let elastic = Elastic::new(1e5, 0.3).map_err(Failure::internal)?;
+    let config = Config { stiffness_damping: 1e-3, ..Config::default() };
+    DynamicFem::new(mesh, &elastic, &config, &wall).map_err(Failure::internal)
+}
+
+/// Steps of a block.
+const STEPS: usize = 200;
+
+/// Implicit corotational finite elements at 1 ms, beside MuJoCo's implicit flexible body: the same beam, the same steps, blocks
+/// in turns; and whether both come to rest at the same deflection.
+pub fn dynamic(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
+    let mut rows = Vec::new();
+    for cells in [[20, 3, 3], [32, 5, 5]] {
+        let mut body = beam(cells)?;
+        let mut peer = python.map(|python| MujocoBeam::start(python, cells)).transpose()?;
+        let tets = body.mesh().tets().len();
+        let inputs = Inputs { acceleration: GRAVITY, ..Inputs::default() };
+        let (mut ours, mut theirs, mut residual) = (Vec::new(), Vec::new(), 0.0_f64);
+        let mut failed = None;
+        for _ in 0..BLOCKS {
+            let block = secs(|| {
+                for _ in 0..STEPS {
+                    match body.step(1e-3, black_box(&inputs)) {
+                        Ok(report) => residual = residual.max(report.residual),
+                        Err(error) => failed = Some(error),
+                    }
+                }
+            });
+            ours.push(block / STEPS as f64 * 1e3);
+            if let Some(peer) = &mut peer {
+                theirs.push(peer.steps(STEPS)?);
+            }
+        }
+        if let Some(error) = failed {
+            return Err(Failure::internal(error));
+        }
+        let name = format!("simulator_corotational_{tets}");
+        let figure = median_and_spread(&ours);
+        rows.push(match &mut peer {
+            Some(_) => {
+                let floor = median_and_spread(&theirs).0;
+                BenchResult::on_ratio(&name, "ms", figure, floor, Some(0.6), Better::Lower)
+            }
+            None => BenchResult::on_value(&name, "ms (no peer)", figure, None, Better::Lower),
+        });
+        rows.push(at_most(&format!("corotational_{tets}_residual"), "share", (residual, 0.0), 1e-4));
+        if let Some(peer) = &mut peer {
+            // The same time has passed for both.
+            let ends =
+                body.mesh().rest().iter().zip(body.positions()).filter(|(rest, _)| rest.x > 0.1 - 1e-9);
+            let drops: Vec<f64> = ends.map(|(rest, now)| rest.z - now.z).collect();
+            let ours = drops.iter().sum::<f64>() / drops.len() as f64;
+            let apart = (ours / peer.tip() - 1.0).abs();
+            rows.push(at_most(&format!("corotational_{tets}_tip_apart"), "share", (apart, 0.0), 0.02));
+        }
+    }
+    Ok(rows)
+}

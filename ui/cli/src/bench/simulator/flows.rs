@@ -1,0 +1,89 @@
+//! Thread, heat and liquid.
+
+use std::hint::black_box;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar::summary::BenchResult;
+use trocar_simulator::electrosurgery::{Electrode, Electrosurgery, Mode};
+use trocar_simulator::thread::{Hold, Obstacle, Shape, Surroundings};
+
+use super::bodies::{GRAVITY, basin, coil, membrane};
+use super::{at_least_hz, at_most, per_run, scaled};
+use crate::failure::Failure;
+
+/// Median time of a millisecond of a coil of thread on a table.
+pub fn thread_secs(edges: usize) -> Result<(f64, f64), Failure> {
+    let (mut thread, ends) = coil(edges)?;
+    let table = Shape::HalfSpace { normal: Vector3::z() };
+    let obstacles = [Obstacle::fixed(table, Isometry3::translation(0.0, 0.0, -4e-4), 0.3)];
+    let holds = [Hold::fixed(0, ends[0]), Hold::fixed(edges, ends[1])];
+    let around =
+        Surroundings { gravity: GRAVITY, holds: &holds, obstacles: &obstacles, ..Surroundings::default() };
+    let mut failed = None;
+    let mut step = || {
+        if let Err(error) = thread.step(1e-3, black_box(&around)) {
+            failed = Some(error);
+        }
+    };
+    (0..100).for_each(|_| step());
+    let figure = per_run(50, step);
+    failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
+}
+
+/// Thread with contacts among its turns.
+pub fn thread() -> Result<Vec<BenchResult>, Failure> {
+    Ok(vec![
+        at_most("thread_100", "ms", scaled(thread_secs(100)?, 1e3), 0.3),
+        at_most("thread_300", "ms", scaled(thread_secs(300)?, 1e3), 1.0),
+    ])
+}
+
+/// One step of 10 ms of a tip that cuts at 5 mm/s.
+fn cut(heat: &mut Electrosurgery, step: u32, extent: f64) -> Result<(), Failure> {
+    let along = f64::from(step) * 0.01 * 5e-3;
+    let (row, x) = ((along / extent).floor(), along % extent);
+    let tip_in_rest = Point3::new(x, (2e-3 * (row + 1.0)) % extent, 0.0);
+    let tip = Electrode { tip_in_rest, power: 30.0, mode: Mode::Cut, contact_area: 1e-6 };
+    heat.step(0.01, &[tip]).map(drop).map_err(Failure::internal)
+}
+
+/// Median time of a step of a membrane of `n` × `n` squares that is cut, after a second of it.
+pub fn heat_secs(n: u32) -> Result<(f64, f64), Failure> {
+    let mut heat = membrane(n)?;
+    let extent = 1e-3 * f64::from(n - 1);
+    let (mut step, mut result) = (0, Ok(()));
+    let mut next = || {
+        let done = cut(&mut heat, step, extent);
+        step += 1;
+        if done.is_err() {
+            result = done;
+        }
+    };
+    (0..100).for_each(|_| next());
+    let figure = per_run(50, next);
+    result.map(|()| figure)
+}
+
+/// A membrane of 10,082 triangles under an electrode.
+pub fn heat() -> Result<Vec<BenchResult>, Failure> {
+    Ok(vec![at_least_hz("heat_10k", heat_secs(71)?, 100.0)])
+}
+
+/// Median time of a step of 4 ms of a basin of so many particles.
+pub fn liquid_secs(particles: usize, runs: usize) -> Result<(f64, f64), Failure> {
+    let mut fluid = basin(particles)?;
+    let mut failed = None;
+    let mut step = || {
+        if let Err(error) = fluid.step(4e-3) {
+            failed = Some(error);
+        }
+    };
+    (0..20).for_each(|_| step());
+    let figure = per_run(runs, step);
+    failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
+}
+
+/// A basin of 20,000 particles.
+pub fn liquid() -> Result<Vec<BenchResult>, Failure> {
+    Ok(vec![at_least_hz("fluid_20000", liquid_secs(20_000, 4)?, 60.0)])
+}

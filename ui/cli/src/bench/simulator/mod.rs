@@ -1,0 +1,103 @@
+//! What simulators cost, on one thread: finite elements beside MuJoCo's and position-based bodies beside pypbd's where a
+//! Python has them, cloth, thread, heat, liquid, and how all of it grows with size.
+//!
+//! Times are those of the thread, as its clock of processor time has them: what else the machine does is not counted.
+
+mod bodies;
+mod fem;
+mod flows;
+mod growth;
+mod peers;
+mod soft;
+
+use std::path::Path;
+
+use rustix::time::{ClockId, clock_gettime};
+use trocar::summary::{BenchResult, Better};
+use trocar_kernel::bench::median_and_spread;
+
+use crate::failure::Failure;
+
+/// Blocks of which the median counts.
+const BLOCKS: usize = 7;
+
+/// Processor time of this thread so far \[s\].
+fn thread_secs() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}
+
+/// Seconds of one run of `work`.
+fn secs(work: impl FnOnce()) -> f64 {
+    let begun = thread_secs();
+    work();
+    thread_secs() - begun
+}
+
+/// Median and spread of one run \[s\], over blocks of `runs`.
+fn per_run(runs: usize, mut work: impl FnMut()) -> (f64, f64) {
+    let blocks: Vec<f64> =
+        (0..BLOCKS).map(|_| secs(|| (0..runs).for_each(|_| work())) / runs as f64).collect();
+    median_and_spread(&blocks)
+}
+
+/// A figure in another unit.
+fn scaled((value, spread): (f64, f64), factor: f64) -> (f64, f64) {
+    (value * factor, spread)
+}
+
+/// A time against a bar.
+fn at_most(name: &str, unit: &str, figure: (f64, f64), bar: f64) -> BenchResult {
+    BenchResult::on_value(format!("simulator_{name}"), unit, figure, Some(bar), Better::Lower)
+}
+
+/// A rate against a bar, from the time of one step.
+fn at_least_hz(name: &str, (secs, spread): (f64, f64), bar: f64) -> BenchResult {
+    let rate = (1.0 / secs, spread);
+    BenchResult::on_value(format!("simulator_{name}"), "steps/s", rate, Some(bar), Better::Higher)
+}
+
+/// A figure that is only told.
+fn told(name: &str, unit: &str, value: f64, better: Better) -> BenchResult {
+    BenchResult::on_value(format!("simulator_{name}"), unit, (value, 0.0), None, better)
+}
+
+/// Runs a part with one thread for whatever is parallel in it.
+fn alone(
+    part: impl FnOnce() -> Result<Vec<BenchResult>, Failure> + Send,
+) -> Result<Vec<BenchResult>, Failure> {
+    rayon::ThreadPoolBuilder::new().num_threads(1).build().map_err(Failure::internal)?.install(part)
+}
+
+/// Finite elements.
+pub fn elements(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
+    alone(|| {
+        let mut rows = fem::linear()?;
+        rows.extend(fem::dynamic(python)?);
+        Ok(rows)
+    })
+}
+
+/// Cloth and position-based bodies.
+pub fn soft(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
+    alone(|| {
+        let mut rows = soft::cloth()?;
+        rows.extend(soft::position_based(python)?);
+        Ok(rows)
+    })
+}
+
+/// Thread, heat and liquid.
+pub fn flows() -> Result<Vec<BenchResult>, Failure> {
+    alone(|| {
+        let mut rows = flows::thread()?;
+        rows.extend(flows::heat()?);
+        rows.extend(flows::liquid()?);
+        Ok(rows)
+    })
+}
+
+/// How costs grow with size.
+pub fn growth() -> Result<Vec<BenchResult>, Failure> {
+    alone(growth::growth)
+}
