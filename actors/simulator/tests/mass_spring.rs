@@ -301,7 +301,7 @@ fn the_factor_of_the_cloth_at_rest_does_most_of_the_work_of_the_iteration() {
     let (few, quickly) = iterations(LinearSolver::Warped { tolerance: 1e-3, iterations_max: 1000 });
     assert!(few <= 30 && many >= 6 * few, "{few} and {many} iterations");
     let apart = slowly.positions.iter().zip(&quickly.positions).map(|(a, b)| (a - b).norm());
-    assert!(apart.fold(0.0, f64::max) < 2e-5, "they do not end at the same place");
+    assert!(apart.fold(0.0, f64::max) < 5e-6, "they do not end at the same place");
 }
 
 #[test]

@@ -174,8 +174,10 @@ impl Warped {
 impl Preconditioner for Warped {
     fn apply(&mut self, matrix: &StepMatrix, residual: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
         let Some(factor) = &mut self.factor else { return product.copy_from_slice(residual) };
-        for ((slot, axes), residual) in self.vector.chunks_exact_mut(3).zip(&self.now).zip(residual) {
-            let own = axes.tr_mul(residual);
+        // What a held node is pushed with concerns nobody, and moves nobody else.
+        let all = self.vector.chunks_exact_mut(3).zip(&self.now).zip(residual);
+        for (((slot, axes), residual), mass) in all.zip(&matrix.masses) {
+            let own = if *mass > 0.0 { axes.tr_mul(residual) } else { Vector3::zeros() };
             slot.iter_mut().zip(&own).for_each(|(slot, value)| *slot = *value as f32);
         }
         factor.solve(&mut self.vector);
