@@ -66,6 +66,42 @@ fn a_rod_bends_by_its_stiffness_and_not_by_its_iterations() {
     assert!(coarse.abs() >= fine.abs(), "{coarse} and {fine}");
 }
 
+/// What jaws feel of a body that hangs in them is its weight, whatever it is made of.
+#[test]
+fn what_hangs_in_jaws_weighs_what_it_weighs() {
+    let (points, tets) = beam([4, 2, 2], [0.04, 0.02, 0.02]);
+    let volume = Body { rest: &points, tets: &tets, elasticity: Some(SOFT), ..Body::default() };
+    let rest: Vec<_> = (0..=8).map(|k| Point3::new(0.01 * f64::from(k), 0.0, 0.0)).collect();
+    let lines: Vec<_> = (0..8).map(|k| [k, k + 1]).collect();
+    let material = LineMaterial { axial_stiffness: 100.0, bending_stiffness: 2e-5, density: 2e-3 };
+    let network = Network::from_line(&rest, &lines, &material).expect("a line");
+    let distances = distances_of(&network);
+    let rod = Body {
+        rest: &rest,
+        masses: &network.masses,
+        distances: &distances,
+        bends: &network.hinges,
+        ..Body::default()
+    };
+    // Half an edge's mass is in what is held itself.
+    for (body, weight) in [(volume, 9.81 * 1000.0 * 1.6e-5), (rod, 9.81 * 2e-3 * 0.08)] {
+        let held: Vec<Prescribed> = (0..body.rest.len() as u32)
+            .filter(|&node| body.rest[node as usize].x < 0.011)
+            .map(|node| Prescribed { node, position: body.rest[node as usize] })
+            .collect();
+        let nodes: Vec<u32> = held.iter().map(|led| led.node).collect();
+        let config = XpbdConfig { parts: 20, damping: 20.0, ..XpbdConfig::default() };
+        let mut solver = Xpbd::new(&body, &[], config).expect("a body");
+        for _ in 0..1000 {
+            let input = XpbdInput { gravity: DOWN, prescribed: &held, ..XpbdInput::default() };
+            solver.step(1e-3, &input).expect("a step");
+        }
+        let own: f64 = 9.81 * nodes.iter().map(|&node| solver.masses()[node as usize]).sum::<f64>();
+        let pull = -solver.pull_on(&nodes).z;
+        assert!((pull / (weight - own) - 1.0).abs() < 1e-3, "{pull} N, not {} N", weight - own);
+    }
+}
+
 #[test]
 fn contacts_carry_and_friction_holds_below_its_angle() {
     let rest = [Point3::origin()];

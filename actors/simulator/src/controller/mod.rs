@@ -14,6 +14,7 @@ pub mod mass_spring;
 pub mod soft;
 pub mod tools;
 pub mod touch;
+pub mod xpbd;
 
 use trocar_scene::{RegistryBuilder, RegistryError};
 
@@ -25,6 +26,7 @@ pub use electrosurgery::{
 pub use instruments::{InstrumentsConfig, InstrumentsController};
 pub use mass_spring::{MassSpringBody, MassSpringController};
 pub use soft::{SoftController, SoftMethod};
+pub use xpbd::{XpbdBody, XpbdController};
 
 /// Registers the components of this crate.
 ///
@@ -35,6 +37,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<cuts::Cuts>()?;
     builder.register::<grips::Grips>()?;
     builder.register::<DynamicFemBody>()?;
+    builder.register::<XpbdBody>()?;
     builder.register::<CauterisedBody>()?;
     builder.register::<ElectrodeTip>()?;
     builder.register::<RemovedElements>()?;

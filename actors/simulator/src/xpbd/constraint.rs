@@ -68,6 +68,13 @@ pub(super) trait Constraint: Sync {
     type Moved: Send;
     fn project(&self, nodes: &Nodes<'_>, multiplier: Self::Multiplier) -> Self::Moved;
     fn apply(&self, moved: &Self::Moved, nodes: &mut Nodes<'_>, multiplier: &mut Self::Multiplier);
+    /// Calls `each` with every node and the impulse that a multiplier gives it \[N·s²\], where the nodes are now.
+    fn impulses(
+        &self,
+        nodes: &Nodes<'_>,
+        multiplier: &Self::Multiplier,
+        each: &mut dyn FnMut(u32, Vector3<f64>),
+    );
 }
 
 impl Constraint for Distance {
@@ -93,6 +100,13 @@ impl Constraint for Distance {
     fn apply(&self, moved: &Self::Moved, nodes: &mut Nodes<'_>, multiplier: &mut f64) {
         *multiplier = moved.1;
         self.nodes.iter().zip(&moved.0).for_each(|(&node, by)| nodes.shift(node, by));
+    }
+
+    fn impulses(&self, nodes: &Nodes<'_>, multiplier: &f64, each: &mut dyn FnMut(u32, Vector3<f64>)) {
+        let [a, b] = self.nodes.map(|node| nodes.place(node).0);
+        let push = (b - a).try_normalize(0.0).unwrap_or_else(Vector3::zeros) * *multiplier;
+        each(self.nodes[0], -push);
+        each(self.nodes[1], push);
     }
 }
 
@@ -132,5 +146,20 @@ impl Constraint for Bend {
             let mobility = nodes.place(node).1;
             nodes.shift(node, &(moved.0 * (weight * mobility)));
         }
+    }
+
+    fn impulses(
+        &self,
+        nodes: &Nodes<'_>,
+        multiplier: &Vector3<f64>,
+        each: &mut dyn FnMut(u32, Vector3<f64>),
+    ) {
+        let mut all = *multiplier;
+        if self.rest > 0.0 {
+            let places = self.nodes.iter().zip(self.weights);
+            let vector: Vector3<f64> = places.map(|(&node, weight)| nodes.place(node).0 * weight).sum();
+            all = vector / vector.norm().max(NEARLY_FLAT * self.rest) * multiplier.x;
+        }
+        self.nodes.into_iter().zip(self.weights).for_each(|(node, weight)| each(node, all * weight));
     }
 }

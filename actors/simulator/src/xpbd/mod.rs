@@ -120,6 +120,8 @@ struct Scratch {
     distances: Sweep<Distance>,
     bends: Sweep<Bend>,
     tets: Sweep<Pack>,
+    /// One over the squared length of the last part \[1/s²\].
+    rate: f64,
 }
 
 /// Room for a sweep.
@@ -241,6 +243,11 @@ impl Xpbd {
         let all = self.tets.inverted(&self.state.positions);
         Faulty { count: all.len(), first: all.into_iter().take(16).collect() }
     }
+    /// Masses of the nodes \[kg\].
+    #[must_use]
+    pub fn masses(&self) -> &[f64] {
+        &self.masses
+    }
     /// How many tetrahedra it has.
     #[must_use]
     pub fn tets(&self) -> usize {
@@ -250,6 +257,26 @@ impl Xpbd {
     #[must_use]
     pub fn contact_forces(&self) -> &[Vector3<f64>] {
         &self.scratch.contact_forces
+    }
+    /// What distances, bends and tetrahedra exerted on these nodes (ascending) in the last part of the last step \[N\]: what
+    /// jaws that hold them feel. Zero before the first step.
+    #[must_use]
+    pub fn pull_on(&mut self, nodes: &[u32]) -> Vector3<f64> {
+        let Scratch { places, distances, bends, tets, rate, .. } = &mut self.scratch;
+        let mut sum = Vector3::zeros();
+        let mut each = |node: u32, impulse: Vector3<f64>| {
+            if nodes.binary_search(&node).is_ok() {
+                sum += impulse;
+            }
+        };
+        let now = Nodes { places, rate: *rate };
+        let of = self.distances.all.iter().zip(&distances.multipliers);
+        of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
+        let of = self.bends.all.iter().zip(&bends.multipliers);
+        of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
+        let of = self.tets.packs.iter().zip(&tets.multipliers);
+        of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
+        sum * *rate
     }
     /// What distances, bends and tetrahedra hold \[J\]; of distances without compliance nothing.
     #[must_use]
@@ -356,6 +383,7 @@ impl Xpbd {
             }
             (0..3).for_each(|axis| place[axis] += velocity[axis] * h);
         }
+        scratch.rate = nodes.rate;
         scratch.distances.reset(self.distances.all.len());
         scratch.bends.reset(self.bends.all.len());
         scratch.tets.reset(self.tets.packs.len());

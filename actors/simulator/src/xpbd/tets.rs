@@ -6,7 +6,7 @@
 //! det F − γ, is not: at rest each of the two pulls with the whole modulus against the other, and what a sweep that has not
 //! converged leaves of that difference is noise and softness that no load has caused.
 
-use nalgebra::{Matrix3, Point3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::colouring::Colouring;
 use super::constraint::{Constraint, Elasticity, Nodes};
@@ -256,6 +256,25 @@ impl Constraint for Pack {
             let place = &mut nodes.places[self.nodes[0][lane] as usize];
             for axis in 0..3 {
                 place[axis] -= place[3] * all[axis];
+            }
+        }
+    }
+
+    fn impulses(&self, nodes: &Nodes<'_>, multipliers: &[Wide; 2], each: &mut dyn FnMut(u32, Vector3<f64>)) {
+        let edges = self.edges(|node| {
+            let [x, y, z, _] = nodes.places[node];
+            [x, y, z]
+        });
+        let f = self.gradient(&edges);
+        let (slope, other) = (shape(&f).1, volume(&f).1);
+        for z in 0..3 {
+            let i = &self.inverse[z];
+            let of = |slope: &[Vectors; 3]| sum(i[0], &slope[0], i[1], &slope[1], i[2], &slope[2]);
+            let all = plus(&times(&of(&slope), multipliers[0]), &times(&of(&other), multipliers[1]));
+            for lane in 0..LANES {
+                let impulse = Vector3::from_fn(|axis, _| f64::from(all[axis].0[lane]));
+                each(self.nodes[z + 1][lane], impulse);
+                each(self.nodes[0][lane], -impulse);
             }
         }
     }
