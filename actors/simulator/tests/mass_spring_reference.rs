@@ -17,7 +17,7 @@ fn pendulum(angle: f64) -> f64 {
     let network = Network {
         masses: vec![1.0; 2],
         springs: vec![Spring { nodes: [0, 1], rest: 1.0, stiffness: 1e7 }],
-        hinges: Vec::new(),
+        ..Network::default()
     };
     let mut solver = MassSpring::new(network, vec![Point3::origin(), bob], &[0], explicit(TooLarge::Refuse))
         .expect("valid");

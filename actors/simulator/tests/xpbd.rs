@@ -1,8 +1,11 @@
 //! XPBD against closed forms, linear elements, and itself on other numbers of threads.
 
 use nalgebra::{Point3, Vector3};
-use trocar_simulator::mass_spring::{NodeForce, Prescribed, StepError};
-use trocar_simulator::xpbd::{Body, Distance, Elasticity, Xpbd, XpbdConfig, XpbdInput};
+use trocar_simulator::mass_spring::{
+    Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, NodeForce,
+    Prescribed, StepError,
+};
+use trocar_simulator::xpbd::{Body, Distance, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 
@@ -30,6 +33,101 @@ fn a_hanging_chain_converges_to_its_closed_form_with_small_steps() {
     // Few iterations of a large step are too soft, and more of them help: the error is one of convergence.
     let (few, more) = (chain(1.0 / 60.0, 1), chain(1.0 / 60.0, 20));
     assert!(few > 5.0 && more < 2.0 && more > 1.02, "{few} and {more}");
+}
+
+/// A rod held in its first two nodes droops as the same springs and hinges do in equilibrium.
+#[test]
+fn a_rod_bends_by_its_stiffness_and_not_by_its_iterations() {
+    let (segments, edge) = (10_u32, 0.01);
+    let rest: Vec<_> = (0..=segments).map(|k| Point3::new(f64::from(k) * edge, 0.0, 0.0)).collect();
+    let lines: Vec<_> = (0..segments).map(|k| [k, k + 1]).collect();
+    let material = LineMaterial { axial_stiffness: 100.0, bending_stiffness: 2e-5, density: 2e-3 };
+    let network = Network::from_line(&rest, &lines, &material).expect("a line");
+    let integrator = Integrator::Implicit { solver: LinearSolver::Cholesky, newton: 4 };
+    let config = Config { integrator, damping: 5.0, ..Config::default() };
+    let mut exact = MassSpring::new(network.clone(), rest.clone(), &[0, 1], config).expect("a rod");
+    for _ in 0..200 {
+        exact.step(0.05, &Input { gravity: DOWN, ..Input::default() }).expect("a step");
+    }
+    let wanted = -exact.state().positions[segments as usize].z;
+    assert!(wanted > 0.005, "{wanted}");
+    let (distances, bends) = (distances_of(&network), &network.hinges);
+    let body = Body { rest: &rest, masses: &network.masses, distances: &distances, bends, ..Body::default() };
+    let drooped = |parts: u32| {
+        let config = XpbdConfig { parts, damping: 20.0, ..XpbdConfig::default() };
+        let mut solver = Xpbd::new(&body, &[0, 1], config).expect("a rod");
+        for _ in 0..1000 {
+            solver.step(1e-3, &XpbdInput { gravity: DOWN, ..XpbdInput::default() }).expect("a step");
+        }
+        -solver.state().positions[segments as usize].z / wanted - 1.0
+    };
+    let (coarse, fine) = (drooped(10), drooped(40));
+    assert!(fine.abs() < 0.01, "{fine}");
+    assert!(coarse.abs() >= fine.abs(), "{coarse} and {fine}");
+}
+
+/// What jaws feel of a body that hangs in them is its weight, whatever it is made of.
+#[test]
+fn what_hangs_in_jaws_weighs_what_it_weighs() {
+    let (points, tets) = beam([4, 2, 2], [0.04, 0.02, 0.02]);
+    let volume = Body { rest: &points, tets: &tets, elasticity: Some(SOFT), ..Body::default() };
+    let rest: Vec<_> = (0..=8).map(|k| Point3::new(0.01 * f64::from(k), 0.0, 0.0)).collect();
+    let lines: Vec<_> = (0..8).map(|k| [k, k + 1]).collect();
+    let material = LineMaterial { axial_stiffness: 100.0, bending_stiffness: 2e-5, density: 2e-3 };
+    let network = Network::from_line(&rest, &lines, &material).expect("a line");
+    let distances = distances_of(&network);
+    let rod = Body {
+        rest: &rest,
+        masses: &network.masses,
+        distances: &distances,
+        bends: &network.hinges,
+        ..Body::default()
+    };
+    // Half an edge's mass is in what is held itself.
+    for (body, weight) in [(volume, 9.81 * 1000.0 * 1.6e-5), (rod, 9.81 * 2e-3 * 0.08)] {
+        let held: Vec<Prescribed> = (0..body.rest.len() as u32)
+            .filter(|&node| body.rest[node as usize].x < 0.011)
+            .map(|node| Prescribed { node, position: body.rest[node as usize] })
+            .collect();
+        let nodes: Vec<u32> = held.iter().map(|led| led.node).collect();
+        let config = XpbdConfig { parts: 20, damping: 20.0, ..XpbdConfig::default() };
+        let mut solver = Xpbd::new(&body, &[], config).expect("a body");
+        for _ in 0..1000 {
+            let input = XpbdInput { gravity: DOWN, prescribed: &held, ..XpbdInput::default() };
+            solver.step(1e-3, &input).expect("a step");
+        }
+        let own: f64 = 9.81 * nodes.iter().map(|&node| solver.masses()[node as usize]).sum::<f64>();
+        let pull = -solver.pull_on(&nodes).z;
+        assert!((pull / (weight - own) - 1.0).abs() < 1e-3, "{pull} N, not {} N", weight - own);
+    }
+}
+
+#[test]
+fn contacts_carry_and_friction_holds_below_its_angle() {
+    let rest = [Point3::origin()];
+    let body = Body { rest: &rest, masses: &[0.01], ..Body::default() };
+    let slide = |degrees: f64| {
+        let normal = Vector3::new(degrees.to_radians().sin(), 0.0, degrees.to_radians().cos());
+        let mut solver =
+            Xpbd::new(&body, &[], XpbdConfig { parts: 4, ..XpbdConfig::default() }).expect("a mass");
+        // At rest in the slope from the beginning.
+        let sunk = 0.01 * 9.81 * normal.z / 1000.0;
+        for _ in 0..1000 {
+            let depth = sunk - solver.state().positions[0].coords.dot(&normal);
+            let contact =
+                Contact { friction: 0.5, damping: 1.0, ..Contact::at_node(0, normal, depth, 1000.0) };
+            let input = XpbdInput { gravity: DOWN, contacts: &[contact], ..XpbdInput::default() };
+            solver.step(1e-3, &input).expect("a step");
+        }
+        let carried = solver.contact_forces()[0].dot(&normal);
+        assert!((carried / (0.01 * 9.81 * normal.z) - 1.0).abs() < 1e-3, "{carried} N");
+        solver.state().positions[0].coords.norm()
+    };
+    // tan 26.57° = 0.5.
+    assert!(slide(26.0) < 1e-6, "{}", slide(26.0));
+    let (sin, cos) = 35.0_f64.to_radians().sin_cos();
+    let wanted = 0.5 * 9.81 * (sin - 0.5 * cos);
+    assert!((slide(35.0) / wanted - 1.0).abs() < 0.01, "{} m, not {wanted} m", slide(35.0));
 }
 
 /// The failing control: plain position-based dynamics, whose stiffness is a share of each correction.

@@ -18,6 +18,7 @@ pub mod soft;
 pub mod tools;
 pub mod touch;
 pub mod vital_signs;
+pub mod xpbd;
 
 use trocar_scene::{RegistryBuilder, RegistryError};
 
@@ -33,6 +34,7 @@ pub use mass_spring::{MassSpringBody, MassSpringController};
 pub use smoke::{Plume, SmokeCloud, SmokeCloudState, SmokeController};
 pub use soft::{SoftController, SoftMethod};
 pub use vital_signs::{Patient, PatientState, VitalSignsController};
+pub use xpbd::{XpbdBody, XpbdController};
 
 /// Registers the components of this crate.
 ///
@@ -43,6 +45,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<cuts::Cuts>()?;
     builder.register::<grips::Grips>()?;
     builder.register::<DynamicFemBody>()?;
+    builder.register::<XpbdBody>()?;
     builder.register::<CauterisedBody>()?;
     builder.register::<ElectrodeTip>()?;
     builder.register::<RemovedElements>()?;

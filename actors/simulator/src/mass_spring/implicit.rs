@@ -3,13 +3,18 @@
 
 mod cholesky;
 mod conjugate_gradients;
+mod node_blocks;
+mod triangles;
+mod warped;
 
 use nalgebra::Vector3;
 
 use super::matrix::StepMatrix;
-use super::{Input, LinearSolver, MassSpring, Network, Report, StepError, forces};
+use super::{Config, Input, LinearSolver, MassSpring, Network, Report, StepError, forces};
 use cholesky::Cholesky;
 use conjugate_gradients::ConjugateGradients;
+use node_blocks::NodeBlocks;
+use warped::Warped;
 
 /// Slip \[m/s\] at which friction has reached its full size; below, it is a drag.
 const CREEP: f64 = 1e-3;
@@ -28,7 +33,8 @@ pub(super) struct Implicit {
 
 #[derive(Clone, Debug)]
 enum Solver {
-    ConjugateGradients(ConjugateGradients),
+    NodeBlocks(ConjugateGradients, NodeBlocks),
+    Warped(ConjugateGradients, Box<Warped>, NodeBlocks),
     Cholesky(Cholesky),
 }
 
@@ -37,8 +43,13 @@ impl Implicit {
         let zeros = vec![Vector3::zeros(); network.masses.len()];
         let solver = match solver {
             LinearSolver::ConjugateGradients { tolerance, iterations_max } => {
-                Solver::ConjugateGradients(ConjugateGradients::new(tolerance, iterations_max))
+                Solver::NodeBlocks(ConjugateGradients::new(tolerance, iterations_max), NodeBlocks::default())
             }
+            LinearSolver::Warped { tolerance, iterations_max } => Solver::Warped(
+                ConjugateGradients::new(tolerance, iterations_max),
+                Box::new(Warped::new(network)),
+                NodeBlocks::default(),
+            ),
             LinearSolver::Cholesky => Solver::Cholesky(Cholesky::new(network)),
         };
         Self {
@@ -64,6 +75,7 @@ impl MassSpring {
         let mut result = Ok(());
         for iteration in 0..newton {
             self.linearise(&mut implicit, h, input);
+            self.prepare_solver(&mut implicit, h, input);
             result = self.solve(&mut implicit, input, &mut report);
             if result.is_err() {
                 break;
@@ -157,15 +169,36 @@ impl MassSpring {
         report: &mut Report,
     ) -> Result<(), StepError> {
         let Implicit { matrix, solver, right, change, .. } = implicit;
-        match solver {
-            Solver::ConjugateGradients(solver) => {
-                let (iterations, residual) =
-                    solver.solve(matrix, &self.network, input.contacts, right, change);
-                report.iterations += iterations;
-                report.residual = residual;
-                Ok(())
+        let system = (&*matrix, &self.network, input.contacts);
+        let (iterations, residual) = match solver {
+            Solver::Cholesky(solver) => {
+                return solver.solve(matrix, &self.network, input.contacts, right, change);
             }
-            Solver::Cholesky(solver) => solver.solve(matrix, &self.network, input.contacts, right, change),
+            Solver::Warped(solver, warped, _) if warped.is_ready() => {
+                solver.solve(&mut **warped, system, right, change)
+            }
+            Solver::NodeBlocks(solver, blocks) | Solver::Warped(solver, _, blocks) => {
+                solver.solve(blocks, system, right, change)
+            }
+        };
+        report.iterations += iterations;
+        report.residual = residual;
+        Ok(())
+    }
+
+    /// Brings the preconditioner to where the iteration stands.
+    fn prepare_solver(&self, implicit: &mut Implicit, h: f64, input: &Input<'_>) {
+        let Implicit { matrix, solver, .. } = implicit;
+        let Config { lag, damping, .. } = self.config;
+        match solver {
+            Solver::Cholesky(_) => {}
+            Solver::NodeBlocks(_, blocks) => blocks.update(matrix, &self.network, input.contacts),
+            Solver::Warped(_, warped, blocks) => {
+                let positions = &self.scratch.next.positions;
+                if !warped.update(&self.network, &self.mobility, (h, lag, damping), positions) {
+                    blocks.update(matrix, &self.network, input.contacts);
+                }
+            }
         }
     }
 

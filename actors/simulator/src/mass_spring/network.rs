@@ -77,6 +77,9 @@ pub struct Network {
     pub springs: Vec<Spring>,
     /// In ascending order of their edges where a mesh made them.
     pub hinges: Vec<Hinge>,
+    /// Where the nodes are at rest, if a mesh made it \[m\]; else empty. Forces do not depend on it.
+    #[serde(default)]
+    pub rest: Vec<Point3<f64>>,
 }
 
 /// Of a thread.
@@ -156,7 +159,7 @@ impl Network {
         let length = |[a, b]: [u32; 2]| (rest[b as usize] - rest[a as usize]).norm();
         Faulty::among(segments.len(), |segment| length(segments[segment]) <= LEAST)
             .refuse(|faulty| NetworkError::NoExtent { kind: "segment", faulty })?;
-        let mut network = Self { masses: vec![0.0; rest.len()], ..Self::default() };
+        let mut network = Self { masses: vec![0.0; rest.len()], rest: rest.to_vec(), ..Self::default() };
         let mut neighbours: Vec<(u32, u32)> = Vec::with_capacity(2 * segments.len());
         for &[a, b] in segments {
             let rest = length([a, b]);
@@ -207,7 +210,7 @@ impl Network {
         let extent = |tet: &[u32; 4]| volume(tet, rest).abs() / 6.0;
         Faulty::among(tets.len(), |tet| extent(&tets[tet]) <= LEAST)
             .refuse(|faulty| NetworkError::NoExtent { kind: "tetrahedron", faulty })?;
-        let mut network = Self { masses: vec![0.0; rest.len()], ..Self::default() };
+        let mut network = Self { masses: vec![0.0; rest.len()], rest: rest.to_vec(), ..Self::default() };
         let mut shares: Vec<([u32; 2], f64)> = Vec::with_capacity(6 * tets.len());
         for tet in tets {
             let extent = extent(tet);
@@ -258,6 +261,14 @@ impl Network {
         if self.masses.len() != nodes {
             let given = self.masses.len();
             return Err(NetworkError::Length { what: "masses", given, expected: nodes });
+        }
+        if !self.rest.is_empty() {
+            if self.rest.len() != nodes {
+                let given = self.rest.len();
+                return Err(NetworkError::Length { what: "positions at rest", given, expected: nodes });
+            }
+            let far = |node: usize| !self.rest[node].iter().all(|value| value.is_finite());
+            Faulty::among(nodes, far).refuse(NetworkError::NotFinite)?;
         }
         let number = |value: f64| value >= 0.0 && value.is_finite();
         let positive = |value: f64| value >= LEAST && value.is_finite();

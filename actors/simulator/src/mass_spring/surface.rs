@@ -35,7 +35,7 @@ impl Network {
         material: &SurfaceMaterial,
     ) -> Result<Self, NetworkError> {
         check(rest, triangles, material)?;
-        let mut network = Self { masses: vec![0.0; rest.len()], ..Self::default() };
+        let mut network = Self { masses: vec![0.0; rest.len()], rest: rest.to_vec(), ..Self::default() };
         let mut all: Vec<Side> = Vec::with_capacity(3 * triangles.len());
         for (index, corners) in triangles.iter().enumerate() {
             let share = material.density * area(corners, rest) / 3.0;
@@ -146,6 +146,8 @@ impl Network {
         merge(&mut self.springs, fresh.springs, |spring| spring.nodes);
         merge(&mut self.hinges, fresh.hinges, |hinge| [hinge.nodes[0], hinge.nodes[1]]);
         self.masses.resize(rest.len(), 0.0);
+        self.rest.clear();
+        self.rest.extend_from_slice(rest);
         let mut corners: Vec<u32> = touched.iter().flat_map(|&index| triangles[index as usize]).collect();
         corners.extend_from_slice(stale);
         corners.sort_unstable();

@@ -1,7 +1,9 @@
-//! What is constrained, and how one constraint moves its nodes.
+//! Distances and hinges, and how one of them moves its nodes.
 
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
+
+use crate::mass_spring::{Hinge, NEARLY_FLAT, Network};
 
 /// Two nodes at a distance: a spring of finite stiffness, however stiff.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -14,6 +16,10 @@ pub struct Distance {
     pub compliance: f64,
 }
 
+/// Holds a sheet or a line against bending: the curvature vector of a [`Hinge`] at its length at rest (Bergou et al., *A
+/// quadratic bending model for inextensible surfaces*, 2006), its stiffness that of the hinge.
+pub type Bend = Hinge;
+
 /// Elasticity of a volume.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Elasticity {
@@ -25,111 +31,135 @@ pub struct Elasticity {
     pub density: f64,
 }
 
-/// A tetrahedron at rest.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Tet {
-    pub nodes: [u32; 4],
-    /// Inverse of the matrix of the edges from the first corner at rest.
-    inverse: Matrix3<f64>,
-    /// Compliances of shape and of volume \[1/J\], and the volume ratio at which the latter has no force.
-    shape: f64,
-    bulk: f64,
-    ratio: f64,
+/// The springs of a network as distances; those without stiffness left out.
+#[must_use]
+pub fn distances_of(network: &Network) -> Vec<Distance> {
+    let stiff = network.springs.iter().filter(|spring| spring.stiffness > 0.0);
+    stiff
+        .map(|spring| Distance { nodes: spring.nodes, rest: spring.rest, compliance: 1.0 / spring.stiffness })
+        .collect()
 }
 
-/// The state of the nodes during a step.
+/// The nodes during a step: place \[m\] and one over the mass \[1/kg\], 0 where held; a spare one that is held at the end.
 pub(super) struct Nodes<'a> {
-    pub positions: &'a mut [Point3<f64>],
-    pub mobility: &'a [f64],
+    pub places: &'a mut [[f64; 4]],
     /// One over the squared step \[1/s²\].
     pub rate: f64,
 }
 
-/// How the nodes of one constraint move, and what its multipliers become.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Move {
-    pub by: [Vector3<f64>; 4],
-    pub multipliers: [f64; 2],
-}
-
-impl Tet {
-    pub fn new(nodes: [u32; 4], rest: &[Point3<f64>], elasticity: &Elasticity) -> Self {
-        let [a, b, c, d] = nodes.map(|node| rest[node as usize]);
-        let edges = Matrix3::from_columns(&[b - a, c - a, d - a]);
-        let volume = edges.determinant() / 6.0;
-        let Elasticity { young_modulus, poisson_ratio, .. } = *elasticity;
-        let mu = 0.5 * young_modulus / (1.0 + poisson_ratio);
-        let lame = young_modulus * poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio));
-        // So that small strains see the Lamé parameters asked for (Smith, de Goes and Kim 2018).
-        let bulk = lame + mu;
-        let inverse = edges.try_inverse().unwrap_or_else(Matrix3::zeros);
-        Self {
-            nodes,
-            inverse,
-            shape: 1.0 / (mu * volume),
-            bulk: 1.0 / (bulk * volume),
-            ratio: 1.0 + mu / bulk,
-        }
-    }
-
-    /// Volume over volume at rest; negative when it is inside out.
-    pub fn volume_ratio(&self, positions: &[Point3<f64>]) -> f64 {
-        self.gradient(self.nodes.map(|node| positions[node as usize])).determinant()
-    }
-
-    fn gradient(&self, [a, b, c, d]: [Point3<f64>; 4]) -> Matrix3<f64> {
-        Matrix3::from_columns(&[b - a, c - a, d - a]) * self.inverse
-    }
-
-    /// Shape, then volume, each from where the one before has left the nodes.
+impl Nodes<'_> {
     #[inline]
-    pub fn project(&self, nodes: &Nodes<'_>, mut multipliers: [f64; 2]) -> Move {
-        let began = self.nodes.map(|node| nodes.positions[node as usize]);
-        let mobility = self.nodes.map(|node| nodes.mobility[node as usize]);
-        let mut corners = began;
-        for (kind, multiplier) in multipliers.iter_mut().enumerate() {
-            let f = self.gradient(corners);
-            let (value, slope, compliance) = if kind == 0 {
-                let norm = f.norm();
-                if norm == 0.0 {
-                    continue;
-                }
-                (norm, f / norm, self.shape)
-            } else {
-                let [x, y, z] = [f.column(0), f.column(1), f.column(2)];
-                let cofactor = Matrix3::from_columns(&[y.cross(&z), z.cross(&x), x.cross(&y)]);
-                (f.determinant() - self.ratio, cofactor, self.bulk)
-            };
-            let slopes = slope * self.inverse.transpose();
-            let others: [Vector3<f64>; 3] = std::array::from_fn(|at| slopes.column(at).into_owned());
-            let all = [-(others[0] + others[1] + others[2]), others[0], others[1], others[2]];
-            let soft = compliance * nodes.rate;
-            let yields: f64 =
-                all.iter().zip(mobility).map(|(slope, mobility)| slope.norm_squared() * mobility).sum();
-            let change = (-value - soft * *multiplier) / (yields + soft);
-            *multiplier += change;
-            for ((corner, slope), mobility) in corners.iter_mut().zip(&all).zip(mobility) {
-                *corner += slope * (mobility * change);
-            }
-        }
-        Move { by: std::array::from_fn(|at| corners[at] - began[at]), multipliers }
+    pub fn place(&self, node: u32) -> (Vector3<f64>, f64) {
+        let [x, y, z, mobility] = self.places[node as usize];
+        (Vector3::new(x, y, z), mobility)
+    }
+    #[inline]
+    pub fn shift(&mut self, node: u32, by: &Vector3<f64>) {
+        let place = &mut self.places[node as usize];
+        place[0] += by.x;
+        place[1] += by.y;
+        place[2] += by.z;
     }
 }
 
-impl Distance {
+/// What a sweep goes over: where the nodes of one are to be can be computed without moving them.
+pub(super) trait Constraint: Sync {
+    type Multiplier: Copy + Default + Send + Sync;
+    type Moved: Send;
+    fn project(&self, nodes: &Nodes<'_>, multiplier: Self::Multiplier) -> Self::Moved;
+    fn apply(&self, moved: &Self::Moved, nodes: &mut Nodes<'_>, multiplier: &mut Self::Multiplier);
+    /// Calls `each` with every node and the impulse that a multiplier gives it \[N·s²\], where the nodes are now.
+    fn impulses(
+        &self,
+        nodes: &Nodes<'_>,
+        multiplier: &Self::Multiplier,
+        each: &mut dyn FnMut(u32, Vector3<f64>),
+    );
+}
+
+impl Constraint for Distance {
+    type Multiplier = f64;
+    /// By how much the two move, and the multiplier.
+    type Moved = ([Vector3<f64>; 2], f64);
+
     #[inline]
-    pub(super) fn project(&self, nodes: &Nodes<'_>, multiplier: f64) -> Move {
-        let [a, b] = self.nodes.map(|node| node as usize);
-        let along = nodes.positions[b] - nodes.positions[a];
+    fn project(&self, nodes: &Nodes<'_>, multiplier: f64) -> Self::Moved {
+        let [(a, first), (b, second)] = self.nodes.map(|node| nodes.place(node));
+        let along = b - a;
         let length = along.norm();
-        let yields = nodes.mobility[a] + nodes.mobility[b];
         let soft = self.compliance * nodes.rate;
-        if length == 0.0 || yields + soft == 0.0 {
-            return Move { multipliers: [multiplier, 0.0], ..Move::default() };
+        if length == 0.0 || first + second + soft == 0.0 {
+            return ([Vector3::zeros(); 2], multiplier);
         }
-        let change = (self.rest - length - soft * multiplier) / (yields + soft);
+        let change = (self.rest - length - soft * multiplier) / (first + second + soft);
         let push = along * (change / length);
-        let by = [push * -nodes.mobility[a], push * nodes.mobility[b], Vector3::zeros(), Vector3::zeros()];
-        Move { by, multipliers: [multiplier + change, 0.0] }
+        ([push * -first, push * second], multiplier + change)
+    }
+
+    #[inline]
+    fn apply(&self, moved: &Self::Moved, nodes: &mut Nodes<'_>, multiplier: &mut f64) {
+        *multiplier = moved.1;
+        self.nodes.iter().zip(&moved.0).for_each(|(&node, by)| nodes.shift(node, by));
+    }
+
+    fn impulses(&self, nodes: &Nodes<'_>, multiplier: &f64, each: &mut dyn FnMut(u32, Vector3<f64>)) {
+        let [a, b] = self.nodes.map(|node| nodes.place(node).0);
+        let push = (b - a).try_normalize(0.0).unwrap_or_else(Vector3::zeros) * *multiplier;
+        each(self.nodes[0], -push);
+        each(self.nodes[1], push);
+    }
+}
+
+impl Constraint for Bend {
+    /// Of the three components of the curvature vector; where it has a length at rest only the first counts.
+    type Multiplier = Vector3<f64>;
+    /// What acts on the vector, and the multiplier.
+    type Moved = (Vector3<f64>, Vector3<f64>);
+
+    #[inline]
+    fn project(&self, nodes: &Nodes<'_>, multiplier: Vector3<f64>) -> Self::Moved {
+        let places = self.nodes.map(|node| nodes.place(node));
+        let (mut vector, mut yields) = (Vector3::zeros(), 0.0);
+        for ((place, mobility), weight) in places.iter().zip(self.weights) {
+            vector += place * weight;
+            yields += mobility * weight * weight;
+        }
+        let soft = nodes.rate / self.stiffness;
+        if self.rest == 0.0 {
+            let change = (-vector - multiplier * soft) / (yields + soft);
+            return (change, multiplier + change);
+        }
+        let length = vector.norm();
+        let [a, b, c, d] = places.map(|of| of.0);
+        let turned = self.side * (b - a).cross(&(c - a)).dot(&(d - a)) < 0.0;
+        // Inside out it has to pass through flat, where the vector has no direction to push along.
+        let off = if turned { length + self.rest } else { length - self.rest };
+        let slope = vector / length.max(NEARLY_FLAT * self.rest);
+        let change = (-off - soft * multiplier.x) / (yields * slope.norm_squared() + soft);
+        (slope * change, multiplier + Vector3::x() * change)
+    }
+
+    #[inline]
+    fn apply(&self, moved: &Self::Moved, nodes: &mut Nodes<'_>, multiplier: &mut Vector3<f64>) {
+        *multiplier = moved.1;
+        for (node, weight) in self.nodes.into_iter().zip(self.weights) {
+            let mobility = nodes.place(node).1;
+            nodes.shift(node, &(moved.0 * (weight * mobility)));
+        }
+    }
+
+    fn impulses(
+        &self,
+        nodes: &Nodes<'_>,
+        multiplier: &Vector3<f64>,
+        each: &mut dyn FnMut(u32, Vector3<f64>),
+    ) {
+        let mut all = *multiplier;
+        if self.rest > 0.0 {
+            let places = self.nodes.iter().zip(self.weights);
+            let vector: Vector3<f64> = places.map(|(&node, weight)| nodes.place(node).0 * weight).sum();
+            all = vector / vector.norm().max(NEARLY_FLAT * self.rest) * multiplier.x;
+        }
+        self.nodes.into_iter().zip(self.weights).for_each(|(node, weight)| each(node, all * weight));
     }
 }

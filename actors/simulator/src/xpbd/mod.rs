@@ -1,27 +1,37 @@
 //! Extended position-based dynamics with small steps (Macklin, Müller and Chentanez, *XPBD: position-based simulation of
 //! compliant constrained dynamics*, 2016; Macklin et al., *Small steps in physics simulation*, 2019): distances with a real
-//! stiffness, and volumes as two constraints per tetrahedron (Macklin and Müller, *A constraint-based formulation of
-//! stable neo-Hookean materials*, 2021).
+//! stiffness, bending of sheets and lines, volumes as two constraints per tetrahedron, and contacts with friction.
 //!
-//! Constraints are taken in groups that share no node, sequentially or on the rayon pool that the caller runs in: the bits
-//! are the same.
+//! A sweep that has not converged is soft: what a load does at rest is too much by a share that falls with the square of a
+//! part's length, and with the iterations. So a step is better spent on parts than on iterations. The share grows with
+//! the stiffness over the mass of an element: soft tissue at centimetres converges in a few parts, a stiff or fine body
+//! does not, and `dynamic_fem` is for those.
+//!
+//! Constraints are taken in groups that share no node, four tetrahedra side by side, sequentially or on the rayon pool
+//! that the caller runs in: the bits are the same.
 
 mod colouring;
 mod constraint;
+mod contact;
+mod tets;
+mod wide;
 
-pub use constraint::{Distance, Elasticity};
+pub use constraint::{Bend, Distance, Elasticity, distances_of};
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::mass_spring::{Faulty, NetworkError, NodeForce, Prescribed, State, StepError, check_elements};
+use crate::mass_spring::{
+    Contact, Faulty, NetworkError, NodeForce, Prescribed, State, StepError, check_contacts, check_elements,
+};
 use colouring::Colouring;
-use constraint::{Move, Nodes, Tet};
+use constraint::{Constraint, Nodes};
+use contact::Pressed;
+use tets::{Pack, Tets};
 
-/// Constraints of a group from which on threads are worth their while.
-const PARALLEL: usize = 2048;
-
+/// Constraints of a group (packs of tetrahedra count as one) from which on threads are worth their while.
+const PARALLEL: usize = 512;
 /// What a body is made of.
 #[derive(Clone, Debug, Default)]
 pub struct Body<'a> {
@@ -31,6 +41,8 @@ pub struct Body<'a> {
     pub masses: &'a [f64],
     /// Distances.
     pub distances: &'a [Distance],
+    /// Bending; the hinges of a network are such.
+    pub bends: &'a [Bend],
     /// Tetrahedra, positively oriented.
     pub tets: &'a [[u32; 4]],
     /// Of the tetrahedra.
@@ -63,8 +75,10 @@ pub struct XpbdInput<'a> {
     pub gravity: Vector3<f64>,
     /// Forces on nodes.
     pub forces: &'a [NodeForce],
-    /// Nodes that are led, moving evenly.
+    /// Nodes that are led, moving evenly; of two entries for one node the last counts.
     pub prescribed: &'a [Prescribed],
+    /// Contacts.
+    pub contacts: &'a [Contact],
 }
 
 /// The solver.
@@ -73,22 +87,53 @@ pub struct Xpbd {
     config: XpbdConfig,
     state: State,
     mobility: Vec<f64>,
-    distances: Vec<Distance>,
-    distance_groups: Colouring,
-    tets: Vec<Tet>,
-    tet_groups: Colouring,
+    masses: Vec<f64>,
+    distances: Coloured<Distance>,
+    bends: Coloured<Bend>,
+    tets: Tets,
     scratch: Scratch,
+}
+
+/// Constraints in the order in which they are taken, and where each group ends.
+#[derive(Clone, Debug, Default)]
+struct Coloured<C> {
+    all: Vec<C>,
+    ends: Vec<usize>,
+}
+
+impl<C: Copy> Coloured<C> {
+    fn new<const N: usize>(nodes: usize, all: &[C], of: impl Fn(&C) -> [u32; N]) -> Self {
+        let elements: Vec<[u32; N]> = all.iter().map(of).collect();
+        let Colouring { order, ends } = Colouring::new(nodes, &elements);
+        Self { all: order.into_iter().map(|index| all[index as usize]).collect(), ends }
+    }
 }
 
 #[derive(Clone, Debug, Default)]
 struct Scratch {
     next: State,
-    before: Vec<Point3<f64>>,
-    mobility: Vec<f64>,
+    places: Vec<[f64; 4]>,
+    before: Vec<[f64; 4]>,
     forces: Vec<Vector3<f64>>,
-    distance_multipliers: Vec<[f64; 2]>,
-    tet_multipliers: Vec<[f64; 2]>,
-    moves: Vec<Move>,
+    contacts: Vec<Pressed>,
+    contact_forces: Vec<Vector3<f64>>,
+    distances: Sweep<Distance>,
+    bends: Sweep<Bend>,
+    tets: Sweep<Pack>,
+    /// One over the squared length of the last part \[1/s²\].
+    rate: f64,
+}
+
+/// Room for a sweep.
+#[derive(Clone, Debug)]
+struct Sweep<C: Constraint> {
+    multipliers: Vec<C::Multiplier>,
+    moves: Vec<C::Moved>,
+}
+impl<C: Constraint> Default for Sweep<C> {
+    fn default() -> Self {
+        Self { multipliers: Vec::new(), moves: Vec::new() }
+    }
 }
 
 impl Xpbd {
@@ -117,12 +162,23 @@ impl Xpbd {
             ![rest, compliance].iter().all(|value| *value >= 0.0 && value.is_finite())
         })
         .refuse(|faulty| NetworkError::Numbers { kind: "distance", faulty })?;
+        Faulty::among(body.bends.len(), |index| {
+            let of = body.bends[index].nodes;
+            of.iter().any(|&node| node as usize >= nodes)
+        })
+        .refuse(|faulty| NetworkError::Nodes { kind: "bend", nodes, faulty })?;
+        Faulty::among(body.bends.len(), |index| {
+            let Bend { weights, rest, side, stiffness, .. } = body.bends[index];
+            let finite = weights.iter().chain([&side]).all(|value| value.is_finite());
+            !(finite && rest >= 0.0 && rest.is_finite() && stiffness > 0.0 && stiffness.is_finite())
+        })
+        .refuse(|faulty| NetworkError::Numbers { kind: "bend", faulty })?;
         let mut masses = body.masses.to_vec();
         if !masses.is_empty() && masses.len() != nodes {
             return Err(NetworkError::Length { what: "masses", given: masses.len(), expected: nodes });
         }
         masses.resize(nodes, 0.0);
-        let mut tets = Vec::with_capacity(body.tets.len());
+        let mut tets = Tets::default();
         if let Some(elasticity) = &body.elasticity {
             let Elasticity { young_modulus, poisson_ratio, density } = *elasticity;
             if !(young_modulus > 0.0 && young_modulus.is_finite()) {
@@ -141,8 +197,8 @@ impl Xpbd {
             for tet in body.tets {
                 let share = 0.25 * density * volume(tet);
                 tet.iter().for_each(|&node| masses[node as usize] += share);
-                tets.push(Tet::new(*tet, body.rest, elasticity));
             }
+            tets = Tets::new(body.rest, body.tets, elasticity);
         } else if !body.tets.is_empty() {
             return invalid("elasticity", 0.0, "given where there are tetrahedra");
         }
@@ -157,9 +213,10 @@ impl Xpbd {
             config,
             state,
             mobility,
-            distance_groups: Colouring::new(nodes, &pairs),
-            distances: body.distances.to_vec(),
-            tet_groups: Colouring::new(nodes, body.tets),
+            masses,
+            distances: Coloured::new(nodes, body.distances, |of| of.nodes),
+            // On a line the middle stands twice: a group only needs to know that it is there.
+            bends: Coloured::new(nodes, body.bends, |of| of.nodes),
             tets,
             scratch: Scratch::default(),
         })
@@ -180,10 +237,69 @@ impl Xpbd {
     pub fn state(&self) -> &State {
         &self.state
     }
-    /// Tetrahedra that are inside out.
+    /// Tetrahedra whose volume has turned, by their index.
     #[must_use]
     pub fn inverted(&self) -> Faulty {
-        Faulty::among(self.tets.len(), |index| self.tets[index].volume_ratio(&self.state.positions) <= 0.0)
+        let all = self.tets.inverted(&self.state.positions);
+        Faulty { count: all.len(), first: all.into_iter().take(16).collect() }
+    }
+    /// Masses of the nodes \[kg\].
+    #[must_use]
+    pub fn masses(&self) -> &[f64] {
+        &self.masses
+    }
+    /// How many tetrahedra it has.
+    #[must_use]
+    pub fn tets(&self) -> usize {
+        self.tets.count
+    }
+    /// Force of each contact of the last step on the body, averaged over it, in the order of the input \[N\].
+    #[must_use]
+    pub fn contact_forces(&self) -> &[Vector3<f64>] {
+        &self.scratch.contact_forces
+    }
+    /// What distances, bends and tetrahedra exerted on these nodes (ascending) in the last part of the last step \[N\]: what
+    /// jaws that hold them feel. Zero before the first step.
+    #[must_use]
+    pub fn pull_on(&mut self, nodes: &[u32]) -> Vector3<f64> {
+        let Scratch { places, distances, bends, tets, rate, .. } = &mut self.scratch;
+        let mut sum = Vector3::zeros();
+        let mut each = |node: u32, impulse: Vector3<f64>| {
+            if nodes.binary_search(&node).is_ok() {
+                sum += impulse;
+            }
+        };
+        let now = Nodes { places, rate: *rate };
+        let of = self.distances.all.iter().zip(&distances.multipliers);
+        of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
+        let of = self.bends.all.iter().zip(&bends.multipliers);
+        of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
+        let of = self.tets.packs.iter().zip(&tets.multipliers);
+        of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
+        sum * *rate
+    }
+    /// What distances, bends and tetrahedra hold \[J\]; of distances without compliance nothing.
+    #[must_use]
+    pub fn elastic_energy(&self) -> f64 {
+        let positions = &self.state.positions;
+        let mut energy = self.tets.energy(positions);
+        for Distance { nodes: [a, b], rest, compliance } in
+            self.distances.all.iter().filter(|d| d.compliance > 0.0)
+        {
+            let off = (positions[*b as usize] - positions[*a as usize]).norm() - rest;
+            energy += 0.5 * off * off / compliance;
+        }
+        for bend in &self.bends.all {
+            let off = bend.vector(positions).norm() - bend.sense(positions) * bend.rest;
+            energy += 0.5 * bend.stiffness * off * off;
+        }
+        energy
+    }
+    /// What motion holds \[J\].
+    #[must_use]
+    pub fn kinetic_energy(&self) -> f64 {
+        let of = |(mass, velocity): (&f64, &Vector3<f64>)| 0.5 * mass * velocity.norm_squared();
+        self.masses.iter().zip(&self.state.velocities).map(of).sum()
     }
 
     /// Steps by `dt` seconds.
@@ -194,6 +310,16 @@ impl Xpbd {
         if !(dt > 0.0 && dt.is_finite()) {
             return Err(StepError::Time(dt));
         }
+        self.check_input(input)?;
+        self.prepare(dt, input);
+        let part = dt / f64::from(self.config.parts);
+        for index in 1..=self.config.parts {
+            self.part(part, part * f64::from(index), input);
+        }
+        self.finish(dt, input)
+    }
+
+    fn check_input(&self, input: &XpbdInput<'_>) -> Result<(), StepError> {
         let nodes = self.mobility.len();
         let wrong = |what, index, problem| Err(StepError::Input { what, index, problem });
         for (index, force) in input.forces.iter().enumerate() {
@@ -204,120 +330,130 @@ impl Xpbd {
         for (index, led) in input.prescribed.iter().enumerate() {
             if led.node as usize >= nodes {
                 return wrong("prescribed node", index, "does not exist");
+            } else if !led.position.iter().all(|value| value.is_finite()) {
+                return wrong("prescribed node", index, "has a position that is not finite");
             }
         }
+        check_contacts(input.contacts, nodes)
+    }
+
+    fn prepare(&mut self, dt: f64, input: &XpbdInput<'_>) {
+        let nodes = self.mobility.len();
         let scratch = &mut self.scratch;
         scratch.next.positions.clone_from(&self.state.positions);
         scratch.next.velocities.clone_from(&self.state.velocities);
-        scratch.mobility.clone_from(&self.mobility);
+        scratch.places.clear();
+        for (position, mobility) in self.state.positions.iter().zip(&self.mobility) {
+            scratch.places.push([position.x, position.y, position.z, *mobility]);
+        }
+        // The spare one.
+        scratch.places.push([0.0; 4]);
+        for (velocity, mobility) in scratch.next.velocities.iter_mut().zip(&self.mobility) {
+            if *mobility == 0.0 {
+                *velocity = Vector3::zeros();
+            }
+        }
         scratch.forces.clear();
         scratch.forces.resize(nodes, Vector3::zeros());
         input.forces.iter().for_each(|force| scratch.forces[force.node as usize] += force.force);
         for led in input.prescribed {
-            scratch.mobility[led.node as usize] = 0.0;
-            let way = led.position - self.state.positions[led.node as usize];
-            scratch.next.velocities[led.node as usize] = way / dt;
+            let node = led.node as usize;
+            scratch.places[node][3] = 0.0;
+            scratch.next.velocities[node] = (led.position - self.state.positions[node]) / dt;
         }
-        let part = dt / f64::from(self.config.parts);
-        for _ in 0..self.config.parts {
-            self.part(part, input);
+        scratch.contacts.clear();
+        let positions = &self.state.positions;
+        scratch.contacts.extend(input.contacts.iter().map(|contact| Pressed::new(contact, positions)));
+    }
+
+    fn part(&mut self, h: f64, since: f64, input: &XpbdInput<'_>) {
+        let scratch = &mut self.scratch;
+        let velocities = &mut scratch.next.velocities;
+        scratch.before.clone_from(&scratch.places);
+        let mut nodes = Nodes { places: &mut scratch.places, rate: 1.0 / (h * h) };
+        for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
+            pressed.begin(contact, &nodes);
         }
-        let next = &mut self.scratch.next;
+        let kept = 1.0 / (1.0 + h * self.config.damping);
+        for ((velocity, place), force) in
+            velocities.iter_mut().zip(nodes.places.iter_mut()).zip(&scratch.forces)
+        {
+            if place[3] > 0.0 {
+                *velocity = (*velocity + (input.gravity + force * place[3]) * h) * kept;
+            }
+            (0..3).for_each(|axis| place[axis] += velocity[axis] * h);
+        }
+        scratch.rate = nodes.rate;
+        scratch.distances.reset(self.distances.all.len());
+        scratch.bends.reset(self.bends.all.len());
+        scratch.tets.reset(self.tets.packs.len());
+        for _ in 0..self.config.iterations {
+            scratch.distances.run(&self.distances.all, &self.distances.ends, &mut nodes);
+            scratch.bends.run(&self.bends.all, &self.bends.ends, &mut nodes);
+            scratch.tets.run(&self.tets.packs, &self.tets.ends, &mut nodes);
+            for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
+                pressed.project(contact, &mut nodes, since, h);
+            }
+        }
+        for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
+            pressed.end(contact, h);
+        }
+        for ((velocity, place), before) in velocities.iter_mut().zip(&scratch.places).zip(&scratch.before) {
+            if place[3] > 0.0 {
+                *velocity = Vector3::from_fn(|axis, _| (place[axis] - before[axis]) / h);
+            }
+        }
+    }
+
+    fn finish(&mut self, dt: f64, input: &XpbdInput<'_>) -> Result<(), StepError> {
+        let Scratch { next, places, contacts, contact_forces, .. } = &mut self.scratch;
+        for (position, place) in next.positions.iter_mut().zip(places.iter()) {
+            *position = Point3::new(place[0], place[1], place[2]);
+        }
         for led in input.prescribed {
             next.positions[led.node as usize] = led.position;
         }
         let limit = self.config.speed_max;
         for (node, (position, velocity)) in next.positions.iter().zip(&next.velocities).enumerate() {
-            let (node, speed) = (node as u32, velocity.norm());
+            let (index, speed) = (node as u32, velocity.norm());
             if !(speed.is_finite() && position.iter().all(|value| value.is_finite())) {
-                return Err(StepError::NotFinite { node });
+                return Err(StepError::NotFinite { node: index });
             }
-            if speed > limit && self.scratch.mobility[node as usize] > 0.0 {
-                return Err(StepError::Runaway { node, speed, limit });
+            if speed > limit && places[node][3] > 0.0 {
+                return Err(StepError::Runaway { node: index, speed, limit });
             }
         }
+        contact_forces.clear();
+        contact_forces.extend(contacts.iter().map(|pressed| pressed.impulse / dt));
         std::mem::swap(&mut self.state, next);
         Ok(())
     }
-
-    fn part(&mut self, h: f64, input: &XpbdInput<'_>) {
-        let scratch = &mut self.scratch;
-        let State { positions, velocities } = &mut scratch.next;
-        scratch.before.clone_from(positions);
-        let kept = 1.0 / (1.0 + h * self.config.damping);
-        for (node, velocity) in velocities.iter_mut().enumerate() {
-            let mobility = scratch.mobility[node];
-            if mobility > 0.0 {
-                *velocity = (*velocity + (input.gravity + scratch.forces[node] * mobility) * h) * kept;
-            } else if self.mobility[node] == 0.0
-                && !input.prescribed.iter().any(|led| led.node as usize == node)
-            {
-                *velocity = Vector3::zeros();
-            }
-            positions[node] += *velocity * h;
-        }
-        for (multipliers, count) in [
-            (&mut scratch.distance_multipliers, self.distances.len()),
-            (&mut scratch.tet_multipliers, self.tets.len()),
-        ] {
-            multipliers.clear();
-            multipliers.resize(count, [0.0; 2]);
-        }
-        let mut nodes = Nodes { positions, mobility: &scratch.mobility, rate: 1.0 / (h * h) };
-        let (distances, tets, moves) = (&self.distances, &self.tets, &mut scratch.moves);
-        for _ in 0..self.config.iterations {
-            let of = |index: u32| distances[index as usize].nodes;
-            let project = |index: u32, nodes: &Nodes<'_>, multipliers: [f64; 2]| {
-                distances[index as usize].project(nodes, multipliers[0])
-            };
-            sweep(&self.distance_groups, &mut scratch.distance_multipliers, &mut nodes, moves, of, project);
-            let of = |index: u32| tets[index as usize].nodes;
-            let project =
-                |index: u32, nodes: &Nodes<'_>, multipliers| tets[index as usize].project(nodes, multipliers);
-            sweep(&self.tet_groups, &mut scratch.tet_multipliers, &mut nodes, moves, of, project);
-        }
-        for ((velocity, position), (before, mobility)) in
-            velocities.iter_mut().zip(positions.iter()).zip(scratch.before.iter().zip(&scratch.mobility))
-        {
-            if *mobility > 0.0 {
-                *velocity = (position - before) / h;
-            }
-        }
-    }
 }
 
-/// All constraints of a kind once, group by group.
-fn sweep<const N: usize>(
-    groups: &Colouring,
-    multipliers: &mut [[f64; 2]],
-    nodes: &mut Nodes<'_>,
-    moves: &mut Vec<Move>,
-    of: impl Fn(u32) -> [u32; N],
-    project: impl Fn(u32, &Nodes<'_>, [f64; 2]) -> Move + Sync,
-) {
-    let apply = |index: u32, moved: &Move, nodes: &mut Nodes<'_>, multipliers: &mut [[f64; 2]]| {
-        multipliers[index as usize] = moved.multipliers;
-        for (node, by) in of(index).into_iter().zip(&moved.by) {
-            nodes.positions[node as usize] += by;
-        }
-    };
-    let mut from = 0;
-    for &end in &groups.ends {
-        let group = &groups.order[from..end];
-        from = end;
-        if group.len() >= PARALLEL && rayon::current_num_threads() > 1 {
-            let (seen, known): (&Nodes<'_>, &[[f64; 2]]) = (nodes, multipliers);
-            group
-                .par_iter()
-                .map(|&index| project(index, seen, known[index as usize]))
-                .collect_into_vec(moves);
-            for (&index, moved) in group.iter().zip(moves.iter()) {
-                apply(index, moved, nodes, multipliers);
-            }
-        } else {
-            for &index in group {
-                let moved = project(index, nodes, multipliers[index as usize]);
-                apply(index, &moved, nodes, multipliers);
+impl<C: Constraint> Sweep<C> {
+    fn reset(&mut self, count: usize) {
+        self.multipliers.clear();
+        self.multipliers.resize(count, C::Multiplier::default());
+    }
+
+    /// All constraints of a kind once, group by group.
+    fn run(&mut self, all: &[C], ends: &[usize], nodes: &mut Nodes<'_>) {
+        let mut from = 0;
+        for &end in ends {
+            let (group, multipliers) = (&all[from..end], &mut self.multipliers[from..end]);
+            from = end;
+            if group.len() >= PARALLEL && rayon::current_num_threads() > 1 {
+                let (seen, known): (&Nodes<'_>, &[C::Multiplier]) = (nodes, multipliers);
+                let projected = group.par_iter().zip(known).map(|(of, known)| of.project(seen, *known));
+                projected.collect_into_vec(&mut self.moves);
+                for ((of, moved), multiplier) in group.iter().zip(&self.moves).zip(multipliers) {
+                    of.apply(moved, nodes, multiplier);
+                }
+            } else {
+                for (of, multiplier) in group.iter().zip(multipliers) {
+                    let moved = of.project(nodes, *multiplier);
+                    of.apply(&moved, nodes, multiplier);
+                }
             }
         }
     }

@@ -17,6 +17,7 @@ pub fn implicit(solver: LinearSolver, newton: u32) -> Config {
 }
 pub const GRADIENTS: LinearSolver =
     LinearSolver::ConjugateGradients { tolerance: 1e-10, iterations_max: 2000 };
+pub const WARPED: LinearSolver = LinearSolver::Warped { tolerance: 1e-10, iterations_max: 2000 };
 pub fn under_gravity<'a>() -> Input<'a> {
     Input { gravity: DOWN, ..Input::default() }
 }
@@ -31,7 +32,7 @@ pub fn chain(
 ) -> (Network, Vec<Point3<f64>>) {
     let springs = (1..count as u32).map(|node| Spring { nodes: [node - 1, node], rest, stiffness }).collect();
     let positions = (0..count).map(|node| Point3::from(step * node as f64)).collect();
-    (Network { masses: vec![mass; count], springs, hinges: Vec::new() }, positions)
+    (Network { masses: vec![mass; count], springs, ..Network::default() }, positions)
 }
 
 /// A grid of `n` × `n` squares of side `size / n`, each of two triangles.

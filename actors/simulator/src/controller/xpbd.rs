@@ -1,0 +1,238 @@
+//! The controller of position-based bodies: volumes, cloths and rods.
+
+use nalgebra::{Point3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_scene::{Component, ComponentError, Snapshot};
+
+use super::deformable::Deformable;
+use super::soft::{Measures, Site, SoftController, SoftMethod};
+use super::touch::{Skin, Touch};
+use crate::mass_spring::{Contact, LineMaterial, Network, Prescribed, State, SurfaceMaterial};
+use crate::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
+
+/// What a position-based body is made of, by the kind of its mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Matter {
+    /// A volume, along its `tet_mesh`.
+    Volume {
+        /// Young's modulus \[Pa\].
+        young_modulus: f64,
+        /// Poisson's ratio.
+        poisson_ratio: f64,
+        /// Density \[kg/m³\].
+        density: f64,
+    },
+    /// A cloth or the wall of a tube, along its `surface_mesh`.
+    Cloth {
+        /// Young's modulus times thickness \[N/m\].
+        membrane_stiffness: f64,
+        /// Flexural rigidity \[N·m\].
+        bending_stiffness: f64,
+        /// Mass per area \[kg/m²\].
+        density: f64,
+    },
+    /// A rod, along its `line_mesh`.
+    Rod {
+        /// Axial stiffness EA \[N\].
+        axial_stiffness: f64,
+        /// Bending stiffness EI \[N·m²\].
+        bending_stiffness: f64,
+        /// Mass per length \[kg/m\].
+        density: f64,
+    },
+}
+
+impl Default for Matter {
+    /// A soft organ, in round numbers: moduli measured in vivo lie between 2 and 20 kPa (Carter et al. 2001; Nava et al. 2008).
+    fn default() -> Self {
+        Self::Volume { young_modulus: 8e3, poisson_ratio: 0.45, density: 1060.0 }
+    }
+}
+
+/// A position-based body: it needs a mesh, and `anchors` where it is to be held.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct XpbdBody {
+    /// What it is made of.
+    pub matter: Matter,
+    /// Parts of a step, 1 to 1000. Too few and it is softer than its matter.
+    pub parts: u32,
+    /// Sweeps over its constraints in each part, 1 to 1000.
+    pub iterations: u32,
+    /// Damping of every motion \[1/s\].
+    pub damping: f64,
+    /// How far its surface is from its vertices \[m\]: half the thickness of a cloth. Of a rod its mesh says it.
+    pub thickness: f64,
+    /// Force per depth of a contact \[N/m\].
+    pub contact_stiffness: f64,
+    /// Coulomb friction against instruments.
+    pub friction: f64,
+}
+
+impl Default for XpbdBody {
+    fn default() -> Self {
+        Self {
+            matter: Matter::default(),
+            parts: 10,
+            iterations: 1,
+            damping: 2.0,
+            thickness: 0.0,
+            contact_stiffness: 300.0,
+            friction: 0.3,
+        }
+    }
+}
+
+impl Component for XpbdBody {
+    const NAME: &'static str = "xpbd";
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("parts", f64::from(self.parts), 1.0..=1000.0, "1 to 1000")?;
+        ComponentError::range("iterations", f64::from(self.iterations), 1.0..=1000.0, "1 to 1000")?;
+        ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
+        ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
+        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+impl XpbdBody {
+    fn solver(&self, body: &Deformable) -> Result<Xpbd, String> {
+        let XpbdBody { parts, iterations, damping, .. } = *self;
+        let config = XpbdConfig { parts, iterations, damping, ..XpbdConfig::default() };
+        let mut solver = match self.matter {
+            Matter::Volume { young_modulus, poisson_ratio, density } => {
+                let elasticity = Some(Elasticity { young_modulus, poisson_ratio, density });
+                let made = Body { rest: &body.rest, tets: &body.tets, elasticity, ..Body::default() };
+                Xpbd::new(&made, &body.pinned, config)
+            }
+            Matter::Cloth { membrane_stiffness, bending_stiffness, density } => {
+                let material = SurfaceMaterial { membrane_stiffness, bending_stiffness, density };
+                Network::from_surface(&body.rest, &body.triangles, &material)
+                    .and_then(|network| of_network(body, &network, config))
+            }
+            Matter::Rod { axial_stiffness, bending_stiffness, density } => {
+                let material = LineMaterial { axial_stiffness, bending_stiffness, density };
+                Network::from_line(&body.rest, &body.segments, &material)
+                    .and_then(|network| of_network(body, &network, config))
+            }
+        }
+        .map_err(|error| error.to_string())?;
+        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
+        solver.restore(state).map_err(|error| error.to_string())?;
+        Ok(solver)
+    }
+}
+
+fn of_network(
+    body: &Deformable,
+    network: &Network,
+    config: XpbdConfig,
+) -> Result<Xpbd, crate::mass_spring::NetworkError> {
+    let distances = distances_of(network);
+    let made = Body {
+        rest: &body.rest,
+        masses: &network.masses,
+        distances: &distances,
+        bends: &network.hinges,
+        ..Body::default()
+    };
+    Xpbd::new(&made, &body.pinned, config)
+}
+
+/// Position-based dynamics of one body.
+pub struct XpbdMethod {
+    kind: XpbdBody,
+    solver: Xpbd,
+    contacts: Vec<Contact>,
+    prescribed: Vec<Prescribed>,
+}
+
+impl XpbdMethod {
+    fn contact(kind: &XpbdBody, touch: &Touch) -> Contact {
+        Contact {
+            nodes: touch.nodes,
+            weights: touch.weights,
+            normal: touch.normal,
+            depth: touch.depth,
+            velocity: touch.velocity,
+            stiffness: kind.contact_stiffness,
+            damping: 0.0,
+            friction: kind.friction,
+        }
+    }
+}
+
+impl SoftMethod for XpbdMethod {
+    type Kind = XpbdBody;
+    const CONTROLLER: &'static str = "xpbd";
+
+    fn build(kind: &XpbdBody, body: &Deformable, _scene: &Snapshot) -> Result<Self, String> {
+        let solver = kind.solver(body)?;
+        Ok(Self { kind: *kind, solver, contacts: Vec::new(), prescribed: Vec::new() })
+    }
+
+    fn positions(&self) -> &[Point3<f64>] {
+        &self.solver.state().positions
+    }
+
+    fn velocities(&self) -> &[Vector3<f64>] {
+        &self.solver.state().velocities
+    }
+
+    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
+        let is_rod = matches!(self.kind.matter, Matter::Rod { .. });
+        Skin {
+            positions: self.positions(),
+            triangles: if is_rod { &[] } else { &body.triangles },
+            segments: if is_rod { &body.segments } else { &[] },
+            thickness: if is_rod { body.radius } else { self.kind.thickness },
+        }
+    }
+
+    fn step(
+        &mut self,
+        _body: &Deformable,
+        site: &Site<'_>,
+        forces: &mut Vec<Vector3<f64>>,
+    ) -> Result<(), String> {
+        self.contacts.clear();
+        let kind = &self.kind;
+        self.contacts.extend(site.touches.iter().map(|touch| Self::contact(kind, touch)));
+        self.prescribed.clear();
+        let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
+        self.prescribed.extend(led);
+        let input = XpbdInput {
+            gravity: site.gravity,
+            contacts: &self.contacts,
+            prescribed: &self.prescribed,
+            ..XpbdInput::default()
+        };
+        self.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
+        forces.clear();
+        forces.extend_from_slice(self.solver.contact_forces());
+        Ok(())
+    }
+
+    fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
+        self.solver.pull_on(held)
+    }
+
+    fn measure(&self, body: &Deformable, measures: &mut Measures<'_>) {
+        measures.put("elastic_energy_j", self.solver.elastic_energy());
+        measures.put("kinetic_energy_j", self.solver.kinetic_energy());
+        let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
+        measures.put("displacement_max_m", moved.fold(0.0, f64::max));
+        let heights = || self.positions().iter().map(|position| position.z);
+        measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
+        measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));
+    }
+}
+
+/// Steps every body that carries [`XpbdBody`].
+pub type XpbdController = SoftController<XpbdMethod>;

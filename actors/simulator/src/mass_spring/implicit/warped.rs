@@ -1,0 +1,191 @@
+//! The factor of the matrix at rest as preconditioner, turned at each node as far as its surroundings have turned since
+//! (stiffness warping: Müller et al., *Stable real-time deformations*, 2002; here it changes how soon the iteration ends and
+//! not what it ends at).
+//!
+//! At rest each node has a frame of its own, two axes along the surface and one across. In these a sheet's stiffness
+//! along itself and its bending have next to nothing to do with each other, and what little there is is left out: the
+//! factor falls apart in two that are much smaller. Contacts and led nodes are left to the iteration.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::StepMatrix;
+use super::conjugate_gradients::Preconditioner;
+use super::triangles::Triangles;
+use crate::mass_spring::Network;
+
+/// Share of two unknowns' own stiffness below which what couples them is left out.
+const NEGLIGIBLE: f64 = 5e-3;
+
+#[derive(Clone, Debug, Default)]
+pub(super) struct Warped {
+    /// For which step \[s\] and damping \[1/s\]\[s\] the factor is.
+    made_for: Option<[f64; 3]>,
+    factor: Option<Triangles>,
+    /// Of each spring what its vector counts for the two axes of its first node and of its second \[m\].
+    shares: Vec<[f64; 4]>,
+    /// Axes of each node at rest, as columns.
+    at_rest: Vec<Matrix3<f64>>,
+    now: Vec<Matrix3<f64>>,
+    axes: Vec<[Vector3<f64>; 2]>,
+    vector: Vec<f32>,
+}
+
+impl Warped {
+    /// For a network whose shape at rest is known; of another one it has no factor.
+    pub fn new(network: &Network) -> Self {
+        let mut warped = Self::default();
+        if network.rest.len() != network.masses.len() {
+            return warped;
+        }
+        let nodes = network.masses.len();
+        let mut spread = vec![Matrix3::zeros(); nodes];
+        let along = |nodes: [u32; 2]| network.rest[nodes[1] as usize] - network.rest[nodes[0] as usize];
+        for spring in &network.springs {
+            let along = along(spring.nodes);
+            spring.nodes.iter().for_each(|&node| spread[node as usize] += along * along.transpose());
+        }
+        // The two directions in which a node has most neighbours.
+        let main: Vec<[Vector3<f64>; 2]> = spread
+            .into_iter()
+            .map(|spread| {
+                let eigen = spread.symmetric_eigen();
+                let mut order = [0, 1, 2];
+                order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+                [0, 1].map(|at| eigen.eigenvectors.column(order[at]).into_owned())
+            })
+            .collect();
+        warped.shares.extend(network.springs.iter().map(|spring| {
+            let along = along(spring.nodes);
+            let [[a, b], [c, d]] = spring.nodes.map(|node| main[node as usize].map(|axis| axis.dot(&along)));
+            [a, b, c, d]
+        }));
+        warped.turn(network, &network.rest);
+        warped.at_rest.clone_from(&warped.now);
+        warped.vector = vec![0.0; 3 * nodes];
+        warped
+    }
+
+    /// The axes of each node at these positions: sums over its springs, which turn with them.
+    fn turn(&mut self, network: &Network, positions: &[Point3<f64>]) {
+        self.axes.clear();
+        self.axes.resize(network.masses.len(), [Vector3::zeros(); 2]);
+        for (spring, [a, b, c, d]) in network.springs.iter().zip(&self.shares) {
+            let [first, second] = spring.nodes.map(|node| node as usize);
+            let along = positions[second] - positions[first];
+            self.axes[first][0] += along * *a;
+            self.axes[first][1] += along * *b;
+            self.axes[second][0] += along * *c;
+            self.axes[second][1] += along * *d;
+        }
+        self.now.clear();
+        self.now.extend(self.axes.iter().map(|[first, second]| {
+            let across = first.cross(second);
+            let (long, wide) = (first.norm(), across.norm());
+            // On a line, or crushed: any axes will do.
+            if !(wide > 1e-6 * long * second.norm()) {
+                return Matrix3::identity();
+            }
+            let (first, across) = (first / long, across / wide);
+            Matrix3::from_columns(&[first, across.cross(&first), across])
+        }));
+    }
+
+    /// Makes the factor if it is not there for this step already, and turns it. Whether there is one.
+    pub fn update(
+        &mut self,
+        network: &Network,
+        mobility: &[f64],
+        (h, lag, damping): (f64, f64, f64),
+        positions: &[Point3<f64>],
+    ) -> bool {
+        if self.at_rest.is_empty() {
+            return false;
+        }
+        if self.made_for != Some([h, lag, damping]) {
+            self.made_for = Some([h, lag, damping]);
+            self.factor = self.entries(network, mobility, (h, lag, damping));
+        }
+        self.turn(network, positions);
+        self.is_ready()
+    }
+
+    /// Whether there is a factor.
+    pub fn is_ready(&self) -> bool {
+        self.factor.is_some()
+    }
+
+    fn entries(
+        &self,
+        network: &Network,
+        mobility: &[f64],
+        (h, lag, damping): (f64, f64, f64),
+    ) -> Option<Triangles> {
+        let nodes = network.masses.len();
+        let mut matrix = StepMatrix::default();
+        matrix.linearise(network, h, lag, &network.rest);
+        let free = |node: u32| mobility[node as usize] > 0.0;
+        let own = network.masses.iter().enumerate();
+        let mut blocks: Vec<(u32, u32, Matrix3<f64>)> = own
+            .map(|(node, mass)| {
+                (node as u32, node as u32, Matrix3::from_diagonal_element(mass * (1.0 + h * damping)))
+            })
+            .collect();
+        matrix.for_each_pair(network, &[], |a, b, weight, block| {
+            if free(a) && free(b) {
+                let (row, column) = (a.max(b), a.min(b));
+                let [left, right] = [row, column].map(|node| &self.at_rest[node as usize]);
+                blocks.push((row, column, left.transpose() * block.matrix() * right * weight));
+            }
+        });
+        // Stable, so that each sum has one order.
+        blocks.sort_by_key(|&(row, column, _)| (column, row));
+        blocks.dedup_by(|next, first| {
+            let same = (next.0, next.1) == (first.0, first.1);
+            if same {
+                first.2 += next.2;
+            }
+            same
+        });
+        let mut diagonal = vec![0.0; 3 * nodes];
+        for (row, _, block) in blocks.iter().filter(|(row, column, _)| row == column) {
+            (0..3).for_each(|axis| diagonal[3 * *row as usize + axis] = block[(axis, axis)]);
+        }
+        let mut entries = Vec::with_capacity(4 * blocks.len());
+        let sizes = diagonal.clone();
+        for (row, column, block) in blocks {
+            for c in 0..3 {
+                for r in if row == column { c + 1 } else { 0 }..3 {
+                    let (at, other, value) = (3 * row + r as u32, 3 * column + c as u32, block[(r, c)]);
+                    let of = [at as usize, other as usize];
+                    if value * value > NEGLIGIBLE * NEGLIGIBLE * sizes[of[0]] * sizes[of[1]] {
+                        entries.push((at, other, value));
+                    } else {
+                        // What is left out is put on the diagonal, which keeps it definite.
+                        of.iter().for_each(|&at| diagonal[at] += value.abs());
+                    }
+                }
+            }
+        }
+        entries.extend(diagonal.into_iter().enumerate().map(|(at, value)| (at as u32, at as u32, value)));
+        Triangles::factor(3 * nodes, entries)
+    }
+}
+
+impl Preconditioner for Warped {
+    fn apply(&mut self, matrix: &StepMatrix, residual: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
+        let Some(factor) = &mut self.factor else { return product.copy_from_slice(residual) };
+        // What a held node is pushed with concerns nobody, and moves nobody else.
+        let all = self.vector.chunks_exact_mut(3).zip(&self.now).zip(residual);
+        for (((slot, axes), residual), mass) in all.zip(&matrix.masses) {
+            let own = if *mass > 0.0 { axes.tr_mul(residual) } else { Vector3::zeros() };
+            slot.iter_mut().zip(&own).for_each(|(slot, value)| *slot = *value as f32);
+        }
+        factor.solve(&mut self.vector);
+        let solved = self.vector.chunks_exact(3).zip(&self.now);
+        for ((product, (slot, axes)), mass) in product.iter_mut().zip(solved).zip(&matrix.masses) {
+            let own = Vector3::new(f64::from(slot[0]), f64::from(slot[1]), f64::from(slot[2]));
+            // A held node does not move.
+            *product = if *mass > 0.0 { axes * own } else { Vector3::zeros() };
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! Contacts during one part of a step: they push and do not pull, and friction holds a place while it can.
+
+use nalgebra::{Point3, Vector3};
+
+use super::constraint::Nodes;
+use crate::mass_spring::Contact;
+
+/// What a contact has done so far.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Pressed {
+    /// Where its point was at the beginning of the step, and of the part \[m\].
+    pub touched: Vector3<f64>,
+    before: Vector3<f64>,
+    /// Multipliers along the normal and across it \[N·s²\], of the part.
+    along: f64,
+    across: Vector3<f64>,
+    /// Impulse of the step \[N·s\].
+    pub impulse: Vector3<f64>,
+}
+
+impl Pressed {
+    /// At the beginning of a step.
+    pub fn new(contact: &Contact, positions: &[Point3<f64>]) -> Self {
+        Self { touched: contact.point(positions), ..Self::default() }
+    }
+
+    /// At the beginning of a part, before anything has moved.
+    pub fn begin(&mut self, contact: &Contact, nodes: &Nodes<'_>) {
+        self.before = place(contact, nodes);
+        self.along = 0.0;
+        self.across = Vector3::zeros();
+    }
+
+    /// One iteration; `since` the beginning of the step, at the end of the part \[s\], which takes `h`.
+    pub fn project(&mut self, contact: &Contact, nodes: &mut Nodes<'_>, since: f64, h: f64) {
+        if contact.stiffness == 0.0 {
+            return;
+        }
+        let shares = contact.joint();
+        let yields: f64 = shares.iter().map(|&(node, share)| share * share * nodes.place(node).1).sum();
+        if yields == 0.0 {
+            return;
+        }
+        let soft = nodes.rate / contact.stiffness;
+        let normal = contact.normal;
+        let now = place(contact, nodes);
+        let gap = normal.dot(&(now - self.touched - contact.velocity * since)) - contact.depth;
+        let slip = now - self.before - contact.velocity * h;
+        // Damping beside the spring, as Macklin et al. (2016) have it: its time is its share of the stiffness.
+        let drag = contact.damping / (contact.stiffness * h);
+        let change = (-gap - soft * self.along - drag * normal.dot(&slip)) / ((1.0 + drag) * yields + soft);
+        let pressed = (self.along + change).max(0.0);
+        self.push(&shares, nodes, normal * (pressed - self.along));
+        self.along = pressed;
+        let slip = place(contact, nodes) - self.before - contact.velocity * h;
+        let wanted = self.across - (slip - normal * normal.dot(&slip)) / yields;
+        let (size, most) = (wanted.norm(), contact.friction * pressed);
+        let held = if size > most { wanted * (most / size) } else { wanted };
+        self.push(&shares, nodes, held - self.across);
+        self.across = held;
+    }
+
+    fn push(&self, shares: &[(u32, f64); 3], nodes: &mut Nodes<'_>, by: Vector3<f64>) {
+        for &(node, share) in shares {
+            let mobility = nodes.place(node).1;
+            nodes.shift(node, &(by * (share * mobility)));
+        }
+    }
+
+    /// At the end of a part.
+    pub fn end(&mut self, contact: &Contact, h: f64) {
+        self.impulse += (contact.normal * self.along + self.across) / h;
+    }
+}
+
+fn place(contact: &Contact, nodes: &Nodes<'_>) -> Vector3<f64> {
+    contact.joint().into_iter().map(|(node, share)| nodes.place(node).0 * share).sum()
+}

@@ -1,0 +1,281 @@
+//! Tetrahedra four at a time: what keeps their shape, what keeps their volume.
+//!
+//! Shape is the size of the strain that changes no volume to first order, ‖E − tr(E)/3‖ with Green's strain E, volume
+//! the volume ratio less one; together, for small strains, the isotropic material asked for. Both are zero at rest. The
+//! pair of Macklin and Müller (*A constraint-based formulation of stable neo-Hookean materials*, 2021), ‖F‖ and
+//! det F − γ, is not: at rest each of the two pulls with the whole modulus against the other, and what a sweep that has not
+//! converged leaves of that difference is noise and softness that no load has caused.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::colouring::Colouring;
+use super::constraint::{Constraint, Elasticity, Nodes};
+use super::wide::{LANES, Vectors, Wide, cross, dot, plus, sum, times};
+
+/// Four tetrahedra that share no node. Those that are there to fill up have the spare node in all their corners.
+#[derive(Clone, Debug)]
+pub(super) struct Pack {
+    nodes: [[u32; LANES]; 4],
+    /// Rows of the inverse of the edges at rest.
+    inverse: [Vectors; 3],
+    /// Compliances of shape and of volume \[1/J\].
+    compliance: [Wide; 2],
+}
+
+/// The impulses of the last three corners by axis, times the part's length \[N·s²\], and the multipliers. The first corner
+/// bears the opposite of their sum, in double precision, so that no momentum is made by rounding.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Moved {
+    impulses: [Vectors; 3],
+    multipliers: [Wide; 2],
+}
+
+/// Packs in the order in which they are taken, and where each group ends.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tets {
+    pub packs: Vec<Pack>,
+    pub ends: Vec<usize>,
+    /// Tetrahedra, the fillers left out.
+    pub count: usize,
+    /// Number of each lane's tetrahedron.
+    numbers: Vec<[u32; LANES]>,
+}
+
+impl Tets {
+    /// All positively oriented.
+    pub fn new(rest: &[Point3<f64>], tets: &[[u32; 4]], elasticity: &Elasticity) -> Self {
+        let colouring = Colouring::new(rest.len(), tets);
+        let mut all = Self { count: tets.len(), ..Self::default() };
+        let mut from = 0;
+        for &end in &colouring.ends {
+            for four in colouring.order[from..end].chunks(LANES) {
+                let mut pack = Pack {
+                    nodes: [[rest.len() as u32; LANES]; 4],
+                    inverse: [[Wide::default(); 3]; 3],
+                    compliance: [Wide::all(1.0); 2],
+                };
+                let mut numbers = [u32::MAX; LANES];
+                for (lane, &number) in four.iter().enumerate() {
+                    pack.fill(lane, &tets[number as usize], rest, elasticity);
+                    numbers[lane] = number;
+                }
+                all.packs.push(pack);
+                all.numbers.push(numbers);
+            }
+            from = end;
+            all.ends.push(all.packs.len());
+        }
+        all
+    }
+
+    /// Tetrahedra whose volume has turned, ascending.
+    pub fn inverted(&self, positions: &[Point3<f64>]) -> Vec<u32> {
+        let mut inverted: Vec<u32> = Vec::new();
+        for (pack, numbers) in self.packs.iter().zip(&self.numbers) {
+            let f = pack.gradient(&pack.edges(|node| place(positions, node)));
+            let ratio = dot(&f[0], &cross(&f[1], &f[2]));
+            let turned =
+                numbers.iter().zip(ratio.0).filter(|(number, ratio)| **number != u32::MAX && *ratio <= 0.0);
+            inverted.extend(turned.map(|(number, _)| *number));
+        }
+        inverted.sort_unstable();
+        inverted
+    }
+
+    /// What they hold \[J\].
+    pub fn energy(&self, positions: &[Point3<f64>]) -> f64 {
+        let mut energy = 0.0;
+        for (pack, numbers) in self.packs.iter().zip(&self.numbers) {
+            let f = pack.gradient(&pack.edges(|node| place(positions, node)));
+            for (constraint, compliance) in [shape(&f).0, volume(&f).0].into_iter().zip(pack.compliance) {
+                let of = (constraint * constraint / compliance).doubled();
+                energy += numbers
+                    .iter()
+                    .zip(of)
+                    .filter(|(n, _)| **n != u32::MAX)
+                    .map(|(_, e)| 0.5 * e)
+                    .sum::<f64>();
+            }
+        }
+        energy
+    }
+}
+
+/// Of a node, or of the spare one.
+fn place(positions: &[Point3<f64>], node: usize) -> [f64; 3] {
+    positions.get(node).map_or([0.0; 3], |point| [point.x, point.y, point.z])
+}
+
+/// A constraint and its slope by the columns of the gradient.
+type Strain = (Wide, [Vectors; 3]);
+
+#[inline(always)]
+fn shape(f: &[Vectors; 3]) -> Strain {
+    let (half, one) = (Wide::all(0.5), Wide::all(1.0));
+    let [x, y, z] = f;
+    let [xx, yy, zz] = [half * (dot(x, x) - one), half * (dot(y, y) - one), half * (dot(z, z) - one)];
+    let [xy, yz, zx] = [half * dot(x, y), half * dot(y, z), half * dot(z, x)];
+    let mean = (xx + yy + zz) * Wide::all(1.0 / 3.0);
+    let [xx, yy, zz] = [xx - mean, yy - mean, zz - mean];
+    let two = Wide::all(2.0);
+    let size = (xx * xx + yy * yy + zz * zz + two * (xy * xy + yz * yz + zx * zx)).root();
+    // Without strain there is no direction, and none is needed.
+    let inverse = one / (size + Wide::all(1e-30));
+    let slope = [
+        sum(xx * inverse, &f[0], xy * inverse, &f[1], zx * inverse, &f[2]),
+        sum(xy * inverse, &f[0], yy * inverse, &f[1], yz * inverse, &f[2]),
+        sum(zx * inverse, &f[0], yz * inverse, &f[1], zz * inverse, &f[2]),
+    ];
+    (size, slope)
+}
+
+#[inline(always)]
+fn volume(f: &[Vectors; 3]) -> Strain {
+    let slope = [cross(&f[1], &f[2]), cross(&f[2], &f[0]), cross(&f[0], &f[1])];
+    (dot(&f[0], &slope[0]) - Wide::all(1.0), slope)
+}
+
+impl Pack {
+    fn fill(&mut self, lane: usize, tet: &[u32; 4], rest: &[Point3<f64>], elasticity: &Elasticity) {
+        let [a, b, c, d] = tet.map(|node| rest[node as usize]);
+        let edges = Matrix3::from_columns(&[b - a, c - a, d - a]);
+        let volume = edges.determinant() / 6.0;
+        let inverse = edges.try_inverse().unwrap_or_else(Matrix3::zeros);
+        let Elasticity { young_modulus, poisson_ratio, .. } = *elasticity;
+        let shear = 0.5 * young_modulus / (1.0 + poisson_ratio);
+        let bulk = young_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio));
+        for (corner, &node) in tet.iter().enumerate() {
+            self.nodes[corner][lane] = node;
+        }
+        for row in 0..3 {
+            for column in 0..3 {
+                self.inverse[row][column].0[lane] = inverse[(row, column)] as f32;
+            }
+        }
+        self.compliance[0].0[lane] = (1.0 / (2.0 * shear * volume)) as f32;
+        self.compliance[1].0[lane] = (1.0 / (bulk * volume)) as f32;
+    }
+
+    /// The edges from the first corner.
+    #[inline(always)]
+    fn edges(&self, place: impl Fn(usize) -> [f64; 3]) -> [Vectors; 3] {
+        let first = corner(&self.nodes[0], &place);
+        let edge = |at: usize| {
+            let other = corner(&self.nodes[at], &place);
+            [
+                Wide::between(&first[0], &other[0]),
+                Wide::between(&first[1], &other[1]),
+                Wide::between(&first[2], &other[2]),
+            ]
+        };
+        [edge(1), edge(2), edge(3)]
+    }
+
+    /// The impulses of one constraint on the last three corners, and by how much its multiplier changes.
+    #[inline(always)]
+    fn pull(
+        &self,
+        (value, slope): Strain,
+        soft: Wide,
+        multiplier: Wide,
+        mobility: &[Wide; 4],
+    ) -> ([Vectors; 3], Wide) {
+        let i = &self.inverse;
+        let other = |z: usize| sum(i[z][0], &slope[0], i[z][1], &slope[1], i[z][2], &slope[2]);
+        let others = [other(0), other(1), other(2)];
+        let first = plus(&plus(&others[0], &others[1]), &others[2]);
+        let yields = (mobility[0] * dot(&first, &first) + mobility[1] * dot(&others[0], &others[0]))
+            + (mobility[2] * dot(&others[1], &others[1]) + mobility[3] * dot(&others[2], &others[2]));
+        let change = (-value - soft * multiplier) / (yields + soft);
+        ([times(&others[0], change), times(&others[1], change), times(&others[2], change)], change)
+    }
+
+    /// Columns of the deformation gradient.
+    #[inline(always)]
+    fn gradient(&self, [p, q, r]: &[Vectors; 3]) -> [Vectors; 3] {
+        let i = &self.inverse;
+        let column = |c: usize| sum(i[0][c], p, i[1][c], q, i[2][c], r);
+        [column(0), column(1), column(2)]
+    }
+}
+
+/// Coordinates of four nodes, each kind side by side.
+#[inline(always)]
+fn corner(of: &[u32; LANES], place: &impl Fn(usize) -> [f64; 3]) -> [[f64; LANES]; 3] {
+    let [a, b] = [place(of[0] as usize), place(of[1] as usize)];
+    let [c, d] = [place(of[2] as usize), place(of[3] as usize)];
+    [[a[0], b[0], c[0], d[0]], [a[1], b[1], c[1], d[1]], [a[2], b[2], c[2], d[2]]]
+}
+
+impl Constraint for Pack {
+    type Multiplier = [Wide; 2];
+    type Moved = Moved;
+
+    /// Shape, then volume, each from where the one before has left the nodes.
+    #[inline(always)]
+    fn project(&self, nodes: &Nodes<'_>, multipliers: [Wide; 2]) -> Moved {
+        let mut edges = self.edges(|node| {
+            let [x, y, z, _] = nodes.places[node];
+            [x, y, z]
+        });
+        let yields = |of: &[u32; LANES]| {
+            let yields = |lane: usize| nodes.places[of[lane] as usize][3] as f32;
+            Wide([yields(0), yields(1), yields(2), yields(3)])
+        };
+        let [a, b, c, d] = &self.nodes;
+        let mobility = [yields(a), yields(b), yields(c), yields(d)];
+        let rate = Wide::all(nodes.rate as f32);
+        let strain = shape(&self.gradient(&edges));
+        let (first, of_shape) = self.pull(strain, self.compliance[0] * rate, multipliers[0], &mobility);
+        let back = times(&plus(&plus(&first[0], &first[1]), &first[2]), mobility[0]);
+        for at in 0..3 {
+            edges[at] = plus(&edges[at], &plus(&times(&first[at], mobility[at + 1]), &back));
+        }
+        let strain = volume(&self.gradient(&edges));
+        let (second, of_volume) = self.pull(strain, self.compliance[1] * rate, multipliers[1], &mobility);
+        let impulses =
+            [plus(&first[0], &second[0]), plus(&first[1], &second[1]), plus(&first[2], &second[2])];
+        Moved { impulses, multipliers: [multipliers[0] + of_shape, multipliers[1] + of_volume] }
+    }
+
+    #[inline(always)]
+    fn apply(&self, moved: &Moved, nodes: &mut Nodes<'_>, multipliers: &mut [Wide; 2]) {
+        *multipliers = moved.multipliers;
+        let doubled = |of: &Vectors| [of[0].doubled(), of[1].doubled(), of[2].doubled()];
+        let [second, third, fourth] = &moved.impulses;
+        let impulses = [doubled(second), doubled(third), doubled(fourth)];
+        for lane in 0..LANES {
+            let mut all = [0.0; 3];
+            for (of, impulse) in self.nodes[1..].iter().zip(&impulses) {
+                let place = &mut nodes.places[of[lane] as usize];
+                for axis in 0..3 {
+                    all[axis] += impulse[axis][lane];
+                    place[axis] += place[3] * impulse[axis][lane];
+                }
+            }
+            let place = &mut nodes.places[self.nodes[0][lane] as usize];
+            for axis in 0..3 {
+                place[axis] -= place[3] * all[axis];
+            }
+        }
+    }
+
+    fn impulses(&self, nodes: &Nodes<'_>, multipliers: &[Wide; 2], each: &mut dyn FnMut(u32, Vector3<f64>)) {
+        let edges = self.edges(|node| {
+            let [x, y, z, _] = nodes.places[node];
+            [x, y, z]
+        });
+        let f = self.gradient(&edges);
+        let (slope, other) = (shape(&f).1, volume(&f).1);
+        for z in 0..3 {
+            let i = &self.inverse[z];
+            let of = |slope: &[Vectors; 3]| sum(i[0], &slope[0], i[1], &slope[1], i[2], &slope[2]);
+            let all = plus(&times(&of(&slope), multipliers[0]), &times(&of(&other), multipliers[1]));
+            for lane in 0..LANES {
+                let impulse = Vector3::from_fn(|axis, _| f64::from(all[axis].0[lane]));
+                each(self.nodes[z + 1][lane], impulse);
+                each(self.nodes[0][lane], -impulse);
+            }
+        }
+    }
+}
