@@ -242,11 +242,11 @@ fn scenario() -> Store {
     scene(&entities[from..to])
 }
 
-/// What the two hands of the scenario do, shortened: the clamp closes at 0.6 s, the hook burns from 0.8 to 2.6 s, the
-/// clamp opens at 3 s.
 /// Finds entities by name.
 type Find<'a> = dyn Fn(&str) -> Entity + 'a;
 
+/// What the two hands of the scenario do, shortened: the clamp closes at 0.6 s, the hook burns from 0.8 to 2.6 s, the
+/// clamp opens at 3 s.
 fn hands(clamps: bool, burns: bool) -> impl FnMut(f64, &mut Commands, &Find<'_>) {
     move |secs, out, find| {
         let closed = clamps && (0.6..3.0).contains(&secs);
