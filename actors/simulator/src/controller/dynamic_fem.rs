@@ -12,9 +12,10 @@ use trocar_scene::{
 };
 
 use super::deformable::Deformable;
+use super::dynamic_fem_memory::DynamicFemMemory;
 use super::tools::{Rod, rods_of_all};
 use super::touch::{COLLISIONS_MAX, Skin, Touch, collision, touches};
-use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, DynamicFemState, Inputs};
+use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs};
 use crate::elasticity::Elastic;
 use crate::tet_mesh::{MeshRules, TetMesh};
 
@@ -69,7 +70,7 @@ impl Component for DynamicFemBody {
 }
 
 impl DynamicFemBody {
-    fn solver(&self, body: &Deformable) -> Result<DynamicFem, String> {
+    fn solver(&self, body: &Deformable, memory: &DynamicFemMemory) -> Result<DynamicFem, String> {
         let mesh = TetMesh::new(&body.rest, &body.tets, &MeshRules::default()).map_err(|e| e.to_string())?;
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let constitution =
@@ -82,12 +83,7 @@ impl DynamicFemBody {
             ..Config::default()
         };
         let mut solver = DynamicFem::new(mesh, &elastic, &config, &body.pinned).map_err(|e| e.to_string())?;
-        let state = DynamicFemState {
-            positions: body.positions.to_vec(),
-            velocities: body.velocities.to_vec(),
-            accelerations: vec![Vector3::zeros(); body.positions.len()],
-            ..DynamicFemState::default()
-        };
+        let state = memory.state(&body.positions, &body.velocities);
         solver.restore(&state).map_err(|e| e.to_string())?;
         Ok(solver)
     }
@@ -97,6 +93,7 @@ struct Body {
     body: Deformable,
     kind: DynamicFemBody,
     solver: DynamicFem,
+    memory: DynamicFemMemory,
     is_pinned: Vec<bool>,
     frozen: bool,
 }
@@ -120,13 +117,14 @@ impl DynamicFemController {
         for entity in Deformable::carriers::<DynamicFemBody>(context.scene) {
             let Some(kind) = context.scene.get::<DynamicFemBody>(entity).copied() else { continue };
             let body = Deformable::read(context.scene, entity)?;
+            let memory = context.scene.get::<DynamicFemMemory>(entity).cloned().unwrap_or_default();
             let solver = kind
-                .solver(&body)
+                .solver(&body, &memory)
                 .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
             let mut is_pinned = vec![false; body.rest.len()];
             body.pinned.iter().for_each(|&node| is_pinned[node as usize] = true);
             let frozen = context.scene.get::<Frozen>(entity).is_some();
-            bodies.push(Body { body, kind, solver, is_pinned, frozen });
+            bodies.push(Body { body, kind, solver, memory, is_pinned, frozen });
         }
         if bodies.is_empty() {
             return Err(ControllerError::Scene("dynamic-fem: no entity has a 'dynamic_fem'".into()));
@@ -145,6 +143,7 @@ impl Controller for DynamicFemController {
             .reads::<Velocity>()
             .reads::<Instrument>()
             .reads::<JawState>()
+            .writes::<DynamicFemMemory>(EntitySet::Of(bodies))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
     }
@@ -175,6 +174,8 @@ impl Controller for DynamicFemController {
                 match body.solver.step(tick.period.as_secs_f64(), &inputs) {
                     Ok(_) => {
                         body.body.write(body.solver.positions(), body.solver.velocities(), out);
+                        body.memory.take(&body.solver);
+                        out.put(body.body.entity, body.memory.clone());
                         for (touch, contact) in self.touches.iter().zip(&self.contacts) {
                             let force = force_of(contact, body.solver.positions());
                             depth_max = depth_max.max(touch.depth);

@@ -6,9 +6,11 @@
 
 pub mod deformable;
 pub mod dynamic_fem;
+pub mod dynamic_fem_memory;
 pub mod electrosurgery;
 pub mod instruments;
 pub mod jaws;
+pub mod linear_fem;
 pub mod mass_spring;
 pub mod tools;
 pub mod touch;
@@ -17,10 +19,12 @@ use trocar_scene::{RegistryBuilder, RegistryError};
 
 pub use deformable::Deformable;
 pub use dynamic_fem::{DynamicFemBody, DynamicFemController};
+pub use dynamic_fem_memory::DynamicFemMemory;
 pub use electrosurgery::{
     CauterisedBody, ElectrodeTip, ElectrosurgeryController, HeatState, RemovedElements,
 };
 pub use instruments::{InstrumentsConfig, InstrumentsController};
+pub use linear_fem::{LinearFemBody, LinearFemController, LinearFemGrips};
 pub use mass_spring::{MassSpringBody, MassSpringController};
 
 /// Registers the components of this crate.
@@ -31,6 +35,9 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<MassSpringBody>()?;
     builder.register::<jaws::SurfaceState>()?;
     builder.register::<DynamicFemBody>()?;
+    builder.register::<DynamicFemMemory>()?;
+    builder.register::<LinearFemBody>()?;
+    builder.register::<LinearFemGrips>()?;
     builder.register::<CauterisedBody>()?;
     builder.register::<ElectrodeTip>()?;
     builder.register::<RemovedElements>()?;
