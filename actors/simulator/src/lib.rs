@@ -16,9 +16,11 @@
 //! | Suture thread, knots, needle | [`thread`] |
 //! | Liquids, smoke, bleeding, vital signs | `fluid/` |
 //! | Rigid bodies: momenta, impulses | `rigid/` |
+//! | bodies of different methods and rates, joined at points | [`coupling`] |
 #![forbid(unsafe_code)]
 
 pub mod controller;
+pub mod coupling;
 pub mod cutting;
 pub mod dynamic_fem;
 pub mod elasticity;

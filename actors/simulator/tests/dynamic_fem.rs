@@ -100,22 +100,35 @@ fn it_vibrates_at_the_frequency_of_the_reference() {
     assert!((lowest / 4.076_689_11 - 1.0).abs() < 0.01, "{one} and {other} Hz");
 }
 
+/// Stress \[Pa\] at the end of a block, E 1e4, ν 0.45, that is stretched along x with its sides free: both ends are
+/// given what `across` of the closed form says, the inside and the sides find it.
+fn uniaxial_stress(constitution: Constitution, stretch: f64, across: f64) -> f64 {
+    let elastic = Elastic::new(1e4, 0.45).expect("a material");
+    let config = Config { constitution, mass_damping: 100.0, tolerance: 1e-10, ..Config::default() };
+    let mesh = cube(3);
+    let rest = mesh.rest().to_vec();
+    let mut body = DynamicFem::new(mesh, &elastic, &config, &[]).expect("a body");
+    let stretched = |at: &Point3<f64>| Point3::new(at.x * stretch, at.y * across, at.z * across);
+    let prescribed: Vec<_> = (0..rest.len() as u32)
+        .filter(|&node| rest[node as usize].x < 1e-9 || rest[node as usize].x > 0.03 - 1e-9)
+        .map(|node| (node, stretched(&rest[node as usize])))
+        .collect();
+    let inputs = Inputs { prescribed: &prescribed, ..Inputs::default() };
+    for _ in 0..40 {
+        body.step(0.1, &inputs).expect("a step");
+    }
+    // Nothing acts on the sides: what was prescribed at the ends is the whole field.
+    let apart = body.positions().iter().zip(&rest).map(|(now, rest)| (now - stretched(rest)).norm());
+    assert!(apart.fold(0.0, f64::max) < 1e-6, "{constitution:?} {stretch}");
+    let pull = body.reactions().iter().filter(|(node, _)| rest[*node as usize].x > 0.03 - 1e-9);
+    pull.map(|(_, force)| force.x).sum::<f64>() / (0.03 * 0.03)
+}
+
 #[test]
 fn a_neo_hookean_block_is_stretched_by_the_force_of_the_closed_form() {
-    // One end is held along x only by symmetry: the middle of a block that is pulled at both ends by prescribed faces
-    // that may slide is uniform. Springs along faces do it: ends prescribed to the exact uniform solution across.
     let elastic = Elastic::new(1e4, 0.45).expect("a material");
     for (stretch, expected) in [(0.7, -4339.388), (0.9, -1107.129), (1.1, 917.034)] {
-        let config = Config {
-            constitution: Constitution::NeoHookean,
-            mass_damping: 100.0,
-            tolerance: 1e-10,
-            ..Config::default()
-        };
-        let mesh = cube(3);
-        let rest = mesh.rest().to_vec();
-        let mut body = DynamicFem::new(mesh, &elastic, &config, &[]).expect("a body");
-        // Across: from the closed form, sides free. The sides are left to find it; the ends are given it.
+        // Where nothing acts across.
         let (mut low, mut high) = (0.5, 1.5);
         let (lambda, mu) = (elastic.lambda(), elastic.mu());
         for _ in 0..100 {
@@ -127,32 +140,18 @@ fn a_neo_hookean_block_is_stretched_by_the_force_of_the_closed_form() {
                 low = across
             }
         }
-        let prescribed: Vec<_> = (0..rest.len() as u32)
-            .filter(|&node| rest[node as usize].x < 1e-9 || rest[node as usize].x > 0.03 - 1e-9)
-            .map(|node| {
-                let at = rest[node as usize];
-                (node, Point3::new(at.x * stretch, at.y * low, at.z * low))
-            })
-            .collect();
-        let inputs = Inputs { prescribed: &prescribed, ..Inputs::default() };
-        for _ in 0..40 {
-            body.step(0.1, &inputs).expect("a step");
-        }
-        let pull: f64 = body
-            .reactions()
-            .iter()
-            .filter(|(node, _)| rest[*node as usize].x > 0.03 - 1e-9)
-            .map(|(_, force)| force.x)
-            .sum();
-        let stress = pull / (0.03 * 0.03);
+        let stress = uniaxial_stress(Constitution::NeoHookean, stretch, low);
         assert!((stress - expected).abs() < 1e-3 * expected.abs(), "{stretch}: {stress} Pa, not {expected}");
-        // Nothing acts on the sides: what was prescribed at the ends is the whole field.
-        let middle = body
-            .positions()
-            .iter()
-            .zip(&rest)
-            .map(|(now, rest)| (now - Point3::new(rest.x * stretch, rest.y * low, rest.z * low)).norm());
-        assert!(middle.fold(0.0, f64::max) < 1e-6);
+    }
+}
+
+#[test]
+fn st_venant_kirchhoff_softens_under_pressure_as_its_closed_form_does() {
+    // E (s³ − s)/2; across, Green's strain is −ν times that along.
+    for (stretch, expected) in [(0.7_f64, -1785.0), (0.9, -855.0), (1.1, 1155.0)] {
+        let across = (1.0 - 0.45 * (stretch * stretch - 1.0)).sqrt();
+        let stress = uniaxial_stress(Constitution::StVenantKirchhoff, stretch, across);
+        assert!((stress - expected).abs() < 1e-3 * expected.abs(), "{stretch}: {stress} Pa, not {expected}");
     }
 }
 

@@ -330,6 +330,7 @@ fn lists_graphs_schemas_and_completions_are_printed() {
             "fluid",
             "haptics",
             "instruments",
+            "linear-fem",
             "manual",
             "mass-spring",
             "obb-tree",

@@ -22,13 +22,14 @@ use crate::kinds;
 use crate::run::RunOptions;
 
 /// Scenarios that are part of the program: (name, text).
-pub const SCENARIOS: [(&str, &str); 8] = [
+pub const SCENARIOS: [(&str, &str); 9] = [
     ("peg-transfer", include_str!("../../../scenarios/peg-transfer.toml")),
     ("wall", include_str!("../../../scenarios/wall.toml")),
     ("collision-gallery", include_str!("../../../scenarios/collision-gallery.toml")),
     ("bleeding", include_str!("../../../scenarios/bleeding.toml")),
     ("cautery", include_str!("../../../scenarios/cautery.toml")),
     ("cloth-cut", include_str!("../../../scenarios/cloth-cut.toml")),
+    ("fem-liver", include_str!("../../../scenarios/fem-liver.toml")),
     ("soft-stomach", include_str!("../../../scenarios/soft-stomach.toml")),
     ("two-rates", include_str!("../../../scenarios/two-rates.toml")),
 ];

@@ -1,5 +1,6 @@
 //! The kinds of controllers that come with Trocar, by the names that scenarios use.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use nalgebra::Vector3;
@@ -24,7 +25,8 @@ use trocar_scene::scenario::{Params, ScenarioError};
 use trocar_scene::{BuildContext, Controller, ControllerError};
 use trocar_simulator::controller::{
     BleedingController, DynamicFemController, ElectrosurgeryController, FluidController, InstrumentsConfig,
-    InstrumentsController, MassSpringController, SmokeController, VitalSignsController, XpbdController,
+    InstrumentsController, LinearFemController, MassSpringController, SmokeController, VitalSignsController,
+    XpbdController,
 };
 use trocar_tasks::peg_transfer_controller::mirrored_start;
 use trocar_tasks::{OutcomeConfig, OutcomeController, PegTransferConfig, PegTransferController};
@@ -114,6 +116,14 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
                 1_000.0,
             ),
             Arc::new(instruments),
+        ),
+        (
+            "linear-fem",
+            KindInfo::new(
+                "answers for soft volumes at once: finite elements with a precomputed inverse",
+                500.0,
+            ),
+            Arc::new(linear_fem),
         ),
         (
             "mass-spring",
@@ -299,6 +309,20 @@ fn of_the_scene<C: Controller>(build: fn(&BuildContext<'_>) -> Result<C, Control
         nothing(&context.entry.params)?;
         Ok(plain(RuntimeClass::Simulation, build))
     })
+}
+
+fn linear_fem(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    nothing(&context.entry.params)?;
+    let cache = cache_folder();
+    Ok(plain(RuntimeClass::Simulation, move |context| LinearFemController::new(cache.clone(), context)))
+}
+
+/// Where what was computed once is kept for the next run: the user's folder for such things, by the XDG base directory
+/// specification. Without one everything is computed anew.
+fn cache_folder() -> Option<PathBuf> {
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let user = absolute("XDG_CACHE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".cache")));
+    user.map(|user| user.join("trocar"))
 }
 
 fn outcome(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {

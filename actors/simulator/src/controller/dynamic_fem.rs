@@ -3,13 +3,14 @@
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError, Snapshot};
+use trocar_scene::{Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot};
 
 use super::deformable::Deformable;
+use super::dynamic_fem_memory::DynamicFemMemory;
 use super::soft::{Measures, Site, SoftController, SoftMethod};
 use super::tools::Rod;
 use super::touch::{Skin, Touch};
-use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, DynamicFemState, Inputs};
+use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs};
 use crate::elasticity::Elastic;
 use crate::tet_mesh::{MeshRules, TetMesh};
 
@@ -64,7 +65,7 @@ impl Component for DynamicFemBody {
 }
 
 impl DynamicFemBody {
-    fn solver(&self, body: &Deformable) -> Result<DynamicFem, String> {
+    fn solver(&self, body: &Deformable, memory: &DynamicFemMemory) -> Result<DynamicFem, String> {
         let mesh = TetMesh::new(&body.rest, &body.tets, &MeshRules::default()).map_err(|e| e.to_string())?;
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let constitution =
@@ -77,12 +78,7 @@ impl DynamicFemBody {
             ..Config::default()
         };
         let mut solver = DynamicFem::new(mesh, &elastic, &config, &body.pinned).map_err(|e| e.to_string())?;
-        let state = DynamicFemState {
-            positions: body.positions.to_vec(),
-            velocities: body.velocities.to_vec(),
-            accelerations: vec![Vector3::zeros(); body.positions.len()],
-            ..DynamicFemState::default()
-        };
+        let state = memory.state(&body.positions, &body.velocities);
         solver.restore(&state).map_err(|e| e.to_string())?;
         Ok(solver)
     }
@@ -92,6 +88,7 @@ impl DynamicFemBody {
 pub struct DynamicFemMethod {
     kind: DynamicFemBody,
     solver: DynamicFem,
+    memory: DynamicFemMemory,
     contacts: Vec<Contact>,
     prescribed: Vec<(u32, Point3<f64>)>,
 }
@@ -100,9 +97,19 @@ impl SoftMethod for DynamicFemMethod {
     type Kind = DynamicFemBody;
     const CONTROLLER: &'static str = "dynamic-fem";
 
-    fn build(kind: &DynamicFemBody, body: &Deformable, _scene: &Snapshot) -> Result<Self, String> {
-        let solver = kind.solver(body)?;
-        Ok(Self { kind: *kind, solver, contacts: Vec::new(), prescribed: Vec::new() })
+    fn build(kind: &DynamicFemBody, body: &Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let memory = scene.get::<DynamicFemMemory>(body.entity).cloned().unwrap_or_default();
+        let solver = kind.solver(body, &memory)?;
+        Ok(Self { kind: *kind, solver, memory, contacts: Vec::new(), prescribed: Vec::new() })
+    }
+
+    fn access(access: Access, bodies: &[Entity]) -> Access {
+        access.writes::<DynamicFemMemory>(EntitySet::Of(bodies.to_vec()))
+    }
+
+    fn publish(&mut self, body: &Deformable, out: &mut Commands) {
+        self.memory.take(&self.solver);
+        out.put(body.entity, self.memory.clone());
     }
 
     fn positions(&self) -> &[Point3<f64>] {

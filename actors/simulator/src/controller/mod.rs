@@ -8,10 +8,12 @@ pub mod bleeding;
 pub mod cuts;
 pub mod deformable;
 pub mod dynamic_fem;
+pub mod dynamic_fem_memory;
 pub mod electrosurgery;
 pub mod fluid;
 pub mod grips;
 pub mod instruments;
+pub mod linear_fem;
 pub mod mass_spring;
 pub mod smoke;
 pub mod soft;
@@ -25,11 +27,13 @@ use trocar_scene::{RegistryBuilder, RegistryError};
 pub use bleeding::{BleedingController, Vessel, VesselState};
 pub use deformable::Deformable;
 pub use dynamic_fem::{DynamicFemBody, DynamicFemController};
+pub use dynamic_fem_memory::DynamicFemMemory;
 pub use electrosurgery::{
     CauterisedBody, ElectrodeTip, ElectrosurgeryController, HeatState, RemovedElements,
 };
 pub use fluid::{FluidController, Liquid, LiquidState, LiquidWall};
 pub use instruments::{InstrumentsConfig, InstrumentsController};
+pub use linear_fem::{LinearFemBody, LinearFemController};
 pub use mass_spring::{MassSpringBody, MassSpringController};
 pub use smoke::{Plume, SmokeCloud, SmokeCloudState, SmokeController};
 pub use soft::{SoftController, SoftMethod};
@@ -46,6 +50,8 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<grips::Grips>()?;
     builder.register::<DynamicFemBody>()?;
     builder.register::<XpbdBody>()?;
+    builder.register::<DynamicFemMemory>()?;
+    builder.register::<LinearFemBody>()?;
     builder.register::<CauterisedBody>()?;
     builder.register::<ElectrodeTip>()?;
     builder.register::<RemovedElements>()?;

@@ -1,4 +1,4 @@
-//! Implicit dynamic finite elements: corotational or neo-Hookean tetrahedra, stepped by backward Euler.
+//! Implicit dynamic finite elements: corotational, neo-Hookean or St. Venant–Kirchhoff tetrahedra, stepped by backward Euler.
 //!
 //! A step minimises the incremental potential (Martin et al. 2011; Gast et al. 2015): inertia, elasticity, damping,
 //! springs and penalty contacts. The minimum is approached by a quasi-Newton method whose first guess of the inverse

@@ -1,13 +1,14 @@
 //! Everything of a body in motion that changes, so that one that was lost can be continued.
 
 use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
 
 use super::config::DynamicFemError;
 use super::objective::{Coupling, Inputs};
 use super::solver::{DynamicFem, FactoredAt};
 
 /// State between two steps.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DynamicFemState {
     /// Where the nodes are \[m\].
     pub positions: Vec<Point3<f64>>,

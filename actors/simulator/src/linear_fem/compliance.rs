@@ -1,17 +1,13 @@
 //! The precomputed inverse: displacements of all free surface nodes per unit force at each of them.
 //!
-//! Interior nodes are eliminated first and surface nodes last, so that the tail of the Cholesky factor is the factor of
-//! the stiffness condensed onto the surface; its inverse is the part of K⁻¹ between surface nodes, and nothing else of
-//! K⁻¹ is ever formed.
+//! With K = L Lᵀ in an order of little fill it is Zᵀ Z, where Z = L⁻¹ E are the columns of the surface: only the part of
+//! K⁻¹ between surface nodes is ever formed, and only half of it, being symmetric, is computed.
 
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::inverse::{inverse, inverse_scratch};
-use faer::{Mat, Par};
 use nalgebra::Vector3;
 use thiserror::Error;
 
 use crate::elasticity::{Elastic, stiffness};
-use crate::sparse::{FactorError, SparseCholesky, minimum_degree};
+use crate::sparse::{FactorError, SparseCholesky, nested_dissection};
 use crate::tet_mesh::TetMesh;
 
 /// How much a precomputation may take.
@@ -24,7 +20,7 @@ pub struct Limits {
 }
 
 impl Default for Limits {
-    /// 1 GiB, some 5,400 free surface nodes (while it is computed six times as much is needed), and 100,000 nodes.
+    /// 1 GiB, some 5,400 free surface nodes (while it is computed some four times as much is needed), and 100,000 nodes.
     fn default() -> Self {
         Self { bytes_max: 1 << 30, nodes_max: 100_000 }
     }
@@ -85,15 +81,17 @@ pub enum PrecomputeError {
     Cancelled,
 }
 
-/// Which nodes stand where: fixed ones nowhere, free interior ones first, free surface ones last.
+/// Which nodes stand where: free ones in the order of elimination, fixed ones nowhere.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Boundary {
     /// Row of each node in the order of elimination.
     pub(super) numbers: Vec<Option<u32>>,
-    /// Free interior nodes: the first rows.
-    pub(super) interior: usize,
-    /// Free surface nodes, ascending: the last rows.
+    /// Free nodes.
+    pub(super) free: usize,
+    /// Free surface nodes, ascending.
     pub(super) surface: Vec<u32>,
+    /// Index of each node among these.
+    on_surface: Vec<Option<u32>>,
 }
 
 impl Boundary {
@@ -115,38 +113,40 @@ impl Boundary {
         if let Some(node) = loose(mesh, &free) {
             return Err(PrecomputeError::Loose { node });
         }
-        let mut inner = free;
-        for &node in mesh.surface_nodes() {
-            inner[node as usize] = false;
-        }
-        let interior: Vec<u32> = (0..nodes as u32).filter(|&node| inner[node as usize]).collect();
+        let members: Vec<u32> = (0..nodes as u32).filter(|&node| free[node as usize]).collect();
         let mut local = vec![None; nodes];
-        for (index, &node) in interior.iter().enumerate() {
+        for (index, &node) in members.iter().enumerate() {
             local[node as usize] = Some(index as u32);
         }
         let edges = mesh.tets().iter().flat_map(|tet| {
             let own = tet.map(|node| local[node as usize]);
             (0..4).flat_map(move |i| (0..i).filter_map(move |j| Some((own[i]?, own[j]?))))
         });
-        let order = minimum_degree(interior.len(), edges);
+        let places: Vec<_> = members.iter().map(|&node| mesh.rest()[node as usize]).collect();
         let mut numbers = vec![None; nodes];
-        for (row, &index) in order.iter().enumerate() {
-            numbers[interior[index as usize] as usize] = Some(row as u32);
+        for (row, &index) in nested_dissection(&places, edges).iter().enumerate() {
+            numbers[members[index as usize] as usize] = Some(row as u32);
         }
+        let mut on_surface = vec![None; nodes];
         for (index, &node) in surface.iter().enumerate() {
-            numbers[node as usize] = Some((interior.len() + index) as u32);
+            on_surface[node as usize] = Some(index as u32);
         }
-        Ok(Self { numbers, interior: interior.len(), surface })
+        Ok(Self { numbers, free: members.len(), surface, on_surface })
     }
 
     /// All free nodes.
     pub(super) fn free(&self) -> usize {
-        self.interior + self.surface.len()
+        self.free
+    }
+
+    /// Rows of the free surface nodes in the order of elimination.
+    pub(super) fn rows_of_surface(&self) -> impl Iterator<Item = usize> {
+        self.surface.iter().filter_map(|&node| Some(self.numbers[node as usize]? as usize))
     }
 
     /// Row of a node among the free surface nodes; `None` for others.
     pub(super) fn surface_row(&self, node: u32) -> Option<usize> {
-        (self.numbers[node as usize]? as usize).checked_sub(self.interior)
+        Some(self.on_surface[node as usize]? as usize)
     }
 }
 
@@ -227,31 +227,18 @@ impl Compliance {
         progress: &mut dyn FnMut(f64) -> bool,
     ) -> Result<Self, PrecomputeError> {
         let rows = 3 * boundary.surface.len();
-        let mut go_on = |share: f64| if progress(share) { Ok(()) } else { Err(PrecomputeError::Cancelled) };
-        go_on(0.2)?;
-        let mut lower = Mat::<f64>::zeros(rows, rows);
-        factor.tail(3 * boundary.interior, |row, column, value| lower[(row, column)] = value);
-        go_on(0.3)?;
-        let mut dense = Mat::<f64>::zeros(rows, rows);
-        let mut memory = MemBuffer::try_new(inverse_scratch::<f64>(rows, Par::Seq))
-            .map_err(|_| PrecomputeError::OutOfMemory(rows))?;
-        inverse(dense.as_mut(), lower.as_ref(), Par::Seq, MemStack::new(&mut memory));
-        drop((memory, lower));
-        go_on(0.9)?;
-        let mut entries = vec![0.0_f32; rows * rows];
-        // Blocks of rows, so that both halves of the symmetric matrix are written nearby.
-        const BLOCK: usize = 64;
-        for top in (0..rows).step_by(BLOCK) {
-            for column in 0..rows {
-                let values = dense.col(column);
-                for row in top.max(column)..(top + BLOCK).min(rows) {
-                    let value = values[row] as f32;
-                    entries[row * rows + column] = value;
-                    entries[column * rows + row] = value;
-                }
-            }
+        if !progress(0.1) {
+            return Err(PrecomputeError::Cancelled);
         }
-        go_on(1.0)?;
+        let mut entries = Vec::new();
+        entries.try_reserve_exact(rows * rows).map_err(|_| PrecomputeError::OutOfMemory(rows))?;
+        entries.resize(rows * rows, 0.0_f32);
+        let places: Vec<usize> =
+            boundary.rows_of_surface().flat_map(|row| (0..3).map(move |axis| 3 * row + axis)).collect();
+        let visit = |row: usize, column: usize, value: f64| entries[row * rows + column] = value as f32;
+        if !factor.inverse_between(&places, visit, &mut |share| progress(0.1 + 0.9 * share)) {
+            return Err(PrecomputeError::Cancelled);
+        }
         let nodes = boundary.surface.clone();
         Ok(Self { entries, nodes, fingerprint: super::bytes::fingerprint(mesh, material, fixed) })
     }

@@ -29,9 +29,23 @@ impl Deformation {
     /// When there is not one displacement per node.
     #[must_use]
     pub fn of(mesh: &TetMesh, displacements: &[Vector3<f64>]) -> Self {
+        Self::without(mesh, displacements, &[])
+    }
+
+    /// The same without elements that are gone.
+    ///
+    /// # Panics
+    /// When there is not one displacement per node.
+    #[must_use]
+    pub fn without(mesh: &TetMesh, displacements: &[Vector3<f64>], gone: &[u32]) -> Self {
         assert_eq!(displacements.len(), mesh.rest().len(), "one displacement per node");
         let mut most = Self::default();
+        let mut gone = gone.to_vec();
+        gone.sort_unstable();
         for (index, tet) in mesh.tets().iter().enumerate() {
+            if gone.binary_search(&(index as u32)).is_ok() {
+                continue;
+            }
             let [a, b, c, d] = tet.map(|node| displacements[node as usize]);
             let edges = Matrix3::from_columns(&[b - a, c - a, d - a]);
             let gradient = Matrix3::identity() + edges * mesh.inverse_shapes()[index];

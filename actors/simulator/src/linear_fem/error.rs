@@ -4,6 +4,7 @@ use thiserror::Error;
 
 use super::attachment::AttachmentError;
 use super::compliance::PrecomputeError;
+use super::removal::REMOVED_MAX;
 use super::solver::{Handle, ROWS_MAX};
 
 /// Why something was not done; what was before, still is.
@@ -49,6 +50,23 @@ pub enum LinearFemError {
         found: usize,
         /// Nodes of the mesh.
         nodes: usize,
+    },
+    /// An element that there is none of, or that is gone.
+    #[error("element {tet} of {tets} is to be taken out: there is none, or it is out already")]
+    NoElement {
+        /// Which.
+        tet: u32,
+        /// Elements of the mesh.
+        tets: usize,
+    },
+    /// The old inverse does not serve any longer.
+    #[error("{REMOVED_MAX} elements are out already: a new inverse is due")]
+    TooManyRemoved,
+    /// What is left would hang by nothing.
+    #[error("without element {tet} a part of the body would be held by nothing")]
+    Apart {
+        /// Which.
+        tet: u32,
     },
     /// One-sided constraints went back and forth.
     #[error("which of the one-sided constraints act was not found in {0} rounds")]

@@ -15,18 +15,23 @@
 mod active;
 mod attachment;
 mod bytes;
+mod cache;
 mod compliance;
 mod deformation;
 mod error;
 mod patch;
+mod readout;
+mod removal;
 mod solver;
 mod state;
 
 pub use attachment::{Attachment, AttachmentError, Hold};
 pub use bytes::BytesError;
+pub use cache::{Cache, Origin};
 pub use compliance::{Boundary, Compliance, Limits, PrecomputeError};
 pub use deformation::{Deformation, ROTATION_LIMIT, STRAIN_LIMIT};
 pub use error::LinearFemError;
 pub use patch::{PatchError, patch};
+pub use removal::REMOVED_MAX;
 pub use solver::{Handle, Held, LinearFem, Load, Reaction, Solution};
 pub use state::LinearFemState;

@@ -5,8 +5,8 @@ use nalgebra::Vector3;
 use super::active::{ActiveSet, Packed};
 use super::attachment::{Attachment, Hold, check_weights};
 use super::compliance::{Boundary, Compliance, Limits, factor};
-use super::deformation::Deformation;
 use super::error::LinearFemError;
+use super::removal::Removal;
 use crate::elasticity::Elastic;
 use crate::sparse::SparseCholesky;
 use crate::tet_mesh::TetMesh;
@@ -59,11 +59,11 @@ pub struct Held {
 /// One direction that is held.
 #[derive(Clone, Debug)]
 pub(super) struct Row {
-    held: usize,
-    direction: Vector3<f64>,
-    one_sided: bool,
+    pub(super) held: usize,
+    pub(super) direction: Vector3<f64>,
+    pub(super) one_sided: bool,
     /// Displacements of the free surface nodes per force along it \[m/N\].
-    compliance: Vec<f32>,
+    pub(super) compliance: Vec<f32>,
     /// Displacement by the dead load along it \[m\].
     dead: f64,
 }
@@ -79,18 +79,20 @@ struct Before {
 /// A linear elastic body whose surface is touched.
 pub struct LinearFem {
     pub(super) mesh: TetMesh,
-    boundary: Boundary,
-    factor: SparseCholesky,
-    compliance: Compliance,
+    pub(super) boundary: Boundary,
+    pub(super) material: Elastic,
+    pub(super) factor: SparseCholesky,
+    pub(super) compliance: Compliance,
+    pub(super) removal: Removal,
     pub(super) held: Vec<Held>,
     pub(super) next: u64,
     pub(super) rows: Vec<Row>,
-    w: Packed,
+    pub(super) w: Packed,
     pub(super) active: ActiveSet,
     pub(super) multipliers: Vec<f64>,
     pub(super) dead_load: Vec<Vector3<f64>>,
     /// Displacements by the dead load, of all free nodes.
-    dead: Vec<f64>,
+    pub(super) dead: Vec<f64>,
     reactions: Vec<Reaction>,
     pub(super) loads: Vec<(usize, Vector3<f64>)>,
     loads_before: Vec<(usize, Vector3<f64>)>,
@@ -98,7 +100,7 @@ pub struct LinearFem {
     right: Vec<f64>,
     trial: Vec<f64>,
     skipped: Vec<bool>,
-    single: Vec<f32>,
+    pub(super) single: Vec<f32>,
     spare: Vec<Vec<f32>>,
 }
 
@@ -117,7 +119,7 @@ impl LinearFem {
         let boundary = Boundary::new(&mesh, fixed)?;
         let factor = factor(&mesh, material, &boundary, limits)?;
         let compliance = Compliance::from_factor(&mesh, material, fixed, &boundary, &factor, progress)?;
-        Ok(Self::assembled(mesh, boundary, factor, compliance))
+        Ok(Self::assembled(mesh, *material, boundary, factor, compliance))
     }
 
     /// Begins at rest with a compliance that was computed before.
@@ -136,16 +138,24 @@ impl LinearFem {
         }
         let boundary = Boundary::new(&mesh, fixed)?;
         let factor = factor(&mesh, material, &boundary, limits)?;
-        Ok(Self::assembled(mesh, boundary, factor, compliance))
+        Ok(Self::assembled(mesh, *material, boundary, factor, compliance))
     }
 
-    fn assembled(mesh: TetMesh, boundary: Boundary, factor: SparseCholesky, compliance: Compliance) -> Self {
+    fn assembled(
+        mesh: TetMesh,
+        material: Elastic,
+        boundary: Boundary,
+        factor: SparseCholesky,
+        compliance: Compliance,
+    ) -> Self {
         let (rows, free) = (3 * boundary.surface.len(), 3 * boundary.free());
         Self {
             mesh,
             boundary,
+            material,
             factor,
             compliance,
+            removal: Removal::default(),
             held: Vec::new(),
             next: 0,
             rows: Vec::new(),
@@ -204,6 +214,7 @@ impl LinearFem {
             }
         }
         self.factor.solve(&mut self.dead);
+        self.removal.correct(&mut self.dead);
         for row in &mut self.rows {
             row.dead =
                 mean(&self.boundary, &self.dead, &self.held[row.held].attachment.weights, &row.direction);
@@ -273,7 +284,7 @@ impl LinearFem {
         let weights = &held.attachment.weights;
         let one_sided = matches!(held.attachment.hold, Hold::AtLeast(_));
         let inner = weights.iter().any(|&(node, _)| {
-            (self.boundary.numbers[node as usize]).is_some_and(|row| (row as usize) < self.boundary.interior)
+            self.boundary.numbers[node as usize].is_some() && self.boundary.surface_row(node).is_none()
         });
         let own = self.held.len();
         for direction in &directions[..count] {
@@ -283,8 +294,10 @@ impl LinearFem {
                 let mut full = vec![0.0; 3 * self.boundary.free()];
                 spread(&self.boundary, &mut full, weights, direction);
                 self.factor.solve(&mut full);
-                let surface = &full[3 * self.boundary.interior..];
-                compliance.iter_mut().zip(surface).for_each(|(to, from)| *to = *from as f32);
+                self.removal.correct(&mut full);
+                for (to, row) in compliance.chunks_exact_mut(3).zip(self.boundary.rows_of_surface()) {
+                    (0..3).for_each(|axis| to[axis] = full[3 * row + axis] as f32);
+                }
                 Some(full)
             } else {
                 for &(node, weight) in weights {
@@ -296,6 +309,13 @@ impl LinearFem {
                             (weight * direction[axis]) as f32,
                         );
                     }
+                }
+                let spread = weights.iter().filter_map(|&(node, weight)| {
+                    let row = self.boundary.numbers[node as usize]?;
+                    Some((row, [0, 1, 2].map(|axis| weight * direction[axis])))
+                });
+                if let Some(shares) = self.removal.share(spread) {
+                    self.removal.add_to_surface(&self.boundary, &shares, &mut compliance);
                 }
                 None
             };
@@ -462,63 +482,10 @@ impl LinearFem {
         }
         deepest
     }
-
-    /// Displacements of the free surface nodes \[m\], in the order of [`Compliance::nodes`], as the last cycle left them.
-    pub fn surface_displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
-        self.single.fill(0.0);
-        for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
-            if *multiplier != 0.0 {
-                add(&mut self.single, &row.compliance, *multiplier as f32);
-            }
-        }
-        for (index, force) in &self.loads {
-            for axis in 0..3 {
-                add(&mut self.single, self.compliance.row(*index, axis), force[axis] as f32);
-            }
-        }
-        let dead = &self.dead[3 * self.boundary.interior..];
-        out.clear();
-        out.extend(
-            self.single
-                .chunks_exact(3)
-                .zip(dead.chunks_exact(3))
-                .map(|(moved, dead)| Vector3::from_fn(|axis, _| f64::from(moved[axis]) + dead[axis])),
-        );
-    }
-
-    /// Displacements of all nodes \[m\], interior and fixed ones too, by a sparse solve in f64: for those who look at the
-    /// inside, not for every cycle.
-    pub fn displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
-        let mut full = vec![0.0; 3 * self.boundary.free()];
-        for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
-            let weights = &self.held[row.held].attachment.weights;
-            spread(&self.boundary, &mut full, weights, &(row.direction * *multiplier));
-        }
-        for (index, force) in &self.loads {
-            let at = 3 * (self.boundary.interior + index);
-            (0..3).for_each(|axis| full[at + axis] += force[axis]);
-        }
-        self.factor.solve(&mut full);
-        full.iter_mut().zip(&self.dead).for_each(|(u, dead)| *u += dead);
-        out.clear();
-        out.extend(self.boundary.numbers.iter().map(|number| {
-            number.map_or_else(Vector3::zeros, |number| {
-                Vector3::from_column_slice(&full[3 * number as usize..][..3])
-            })
-        }));
-    }
-
-    /// How far from small the deformation is, over all elements; costs as much as [`Self::displacements`] and a pass
-    /// over the elements.
-    pub fn deformation(&mut self) -> Deformation {
-        let mut displacements = Vec::new();
-        self.displacements(&mut displacements);
-        Deformation::of(&self.mesh, &displacements)
-    }
 }
 
 /// to += factor · from.
-fn add(to: &mut [f32], from: &[f32], factor: f32) {
+pub(super) fn add(to: &mut [f32], from: &[f32], factor: f32) {
     if factor != 0.0 {
         to.iter_mut().zip(from).for_each(|(to, from)| *to += factor * from);
     }
@@ -552,7 +519,7 @@ fn mean(boundary: &Boundary, values: &[f64], weights: &[(u32, f64)], direction: 
 }
 
 /// Adds a force, spread over free nodes.
-fn spread(boundary: &Boundary, values: &mut [f64], weights: &[(u32, f64)], force: &Vector3<f64>) {
+pub(super) fn spread(boundary: &Boundary, values: &mut [f64], weights: &[(u32, f64)], force: &Vector3<f64>) {
     for &(node, weight) in weights {
         if let Some(number) = boundary.numbers[node as usize] {
             (0..3).for_each(|axis| values[3 * number as usize + axis] += weight * force[axis]);

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::active::Packed;
 use super::error::LinearFemError;
+use super::removal::Removal;
 use super::solver::{Held, LinearFem};
 
 /// Everything that changes; the rest follows from the mesh, the material and the boundary.
@@ -21,6 +22,8 @@ pub struct LinearFemState {
     pub multipliers: Vec<f64>,
     /// Forces on all nodes that stay \[N\], such as weight; empty for none.
     pub dead_load: Vec<Vector3<f64>>,
+    /// Elements that have been taken out.
+    pub removed: Vec<u32>,
 }
 
 impl LinearFem {
@@ -34,6 +37,7 @@ impl LinearFem {
             factor: self.active.factor.values.clone(),
             multipliers: self.multipliers.clone(),
             dead_load: self.dead_load.clone(),
+            removed: self.removal.tets.clone(),
         }
     }
 
@@ -52,9 +56,30 @@ impl LinearFem {
         done
     }
 
+    /// Everything is held as before, on a body that has become another: what acts is found anew.
+    pub(super) fn enter_anew(&mut self, state: &LinearFemState) -> Result<(), LinearFemError> {
+        while !self.held.is_empty() {
+            self.leave(self.held.len() - 1);
+        }
+        self.set_dead_load(&state.dead_load)?;
+        for held in &state.held {
+            let first = self.rows.len();
+            self.enter(held.clone())?;
+            for row in first..self.rows.len() {
+                // Where it has become one with others, these hold it.
+                let _ = self.rows[row].one_sided || self.active.append(row, &self.w);
+            }
+        }
+        Ok(())
+    }
+
     fn replace(&mut self, state: &LinearFemState) -> Result<(), LinearFemError> {
         while !self.held.is_empty() {
             self.leave(self.held.len() - 1);
+        }
+        if self.removal.tets != state.removed {
+            self.removal = Removal::default();
+            self.remove(&state.removed)?;
         }
         self.set_dead_load(&state.dead_load)?;
         for held in &state.held {

@@ -12,6 +12,7 @@ use faer::{Conj, MatMut, Par, Side, Spec};
 use thiserror::Error;
 
 use super::BlockPattern;
+use super::between::inverse_between;
 
 /// Why there is no factor.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
@@ -132,25 +133,17 @@ impl SparseCholesky {
         factor.solve_in_place_with_conj(Conj::No, right, Par::Seq, stack);
     }
 
-    /// Visits the entries of the lower triangle of L in the columns from `first` on: row, column, value; rows and
-    /// columns counted from `first`.
-    pub(crate) fn tail(&self, first: usize, mut visit: impl FnMut(usize, usize, f64)) {
-        let SymbolicCholeskyRaw::Supernodal(symbolic) = self.symbolic.raw() else { return };
-        let factor = SupernodalLltRef::new(symbolic, &self.values);
-        for index in 0..symbolic.n_supernodes() {
-            let node = factor.supernode(index);
-            let values = node.val();
-            let size = values.ncols();
-            for c in first.saturating_sub(node.start()).min(size)..size {
-                let column = values.col(c);
-                for r in c..size {
-                    visit(node.start() + r - first, node.start() + c - first, column[r]);
-                }
-                for (k, &row) in node.pattern().iter().enumerate() {
-                    visit(row - first, node.start() + c - first, column[size + k]);
-                }
-            }
-        }
+    /// Visits the entries of the inverse between some rows, all distinct: the indices of row and column among `rows`, and
+    /// the entry, each pair in both orders. `progress` is told the share that is done, and stops it by `false`; then the
+    /// answer is `false`.
+    pub(crate) fn inverse_between(
+        &self,
+        rows: &[usize],
+        visit: impl FnMut(usize, usize, f64),
+        progress: &mut dyn FnMut(f64) -> bool,
+    ) -> bool {
+        let SymbolicCholeskyRaw::Supernodal(symbolic) = self.symbolic.raw() else { return false };
+        inverse_between(&SupernodalLltRef::new(symbolic, &self.values), rows, visit, progress)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Faces of tetrahedra: who shares which, and those that nobody shares.
 
 /// Corners of the face opposite to each corner, counter-clockwise seen from outside a positive element.
-const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+pub(super) const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 /// A face of an element: its corners in ascending order, and as they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

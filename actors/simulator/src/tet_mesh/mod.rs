@@ -9,13 +9,17 @@
 mod boundary;
 mod boxes;
 mod defect;
+mod refine;
 mod repair;
+mod volume;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 pub use boxes::{BoxCells, box_cells};
 pub use defect::{Defect, MeshError, defects};
+pub use refine::{NodesAndTets, RefineError, refined};
 pub use repair::Repairs;
+pub use volume::{FaceOf, Volume, VolumeChange, VolumeError};
 
 /// What counts as a bad element.
 #[derive(Clone, Copy, Debug, PartialEq)]

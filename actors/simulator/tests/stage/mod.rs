@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use trocar_scene::{
-    BuildContext, Commands, Component, Controller, Entity, EntityAllocator, Events, Jobs, Registry,
-    RegistryBuilder, Scenario, SimTime, Store, Tick, WriterRules,
+    BuildContext, Commands, Component, Controller, Entity, EntityAllocator, Events, JobOutput, Jobs,
+    Registry, RegistryBuilder, Scenario, SimTime, Store, Tick, WriterRules,
 };
 
 /// The controller's number.
@@ -20,6 +20,8 @@ pub struct Stage<C> {
     others: Commands,
     period: SimTime,
     pub ticks: u64,
+    /// Outputs of jobs, for the next tick.
+    finished: Vec<(u64, JobOutput)>,
 }
 
 fn registry() -> Arc<Registry> {
@@ -51,7 +53,7 @@ impl<C: Controller> Stage<C> {
             .expect("its access is right");
         let commands = Commands::new(registry.clone(), EntityAllocator::new(0, ME));
         let others = Commands::new(registry, EntityAllocator::new(0, 0));
-        Self { store, controller, rules, commands, others, period, ticks: 0 }
+        Self { store, controller, rules, commands, others, period, ticks: 0, finished: Vec::new() }
     }
 
     pub fn now(&self) -> SimTime {
@@ -73,6 +75,7 @@ impl<C: Controller> Stage<C> {
         self.ticks += 1;
         let scene = self.store.snapshot();
         let jobs = Jobs::default();
+        self.finished.drain(..).for_each(|(key, output)| jobs.deliver(key, output));
         let tick = Tick {
             time: self.now(),
             period: self.period,
@@ -83,6 +86,9 @@ impl<C: Controller> Stage<C> {
             jobs: &jobs,
         };
         self.controller.tick(&tick, &scene, &mut self.commands).expect("a step");
+        while let Some(job) = jobs.next_submitted() {
+            self.finished.push((job.key, (job.work)()));
+        }
         self.commands.seal();
         self.store.validate(&self.commands, &self.rules).expect("what it declared");
         let now = self.now();

@@ -1,0 +1,463 @@
+//! The controller of linear organs: quasi-static finite elements with a precomputed inverse. What touches or holds the
+//! surface sets its displacements, and is told the forces that this takes.
+//!
+//! The inverse is read from a cache or computed as a job; until then the organ stands still. The rest shape is the one
+//! under its own weight. All that goes on from tick to tick are the positions of the surface and what jaws hold, both in
+//! the scene: contacts are found anew about where the surface is, and solved for from nothing, so that another life finds
+//! the same.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use nalgebra::{Isometry3, Point3, Unit, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_scene::{
+    Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,
+    ControllerError, Detection, Entity, EntitySet, Frozen, Instrument, JawState, Job, Measured, Pose,
+    Primitive, SimTime, Snapshot, Tick, Velocity,
+};
+
+use super::deformable::Deformable;
+use super::grips::{Grips, Holder};
+use super::soft::Site;
+use super::tools::{Rod, rods_of_all};
+use super::touch::{COLLISIONS_MAX, Skin, Touch, collision, touches};
+use crate::elasticity::{Elastic, POISSON_MAX};
+use crate::linear_fem::{Attachment, Cache, Deformation, Hold, Limits, LinearFem, LinearFemError};
+use crate::picking::Jaws;
+use crate::tet_mesh::{MeshRules, TetMesh};
+
+/// Distance from a rod at which the surface is watched already, so that what rests on it is not lost by rounding \[m\].
+const MARGIN: f64 = 1e-3;
+/// Most places that are kept out of rods at once; the deepest ones.
+const CONTACTS_MAX: usize = 96;
+/// How far in a rod the surface may be left \[m\], and how often in a tick it is looked at for that.
+const PENETRATION_MAX: f64 = 1e-5;
+const ROUNDS_MAX: usize = 8;
+/// Ticks from one look at the inside to the next: rotations and strains of all elements.
+const INSIDE_EVERY: u64 = 10;
+/// What a computation of the inverse takes in lock-step, however long it takes.
+const JOB: f64 = 0.5;
+
+/// An organ that answers at once to being touched, for small displacements: it needs a mesh of tetrahedra, and `anchors`
+/// where it is held.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LinearFemBody {
+    /// Young's modulus \[Pa\].
+    pub young_modulus: f64,
+    /// Poisson's ratio, 0 to 0.45.
+    pub poisson_ratio: f64,
+}
+
+impl Default for LinearFemBody {
+    /// Liver, in round numbers: in vivo 2 to 20 kPa (Carter et al. 2001; Nava et al. 2008).
+    fn default() -> Self {
+        Self { young_modulus: 6e3, poisson_ratio: 0.45 }
+    }
+}
+
+impl Component for LinearFemBody {
+    const NAME: &'static str = "linear_fem";
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
+        ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+/// What a job delivers.
+type Built = Result<LinearFem, String>;
+
+struct Body {
+    body: Deformable,
+    kind: LinearFemBody,
+    mesh: TetMesh,
+    solver: Option<Box<LinearFem>>,
+    submitted: bool,
+    /// Share of the inverse that is computed, as the bits of an f64.
+    progress: Arc<AtomicU64>,
+    positions: Vec<Point3<f64>>,
+    grips: Grips,
+    is_pinned: Vec<bool>,
+    deformation: Deformation,
+    /// Whether that was more than linear elasticity can say.
+    beyond: bool,
+    frozen: bool,
+}
+
+/// One thing that holds the surface, and what it takes to hold it.
+struct Answer {
+    attachment: Attachment,
+    /// Where its mean is to be, from rest \[m\].
+    target: Vector3<f64>,
+    by: By,
+    /// On the body \[N\].
+    force: Vector3<f64>,
+}
+
+enum By {
+    /// A rod that touches.
+    Touch(Touch),
+    /// The jaws of an instrument, at a vertex.
+    Jaws(Entity, u32),
+}
+
+/// Answers for every body that carries [`LinearFemBody`].
+pub struct LinearFemController {
+    cache: Option<Cache>,
+    bodies: Vec<Body>,
+    rods: Vec<Rod>,
+}
+
+impl LinearFemController {
+    /// Reads the bodies, and goes on from where an earlier life left them. `cache` is the folder of computed inverses.
+    ///
+    /// # Errors
+    /// Names the body, and what is wrong with it.
+    pub fn new(cache: Option<PathBuf>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let mut bodies = Vec::new();
+        for entity in Deformable::carriers::<LinearFemBody>(context.scene) {
+            let Some(kind) = context.scene.get::<LinearFemBody>(entity).copied() else { continue };
+            let body = Deformable::read(context.scene, entity)?;
+            let mesh = TetMesh::new(&body.rest, &body.tets, &MeshRules::default())
+                .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
+            let mut is_pinned = vec![false; body.rest.len()];
+            body.pinned.iter().for_each(|&node| is_pinned[node as usize] = true);
+            bodies.push(Body {
+                kind,
+                mesh,
+                solver: None,
+                submitted: false,
+                progress: Arc::default(),
+                positions: body.positions.to_vec(),
+                grips: context.scene.get::<Grips>(entity).cloned().unwrap_or_default(),
+                is_pinned,
+                deformation: Deformation::default(),
+                beyond: false,
+                frozen: context.scene.get::<Frozen>(entity).is_some(),
+                body,
+            });
+        }
+        if bodies.is_empty() {
+            return Err(ControllerError::Scene("linear-fem: no entity has a 'linear_fem'".into()));
+        }
+        let cache = cache.map(|folder| Cache::new(&folder));
+        Ok(Self { cache, bodies, rods: Vec::new() })
+    }
+}
+
+impl Controller for LinearFemController {
+    fn access(&self) -> Access {
+        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
+        Deformable::access(&bodies)
+            .reads::<LinearFemBody>()
+            .reads::<Pose>()
+            .reads::<Velocity>()
+            .reads::<Instrument>()
+            .reads::<JawState>()
+            .writes::<Grips>(EntitySet::Of(bodies))
+            .writes::<Measured>(EntitySet::Own)
+            .contributes::<CollisionList>()
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let mut collisions: Vec<Collision> = Vec::new();
+        let mut measured = Measured::default();
+        for (index, body) in self.bodies.iter_mut().enumerate() {
+            let world_from_body = scene.world_pose(body.body.entity);
+            let mut force = 0.0;
+            if !body.frozen {
+                rods_of_all(scene, &world_from_body, &mut self.rods);
+                let done = body.step(index, self.cache.as_ref(), scene, &world_from_body, &self.rods, tick);
+                match done {
+                    Ok(answers) => {
+                        for answer in &answers {
+                            force += answer.force.norm();
+                            collisions.extend(body.told(answer, &self.rods, &world_from_body, tick.time));
+                        }
+                        if body.solver.is_some() {
+                            body.write(out);
+                        }
+                        if body.goes_beyond(tick) {
+                            out.event("beyond_linear", body.body.entity, None, tick.time.as_secs_f64());
+                        }
+                    }
+                    Err(why) => {
+                        body.frozen = true;
+                        body.body.freeze(&why, tick, out);
+                    }
+                }
+            }
+            body.measure(force, &mut measured.values);
+        }
+        collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+        collisions.truncate(COLLISIONS_MAX);
+        out.contribute(CollisionList { collisions, penetration_max: 0.0 });
+        out.put(tick.me, measured);
+        Ok(())
+    }
+}
+
+impl Body {
+    /// Everything of a tick but what is told of it.
+    fn step(
+        &mut self,
+        index: usize,
+        cache: Option<&Cache>,
+        scene: &Snapshot,
+        world_from_body: &Isometry3<f64>,
+        rods: &[Rod],
+        tick: &Tick<'_>,
+    ) -> Result<Vec<Answer>, String> {
+        self.wait(index as u64, cache, tick)?;
+        if self.solver.is_none() {
+            return Ok(Vec::new());
+        }
+        let mut answers = self.ask(scene, world_from_body, rods, tick)?;
+        self.answer(&mut answers, tick).map_err(|error| error.to_string())?;
+        for _ in 1..ROUNDS_MAX {
+            let before = answers.len();
+            self.ask_more(rods, &mut answers);
+            if answers.len() == before {
+                break;
+            }
+            self.answer(&mut answers, tick).map_err(|error| error.to_string())?;
+        }
+        Ok(answers)
+    }
+
+    /// Has the inverse computed, once, and takes it when it comes.
+    fn wait(&mut self, key: u64, cache: Option<&Cache>, tick: &Tick<'_>) -> Result<(), String> {
+        if self.solver.is_some() {
+            return Ok(());
+        }
+        if let Some(output) = tick.jobs.take(key) {
+            let built =
+                output.downcast::<Built>().map_err(|_| "its job delivered something else".to_owned())?;
+            self.solver = Some(Box::new((*built)?));
+        } else if !self.submitted {
+            let (mesh, kind, pinned) = (self.mesh.clone(), self.kind, self.body.pinned.clone());
+            let (cache, progress) = (cache.cloned(), self.progress.clone());
+            let work = move || {
+                let mut tell = |share: f64| {
+                    progress.store(share.to_bits(), Ordering::Relaxed);
+                    true
+                };
+                Box::new(built(mesh, &kind, &pinned, cache.as_ref(), &mut tell)) as trocar_scene::JobOutput
+            };
+            let takes = SimTime::from_secs_f64(JOB);
+            self.submitted = tick.jobs.submit(Job { key, takes, work: Box::new(work) });
+        }
+        Ok(())
+    }
+
+    /// What holds the surface now: jaws what they have picked, rods what they touch.
+    fn ask(
+        &mut self,
+        scene: &Snapshot,
+        world_from_body: &Isometry3<f64>,
+        rods: &[Rod],
+        tick: &Tick<'_>,
+    ) -> Result<Vec<Answer>, String> {
+        let triangles = self.body.triangles.clone();
+        let mut touched = Vec::new();
+        let skin = Skin {
+            positions: &self.positions,
+            triangles: &triangles,
+            segments: &[],
+            thickness: MARGIN,
+            closed: true,
+        };
+        touches(rods, &skin, &mut touched);
+        let gravity = Vector3::zeros();
+        let site = Site { scene, tick, world_from_body, gravity, rods, touches: &[], led: &[] };
+        let holders = Holder::all(&site, &touched, &triangles);
+        let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
+        self.grips.picks.update(&triangles, &self.positions, &jaws).map_err(|error| error.to_string())?;
+        let mut answers = Vec::new();
+        for pick in &self.grips.picks.picks {
+            let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
+            for held in pick.vertices.iter().filter(|held| !self.is_pinned[held.vertex as usize]) {
+                let target = jaw.pose_in_world * held.in_instrument - self.body.rest[held.vertex as usize];
+                answers.push(Answer {
+                    attachment: Attachment::node(held.vertex, Hold::Point),
+                    target,
+                    by: By::Jaws(Entity::from_bits(pick.instrument), held.vertex),
+                    force: Vector3::zeros(),
+                });
+            }
+        }
+        touched.retain(|touch| self.can_be_pushed(touch, rods));
+        touched.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+        touched.truncate(CONTACTS_MAX);
+        answers.extend(touched.into_iter().map(|touch| self.kept_out(touch, rods)));
+        Ok(answers)
+    }
+
+    /// Adds what has come into a rod elsewhere.
+    fn ask_more(&self, rods: &[Rod], answers: &mut Vec<Answer>) {
+        let mut touched = Vec::new();
+        let triangles = &self.body.triangles;
+        touches(
+            rods,
+            &Skin { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true },
+            &mut touched,
+        );
+        touched.retain(|touch| touch.depth > PENETRATION_MAX && self.can_be_pushed(touch, rods));
+        let room = CONTACTS_MAX.saturating_sub(answers.len());
+        answers.extend(touched.into_iter().take(room).map(|touch| self.kept_out(touch, rods)));
+    }
+
+    /// What holds does not push as well, and what is held anyway cannot be pushed.
+    fn can_be_pushed(&self, touch: &Touch, rods: &[Rod]) -> bool {
+        let holds = self.grips.picks.of(rods[touch.rod].instrument.to_bits()).is_some();
+        !holds && touch.nodes.iter().any(|&node| !self.is_pinned[node as usize])
+    }
+
+    /// A place of the surface is to stay on its side of a rod.
+    fn kept_out(&self, touch: Touch, rods: &[Rod]) -> Answer {
+        let ([a, b, c], [u, v, w]) = (touch.nodes, touch.weights);
+        let weights = if a == b { vec![(a, 1.0)] } else { vec![(a, u), (b, v), (c, w)] };
+        let rest = weights.iter().map(|&(node, weight)| self.body.rest[node as usize].coords * weight);
+        let on_rod = touch.on_axis.coords + touch.normal * rods[touch.rod].radius;
+        Answer {
+            target: on_rod - rest.sum::<Vector3<f64>>(),
+            attachment: Attachment { weights, hold: Hold::AtLeast(Unit::new_unchecked(touch.normal)) },
+            by: By::Touch(touch),
+            force: Vector3::zeros(),
+        }
+    }
+
+    /// Solves for all of it, from nothing: the same in every life.
+    fn answer(&mut self, answers: &mut [Answer], tick: &Tick<'_>) -> Result<(), LinearFemError> {
+        let Some(solver) = &mut self.solver else { return Ok(()) };
+        while let Some(held) = solver.held().last().map(|held| held.handle) {
+            solver.release(held)?;
+        }
+        let mut holding = Vec::with_capacity(answers.len());
+        for (index, answer) in answers.iter().enumerate() {
+            match solver.hold(answer.attachment.clone()) {
+                Ok(handle) => {
+                    solver.set_target(handle, answer.target)?;
+                    holding.push(index);
+                }
+                // Two jaws have the same vertex: the first one has it.
+                Err(LinearFemError::Dependent { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        for (index, reaction) in holding.iter().zip(solver.solve(&[])?.reactions) {
+            answers[*index].force = reaction.force;
+        }
+        let mut moved = Vec::new();
+        if tick.number.is_multiple_of(INSIDE_EVERY) {
+            solver.displacements(&mut moved);
+            self.deformation = Deformation::of(&self.mesh, &moved);
+            for (node, displacement) in moved.iter().enumerate() {
+                self.positions[node] = self.body.rest[node] + displacement;
+            }
+        }
+        solver.surface_displacements(&mut moved);
+        for (&node, displacement) in solver.compliance().nodes().iter().zip(&moved) {
+            self.positions[node as usize] = self.body.rest[node as usize] + displacement;
+        }
+        Ok(())
+    }
+
+    /// A force as everybody sees it: `a` is the instrument, `b` the body. Its depth is how far the surface is from rest
+    /// there, so that force over depth is what the organ is as stiff as.
+    fn told(
+        &self,
+        answer: &Answer,
+        rods: &[Rod],
+        world_from_body: &Isometry3<f64>,
+        at: SimTime,
+    ) -> Option<Collision> {
+        let size = answer.force.norm();
+        if size == 0.0 {
+            return None;
+        }
+        let way = answer.force / size;
+        let depth = answer.target.dot(&way).max(1e-6);
+        Some(match &answer.by {
+            By::Touch(touch) => {
+                let found = collision(
+                    &Touch { depth: 0.0, ..*touch },
+                    &rods[touch.rod],
+                    self.body.entity,
+                    &answer.force,
+                    world_from_body,
+                    at,
+                );
+                Collision { depth, ..found }
+            }
+            By::Jaws(instrument, vertex) => Collision {
+                a: *instrument,
+                primitive_a: Primitive::Jaw(0),
+                b: self.body.entity,
+                primitive_b: Primitive::Vertex(*vertex),
+                points_in_world: [world_from_body * self.positions[*vertex as usize]; 2],
+                normal_in_world: world_from_body.rotation * way,
+                depth,
+                force_in_world: world_from_body.rotation * answer.force,
+                velocity_constraint: 0.0,
+                method: Detection::Simulator,
+                detected_at: at,
+            },
+        })
+    }
+
+    fn write(&mut self, out: &mut Commands) {
+        let still = vec![Vector3::zeros(); self.positions.len()];
+        self.body.write(&self.positions, &still, out);
+        out.put(self.body.entity, self.grips.clone());
+    }
+
+    /// Whether it has just left what linear elasticity can say.
+    fn goes_beyond(&mut self, tick: &Tick<'_>) -> bool {
+        let beyond = !self.deformation.is_small();
+        let new = beyond && !self.beyond && tick.number > 0;
+        self.beyond = beyond;
+        new
+    }
+
+    fn measure(&self, force: f64, values: &mut BTreeMap<String, f64>) {
+        let name = &self.body.name;
+        let flag = |is: bool| f64::from(u8::from(is));
+        values.insert(format!("{name}.contact_force_n"), force);
+        let moved = self.positions.iter().zip(self.body.rest.iter()).map(|(now, rest)| (now - rest).norm());
+        values.insert(format!("{name}.displacement_max_m"), moved.fold(0.0, f64::max));
+        values.insert(format!("{name}.rotation_max_rad"), self.deformation.rotation);
+        // Of an element that is inside out it is infinite.
+        values.insert(format!("{name}.strain_max"), self.deformation.strain.min(1e3));
+        values.insert(format!("{name}.beyond_linear"), flag(self.beyond));
+        let held: usize = self.grips.picks.picks.iter().map(|pick| pick.vertices.len()).sum();
+        values.insert(format!("{name}.held_vertices"), held as f64);
+        let share = f64::from_bits(self.progress.load(Ordering::Relaxed));
+        values.insert(format!("{name}.precomputed_share"), if self.solver.is_some() { 1.0 } else { share });
+        values.insert(format!("{name}.frozen"), flag(self.frozen));
+    }
+}
+
+fn built(
+    mesh: TetMesh,
+    kind: &LinearFemBody,
+    pinned: &[u32],
+    cache: Option<&Cache>,
+    progress: &mut dyn FnMut(f64) -> bool,
+) -> Built {
+    let material = Elastic::new(kind.young_modulus, kind.poisson_ratio).map_err(|error| error.to_string())?;
+    let limits = Limits::default();
+    let body = match cache {
+        Some(cache) => cache.body(mesh, &material, pinned, &limits, progress).map(|(body, _)| body),
+        None => LinearFem::new(mesh, &material, pinned, &limits, progress),
+    };
+    body.map_err(|error| error.to_string())
+}

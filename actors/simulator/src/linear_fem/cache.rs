@@ -1,0 +1,92 @@
+//! A folder of precomputed inverses, so that a body is computed once and read from then on: one file for each mesh,
+//! material and boundary, named by its fingerprint, checksummed, written beside its place and renamed into it.
+//!
+//! A file that cannot be read or is another's is computed anew, one that cannot be written is done without: a cache is
+//! never why there is no body.
+
+use std::fs::{self, File};
+use std::io::{self, BufReader, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use super::bytes::fingerprint;
+use super::compliance::{Compliance, Limits};
+use super::error::LinearFemError;
+use super::solver::LinearFem;
+use crate::elasticity::Elastic;
+use crate::tet_mesh::TetMesh;
+
+/// Where inverses are kept.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Cache {
+    folder: PathBuf,
+}
+
+/// Where a body's inverse came from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// It was read.
+    Read,
+    /// It was computed, and is kept.
+    Kept,
+    /// It was computed, and could not be kept: why.
+    NotKept(String),
+}
+
+impl Cache {
+    /// In a folder, which is made with the first file.
+    #[must_use]
+    pub fn new(folder: &Path) -> Self {
+        Self { folder: folder.to_owned() }
+    }
+
+    /// The file of a body.
+    #[must_use]
+    pub fn file(&self, mesh: &TetMesh, material: &Elastic, fixed: &[u32]) -> PathBuf {
+        self.folder.join(format!("{:016x}.compliance", fingerprint(mesh, material, fixed)))
+    }
+
+    /// A body at rest, as [`LinearFem::new`], from the file if there is a good one.
+    ///
+    /// # Errors
+    /// As [`LinearFem::new`].
+    pub fn body(
+        &self,
+        mesh: TetMesh,
+        material: &Elastic,
+        fixed: &[u32],
+        limits: &Limits,
+        progress: &mut dyn FnMut(f64) -> bool,
+    ) -> Result<(LinearFem, Origin), LinearFemError> {
+        let file = self.file(&mesh, material, fixed);
+        if let Ok(open) = File::open(&file)
+            && let Ok(known) = Compliance::read(&mut BufReader::new(open), &mesh, material, fixed, limits)
+        {
+            let body = LinearFem::with_compliance(mesh, material, fixed, limits, known)?;
+            progress(1.0);
+            return Ok((body, Origin::Read));
+        }
+        let body = LinearFem::new(mesh, material, fixed, limits, progress)?;
+        let origin = match self.keep(body.compliance(), &file) {
+            Ok(()) => Origin::Kept,
+            Err(error) => Origin::NotKept(format!("{}: {error}", file.display())),
+        };
+        Ok((body, origin))
+    }
+
+    fn keep(&self, compliance: &Compliance, file: &Path) -> io::Result<()> {
+        fs::create_dir_all(&self.folder)?;
+        // Of another process that computes the same, the name is another.
+        let beside = file.with_extension(format!("{}.part", std::process::id()));
+        let written = File::create(&beside).and_then(|new| {
+            let mut out = BufWriter::new(new);
+            compliance.write(&mut out)?;
+            out.flush()?;
+            out.get_ref().sync_all()
+        });
+        let done = written.and_then(|()| fs::rename(&beside, file));
+        if done.is_err() {
+            let _ = fs::remove_file(&beside);
+        }
+        done
+    }
+}

@@ -1,0 +1,64 @@
+//! Where a body is: the surface from the precomputed inverse, in every cycle; the inside by a sparse solve.
+
+use nalgebra::Vector3;
+
+use super::deformation::Deformation;
+use super::solver::{LinearFem, add, spread};
+
+impl LinearFem {
+    /// Displacements of the free surface nodes \[m\], in the order of [`Compliance::nodes`], as the last cycle left them.
+    pub fn surface_displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
+        self.single.fill(0.0);
+        for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
+            if *multiplier != 0.0 {
+                add(&mut self.single, &row.compliance, *multiplier as f32);
+            }
+        }
+        for (index, force) in &self.loads {
+            for axis in 0..3 {
+                add(&mut self.single, self.compliance.row(*index, axis), force[axis] as f32);
+            }
+        }
+        let loads = self.loads.iter().filter_map(|(index, force)| {
+            let row = self.boundary.numbers[self.boundary.surface[*index] as usize]?;
+            Some((row, [force.x, force.y, force.z]))
+        });
+        if let Some(shares) = self.removal.share(loads) {
+            self.removal.add_to_surface(&self.boundary, &shares, &mut self.single);
+        }
+        out.clear();
+        out.extend(self.single.chunks_exact(3).zip(self.boundary.rows_of_surface()).map(|(moved, row)| {
+            Vector3::from_fn(|axis, _| f64::from(moved[axis]) + self.dead[3 * row + axis])
+        }));
+    }
+
+    /// Displacements of all nodes \[m\], interior and fixed ones too, by a sparse solve in f64: for those who look at the
+    /// inside, not for every cycle.
+    pub fn displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
+        let mut full = vec![0.0; 3 * self.boundary.free()];
+        for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
+            let weights = &self.held[row.held].attachment.weights;
+            spread(&self.boundary, &mut full, weights, &(row.direction * *multiplier));
+        }
+        for (index, force) in &self.loads {
+            spread(&self.boundary, &mut full, &[(self.boundary.surface[*index], 1.0)], force);
+        }
+        self.factor.solve(&mut full);
+        self.removal.correct(&mut full);
+        full.iter_mut().zip(&self.dead).for_each(|(u, dead)| *u += dead);
+        out.clear();
+        out.extend(self.boundary.numbers.iter().map(|number| {
+            number.map_or_else(Vector3::zeros, |number| {
+                Vector3::from_column_slice(&full[3 * number as usize..][..3])
+            })
+        }));
+    }
+
+    /// How far from small the deformation is, over all elements; costs as much as [`Self::displacements`] and a pass
+    /// over the elements.
+    pub fn deformation(&mut self) -> Deformation {
+        let mut displacements = Vec::new();
+        self.displacements(&mut displacements);
+        Deformation::without(&self.mesh, &displacements, self.removed())
+    }
+}

@@ -1,0 +1,377 @@
+//! A volume that comes apart: elements are taken out (burned, vaporised), and faces between elements are opened (cut,
+//! torn). What follows from the mesh follows the change, where it is: neighbours, the boundary, shares of volume, and the
+//! nodes, of which every part that hangs by nothing but a node or an edge gets one of its own.
+
+use std::collections::BTreeSet;
+
+use nalgebra::{Point3, Vector3};
+use thiserror::Error;
+
+use super::boundary::{OPPOSITE, faces};
+use super::{MeshError, MeshRules, TetMesh};
+
+/// A face of an element: the element, and the corner that it is opposite to.
+pub type FaceOf = (u32, u8);
+
+/// Why a volume was not changed.
+#[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
+pub enum VolumeError {
+    /// An element that there is none of, or that is gone.
+    #[error("element {tet} is not there: {left} of {tets} are left")]
+    NoElement {
+        /// Which.
+        tet: u32,
+        /// Elements there are.
+        left: usize,
+        /// Elements there were.
+        tets: usize,
+    },
+    /// A corner of an element that has four.
+    #[error("face {corner} of element {tet}: 0 to 3 are valid")]
+    NoFace {
+        /// Which element.
+        tet: u32,
+        /// What was named.
+        corner: u8,
+    },
+}
+
+/// What a change has done, for those who keep something about the mesh.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct VolumeChange {
+    /// Elements that are gone.
+    pub removed: Vec<u32>,
+    /// New nodes, in order, and the nodes that they were.
+    pub split: Vec<(u32, u32)>,
+    /// Elements whose corners are others now, ascending.
+    pub renamed: Vec<u32>,
+    /// Faces that are of the boundary now and were not.
+    pub uncovered: Vec<FaceOf>,
+}
+
+/// Elements that may come apart. They keep their numbers; so do nodes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Volume {
+    rest: Vec<Point3<f64>>,
+    /// The node of the first mesh that each node was.
+    origins: Vec<u32>,
+    tets: Vec<Option<[u32; 4]>>,
+    /// Element beyond the face opposite to each corner.
+    neighbours: Vec<[Option<u32>; 4]>,
+    around: Vec<Vec<u32>>,
+    boundary: BTreeSet<FaceOf>,
+    volumes: Vec<f64>,
+    shares: Vec<f64>,
+    left: usize,
+}
+
+impl Volume {
+    /// Of a mesh.
+    #[must_use]
+    pub fn new(mesh: &TetMesh) -> Self {
+        let count = mesh.tets().len();
+        let nodes = mesh.rest().len();
+        let mut neighbours = vec![[None; 4]; count];
+        let mut boundary = BTreeSet::new();
+        let all = faces(mesh.tets());
+        for same in all.chunk_by(|one, other| one.sorted == other.sorted) {
+            let corner = |index: usize| {
+                let tet = mesh.tets()[same[index].tet as usize];
+                tet.iter().position(|node| !same[index].sorted.contains(node)).unwrap_or(0)
+            };
+            if let [one, other] = same {
+                neighbours[one.tet as usize][corner(0)] = Some(other.tet);
+                neighbours[other.tet as usize][corner(1)] = Some(one.tet);
+            } else {
+                boundary.insert((same[0].tet, corner(0) as u8));
+            }
+        }
+        let mut around = vec![Vec::new(); nodes];
+        let mut shares = vec![0.0; nodes];
+        for (index, tet) in mesh.tets().iter().enumerate() {
+            for &node in tet {
+                around[node as usize].push(index as u32);
+                shares[node as usize] += 0.25 * mesh.volumes()[index];
+            }
+        }
+        Self {
+            rest: mesh.rest().to_vec(),
+            origins: (0..nodes as u32).collect(),
+            tets: mesh.tets().iter().copied().map(Some).collect(),
+            neighbours,
+            around,
+            boundary,
+            volumes: mesh.volumes().to_vec(),
+            shares,
+            left: count,
+        }
+    }
+
+    /// Nodes at rest \[m\], those that no element uses any longer too.
+    #[must_use]
+    pub fn rest(&self) -> &[Point3<f64>] {
+        &self.rest
+    }
+
+    /// The node of the first mesh that each node was.
+    #[must_use]
+    pub fn origins(&self) -> &[u32] {
+        &self.origins
+    }
+
+    /// Corners of an element; `None` where it is gone.
+    #[must_use]
+    pub fn tet(&self, tet: u32) -> Option<[u32; 4]> {
+        self.tets.get(tet as usize).copied().flatten()
+    }
+
+    /// Elements that are there, with their numbers.
+    pub fn tets(&self) -> impl Iterator<Item = (u32, [u32; 4])> {
+        self.tets.iter().enumerate().filter_map(|(index, tet)| Some((index as u32, (*tet)?)))
+    }
+
+    /// Volume that belongs to each node \[m³\]: a quarter of each of its elements'; times a density, its mass.
+    #[must_use]
+    pub fn shares(&self) -> &[f64] {
+        &self.shares
+    }
+
+    /// Triangles of the boundary, counter-clockwise seen from outside, by element.
+    pub fn surface(&self) -> impl Iterator<Item = [u32; 3]> {
+        self.boundary.iter().filter_map(|&(tet, corner)| {
+            let nodes = self.tet(tet)?;
+            Some(OPPOSITE[corner as usize].map(|at| nodes[at]))
+        })
+    }
+
+    /// Nodes that no element uses any longer.
+    #[must_use]
+    pub fn orphans(&self) -> Vec<u32> {
+        (0..self.around.len() as u32).filter(|&node| self.around[node as usize].is_empty()).collect()
+    }
+
+    /// The mesh as it is now, without elements that are gone and nodes that nothing uses, and which node each of its own is,
+    /// ascending.
+    ///
+    /// # Errors
+    /// Nothing is left.
+    pub fn mesh(&self) -> Result<(TetMesh, Vec<u32>), MeshError> {
+        let used: Vec<u32> =
+            (0..self.around.len() as u32).filter(|&node| !self.around[node as usize].is_empty()).collect();
+        let rest: Vec<_> = used.iter().map(|&node| self.rest[node as usize]).collect();
+        let mut numbers = vec![0; self.rest.len()];
+        used.iter().enumerate().for_each(|(own, &node)| numbers[node as usize] = own as u32);
+        let tets: Vec<[u32; 4]> =
+            self.tets().map(|(_, tet)| tet.map(|node| numbers[node as usize])).collect();
+        let rules = MeshRules { mean_ratio_min: 0.0, coincident_within: None };
+        Ok((TetMesh::new(&rest, &tets, &rules)?, used))
+    }
+
+    /// How many parts it is in, of elements that hang together by faces.
+    #[must_use]
+    pub fn pieces(&self) -> usize {
+        let mut seen = vec![false; self.tets.len()];
+        let mut pieces = 0;
+        for (first, _) in self.tets() {
+            if seen[first as usize] {
+                continue;
+            }
+            pieces += 1;
+            let mut open = vec![first];
+            seen[first as usize] = true;
+            while let Some(tet) = open.pop() {
+                for next in self.neighbours[tet as usize].into_iter().flatten() {
+                    if !std::mem::replace(&mut seen[next as usize], true) {
+                        open.push(next);
+                    }
+                }
+            }
+        }
+        pieces
+    }
+
+    /// Takes elements out.
+    ///
+    /// # Errors
+    /// One of them is not there; then nothing has changed.
+    pub fn remove(&mut self, tets: &[u32]) -> Result<VolumeChange, VolumeError> {
+        let mut going = tets.to_vec();
+        going.sort_unstable();
+        going.dedup();
+        going.iter().try_for_each(|&tet| self.check(tet))?;
+        let mut change = VolumeChange::default();
+        let mut touched = BTreeSet::new();
+        for &tet in &going {
+            for corner in 0..4_u8 {
+                self.boundary.remove(&(tet, corner));
+                if let Some(next) = self.neighbours[tet as usize][corner as usize].take() {
+                    self.part(next, tet, &mut change);
+                }
+            }
+            let Some(nodes) = self.tets[tet as usize].take() else { continue };
+            for node in nodes {
+                self.around[node as usize].retain(|&other| other != tet);
+                self.shares[node as usize] -= 0.25 * self.volumes[tet as usize];
+                touched.insert(node);
+            }
+        }
+        self.left -= going.len();
+        // Of those that went together, faces between them are of nothing.
+        change.uncovered.retain(|(tet, _)| self.tets[*tet as usize].is_some());
+        change.removed = going;
+        self.split(touched, &mut change);
+        Ok(change)
+    }
+
+    /// Opens faces between elements; their nodes part where no other way around leads from side to side.
+    ///
+    /// # Errors
+    /// An element that is not there, a corner that there is none of; then nothing has changed.
+    pub fn open(&mut self, faces: &[FaceOf]) -> Result<VolumeChange, VolumeError> {
+        for &(tet, corner) in faces {
+            self.check(tet)?;
+            if corner > 3 {
+                return Err(VolumeError::NoFace { tet, corner });
+            }
+        }
+        let mut change = VolumeChange::default();
+        let mut touched = BTreeSet::new();
+        for &(tet, corner) in faces {
+            let Some(next) = self.neighbours[tet as usize][corner as usize].take() else { continue };
+            self.boundary.insert((tet, corner));
+            change.uncovered.push((tet, corner));
+            self.part(next, tet, &mut change);
+            if let Some(nodes) = self.tets[tet as usize] {
+                touched.extend(OPPOSITE[corner as usize].map(|at| nodes[at]));
+            }
+        }
+        self.split(touched, &mut change);
+        Ok(change)
+    }
+
+    fn check(&self, tet: u32) -> Result<(), VolumeError> {
+        match self.tet(tet) {
+            Some(_) => Ok(()),
+            None => Err(VolumeError::NoElement { tet, left: self.left, tets: self.tets.len() }),
+        }
+    }
+
+    /// An element loses a neighbour.
+    fn part(&mut self, tet: u32, from: u32, change: &mut VolumeChange) {
+        let sides = &mut self.neighbours[tet as usize];
+        if let Some(corner) = sides.iter().position(|next| *next == Some(from)) {
+            sides[corner] = None;
+            self.boundary.insert((tet, corner as u8));
+            change.uncovered.push((tet, corner as u8));
+        }
+    }
+
+    /// Gives every part of the elements about a node, hanging together by faces at it, a node of its own.
+    fn split(&mut self, nodes: BTreeSet<u32>, change: &mut VolumeChange) {
+        let mut renamed = BTreeSet::new();
+        for node in nodes {
+            let mut star = self.around[node as usize].clone();
+            star.sort_unstable();
+            let mut first = true;
+            while let Some(&begin) = star.first() {
+                let mut part = BTreeSet::from([begin]);
+                let mut open = vec![begin];
+                while let Some(tet) = open.pop() {
+                    for next in self.neighbours[tet as usize].into_iter().flatten() {
+                        if star.binary_search(&next).is_ok() && part.insert(next) {
+                            open.push(next);
+                        }
+                    }
+                }
+                star.retain(|tet| !part.contains(tet));
+                if !std::mem::replace(&mut first, false) {
+                    self.give_own(node, &part, change);
+                    renamed.extend(part);
+                }
+            }
+        }
+        change.renamed = renamed.into_iter().collect();
+    }
+
+    fn give_own(&mut self, node: u32, part: &BTreeSet<u32>, change: &mut VolumeChange) {
+        let own = self.rest.len() as u32;
+        self.rest.push(self.rest[node as usize]);
+        self.origins.push(self.origins[node as usize]);
+        let mut share = 0.0;
+        for &tet in part {
+            if let Some(corners) = &mut self.tets[tet as usize] {
+                *corners = corners.map(|corner| if corner == node { own } else { corner });
+                share += 0.25 * self.volumes[tet as usize];
+            }
+        }
+        self.shares[node as usize] -= share;
+        self.shares.push(share);
+        self.around[node as usize].retain(|tet| !part.contains(tet));
+        self.around.push(part.iter().copied().collect());
+        change.split.push((own, node));
+    }
+
+    /// Faces between elements that a straight edge has passed between on its way, from `before` to `after` \[m\]: those
+    /// between whose elements' middles the swept surface lies. `positions` of the nodes where they are now \[m\].
+    #[must_use]
+    pub fn swept(
+        &self,
+        positions: &[Point3<f64>],
+        before: &[Point3<f64>; 2],
+        after: &[Point3<f64>; 2],
+    ) -> Vec<FaceOf> {
+        let middle = |nodes: &[u32; 4]| {
+            Point3::from(nodes.iter().map(|&n| positions[n as usize].coords).sum::<Vector3<f64>>() / 4.0)
+        };
+        let blades = [[before[0], before[1], after[1]], [before[0], after[1], after[0]]];
+        let mut found = Vec::new();
+        for (tet, nodes) in self.tets() {
+            let from = middle(&nodes);
+            for (corner, next) in self.neighbours[tet as usize].iter().enumerate() {
+                let Some((next, other)) = next.and_then(|next| Some((next, self.tet(next)?))) else {
+                    continue;
+                };
+                if next > tet && blades.iter().any(|blade| crosses(&from, &middle(&other), blade)) {
+                    found.push((tet, corner as u8));
+                }
+            }
+        }
+        found
+    }
+
+    /// The face between elements across which the tension is the largest, with that \[Pa\], where `stress` is Cauchy's of
+    /// each element \[Pa\]; the criterion of Rankine: it tears where this is above the strength.
+    #[must_use]
+    pub fn most_pulled(
+        &self,
+        positions: &[Point3<f64>],
+        stress: impl Fn(u32) -> nalgebra::Matrix3<f64>,
+    ) -> Option<(FaceOf, f64)> {
+        let mut most: Option<(FaceOf, f64)> = None;
+        for (tet, nodes) in self.tets() {
+            let own = stress(tet);
+            for (corner, next) in self.neighbours[tet as usize].iter().enumerate() {
+                let Some(next) = next.filter(|&next| next > tet) else { continue };
+                let [a, b, c] = OPPOSITE[corner].map(|at| positions[nodes[at] as usize]);
+                let Some(normal) = (b - a).cross(&(c - a)).try_normalize(0.0) else { continue };
+                let tension = normal.dot(&((own + stress(next)) * normal)) / 2.0;
+                if most.is_none_or(|(_, known)| tension > known) {
+                    most = Some(((tet, corner as u8), tension));
+                }
+            }
+        }
+        most
+    }
+}
+
+/// Whether the way from one point to another leads through a triangle.
+fn crosses(from: &Point3<f64>, to: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> bool {
+    let way = to - from;
+    let side = |p: &Point3<f64>, q: &Point3<f64>| way.dot(&(p - from).cross(&(q - from)));
+    let sides = [side(a, b), side(b, c), side(c, a)];
+    let normal = (b - a).cross(&(c - a));
+    let heights = [normal.dot(&(from - a)), normal.dot(&(to - a))];
+    // Half open: what lies on the surface belongs to one side of it.
+    let passes = (heights[0] < 0.0) != (heights[1] < 0.0);
+    passes && (sides.iter().all(|s| *s >= 0.0) || sides.iter().all(|s| *s <= 0.0))
+}

@@ -1,0 +1,141 @@
+//! The controller of linear organs on a scene: what it asks of the solver, what it tells, and that another life goes on.
+
+mod stage;
+
+use nalgebra::{Point3, Vector3};
+use stage::{Stage, scene};
+use trocar_scene::{BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, VertexPositions};
+use trocar_simulator::controller::LinearFemController;
+
+const HZ: f64 = 60.0;
+
+/// A rod that points down, its tip at its origin, and a block that is held below.
+fn block(young_modulus: f64) -> String {
+    format!(
+        r#"
+[[entity]]
+name = "rod"
+pose = {{ translation = [0.0, 0.0, 0.03], rotation = [1.0, 0.0, 0.0, 0.0] }}
+instrument = {{ kind = "probe", shaft_length = 0.1, shaft_radius = 0.004, jaw_length = 0.004, jaws = 0 }}
+[[entity]]
+name = "pad"
+pose = {{ translation = [0.0, 0.0, -0.01] }}
+mesh = {{ block = {{ size = [0.04, 0.04, 0.02], cells = [10, 10, 5] }} }}
+linear_fem = {{ young_modulus = {young_modulus} }}
+anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0099] }} }}] }}
+"#
+    )
+}
+
+fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerError> {
+    LinearFemController::new(None, context)
+}
+
+fn down(z: f64) -> Pose {
+    let turned = nalgebra::Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
+    Pose { translation: Vector3::new(0.0003, 0.0, z), ..Pose::from(turned) }
+}
+
+fn at(stage: &mut Stage<LinearFemController>, z: f64) {
+    stage.put("rod", down(z));
+    stage.tick();
+}
+
+/// Brings the rod down to 1.5 mm below the top in steps of a hand's speed, and leaves it there.
+fn press(stage: &mut Stage<LinearFemController>, ticks: u32) {
+    at(stage, 0.02);
+    at(stage, 0.02);
+    assert_eq!(stage.measured("pad.precomputed_share"), 1.0);
+    for tick in 1..=ticks {
+        at(stage, 0.0005 - 0.002 * f64::from(tick) / f64::from(ticks));
+    }
+    (0..10).for_each(|_| at(stage, -0.0015));
+}
+
+fn force_on_body(stage: &Stage<LinearFemController>) -> Vector3<f64> {
+    let lists = stage.store.view().iter::<CollisionList>();
+    lists.flat_map(|(_, list)| &list.collisions).map(|collision| collision.force_in_world).sum()
+}
+
+#[test]
+fn a_pad_gives_way_to_a_rod_by_a_force_that_its_modulus_says_and_comes_back() {
+    let mut stage = Stage::new(scene(&block(6e3)), HZ, build);
+    press(&mut stage, 20);
+    assert!(!stage.has::<Frozen>("pad"));
+    let positions = stage.get::<VertexPositions>("pad").positions;
+    // In the pad's frame its top is at 0.01: no vertex is in the rod.
+    let tip = Point3::new(0.0003, 0.0, 0.01 - 0.0015 + 0.004);
+    let nearest = positions.iter().map(|at| (at - tip).norm()).fold(f64::INFINITY, f64::min);
+    assert!(nearest > 0.004 - 1e-5 && nearest < 0.0045, "{nearest} m from the middle of its round end");
+    let force = force_on_body(&stage);
+    let least = 4.0 / 3.0 * 6e3 / (1.0 - 0.45 * 0.45) * 0.004_f64.sqrt() * 0.0015_f64.powf(1.5);
+    assert!(force.z < -least && force.z > -4.0 * least, "{force} N, and Hertz {least} N");
+    assert!((stage.measured("pad.contact_force_n") - force.norm()).abs() < 0.25 * force.norm());
+    assert_eq!(stage.measured("pad.beyond_linear"), 1.0, "more than a tenth of strain under the rod");
+    // Twice as stiff: twice the force, the same shape.
+    let mut stiff = Stage::new(scene(&block(12e3)), HZ, build);
+    press(&mut stiff, 20);
+    assert!((force_on_body(&stiff).z / force.z - 2.0).abs() < 1e-3);
+    (0..12).for_each(|_| at(&mut stage, 0.02));
+    assert_eq!(stage.measured("pad.contact_force_n"), 0.0);
+    assert!(stage.measured("pad.displacement_max_m") < 1e-12);
+    assert_eq!(stage.measured("pad.beyond_linear"), 0.0);
+}
+
+#[test]
+fn another_life_goes_on_from_the_scene() {
+    let run = |kill: Option<u32>| {
+        let mut stage = Stage::new(scene(&block(6e3)), HZ, build);
+        press(&mut stage, 20);
+        for tick in 0..40_u32 {
+            if kill == Some(tick) {
+                stage.rebuild(build);
+            }
+            at(&mut stage, -0.0015);
+        }
+        for tick in 0..40 {
+            at(&mut stage, -0.0015 + 0.001 * (f64::from(tick) * 0.2).sin());
+        }
+        stage.get::<VertexPositions>("pad")
+    };
+    let [one, other] = [run(None), run(Some(7))].map(|vertices| vertices.positions);
+    let apart = one.iter().zip(other.iter()).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+    assert!(apart < 1e-9, "{apart} m");
+}
+
+#[test]
+fn jaws_that_close_hold_and_lift_and_what_opens_lets_go() {
+    let text = r#"
+[[entity]]
+name = "grasper"
+pose = { translation = [0.0, 0.0, 0.06], rotation = [1.0, 0.0, 0.0, 0.0] }
+instrument = { kind = "grasper", shaft_length = 0.1, shaft_radius = 0.0025, jaw_length = 0.012, jaws = 2, jaw_thickness = 0.002 }
+[[entity]]
+name = "fold"
+mesh = { block = { size = [0.004, 0.02, 0.03], cells = [2, 6, 8] } }
+linear_fem = { young_modulus = 5000.0 }
+anchors = { regions = [{ box = { min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0149] } }] }
+"#;
+    let mut stage = Stage::new(scene(text), HZ, build);
+    let turned = nalgebra::Isometry3::rotation(Vector3::x() * std::f64::consts::PI);
+    let tip = |z: f64| Pose { translation: Vector3::new(0.0, 0.0, z), ..Pose::from(turned) };
+    let mut act = |z: f64, angle: f64, ticks: u32| {
+        for _ in 0..ticks {
+            stage.put("grasper", tip(z));
+            stage.put("grasper", JawState { angle, rate: 0.0, pad_force: [0.0; 2] });
+            stage.tick();
+        }
+        let held = stage.measured("fold.held_vertices");
+        (held, force_on_body(&stage), stage.measured("fold.displacement_max_m"))
+    };
+    act(0.01, 0.9, 3);
+    // About the fold, then shut.
+    act(0.006, 0.5, 3);
+    let (held, ..) = act(0.006, 0.05, 2);
+    assert!(held > 2.0, "{held}");
+    let (_, pulled, moved) = act(0.009, 0.05, 1);
+    assert!(pulled.z > 0.01 && moved > 0.0025, "{pulled} N, {moved} m");
+    let (held, pulled, moved) = act(0.05, 0.9, 12);
+    assert_eq!((held, pulled), (0.0, Vector3::zeros()));
+    assert!(moved < 1e-12);
+}

@@ -1,0 +1,154 @@
+//! Volumes that come apart: what follows from the mesh follows each change as if it had been computed anew; meshes that
+//! are refined.
+
+use std::collections::BTreeSet;
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use trocar_simulator::tet_mesh::{
+    BoxCells, MeshRules, RefineError, TetMesh, Volume, VolumeError, box_cells, refined,
+};
+
+fn block(cells: [usize; 3]) -> TetMesh {
+    let grid =
+        BoxCells { cells, size: Vector3::from(cells.map(|n| 0.01 * n as f64)), origin: Point3::origin() };
+    let (nodes, tets) = box_cells(&grid);
+    TetMesh::new(&nodes, &tets, &MeshRules::default()).expect("a sound mesh")
+}
+
+/// Compares everything that is kept with what a mesh that is made anew says.
+fn agrees(volume: &Volume) {
+    let (mesh, nodes) = volume.mesh().expect("something is left");
+    let turned = |triangle: [u32; 3]| {
+        let first = (0..3).min_by_key(|&k| triangle[k]).unwrap_or(0);
+        [0, 1, 2].map(|k| triangle[(first + k) % 3])
+    };
+    let kept: BTreeSet<[u32; 3]> = volume.surface().map(turned).collect();
+    let anew: BTreeSet<[u32; 3]> =
+        mesh.surface().iter().map(|corners| turned(corners.map(|node| nodes[node as usize]))).collect();
+    // Faces that are open, but whose corners still hold together elsewhere, are counted from both sides.
+    assert!(kept.is_superset(&anew));
+    for triangle in kept.difference(&anew) {
+        let [a, b, c] = *triangle;
+        assert!(kept.contains(&turned([a, c, b])), "{triangle:?} lies open on one side only");
+    }
+    let mut anew = vec![0.0; volume.rest().len()];
+    nodes.iter().zip(mesh.lumped_masses(1.0)).for_each(|(&node, share)| anew[node as usize] = share);
+    for (kept, anew) in volume.shares().iter().zip(anew) {
+        assert!((kept - anew).abs() < 1e-18, "{kept} {anew}");
+    }
+    assert_eq!(volume.orphans().len() + nodes.len(), volume.rest().len());
+}
+
+#[test]
+fn random_removals_and_cuts_are_followed_as_if_all_were_computed_anew() {
+    let mesh = block([5, 4, 4]);
+    let mut volume = Volume::new(&mesh);
+    agrees(&volume);
+    let mut random = Pcg64Mcg::seed_from_u64(3);
+    let mut gone = 0;
+    for round in 0..200 {
+        let there: Vec<u32> = volume.tets().map(|(tet, _)| tet).collect();
+        let tet = there[random.random_range(0..there.len())];
+        if round % 3 == 0 {
+            let change = volume.remove(&[tet]).expect("it is there");
+            assert_eq!(change.removed, [tet]);
+            assert_eq!(
+                volume.remove(&[tet]).expect_err("it is gone"),
+                VolumeError::NoElement { tet, left: there.len() - 1, tets: mesh.tets().len() }
+            );
+            gone += 1;
+        } else {
+            let faces: Vec<_> = (0..3).map(|_| (tet, random.random_range(0..4_u8))).collect();
+            let change = volume.open(&faces).expect("it is there");
+            for (new, old) in change.split {
+                assert_eq!(volume.rest()[new as usize], volume.rest()[old as usize]);
+                assert_eq!(volume.origins()[new as usize], volume.origins()[old as usize]);
+            }
+        }
+        agrees(&volume);
+    }
+    assert_eq!(volume.tets().count(), mesh.tets().len() - gone);
+    assert!(matches!(volume.open(&[(u32::MAX, 0)]), Err(VolumeError::NoElement { .. })));
+    let (tet, _) = volume.tets().next().expect("one is left");
+    assert_eq!(volume.open(&[(tet, 4)]), Err(VolumeError::NoFace { tet, corner: 4 }));
+}
+
+#[test]
+fn a_blade_that_passes_through_makes_two_pieces_and_one_that_stops_does_not() {
+    let mesh = block([6, 2, 2]);
+    let across = |end: f64| {
+        let mut volume = Volume::new(&mesh);
+        // Between two layers of cells, from above.
+        let edge = |z: f64| [Point3::new(0.0301, -0.01, z), Point3::new(0.0301, 0.03, z)];
+        let faces = volume.swept(mesh.rest(), &edge(0.03), &edge(end));
+        assert!(!faces.is_empty());
+        let change = volume.open(&faces).expect("they are there");
+        agrees(&volume);
+        (volume.pieces(), change.split.len(), volume)
+    };
+    let (pieces, split, volume) = across(-0.01);
+    // A layer of nodes has been doubled, and no volume is lost.
+    assert_eq!((pieces, split), (2, 9));
+    assert!((volume.shares().iter().sum::<f64>() - mesh.volume()).abs() < 1e-15);
+    let (pieces, split, _) = across(0.0101);
+    assert_eq!(pieces, 1);
+    assert_eq!(split, 3, "the upper edge of the cut, and not its bottom");
+}
+
+#[test]
+fn it_tears_across_the_largest_tension() {
+    let mesh = block([6, 2, 2]);
+    let volume = Volume::new(&mesh);
+    // Pulled along x, most in the middle.
+    let stress = |tet: u32| {
+        let x = mesh.tets()[tet as usize].iter().map(|&n| mesh.rest()[n as usize].x).sum::<f64>() / 4.0;
+        Matrix3::from_diagonal(&Vector3::new(1e4 - 1e6 * (x - 0.03).abs(), -2e4, 0.0))
+    };
+    let ((tet, corner), tension) = volume.most_pulled(mesh.rest(), stress).expect("there are faces");
+    assert!(tension > 5e3 && tension <= 1e4, "{tension} Pa");
+    let nodes = mesh.tets()[tet as usize];
+    let face: Vec<_> =
+        (0..4).filter(|k| *k != usize::from(corner)).map(|k| mesh.rest()[nodes[k] as usize]).collect();
+    assert!(face.iter().all(|at| (at.x - 0.03).abs() < 1e-9), "{face:?}");
+    // Torn face by face it comes apart, and only there.
+    let mut volume = volume;
+    let mut steps = 0;
+    while volume.pieces() == 1 {
+        let positions = volume.rest().to_vec();
+        let (face, tension) = volume.most_pulled(&positions, stress).expect("there are faces");
+        assert!(tension > 5e3, "{tension} Pa after {steps} faces");
+        volume.open(&[face]).expect("it is there");
+        steps += 1;
+    }
+    assert_eq!((volume.pieces(), steps), (2, 8), "two triangles for each of four cells");
+}
+
+#[test]
+fn a_refined_mesh_is_fine_where_it_is_asked_to_be_and_as_sound_as_before() {
+    let grid = BoxCells { cells: [2, 2, 2], size: Vector3::repeat(0.04), origin: Point3::origin() };
+    let (nodes, tets) = box_cells(&grid);
+    let edge = |at: &Point3<f64>| 0.002 + 0.8 * at.coords.norm();
+    let (fine, elements) = refined(&nodes, &tets, edge, 20_000).expect("not that many");
+    assert_eq!(fine[..nodes.len()], nodes[..]);
+    let mesh = TetMesh::new(&fine, &elements, &MeshRules { mean_ratio_min: 0.3, ..MeshRules::default() })
+        .expect("no hanging node, and no element much worse than the first ones");
+    assert!((mesh.volume() - 0.04_f64.powi(3)).abs() < 1e-16);
+    for tet in mesh.tets() {
+        let corners = tet.map(|node| mesh.rest()[node as usize]);
+        let middle = Point3::from(corners.iter().map(|at| at.coords).sum::<Vector3<f64>>() / 4.0);
+        for i in 0..4 {
+            for j in 0..i {
+                assert!((corners[i] - corners[j]).norm() <= edge(&middle));
+            }
+        }
+    }
+    assert_eq!(refined(&nodes, &tets, |_| 1e-4, 1000), Err(RefineError::TooMany { nodes_max: 1000 }));
+    assert!(matches!(
+        refined(&nodes, &[[0, 1, 2, 99]], edge, 10),
+        Err(RefineError::Corner { tet: 0, nodes: 27 })
+    ));
+    let (same, none) = refined(&nodes, &tets, |_| 1.0, 1000).expect("nothing to do");
+    assert_eq!((same, none), (nodes, tets));
+}
