@@ -239,7 +239,7 @@ fn a_membrane_of_positions_is_carried_by_finite_elements() {
             }
         }
     }
-    let body = Body { rest: &rest, masses: &masses, distances: &distances, tets: &[], elasticity: None };
+    let body = Body { rest: &rest, masses: &masses, distances: &distances, ..Body::default() };
     let config = XpbdConfig { parts: 1, iterations: 20, ..XpbdConfig::default() };
     let mut membrane = Xpbd::new(&body, &[], config).expect("a membrane");
     let mut state = membrane.state().clone();
