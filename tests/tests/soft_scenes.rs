@@ -64,3 +64,35 @@ fn an_implicit_and_an_explicit_simulator_share_a_scene() {
     let force = |run: &RunOutcome| outcome(run, "membrane.contact_force_n.largest");
     assert_eq!(force(&both), force(&other));
 }
+
+#[test]
+fn a_bleeding_artery_is_clamped_and_sealed_and_the_patient_minds_when_nobody_does() {
+    let sealed = holds("bleeding");
+    let lost = outcome(&sealed, "artery.lost_m3");
+    assert!(
+        (outcome(&sealed, "piglet.blood_lost_m3") / lost - 1.0).abs() < 1e-9,
+        "what is lost is the patient's"
+    );
+    // A clamp that stays open lets it bleed, and what runs keeps the hole from being sealed.
+    let open = run("bleeding", &[("{ seconds = 0.4, jaws = 0.0 }", "{ seconds = 0.4, jaws = 0.5 }")]);
+    assert!(!open.summary.task.completed);
+    assert!(
+        outcome(&open, "artery.lost_m3") > 2.0 * lost,
+        "{} of {lost} m³",
+        outcome(&open, "artery.lost_m3")
+    );
+    assert!(outcome(&open, "artery.rate_m3_per_s") > 0.0);
+    let pressure = |run: &RunOutcome| outcome(run, "piglet.arterial_pressure_pa.smallest");
+    assert!(pressure(&open) < pressure(&sealed), "{} and {} Pa", pressure(&open), pressure(&sealed));
+}
+
+#[test]
+fn a_probe_presses_on_a_liver_with_a_precomputed_inverse() {
+    let pressed = holds("fem-liver");
+    assert!(pressed.summary.force_newtons_max > 0.05, "{} N", pressed.summary.force_newtons_max);
+    // Linear: three times as stiff answers with three times the force where the displacement is the same.
+    let stiffer = run("fem-liver", &[("young_modulus = 6000.0", "young_modulus = 18000.0")]);
+    let ratio = |measure: &str| outcome(&stiffer, measure) / outcome(&pressed, measure);
+    let (force, moved) = (ratio("liver.contact_force_n.largest"), ratio("liver.displacement_max_m.largest"));
+    assert!((force / moved / 3.0 - 1.0).abs() < 0.25 && force > 1.5, "{force} times, moved {moved} times");
+}
