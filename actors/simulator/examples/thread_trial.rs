@@ -1,9 +1,10 @@
 //! Ties a knot of prescribed throws around nothing but itself, tightens it, lets go of the ears and loads the loop: how
-//! far does it slip?
+//! far does it slip, how near do strands come to each other, and which knot is it?
 //!
-//! `cargo run --release -p trocar-simulator --example thread_trial -- "3 -3" 0.2 2.0 5 [dt] [segment/diameter]`
+//! `cargo run --release -p trocar-simulator --example thread_trial -- "3 -3" 0.3 2.0 60 [dt] [segment/diameter] [pull]
+//! [sweeps] [GJ] [EI]`
 
-use trocar_simulator::thread::{Thread, ThreadMaterial, knot};
+use trocar_simulator::thread::{Thread, ThreadMaterial, ThreadReport, knot};
 
 #[path = "../tests/thread_support/mod.rs"]
 mod thread_support;
@@ -18,8 +19,8 @@ fn main() {
         .filter_map(|text| text.parse().ok())
         .collect();
     let (friction, pull, seconds, dt, segment) =
-        (of(2, 0.2), of(3, 2.0), of(4, 3.0), of(5, 1e-3), of(6, 1.5));
-    let tight = of(7, 3.0);
+        (of(2, 0.3), of(3, 2.0), of(4, 3.0), of(5, 5e-4), of(6, 1.5));
+    let tight = of(7, 6.0);
     let material = ThreadMaterial {
         friction,
         twisting_stiffness: of(9, 2.5e-6),
@@ -34,9 +35,13 @@ fn main() {
     let mut bend = thread_support::Bend::new(thread);
     let tightened = bend.tighten(tight, 0.25, dt);
     println!("tightened {tightened:?} after {:?}", begun.elapsed());
-    let report = bend.load(pull, seconds, dt, |t, slip, report| {
-        println!("{t:.3} s: slip {:.4} mm {report:?}", slip * 1e3)
-    });
-    println!("{report:?}; {:?}", begun.elapsed());
-    println!("{:?}", knot::identify(bend.thread.positions()).map(|knot| knot.kind.to_string()));
+    let tell = |time: f64, slip: f64, bend: &thread_support::Bend, report: &ThreadReport| {
+        let points = bend.thread.positions();
+        let kind =
+            knot::identify(points).map_or_else(|error| error.to_string(), |knot| knot.kind.to_string());
+        let near = thread_support::nearest_strands(points, material.radius).0;
+        println!("{time:.3} s: slip {:.5} mm, nearest {:.4} mm, {kind}; {report:?}", slip * 1e3, near * 1e3);
+    };
+    bend.load(pull, seconds, dt, tell);
+    println!("{:?}", begun.elapsed());
 }

@@ -22,10 +22,11 @@ use crate::kinds;
 use crate::run::RunOptions;
 
 /// Scenarios that are part of the program: (name, text).
-pub const SCENARIOS: [(&str, &str); 7] = [
+pub const SCENARIOS: [(&str, &str); 8] = [
     ("peg-transfer", include_str!("../../../scenarios/peg-transfer.toml")),
     ("wall", include_str!("../../../scenarios/wall.toml")),
     ("collision-gallery", include_str!("../../../scenarios/collision-gallery.toml")),
+    ("bleeding", include_str!("../../../scenarios/bleeding.toml")),
     ("cautery", include_str!("../../../scenarios/cautery.toml")),
     ("cloth-cut", include_str!("../../../scenarios/cloth-cut.toml")),
     ("soft-stomach", include_str!("../../../scenarios/soft-stomach.toml")),

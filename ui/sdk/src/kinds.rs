@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use nalgebra::Vector3;
 use serde::Deserialize;
 use serde::de::value::Error as ValueError;
 use serde::de::{DeserializeOwned, IntoDeserializer};
@@ -22,8 +23,8 @@ use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::{Params, ScenarioError};
 use trocar_scene::{BuildContext, Controller, ControllerError};
 use trocar_simulator::controller::{
-    DynamicFemController, ElectrosurgeryController, InstrumentsConfig, InstrumentsController,
-    MassSpringController,
+    BleedingController, DynamicFemController, ElectrosurgeryController, FluidController, InstrumentsConfig,
+    InstrumentsController, MassSpringController, SmokeController, VitalSignsController, XpbdController,
 };
 use trocar_tasks::peg_transfer_controller::mirrored_start;
 use trocar_tasks::{OutcomeConfig, OutcomeController, PegTransferConfig, PegTransferController};
@@ -89,12 +90,22 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
         (
             "dynamic-fem",
             KindInfo::new("moves soft volumes: implicit finite elements", 100.0),
-            Arc::new(dynamic_fem),
+            under_gravity(DynamicFemController::new),
+        ),
+        (
+            "bleeding",
+            KindInfo::new("lets vessels bleed as they are cut, until they are clamped or sealed", 100.0),
+            of_the_scene(BleedingController::new),
         ),
         (
             "electrosurgery",
             KindInfo::new("heats, burns and removes tissue under electrodes that are switched on", 100.0),
-            Arc::new(electrosurgery),
+            of_the_scene(ElectrosurgeryController::new),
+        ),
+        (
+            "fluid",
+            KindInfo::new("moves a liquid of particles, such as blood", 60.0),
+            under_gravity(FluidController::new),
         ),
         (
             "instruments",
@@ -107,7 +118,22 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
         (
             "mass-spring",
             KindInfo::new("moves threads, cloth, tubes and volumes of masses and springs", 500.0),
-            Arc::new(mass_spring),
+            under_gravity(MassSpringController::new),
+        ),
+        (
+            "smoke",
+            KindInfo::new("lets smoke rise from where tissue burns", 60.0),
+            under_gravity(SmokeController::new),
+        ),
+        (
+            "vital-signs",
+            KindInfo::new("answers loss of blood with pressure and heart rate", 20.0),
+            of_the_scene(VitalSignsController::new),
+        ),
+        (
+            "xpbd",
+            KindInfo::new("moves soft volumes, cloths and rods by their constraints", 200.0),
+            under_gravity(XpbdController::new),
         ),
         (
             "outcome",
@@ -256,21 +282,23 @@ fn instruments(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     Ok(plain(RuntimeClass::Simulation, move |context| InstrumentsController::new(config, context)))
 }
 
-fn dynamic_fem(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
-    nothing(&context.entry.params)?;
-    let gravity = context.scenario.gravity_in_world;
-    Ok(plain(RuntimeClass::Simulation, move |context| DynamicFemController::new(gravity, context)))
+/// A simulator whose parameters are all at the entities that it moves, and which they weigh on.
+fn under_gravity<C: Controller>(
+    build: fn(Vector3<f64>, &BuildContext<'_>) -> Result<C, ControllerError>,
+) -> Kind {
+    Arc::new(move |context| {
+        nothing(&context.entry.params)?;
+        let gravity = context.scenario.gravity_in_world;
+        Ok(plain(RuntimeClass::Simulation, move |context| build(gravity, context)))
+    })
 }
 
-fn electrosurgery(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
-    nothing(&context.entry.params)?;
-    Ok(plain(RuntimeClass::Simulation, ElectrosurgeryController::new))
-}
-
-fn mass_spring(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
-    nothing(&context.entry.params)?;
-    let gravity = context.scenario.gravity_in_world;
-    Ok(plain(RuntimeClass::Simulation, move |context| MassSpringController::new(gravity, context)))
+/// A simulator that needs nothing but the scene.
+fn of_the_scene<C: Controller>(build: fn(&BuildContext<'_>) -> Result<C, ControllerError>) -> Kind {
+    Arc::new(move |context| {
+        nothing(&context.entry.params)?;
+        Ok(plain(RuntimeClass::Simulation, build))
+    })
 }
 
 fn outcome(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {

@@ -58,20 +58,29 @@ impl Cuts {
 
     /// What the closed blades of all scissors have swept since the last time, in the frame of a body.
     pub fn sweeps(&mut self, scene: &Snapshot, world_from_body: &Isometry3<f64>) -> Vec<Sweep> {
-        let before: BTreeMap<Entity, [Point3<f64>; 2]> = self.blades.drain(..).collect();
-        let mut sweeps = Vec::new();
-        for (entity, instrument) in scene.iter::<Instrument>() {
-            if instrument.kind != InstrumentKind::Scissors || !is_closed(scene, entity) {
-                continue;
-            }
-            let body_from_tip = world_from_body.inverse() * scene.world_pose(entity);
-            let hinge = Point3::new(0.0, 0.0, -instrument.jaw_length);
-            let after = [body_from_tip * hinge, body_from_tip * Point3::origin()];
-            if let Some(before) = before.get(&entity) {
-                sweeps.push(Sweep { before: *before, after });
-            }
-            self.blades.push((entity, after));
-        }
-        sweeps
+        swept(&mut self.blades, scene, world_from_body)
     }
+}
+
+/// What the closed blades of all scissors have swept since `blades` were told, in the frame of a body; tells them anew.
+pub fn swept(
+    blades: &mut Vec<(Entity, [Point3<f64>; 2])>,
+    scene: &Snapshot,
+    world_from_body: &Isometry3<f64>,
+) -> Vec<Sweep> {
+    let before: BTreeMap<Entity, [Point3<f64>; 2]> = blades.drain(..).collect();
+    let mut sweeps = Vec::new();
+    for (entity, instrument) in scene.iter::<Instrument>() {
+        if instrument.kind != InstrumentKind::Scissors || !is_closed(scene, entity) {
+            continue;
+        }
+        let body_from_tip = world_from_body.inverse() * scene.world_pose(entity);
+        let hinge = Point3::new(0.0, 0.0, -instrument.jaw_length);
+        let after = [body_from_tip * hinge, body_from_tip * Point3::origin()];
+        if let Some(before) = before.get(&entity) {
+            sweeps.push(Sweep { before: *before, after });
+        }
+        blades.push((entity, after));
+    }
+    sweeps
 }

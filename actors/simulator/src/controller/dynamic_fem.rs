@@ -114,7 +114,13 @@ impl SoftMethod for DynamicFemMethod {
     }
 
     fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
-        Skin { positions: self.positions(), triangles: &body.triangles, segments: &[], thickness: 0.0 }
+        Skin {
+            positions: self.positions(),
+            triangles: &body.triangles,
+            segments: &[],
+            thickness: 0.0,
+            closed: true,
+        }
     }
 
     fn step(

@@ -17,6 +17,7 @@ use trocar_scene::{
 };
 
 use super::deformable::Deformable;
+use super::smoke::Plume;
 use crate::electrosurgery::{
     Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, ThermalMaterial, Tissue,
 };
@@ -118,6 +119,7 @@ struct Body {
     tissue: Electrosurgery,
     triangles: Arc<Vec<[u32; 3]>>,
     removed: Vec<u32>,
+    plume: Plume,
     volume_removed: f64,
     hottest: f64,
     /// Of its surface \[m²\]: all of it before anything went, and its pieces now.
@@ -154,6 +156,7 @@ impl Body {
         let tissue = heated.map_err(|error| wrong(error.to_string()))?;
         let removed = known.map(|known| known.state.removed.clone()).unwrap_or_default();
         let frozen = scene.get::<Frozen>(entity).is_some();
+        let plume = scene.get::<Plume>(entity).copied().unwrap_or_default();
         let area_before = pieces(&triangles, &body.rest).iter().sum();
         let (volume_removed, hottest, areas) = (0.0, 0.0, Vec::new());
         let mut this = Self {
@@ -162,6 +165,7 @@ impl Body {
             tissue,
             triangles,
             removed,
+            plume,
             volume_removed,
             hottest,
             area_before,
@@ -211,6 +215,7 @@ impl Body {
         put("removed_volume_m3", self.volume_removed);
         put("removed_elements", self.removed.len() as f64);
         put("hottest_celsius", self.hottest);
+        put("smoke_kg", self.plume.emitted);
         put("pieces", self.areas.len() as f64);
         put("largest_piece_share", self.areas.first().unwrap_or(&0.0) / self.area_before.max(1e-12));
     }
@@ -289,6 +294,7 @@ impl Controller for ElectrosurgeryController {
             .writes::<SurfaceMesh>(all())
             .writes::<RemovedElements>(all())
             .writes::<HeatState>(all())
+            .writes::<Plume>(all())
             .writes::<Frozen>(all())
             .writes::<Measured>(EntitySet::Own)
     }
@@ -319,6 +325,11 @@ impl Controller for ElectrosurgeryController {
                         body.volume_removed += report.removed_volume;
                         body.hottest = body.hottest.max(report.hottest);
                         body.removed.extend_from_slice(body.tissue.removed_in_step());
+                        if let Some(place) = body.tissue.plume_in_rest() {
+                            let more = report.smoke_rate * tick.period.as_secs_f64();
+                            body.plume = Plume { emitted: body.plume.emitted + more, place };
+                            out.put(body.body.entity, body.plume);
+                        }
                         body.write(tick, out);
                     }
                     Err(error) => {

@@ -31,7 +31,8 @@ impl Grips {
 }
 
 /// Whether its jaws take hold of what is between them; blades do not.
-fn holds(kind: InstrumentKind) -> bool {
+#[must_use]
+pub fn holds(kind: InstrumentKind) -> bool {
     kind.has_jaws() && kind != InstrumentKind::Scissors
 }
 

@@ -160,6 +160,7 @@ impl MassSpringBody {
             triangles: if is_line { &[] } else { &body.triangles },
             segments: if is_line { &body.segments } else { &[] },
             thickness: if is_line { body.radius } else { self.thickness },
+            closed: matches!(self.springs, Springs::Volume { .. }),
         }
     }
 }

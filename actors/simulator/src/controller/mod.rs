@@ -4,28 +4,36 @@
 //! Everything that a later life needs is in the scene: shapes at rest, positions and velocities of vertices, what is held,
 //! burned or cut. What a solver refuses freezes the one body that it is about; the others go on.
 
+pub mod bleeding;
 pub mod cuts;
 pub mod deformable;
 pub mod dynamic_fem;
 pub mod electrosurgery;
+pub mod fluid;
 pub mod grips;
 pub mod instruments;
 pub mod mass_spring;
+pub mod smoke;
 pub mod soft;
 pub mod tools;
 pub mod touch;
+pub mod vital_signs;
 pub mod xpbd;
 
 use trocar_scene::{RegistryBuilder, RegistryError};
 
+pub use bleeding::{BleedingController, Vessel, VesselState};
 pub use deformable::Deformable;
 pub use dynamic_fem::{DynamicFemBody, DynamicFemController};
 pub use electrosurgery::{
     CauterisedBody, ElectrodeTip, ElectrosurgeryController, HeatState, RemovedElements,
 };
+pub use fluid::{FluidController, Liquid, LiquidState, LiquidWall};
 pub use instruments::{InstrumentsConfig, InstrumentsController};
 pub use mass_spring::{MassSpringBody, MassSpringController};
+pub use smoke::{Plume, SmokeCloud, SmokeCloudState, SmokeController};
 pub use soft::{SoftController, SoftMethod};
+pub use vital_signs::{Patient, PatientState, VitalSignsController};
 pub use xpbd::{XpbdBody, XpbdController};
 
 /// Registers the components of this crate.
@@ -42,5 +50,15 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<ElectrodeTip>()?;
     builder.register::<RemovedElements>()?;
     builder.register::<HeatState>()?;
+    builder.register::<Plume>()?;
+    builder.register::<SmokeCloud>()?;
+    builder.register::<SmokeCloudState>()?;
+    builder.register::<Vessel>()?;
+    builder.register::<VesselState>()?;
+    builder.register::<Liquid>()?;
+    builder.register::<LiquidWall>()?;
+    builder.register::<LiquidState>()?;
+    builder.register::<Patient>()?;
+    builder.register::<PatientState>()?;
     Ok(())
 }

@@ -270,9 +270,8 @@ impl<M: SoftMethod> Body<M> {
         touched.retain(|touch| {
             let is_led = |node: &u32| led.binary_search_by_key(node, |led| led.vertex).is_ok();
             let stays = touch.nodes.iter().all(|&node| is_pinned[node as usize]);
-            !stays
-                && !touch.nodes.iter().any(is_led)
-                && !(cut && is_blade(site.scene, rods[touch.rod].instrument))
+            let is_cut = cut && is_blade(site.scene, rods[touch.rod].instrument);
+            !(stays || is_cut || touch.nodes.iter().any(is_led))
         });
 
         let site = Site { touches: touched, led: &led, ..site };

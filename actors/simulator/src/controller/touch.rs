@@ -1,8 +1,11 @@
 //! Where rods touch a deforming body: every vertex within a rod, and for each rod the deepest place on the surface or the
-//! line, so that thin jaws between coarse vertices are felt as well.
+//! line, so that thin jaws between coarse vertices are felt as well. What has got deeper into a volume than its own radius
+//! is found there, and pushed back the way that is shortest.
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_collision::primitive::{closest_on_segment, closest_segment_triangle, closest_segments};
+use trocar_collision::primitive::{
+    closest_on_segment, closest_on_triangle, closest_segment_triangle, closest_segments,
+};
 use trocar_scene::{Collision, Detection, Entity, Primitive, SimTime};
 
 use super::tools::Rod;
@@ -42,7 +45,12 @@ pub struct Skin<'a> {
     pub segments: &'a [[u32; 2]],
     /// How far its surface is from what the vertices tell \[m\]: half the thickness of a cloth, the radius of a thread.
     pub thickness: f64,
+    /// Whether its triangles enclose a volume, from which everything is to be kept out.
+    pub closed: bool,
 }
+
+/// Places along a rod that are looked for within a volume.
+const SAMPLES: u32 = 5;
 
 /// Fills `touches` with every touch, by rod; each rod's vertices first.
 pub fn touches(rods: &[Rod], skin: &Skin<'_>, touches: &mut Vec<Touch>) {
@@ -52,8 +60,56 @@ pub fn touches(rods: &[Rod], skin: &Skin<'_>, touches: &mut Vec<Touch>) {
         let deepest = deepest_element(index, rod, skin);
         let known = touches.iter().filter(|touch| touch.rod == index).map(|touch| touch.depth);
         let deeper = known.fold(0.0, f64::max);
+        let found = deepest.is_some() || deeper > 0.0;
         touches.extend(deepest.filter(|touch| touch.depth > deeper));
+        if skin.closed && !found {
+            touches.extend(deepest_within(index, rod, skin));
+        }
     }
+}
+
+/// Where a rod is deepest within a volume that it does not touch from outside.
+fn deepest_within(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
+    let mut positions = skin.positions.iter();
+    let first = *positions.next()?;
+    let (low, high) = positions.fold((first, first), |(low, high), point| (low.inf(point), high.sup(point)));
+    let samples = (0..SAMPLES).map(|sample| f64::from(sample) / f64::from(SAMPLES - 1));
+    let within = samples.filter_map(|along| {
+        let on_axis = rod.ends[0].lerp(&rod.ends[1], along);
+        let boxed = (0..3).all(|k| on_axis[k] >= low[k] && on_axis[k] <= high[k]);
+        if !boxed || !is_within(&on_axis, skin) {
+            return None;
+        }
+        let nearest = skin.triangles.iter().enumerate().map(|(element, nodes)| {
+            let corners = nodes.map(|node| skin.positions[node as usize]);
+            let nearest = closest_on_triangle(&on_axis, &corners);
+            (element, nearest.weights, on_axis - nearest.point)
+        });
+        let (element, weights, inwards) =
+            nearest.min_by(|a, b| a.2.norm_squared().total_cmp(&b.2.norm_squared()))?;
+        let normal = inwards.try_normalize(1e-12)?;
+        let depth = rod.radius + skin.thickness + inwards.norm();
+        let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
+        let nodes = skin.triangles[element];
+        let element = Some(element as u32);
+        Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
+    });
+    within.max_by(|a, b| a.depth.total_cmp(&b.depth))
+}
+
+/// Whether a point is inside, by the solid angle that the surface fills about it (van Oosterom and Strackee 1983).
+fn is_within(point: &Point3<f64>, skin: &Skin<'_>) -> bool {
+    let angle: f64 = skin
+        .triangles
+        .iter()
+        .map(|nodes| {
+            let [a, b, c] = nodes.map(|node| skin.positions[node as usize] - point);
+            let [la, lb, lc] = [a.norm(), b.norm(), c.norm()];
+            let below = la * lb * lc + a.dot(&b) * lc + b.dot(&c) * la + c.dot(&a) * lb;
+            2.0 * a.dot(&b.cross(&c)).atan2(below)
+        })
+        .sum();
+    angle > 2.0 * std::f64::consts::PI
 }
 
 /// The touch of a rod by what is nearest to its axis, if it is within reach.
@@ -169,7 +225,13 @@ mod tests {
     #[test]
     fn a_rod_between_coarse_vertices_touches_the_triangle() {
         let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
-        let skin = Skin { positions: &positions, triangles: &[[0, 1, 2]], segments: &[], thickness: 0.0005 };
+        let skin = Skin {
+            positions: &positions,
+            triangles: &[[0, 1, 2]],
+            segments: &[],
+            thickness: 0.0005,
+            closed: false,
+        };
         let mut found = Vec::new();
         touches(&[rod([0.02, 0.03, 0.001], [0.02, 0.03, 0.1])], &skin, &mut found);
         assert_eq!(found.len(), 1);
@@ -187,7 +249,8 @@ mod tests {
     fn vertices_within_a_rod_are_touched_each() {
         let positions: Vec<Point3<f64>> =
             (0..20).map(|k| Point3::new(0.001 * f64::from(k), 0.0015, 0.0)).collect();
-        let skin = Skin { positions: &positions, triangles: &[], segments: &[], thickness: 0.0 };
+        let skin =
+            Skin { positions: &positions, triangles: &[], segments: &[], thickness: 0.0, closed: false };
         let mut found = Vec::new();
         touches(&[rod([0.0, 0.0, 0.0], [0.01, 0.0, 0.0])], &skin, &mut found);
         // Eleven beside it, and one beyond its round end.
@@ -196,9 +259,40 @@ mod tests {
     }
 
     #[test]
+    fn a_thin_rod_deep_in_a_volume_is_found_and_one_beside_it_is_not() {
+        let corners = |bits: u32| [0, 1, 2].map(|k| 0.02 * (f64::from(bits >> k & 1) - 0.5));
+        let positions: Vec<Point3<f64>> = (0..8).map(|bits| Point3::from(corners(bits))).collect();
+        let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        let triangles: Vec<[u32; 3]> =
+            quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        let skin = Skin {
+            positions: &positions,
+            triangles: &triangles,
+            segments: &[],
+            thickness: 0.0,
+            closed: true,
+        };
+        let mut found = Vec::new();
+        let thin = |from: [f64; 3], to: [f64; 3]| Rod { radius: 0.0005, ..rod(from, to) };
+        // All of it is inside, its lower end the deepest: 4 mm below the top, 0.5 mm more with its radius.
+        touches(&[thin([0.001, 0.002, 0.007], [0.001, 0.002, 0.006])], &skin, &mut found);
+        assert_eq!(found.len(), 1);
+        assert!((found[0].depth - 0.0045).abs() < 1e-12 && (found[0].normal + Vector3::z()).norm() < 1e-9);
+        assert_eq!(found[0].velocity, Vector3::y());
+        touches(&[thin([0.001, 0.002, 0.03], [0.001, 0.002, 0.012])], &skin, &mut found);
+        assert!(found.is_empty());
+    }
+
+    #[test]
     fn a_thread_is_touched_by_its_segment() {
         let positions = [[-0.05, 0.001, 0.0], [0.05, 0.001, 0.0]].map(Point3::from);
-        let skin = Skin { positions: &positions, triangles: &[], segments: &[[0, 1]], thickness: 0.0002 };
+        let skin = Skin {
+            positions: &positions,
+            triangles: &[],
+            segments: &[[0, 1]],
+            thickness: 0.0002,
+            closed: false,
+        };
         let mut found = Vec::new();
         touches(&[rod([0.01, 0.0, -0.01], [0.01, 0.0, 0.01])], &skin, &mut found);
         assert_eq!(found.len(), 1);

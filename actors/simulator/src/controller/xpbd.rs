@@ -196,6 +196,7 @@ impl SoftMethod for XpbdMethod {
             triangles: if is_rod { &[] } else { &body.triangles },
             segments: if is_rod { &body.segments } else { &[] },
             thickness: if is_rod { body.radius } else { self.kind.thickness },
+            closed: matches!(self.kind.matter, Matter::Volume { .. }),
         }
     }
 

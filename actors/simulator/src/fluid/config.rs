@@ -26,7 +26,7 @@ pub struct FluidConfig {
     pub parts_max: u32,
     /// Mean compression that is left, as a share.
     pub compression: f64,
-    /// Most iterations of each solver in a part of a step.
+    /// Most iterations of the solver in a part of a step.
     pub iterations_max: u32,
 }
 
@@ -41,7 +41,7 @@ impl Default for FluidConfig {
             min: Point3::new(-0.1, -0.1, -0.1),
             max: Point3::new(0.1, 0.1, 0.1),
             particles_max: 20_000,
-            cfl: 0.6,
+            cfl: 0.4,
             parts_max: 64,
             compression: 1e-3,
             iterations_max: 100,
@@ -58,8 +58,10 @@ pub struct FluidState {
     pub positions: Vec<Point3<f64>>,
     /// How they move \[m/s\].
     pub velocities: Vec<Vector3<f64>>,
-    /// Pressure over density that held them, for the solvers to begin with \[m²/s²\].
-    pub pushes: Vec<[f64; 2]>,
+    /// Pressure over density that held them, for the solver to begin with \[m²/s²\].
+    pub pushes: Vec<f32>,
+    /// The same of the samples of walls, in the order in which these were given.
+    pub wall_pushes: Vec<f32>,
     /// Number of the next one.
     pub next: u64,
     /// How many were absorbed since the beginning.
@@ -71,7 +73,7 @@ pub struct FluidState {
 pub struct FluidReport {
     /// Parts that the step was taken in.
     pub parts: u32,
-    /// Iterations of both solvers, over all parts.
+    /// Iterations of the solver, over all parts.
     pub iterations: u32,
     /// Mean compression that was left, as a share.
     pub compression: f64,

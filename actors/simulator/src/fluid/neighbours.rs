@@ -1,4 +1,4 @@
-//! Who is within the support of whom: particles sorted by the cells of a grid over the domain, each pair found once.
+//! Who is within the support of whom: particles sorted by the cells of a grid over the domain.
 
 use nalgebra::Point3;
 
@@ -35,14 +35,23 @@ impl CellGrid {
         x + self.size[0] * (y + self.size[1] * z)
     }
 
-    /// The cells beside one in a row that lies by `dy` and `dz`, as a range of indices.
+    /// The cell of a place seen from the corner of the box.
     #[inline]
-    fn row(&self, [x, y, z]: [usize; 3], dy: isize, dz: isize, first: isize) -> Option<(usize, usize)> {
-        let y = y.checked_add_signed(dy).filter(|y| *y < self.size[1])?;
-        let z = z.checked_add_signed(dz).filter(|z| *z < self.size[2])?;
-        let from = x.saturating_add_signed(first);
-        let to = (x + 1).min(self.size[0] - 1);
-        Some((self.index([from, y, z]), self.index([to, y, z])))
+    pub(super) fn cell_of(&self, place: &[f32; 4]) -> usize {
+        // The cast saturates.
+        self.index(std::array::from_fn(|axis| {
+            ((place[axis] * self.inverse as f32) as usize).min(self.size[axis] - 1)
+        }))
+    }
+
+    /// Rows of cells about one, as ranges of indices, both ends included.
+    pub(super) fn rows_about(&self, cell: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let (x, rest) = (cell % self.size[0], cell / self.size[0]);
+        let (y, z) = (rest % self.size[1], rest / self.size[1]);
+        let about = |at: usize, axis: usize| at.saturating_sub(1)..=(at + 1).min(self.size[axis] - 1);
+        let (from, to) = (x.saturating_sub(1), (x + 1).min(self.size[0] - 1));
+        let columns = about(z, 2).flat_map(move |z| about(y, 1).map(move |y| (y, z)));
+        columns.map(move |(y, z)| (self.index([from, y, z]), self.index([to, y, z])))
     }
 }
 
@@ -78,32 +87,10 @@ impl CellStarts {
         self.starts[0] = 0;
     }
 
-    /// For particles that lie in the order of their cells: calls with each pair once, the first index below the second.
+    /// Places of what is in a row of cells, from the first to the last.
     #[inline]
-    pub(super) fn pairs(
-        &self,
-        grid: &CellGrid,
-        points: &[Point3<f64>],
-        support: f64,
-        mut found: impl FnMut(u32, u32, f64),
-    ) {
-        const FORWARD: [(isize, isize, isize); 5] =
-            [(0, 0, 0), (1, 0, -1), (-1, 1, -1), (0, 1, -1), (1, 1, -1)];
-        let square = support * support;
-        for (index, point) in points.iter().enumerate() {
-            let cell = grid.place(point);
-            for (dy, dz, first) in FORWARD {
-                let Some((from, to)) = grid.row(cell, dy, dz, first) else { continue };
-                let from = (self.starts[from] as usize).max(index + 1);
-                let to = self.starts[to + 1] as usize;
-                for (other, beside) in points.iter().enumerate().take(to).skip(from) {
-                    let distance = (beside - point).norm_squared();
-                    if distance < square {
-                        found(index as u32, other as u32, distance);
-                    }
-                }
-            }
-        }
+    pub(super) fn range(&self, from: usize, to: usize) -> std::ops::Range<usize> {
+        self.starts[from] as usize..self.starts[to + 1] as usize
     }
 
     /// Calls with all of the sorted `points` within the support of one.
@@ -116,12 +103,9 @@ impl CellStarts {
         support: f64,
         mut found: impl FnMut(u32, f64),
     ) {
-        let cell = grid.place(centre);
-        for (dy, dz) in (-1..=1).flat_map(|dz| (-1..=1).map(move |dy| (dy, dz))) {
-            let Some((from, to)) = grid.row(cell, dy, dz, -1) else { continue };
-            let (from, to) = (self.starts[from] as usize, self.starts[to + 1] as usize);
-            for (other, beside) in points.iter().enumerate().take(to).skip(from) {
-                let distance = (beside - centre).norm_squared();
+        for (from, to) in grid.rows_about(grid.index(grid.place(centre))) {
+            for other in self.range(from, to) {
+                let distance = (points[other] - centre).norm_squared();
                 if distance < support * support {
                     found(other as u32, distance);
                 }
@@ -136,7 +120,7 @@ mod tests {
     use rand::{Rng, SeedableRng};
 
     #[test]
-    fn each_pair_within_the_support_is_found_once() {
+    fn each_pair_within_the_support_is_found_from_both_sides() {
         let mut random = rand_pcg::Pcg64::seed_from_u64(3);
         let mut coordinate = || random.random_range(-0.1..1.1);
         let points: Vec<Point3<f64>> =
@@ -145,22 +129,16 @@ mod tests {
         let mut cells = CellStarts::default();
         cells.sort(&grid, &points);
         let sorted: Vec<Point3<f64>> = cells.order.iter().map(|index| points[*index as usize]).collect();
-        let mut found = Vec::new();
-        cells.pairs(&grid, &sorted, 0.2, |a, b, _| found.push((a, b)));
-        let mut expected = Vec::new();
         for a in 0..400 {
-            for b in a + 1..400 {
-                // Beyond the edge a cell is larger than the support: nothing is missed there.
-                if (sorted[a as usize] - sorted[b as usize]).norm() < 0.2 {
-                    expected.push((a, b));
-                }
-            }
+            let mut found = Vec::new();
+            cells.around(&grid, &sorted, &sorted[a], 0.2, |other, _| found.push(other as usize));
+            found.sort_unstable();
+            // Beyond the edge a cell is larger than the support: nothing is missed there.
+            let expected: Vec<usize> =
+                (0..400).filter(|b| (sorted[a] - sorted[*b]).norm_squared() < 0.2 * 0.2).collect();
+            assert_eq!(found, expected);
+            let place = [sorted[a].x as f32, sorted[a].y as f32, sorted[a].z as f32, 0.0];
+            assert_eq!(grid.cell_of(&place), grid.index(grid.place(&sorted[a])));
         }
-        found.sort_unstable();
-        assert_eq!(found, expected);
-        let mut around = Vec::new();
-        cells.around(&grid, &sorted, &sorted[7], 0.2, |other, _| around.push(other));
-        let near = expected.iter().filter(|(a, b)| *a == 7 || *b == 7).count();
-        assert_eq!(around.len(), near + 1);
     }
 }

@@ -116,24 +116,24 @@ impl Smoke {
         Ok(())
     }
 
-    /// Emits smoke \[kg/s\] at a place, and moves all on by `dt` \[s\] in gas that moves by `wind` \[m/s\].
+    /// Emits smoke \[kg\] at places, and moves all on by `dt` \[s\] in gas that moves by `wind` \[m/s\].
     ///
     /// # Errors
-    /// A step that is no time; a rate below 0, a place or a wind that is not finite (named as the number of the next puff).
+    /// A step that is no time; less than no smoke, a place or a wind that is not finite (named as the number of the next puff).
     pub fn step(
         &mut self,
         dt: f64,
-        source: Option<(Point3<f64>, f64)>,
+        sources: &[(Point3<f64>, f64)],
         wind: &Vector3<f64>,
     ) -> Result<(), FluidStepError> {
         if !(1e-9..=1.0).contains(&dt) {
             return Err(FluidStepError::Time(dt));
         }
         let next = self.state.first + self.state.positions.len() as u64;
-        let is_source = |(place, rate): &(Point3<f64>, f64)| {
-            place.iter().all(|x| x.is_finite()) && (0.0..=1.0).contains(rate)
+        let is_source = |(place, mass): &(Point3<f64>, f64)| {
+            place.iter().all(|x| x.is_finite()) && (0.0..=1.0).contains(mass)
         };
-        if !source.as_ref().is_none_or(is_source) || !wind.iter().all(|w| w.abs() <= 1e3) {
+        if !sources.iter().all(is_source) || !wind.iter().all(|w| w.abs() <= 1e3) {
             return Err(FluidStepError::NotFinite { number: next });
         }
         // Exact for a speed that relaxes to the wind while warmth, which fades as fast, pushes.
@@ -151,13 +151,13 @@ impl Smoke {
         }
         let old = state.ages.iter().take_while(|age| **age > self.config.lifetime).count();
         self.forget(old);
-        if let Some((place, rate)) = source {
-            self.state.waiting += rate * dt;
-            self.state.emitted += rate * dt;
+        for (place, mass) in sources {
+            self.state.waiting += mass;
+            self.state.emitted += mass;
             let puffs = (self.state.waiting / self.config.puff).floor();
             self.state.waiting -= puffs * self.config.puff;
             for _ in 0..puffs.min(self.config.puffs_max as f64) as usize {
-                self.emit(place, wind);
+                self.emit(*place, wind);
             }
         }
         Ok(())
@@ -205,7 +205,7 @@ mod tests {
     fn run(config: SmokeConfig, rate: f64, seconds: f64, wind: Vector3<f64>) -> Smoke {
         let mut smoke = Smoke::new(config).expect("smoke");
         for _ in 0..(seconds / 0.02) as u32 {
-            smoke.step(0.02, Some((Point3::origin(), rate)), &wind).expect("a step");
+            smoke.step(0.02, &[(Point3::origin(), rate * 0.02)], &wind).expect("a step");
         }
         smoke
     }
@@ -220,7 +220,7 @@ mod tests {
         let mean = smoke.state().positions.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count as f64;
         assert!(mean.z > 0.02 && mean.x > 0.03, "{mean}");
         for _ in 0..500 {
-            smoke.step(0.02, None, &wind).expect("a step");
+            smoke.step(0.02, &[], &wind).expect("a step");
         }
         assert!(smoke.state().positions.is_empty());
         assert_eq!(smoke.state().first, count as u64);
@@ -230,11 +230,9 @@ mod tests {
     fn puffs_stray_as_their_diffusivity_says() {
         let config = SmokeConfig { warmth: 0.0, lifetime: 100.0, ..SmokeConfig::default() };
         let mut smoke = Smoke::new(config).expect("smoke");
-        smoke
-            .step(0.01, Some((Point3::origin(), 1000.0 * config.puff / 0.01)), &Vector3::zeros())
-            .expect("a step");
+        smoke.step(0.01, &[(Point3::origin(), 1000.0 * config.puff)], &Vector3::zeros()).expect("a step");
         for _ in 0..200 {
-            smoke.step(0.01, None, &Vector3::zeros()).expect("a step");
+            smoke.step(0.01, &[], &Vector3::zeros()).expect("a step");
         }
         let count = smoke.state().positions.len() as f64;
         let square = smoke.state().positions.iter().map(|p| p.coords.norm_squared()).sum::<f64>() / count;
@@ -253,12 +251,12 @@ mod tests {
         b.restore(smoke.state()).expect("its state");
         for smoke in [&mut a, &mut b] {
             for _ in 0..100 {
-                smoke.step(0.02, Some((Point3::origin(), 3e-8)), &Vector3::zeros()).expect("a step");
+                smoke.step(0.02, &[(Point3::origin(), 6e-10)], &Vector3::zeros()).expect("a step");
             }
         }
         assert_eq!(a.state(), b.state());
-        assert!(a.step(f64::NAN, None, &Vector3::zeros()).is_err());
-        assert!(a.step(0.1, Some((Point3::new(f64::NAN, 0.0, 0.0), 1.0)), &Vector3::zeros()).is_err());
+        assert!(a.step(f64::NAN, &[], &Vector3::zeros()).is_err());
+        assert!(a.step(0.1, &[(Point3::new(f64::NAN, 0.0, 0.0), 1.0)], &Vector3::zeros()).is_err());
         assert_eq!(a.state(), b.state());
     }
 }

@@ -1,9 +1,15 @@
-//! Liquid as smoothed particles that keep their volume: DFSPH (Bender and Koschier, *Divergence-free smoothed particle
-//! hydrodynamics*, 2015). Two implicit solvers, one against compression at the end of the step, one against compression
-//! in progress; walls are particles that weigh what they stand for (Akinci et al., *Versatile rigid-fluid coupling for
-//! incompressible SPH*, 2012). Walls are smooth: they push, but do not hold.
+//! Liquid as smoothed particles that keep their volume: pressures so that nothing is compressed at the end of a part of a
+//! step are solved for implicitly (Ihmsen et al., *Implicit incompressible SPH*, 2014), with what is compressed already let
+//! off slowly in the same solve (Cornelis et al., *An optimized source term formulation for incompressible SPH*, 2019).
 //!
-//! One thread; each pair of particles is looked at once, so that momentum is kept to the last bits.
+//! Walls are particles that weigh what they stand for (Akinci et al., *Versatile rigid-fluid coupling for incompressible
+//! SPH*, 2012), scaled so that a flat wall continues the lattice of particles before it, and have pressures of their own,
+//! which are solved for as well (Shao and Lo, *Incompressible SPH method for simulating Newtonian and non-Newtonian flows
+//! with a free surface*, 2003): with the pressure of the particle before it alone, what presses on a floor is not what a
+//! column weighs over its area. Walls are smooth: they push, but do not hold.
+//!
+//! One thread. What two particles do to each other is computed alike from both sides, so that momentum is kept to the last
+//! bits.
 
 use nalgebra::{Point3, Vector3};
 
@@ -11,27 +17,26 @@ use super::config::{FluidConfig, FluidReport, FluidState};
 use super::error::{FluidError, FluidStepError, parameter};
 use super::kernel::Kernel;
 use super::neighbours::{CellGrid, CellStarts};
+use super::pressure::Solver;
+use super::rows::{Axes, Rows, Walls};
 
 /// Support of the kernel in spacings of particles.
 const SUPPORT: f64 = 2.0;
 /// Fewer neighbours are spray: it is not kept from parting.
-const NEIGHBOURS_MIN: u16 = 8;
+const NEIGHBOURS_MIN: u32 = 8;
 /// No particle comes nearer to a sample of a wall, in spacings: in the middle of a square of samples, 0.71 away from each, it
 /// would be through.
 const NEAREST: f64 = 0.9;
+/// Sum of kernels times volumes in one layer of a lattice, and in the next one: what a flat wall counts of its own samples,
+/// and of the particles before it.
+const LAYER: f64 = 0.7006;
+const NEXT_LAYER: f32 = 0.1499;
 /// Compression goes in this share of the time in which a particle falls its own size,
-const RELIEF: f64 = 0.5;
+const RELIEF: f64 = 2.0;
 /// but not more than this share of it in a part of a step.
-const RELIEF_MAX: f64 = 0.3;
+const RELIEF_MAX: f64 = 0.1;
 const CELLS_MAX: usize = 8_000_000;
-
-#[derive(Clone, Copy, Debug)]
-struct Pair {
-    a: u32,
-    b: u32,
-    /// ∇W = slope (x_a − x_b).
-    slope: f64,
-}
+const CELLS_ALONG: usize = 4_096;
 
 /// A liquid.
 #[derive(Clone, Debug)]
@@ -46,16 +51,14 @@ pub struct Fluid {
     walls: Vec<Point3<f64>>,
     wall_velocities: Vec<Vector3<f64>>,
     /// What each stands for \[m³\].
-    wall_volumes: Vec<f64>,
+    wall_volumes: Vec<f32>,
     /// As they were given: which one it is.
     wall_forces: Vec<Vector3<f64>>,
-    pairs: Vec<Pair>,
-    wall_pairs: Vec<Pair>,
-    compression: Vec<f64>,
-    rate: Vec<f64>,
-    inverse: Vec<f64>,
-    neighbours: Vec<u16>,
-    push: Vec<f64>,
+    /// From the corner of the box, in the order of their cells.
+    wall_places: Vec<[f32; 4]>,
+    wall_axes: Axes,
+    rows: Rows,
+    solver: Solver,
     change: Vec<Vector3<f64>>,
     pressure: Vec<f64>,
 }
@@ -84,6 +87,9 @@ impl Fluid {
             (0..3).map(|axis| ((config.max[axis] - config.min[axis]) / kernel.support).ceil()).product();
         parameter("cells of the box", cells, 1.0..=CELLS_MAX as f64, "1 to 8,000,000")?;
         let grid = CellGrid::new(config.min, config.max, kernel.support);
+        // Places are kept in single precision, as seen from a corner.
+        let longest = grid.size.iter().copied().max().unwrap_or(0);
+        parameter("cells of the box along an axis", longest as f64, 1.0..=CELLS_ALONG as f64, "1 to 4,096")?;
         let mut wall_cells = CellStarts::default();
         wall_cells.sort(&grid, &[]);
         Ok(Self {
@@ -97,13 +103,10 @@ impl Fluid {
             wall_velocities: Vec::new(),
             wall_volumes: Vec::new(),
             wall_forces: Vec::new(),
-            pairs: Vec::new(),
-            wall_pairs: Vec::new(),
-            compression: Vec::new(),
-            rate: Vec::new(),
-            inverse: Vec::new(),
-            neighbours: Vec::new(),
-            push: Vec::new(),
+            wall_places: Vec::new(),
+            wall_axes: Axes::default(),
+            rows: Rows::default(),
+            solver: Solver::default(),
             change: Vec::new(),
             pressure: Vec::new(),
             config,
@@ -122,9 +125,12 @@ impl Fluid {
         }
         let is_finite = |index: &usize| {
             let mut numbers = state.positions[*index].iter().chain(state.velocities[*index].iter());
-            numbers.all(|x| x.is_finite()) && state.pushes[*index].iter().all(|x| x.is_finite())
+            numbers.all(|x| x.is_finite()) && state.pushes[*index].is_finite()
         };
         if let Some(particle) = (0..count).find(|index| !is_finite(index)) {
+            return Err(FluidError::NotFinite { particle });
+        }
+        if let Some(particle) = state.wall_pushes.iter().position(|push| !push.is_finite()) {
             return Err(FluidError::NotFinite { particle });
         }
         self.state.clone_from(state);
@@ -143,6 +149,13 @@ impl Fluid {
         &self.config
     }
 
+    /// Gravity is another one from now on \[m/s²\], as where its box turns; what is not finite changes nothing.
+    pub fn set_gravity(&mut self, gravity: Vector3<f64>) {
+        if gravity.iter().all(|g| g.abs() <= 1e3) {
+            self.config.gravity = gravity;
+        }
+    }
+
     /// What a particle stands for \[m³\].
     #[must_use]
     pub fn particle_volume(&self) -> f64 {
@@ -155,7 +168,8 @@ impl Fluid {
         &self.pressure
     }
 
-    /// Samples of walls \[m\], at most a spacing apart, and how they move \[m/s\]; none of the old ones stay.
+    /// Samples of walls \[m\], at most a spacing apart, and how they move \[m/s\]; none of the old ones stay. As many as
+    /// before are the same ones elsewhere.
     ///
     /// # Errors
     /// Lists of different lengths, more than 1,000,000, numbers that are not finite.
@@ -173,6 +187,10 @@ impl Fluid {
             }
         }
         self.wall_cells.sort(&self.grid, samples);
+        if self.state.wall_pushes.len() != samples.len() {
+            self.state.wall_pushes.clear();
+            self.state.wall_pushes.resize(samples.len(), 0.0);
+        }
         self.walls.clear();
         self.walls.extend(self.wall_cells.order.iter().map(|index| samples[*index as usize]));
         self.wall_velocities.clear();
@@ -183,8 +201,12 @@ impl Fluid {
             self.wall_cells.around(&self.grid, &self.walls, sample, self.kernel.support, |_, square| {
                 sum += self.kernel.value_and_slope(square.sqrt()).0;
             });
-            self.wall_volumes.push(1.0 / sum);
+            self.wall_volumes.push((LAYER / sum) as f32);
         }
+        let min = self.config.min;
+        self.wall_places.clear();
+        self.wall_places.extend(self.walls.iter().map(|sample| seen_from(&min, sample)));
+        self.wall_axes.set(&self.wall_places);
         self.wall_forces.clear();
         self.wall_forces.resize(samples.len(), Vector3::zeros());
         Ok(())
@@ -211,7 +233,7 @@ impl Fluid {
         self.state.numbers.push(number);
         self.state.positions.push(position);
         self.state.velocities.push(velocity);
-        self.state.pushes.push([0.0; 2]);
+        self.state.pushes.push(0.0);
         Some(number)
     }
 
@@ -268,10 +290,8 @@ impl Fluid {
             }
             self.sort();
             self.find_neighbours();
-            // Compression in progress; at the first of all particles have no velocities that could be wrong.
-            report.iterations += self.solve(part, false).0;
             self.accelerate(part);
-            let (iterations, compression) = self.solve(part, true);
+            let (iterations, compression) = self.press(part);
             report.iterations += iterations;
             report.compression = report.compression.max(compression);
             self.contain(part);
@@ -335,79 +355,44 @@ impl Fluid {
         }
     }
 
-    /// Pairs, compression and the solvers' diagonals of the positions.
+    /// Neighbours, compression and the solver's diagonal of the positions.
     fn find_neighbours(&mut self) {
-        let count = self.state.positions.len();
-        let volume = self.particle_volume();
-        let kernel = self.kernel;
-        let resize = |list: &mut Vec<f64>, value| {
-            list.clear();
-            list.resize(count, value);
+        let min = self.config.min;
+        let volume = self.particle_volume() as f32;
+        self.rows.places.clear();
+        self.rows.places.extend(self.state.positions.iter().map(|position| seen_from(&min, position)));
+        let walls = Walls {
+            cells: &self.wall_cells,
+            places: &self.wall_places,
+            axes: &self.wall_axes,
+            volumes: &self.wall_volumes,
         };
-        resize(&mut self.compression, volume * kernel.value_and_slope(0.0).0);
-        resize(&mut self.inverse, 0.0);
-        resize(&mut self.rate, 0.0);
-        resize(&mut self.push, 0.0);
-        resize(&mut self.pressure, 0.0);
-        self.change.clear();
-        self.change.resize(count, Vector3::zeros());
-        self.neighbours.clear();
-        self.neighbours.resize(count, 0);
-        let (positions, pairs, wall_pairs) = (&self.state.positions, &mut self.pairs, &mut self.wall_pairs);
-        pairs.clear();
-        wall_pairs.clear();
-        let (compression, inverse, gradient) = (&mut self.compression, &mut self.inverse, &mut self.change);
-        let neighbours = &mut self.neighbours;
-        self.cells.pairs(&self.grid, positions, kernel.support, |a, b, square| {
-            let (value, slope) = kernel.value_and_slope(square.sqrt());
-            pairs.push(Pair { a, b, slope });
-            let (a, b) = (a as usize, b as usize);
-            let along = (positions[a] - positions[b]) * (volume * slope);
-            let squared = along.norm_squared();
-            for (particle, along) in [(a, along), (b, -along)] {
-                compression[particle] += volume * value;
-                inverse[particle] += squared;
-                gradient[particle] += along;
-                neighbours[particle] = neighbours[particle].saturating_add(1);
-            }
-        });
-        if !self.walls.is_empty() {
-            for (a, position) in positions.iter().enumerate() {
-                let (walls, volumes) = (&self.walls, &self.wall_volumes);
-                self.wall_cells.around(&self.grid, walls, position, kernel.support, |b, square| {
-                    let (value, slope) = kernel.value_and_slope(square.sqrt());
-                    let volume = volumes[b as usize];
-                    wall_pairs.push(Pair { a: a as u32, b, slope });
-                    compression[a] += volume * value;
-                    gradient[a] += (position - walls[b as usize]) * (volume * slope);
-                    neighbours[a] = neighbours[a].saturating_add(1);
-                });
-            }
-        }
-        for particle in 0..count {
-            let diagonal = inverse[particle] + gradient[particle].norm_squared();
-            // A lonely particle cannot be compressed.
-            inverse[particle] =
-                if diagonal > 1e-6 / (kernel.support * kernel.support) { 1.0 / diagonal } else { 0.0 };
-        }
+        self.rows.build(&self.grid, &self.cells, &walls, &self.kernel, volume, NEXT_LAYER);
     }
 
-    /// Gravity and viscosity.
+    /// Gravity and viscosity (Monaghan, *Smoothed particle hydrodynamics*, 2005).
     fn accelerate(&mut self, dt: f64) {
-        let volume = self.particle_volume();
-        self.change.fill(self.config.gravity * dt);
+        let rows = &self.rows;
+        self.change.clear();
+        self.change.resize(rows.particles, self.config.gravity * dt);
         if self.config.viscosity > 0.0 {
-            let (positions, velocities) = (&self.state.positions, &self.state.velocities);
-            let softening = 0.01 * self.kernel.support.powi(2);
-            let scale = 10.0 * self.config.viscosity * volume * dt;
-            for Pair { a, b, slope } in &self.pairs {
-                let (a, b) = (*a as usize, *b as usize);
-                let apart = positions[a] - positions[b];
-                let square = apart.norm_squared();
-                let approach = (velocities[a] - velocities[b]).dot(&apart);
-                let push = apart * (scale * slope * approach / (square + softening));
-                self.change[a] += push;
-                self.change[b] -= push;
+            let softening = (0.01 * self.kernel.support.powi(2)) as f32;
+            let scale = (10.0 * self.config.viscosity * dt) as f32;
+            self.solver.resize(rows.count());
+            for (to, velocity) in self.solver.velocities.iter_mut().zip(&self.state.velocities) {
+                *to = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
+            }
+            for (row, change) in self.change.iter_mut().enumerate() {
+                let (place, velocity) = (rows.places[row], self.solver.velocities[row]);
+                for (other, factor) in rows.of(row).filter(|(other, _)| *other < rows.particles) {
+                    let there = &rows.places[other];
+                    let apart: [f32; 3] = std::array::from_fn(|axis| place[axis] - there[axis]);
+                    let square = apart.iter().map(|x| x * x).sum::<f32>();
+                    let its = &self.solver.velocities[other];
+                    let approach: f32 = (0..3).map(|axis| (velocity[axis] - its[axis]) * apart[axis]).sum();
+                    let push = factor * scale * approach / (square + softening);
+                    (0..3).for_each(|axis| change[axis] += f64::from(push * apart[axis]));
+                }
             }
         }
         for (velocity, change) in self.state.velocities.iter_mut().zip(&self.change) {
@@ -415,88 +400,65 @@ impl Fluid {
         }
     }
 
-    /// One of the solvers: against compression at the end of the step, or against compression in progress. Iterations, and
-    /// the mean of what is left, as a share.
-    fn solve(&mut self, dt: f64, is_density: bool) -> (u32, f64) {
-        let count = self.state.positions.len();
-        if count == 0 {
-            return (0, 0.0);
+    /// Finds the pressures of a part of a step, and lets them push. Iterations, and the mean of what is left, as a share.
+    fn press(&mut self, dt: f64) -> (u32, f64) {
+        let Self { rows, solver, state, config, .. } = self;
+        let (particles, count) = (rows.particles, rows.count());
+        solver.resize(count);
+        for (to, velocity) in solver.velocities.iter_mut().zip(&state.velocities) {
+            *to = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
         }
-        let which = usize::from(is_density);
-        // What held them in the last step holds them in this one, mostly.
-        for particle in 0..count {
-            let push = &mut self.state.pushes[particle][which];
-            let is_spray = self.neighbours[particle] < NEIGHBOURS_MIN;
-            self.push[particle] = if is_spray || self.inverse[particle] == 0.0 { 0.0 } else { 0.5 * *push };
-            *push = self.push[particle];
+        for (to, wall) in solver.velocities[particles..].iter_mut().zip(&rows.wet) {
+            let velocity = self.wall_velocities[*wall as usize];
+            *to = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
         }
-        self.apply(dt);
+        rows.compression_rate(&solver.velocities, &mut solver.wanted);
+        // From here on they are changes, of which walls have none.
+        solver.velocities[particles..].fill([0.0; 4]);
         // Compression that is there already is let off slowly: at once it would be a spring, and an explosion where the
         // liquid was put down too close.
-        let fall = (self.config.spacing / self.config.gravity.norm().max(1e-6)).sqrt();
-        let relief = (dt / (RELIEF * fall)).min(RELIEF_MAX);
-        let mut left = 0.0;
-        for iteration in 1..=self.config.iterations_max {
-            self.rates();
-            let mut sum = 0.0;
-            for particle in 0..count {
-                let rate = self.rate[particle] * dt;
-                let there = self.compression[particle] - 1.0;
-                let mut excess = if !is_density {
-                    rate
-                } else if there > 0.0 {
-                    there * relief + rate
-                } else {
-                    there + rate
-                };
-                if !is_density
-                    && (self.neighbours[particle] < NEIGHBOURS_MIN || self.compression[particle] + rate < 1.0)
-                {
-                    // Where there is room it may come together.
-                    excess = 0.0;
+        let fall = (config.spacing / config.gravity.norm().max(1e-6)).sqrt();
+        let relief = (dt / (RELIEF * fall)).min(RELIEF_MAX) as f32;
+        let least = 1e-6 / (self.kernel.support * self.kernel.support) as f32;
+        for row in 0..count {
+            let there = rows.compression[row] - 1.0;
+            // Where there is room it may come together.
+            let share = if there > 0.0 { there * relief } else { there };
+            solver.wanted[row] = solver.wanted[row] * dt as f32 + share;
+            let is_spray = row < particles && rows.degree(row) < NEIGHBOURS_MIN;
+            solver.is_active[row] = !is_spray && rows.diagonal[row] > least;
+        }
+        solver.pressures[..particles].copy_from_slice(&state.pushes);
+        for (to, wall) in solver.pressures[particles..].iter_mut().zip(&rows.wet) {
+            *to = state.wall_pushes[self.wall_cells.order[*wall as usize] as usize];
+        }
+        let (iterations, left) = solver.solve(rows, dt as f32, config.compression, config.iterations_max);
+        state.pushes.copy_from_slice(&solver.pressures[..particles]);
+        state.wall_pushes.fill(0.0);
+        for (pressure, wall) in solver.pressures[particles..].iter().zip(&rows.wet) {
+            state.wall_pushes[self.wall_cells.order[*wall as usize] as usize] = *pressure;
+        }
+        // Each term is the same from both sides but for its sign, and sums of them are exact enough.
+        let mass = config.density * config.spacing.powi(3);
+        for row in 0..particles {
+            let (place, pressure) = (rows.places[row], solver.pressures[row]);
+            let mut change = Vector3::zeros();
+            for (other, factor) in rows.of(row) {
+                let times = factor * (pressure + solver.pressures[other]);
+                let there = &rows.places[other];
+                let push = Vector3::from_fn(|axis, _| f64::from(times * (place[axis] - there[axis])));
+                change += push;
+                if other >= particles {
+                    // As an impulse; divided by the step's time at its end.
+                    let wall = rows.wet[other - particles] as usize;
+                    self.wall_forces[self.wall_cells.order[wall] as usize] += push * (dt * mass);
                 }
-                // A surface pushes, but does not pull: what was pushed too much is taken back, no more.
-                let had = self.state.pushes[particle][which];
-                let push = (0.5 * excess * self.inverse[particle] / (dt * dt)).max(-had);
-                self.push[particle] = push;
-                sum += excess.max(0.0);
             }
-            left = sum / count as f64;
-            if left <= self.config.compression && iteration > 1 {
-                self.settle_pressure(which);
-                return (iteration, left);
-            }
-            for (pushes, push) in self.state.pushes.iter_mut().zip(&self.push) {
-                pushes[which] += push;
-            }
-            self.apply(dt);
+            state.velocities[row] -= change * dt;
         }
-        self.settle_pressure(which);
-        (self.config.iterations_max, left)
-    }
-
-    fn settle_pressure(&mut self, which: usize) {
-        for (pressure, pushes) in self.pressure.iter_mut().zip(&self.state.pushes) {
-            *pressure += self.config.density * pushes[which];
-        }
-    }
-
-    /// How fast each is being compressed \[1/s\].
-    fn rates(&mut self) {
-        let volume = self.particle_volume();
-        let (positions, velocities, rate) = (&self.state.positions, &self.state.velocities, &mut self.rate);
-        rate.fill(0.0);
-        for Pair { a, b, slope } in &self.pairs {
-            let (a, b) = (*a as usize, *b as usize);
-            let change = volume * slope * (velocities[a] - velocities[b]).dot(&(positions[a] - positions[b]));
-            rate[a] += change;
-            rate[b] += change;
-        }
-        for Pair { a, b, slope } in &self.wall_pairs {
-            let (a, b) = (*a as usize, *b as usize);
-            let towards = (velocities[a] - self.wall_velocities[b]).dot(&(positions[a] - self.walls[b]));
-            rate[a] += self.wall_volumes[b] * slope * towards;
-        }
+        self.pressure.clear();
+        self.pressure.extend(state.pushes.iter().map(|push| config.density * f64::from(*push)));
+        (iterations, left)
     }
 
     /// Lets nothing through walls: what pushes there is compression, of which a surface has none where it meets a wall, nor a
@@ -506,42 +468,31 @@ impl Fluid {
         let mass = self.config.density * self.particle_volume();
         // In a corner the second sample may send back to the first.
         for _ in 0..2 {
-            for Pair { a, b, .. } in &self.wall_pairs {
-                let (a, b) = (*a as usize, *b as usize);
-                let apart = self.state.positions[a] - self.walls[b];
-                let distance = apart.norm();
-                if distance == 0.0 {
-                    continue;
-                }
-                let normal = apart / distance;
-                let towards = (self.state.velocities[a] - self.wall_velocities[b]).dot(&normal);
-                let most = ((distance - near) / dt).max(0.0);
-                if towards < -most {
-                    let change = normal * (towards + most);
-                    self.state.velocities[a] -= change;
-                    self.wall_forces[self.wall_cells.order[b] as usize] += change * mass;
+            for &a in &self.rows.beside_walls {
+                let a = a as usize;
+                for (other, _) in self.rows.of(a).filter(|(other, _)| *other >= self.rows.particles) {
+                    let b = self.rows.wet[other - self.rows.particles] as usize;
+                    let apart = self.state.positions[a] - self.walls[b];
+                    let distance = apart.norm();
+                    if distance == 0.0 {
+                        continue;
+                    }
+                    let normal = apart / distance;
+                    let towards = (self.state.velocities[a] - self.wall_velocities[b]).dot(&normal);
+                    let most = ((distance - near) / dt).max(0.0);
+                    if towards < -most {
+                        let change = normal * (towards + most);
+                        self.state.velocities[a] -= change;
+                        self.wall_forces[self.wall_cells.order[b] as usize] += change * mass;
+                    }
                 }
             }
         }
     }
+}
 
-    /// Changes velocities by what each pushes.
-    fn apply(&mut self, dt: f64) {
-        let volume = self.particle_volume();
-        let (positions, velocities, push) = (&self.state.positions, &mut self.state.velocities, &self.push);
-        for Pair { a, b, slope } in &self.pairs {
-            let (a, b) = (*a as usize, *b as usize);
-            let change = (positions[a] - positions[b]) * (dt * volume * slope * (push[a] + push[b]));
-            velocities[a] -= change;
-            velocities[b] += change;
-        }
-        let mass = self.config.density * volume;
-        for Pair { a, b, slope } in &self.wall_pairs {
-            let (a, b) = (*a as usize, *b as usize);
-            let change = (positions[a] - self.walls[b]) * (dt * self.wall_volumes[b] * slope * push[a]);
-            velocities[a] -= change;
-            // As an impulse; divided by the step's time at its end.
-            self.wall_forces[self.wall_cells.order[b] as usize] += change * mass;
-        }
-    }
+/// A point as seen from a corner, in single precision.
+fn seen_from(corner: &Point3<f64>, point: &Point3<f64>) -> [f32; 4] {
+    let apart = point - corner;
+    [apart.x as f32, apart.y as f32, apart.z as f32, 0.0]
 }

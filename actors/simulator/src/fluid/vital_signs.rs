@@ -71,6 +71,23 @@ impl Default for Circulation {
     }
 }
 
+impl Circulation {
+    /// The same in a body with so much blood \[m³\]: what the heart gives and vessels hold goes with it, pressures and times
+    /// do not (Schmidt-Nielsen, *Scaling: why is animal size so important?*, 1984).
+    #[must_use]
+    pub fn of_blood(self, blood: f64) -> Self {
+        let share = blood / self.blood;
+        Self {
+            blood,
+            stroke: self.stroke * share,
+            arterial_compliance: self.arterial_compliance * share,
+            venous_compliance: self.venous_compliance * share,
+            reserve: self.reserve * share,
+            ..self
+        }
+    }
+}
+
 /// Activity of the reflex at rest, of 1.
 const TONE: f64 = 0.09;
 /// Pulse pressure as a share of a beat over the compliance: the rest flows off during the beat.
@@ -181,6 +198,12 @@ impl VitalSigns {
     #[must_use]
     pub fn state(&self) -> &CirculationState {
         &self.state
+    }
+
+    /// What it is.
+    #[must_use]
+    pub fn circulation(&self) -> &Circulation {
+        &self.circulation
     }
 
     fn flow(&self, state: &CirculationState) -> Flow {
@@ -300,6 +323,20 @@ mod tests {
             assert!(pulse(&signs) < pulse(&before) && signs.heart_rate > before.heart_rate);
             before = signs;
         }
+    }
+
+    #[test]
+    fn a_small_body_answers_the_same_share_in_the_same_way() {
+        let small = Circulation::default().of_blood(0.3e-3);
+        let mut patients =
+            [Circulation::default(), small].map(|body| VitalSigns::new(body).expect("a patient"));
+        for _ in 0..300 {
+            patients[0].step(1.0, 5e-6).expect("a step");
+            patients[1].step(1.0, 0.3e-6).expect("a step");
+        }
+        let [large, small] = patients.map(|patient| patient.signs());
+        assert!((large.heart_rate - small.heart_rate).abs() < 1e-9 && large.heart_rate > 90.0, "{large:?}");
+        assert!((large.mean / small.mean - 1.0).abs() < 1e-9 && large.mean < 90.0 * MMHG);
     }
 
     #[test]

@@ -26,16 +26,13 @@ pub struct ThreadMaterial {
     pub friction: f64,
     /// How much one strand gives way in a contact \[m/N\].
     pub contact_compliance: f64,
-    /// What a strand that is in contact feels for moving across itself, against what it touches \[N·s/m\]. Slides along
-    /// itself, and all rest, are free of it.
-    pub contact_damping: f64,
 }
 
 impl ThreadMaterial {
     /// Braided silk, USP size 2-0: 0.3 mm thick, 1.3 g/cm³; strain 0.06 % at 2 N. Bending stiffness: a hundredth of that of a
     /// solid silk rod (3.5e-6 N·m², from the modulus of Naleway et al. 2015), for a braid bends far more easily; twisting
-    /// stiffness near that of the solid rod. Both are chosen, not measured: values with which a square knot holds at a
-    /// friction of 0.3. `contact_damping` serves the solver and has no physical source.
+    /// stiffness near that of the solid rod; friction in the middle of what is reported of sutures. These three are
+    /// chosen, not measured.
     #[must_use]
     pub fn silk_2_0() -> Self {
         Self {
@@ -48,7 +45,6 @@ impl ThreadMaterial {
             drag: 1.0,
             friction: 0.2,
             contact_compliance: 2e-6,
-            contact_damping: 0.3,
         }
     }
 
@@ -68,12 +64,7 @@ impl ThreadMaterial {
             ("twisting_stiffness", self.twisting_stiffness),
             ("contact_compliance", self.contact_compliance),
         ];
-        let at_least_zero = [
-            ("damping", self.damping),
-            ("drag", self.drag),
-            ("friction", self.friction),
-            ("contact_damping", self.contact_damping),
-        ];
+        let at_least_zero = [("damping", self.damping), ("drag", self.drag), ("friction", self.friction)];
         for (name, value) in positive {
             if !value.is_finite() || value <= 0.0 {
                 return Err(ThreadError::Material { name, value, valid: "above 0" });

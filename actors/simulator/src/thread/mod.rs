@@ -111,9 +111,8 @@ impl Thread {
         Ok(Self { material, state, island: island::Island::new(SWEEPS) })
     }
 
-    /// How many sweeps over the contacts a linearised solution may take; [`SWEEPS`] unless told, 1 to 10,000. Of a
-    /// thread that slides while many contacts hold it, about as many as there are of them are needed; one that rests
-    /// goes on from the forces of the last step and takes few.
+    /// How many sweeps over the contacts and Newton steps a linearised solution may take; [`SWEEPS`] unless told, 1 to
+    /// 10,000. A thread at rest takes few; of one that slides while many contacts hold it, some solutions use all of them.
     pub fn set_sweeps(&mut self, sweeps: usize) {
         self.island.sweeps_max = sweeps.clamp(1, 10_000);
     }

@@ -5,6 +5,7 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Point3, Vector3};
+use trocar_collision::primitive::closest_segments;
 use trocar_simulator::thread::{Hold, Surroundings, Thread, ThreadReport};
 
 /// Between the knot and where its loop is pulled \[m\].
@@ -13,6 +14,9 @@ const ARM: f64 = 6e-3;
 const SPEED: f64 = 0.05;
 /// Of the ends beyond the last throw \[m\].
 const EAR: f64 = 5e-3;
+/// What keeps the slack loop hanging below the knot, as whatever it is tied around does: stiffness \[N/m\] and most of it
+/// \[N\], of which each arm of the knot feels a hundredth of its load. Free, the loop swings up between the ears.
+const BIGHT: [f64; 2] = [20.0, 0.05];
 
 /// A line resampled at even distances, ends included.
 pub fn resampled(points: &[Point3<f64>], spacing: f64) -> Vec<Point3<f64>> {
@@ -30,6 +34,29 @@ pub fn resampled(points: &[Point3<f64>], spacing: f64) -> Vec<Point3<f64>> {
         even.push(points[edge] + (points[edge + 1] - points[edge]) * ((at - begun) / length).min(1.0));
     }
     even
+}
+
+/// How near to each other the centre lines of two strands are at least, and which edges they are \[m\]. Edges nearer along
+/// the thread than half a turn of its tightest bend are the same strand.
+pub fn nearest_strands(points: &[Point3<f64>], radius: f64) -> (f64, [usize; 2]) {
+    let mut arcs = vec![0.0];
+    for pair in points.windows(2) {
+        arcs.push(arcs[arcs.len() - 1] + (pair[1] - pair[0]).norm());
+    }
+    let mut least = (f64::INFINITY, [0, 0]);
+    for first in 0..points.len() - 1 {
+        for second in first + 3..points.len() - 1 {
+            if arcs[second] - arcs[first + 1] < PI * radius {
+                continue;
+            }
+            let edge = |k: usize| [points[k], points[k + 1]];
+            let distance = closest_segments(&edge(first), &edge(second)).distance_squared.sqrt();
+            if distance < least.0 {
+                least = (distance, [first, second]);
+            }
+        }
+    }
+    least
 }
 
 /// Throws of so many half turns each, tied loosely with the two ends of a loop, the loop long and slack.
@@ -88,6 +115,8 @@ pub struct Bend {
     pub thread: Thread,
     /// Where the loop is pulled.
     pub arms: [usize; 2],
+    /// The lowest node of the slack loop, and where it hangs.
+    bight: (usize, Point3<f64>),
 }
 
 impl Bend {
@@ -106,7 +135,9 @@ impl Bend {
             }
         };
         let arms = [widest(-1.0), widest(1.0)];
-        Self { thread, arms }
+        let lowest = (arms[0] + arms[1]) / 2;
+        let bight = (lowest, points[lowest] - Vector3::z() * 2e-3);
+        Self { thread, arms, bight }
     }
 
     /// Between the arms \[m\].
@@ -136,13 +167,16 @@ impl Bend {
                 (last, side(last), forces[1]),
             ];
             // A hand gives way as it moves: all of its force at rest, none at its speed.
-            let hands = ends.map(|(node, side, force)| Hold {
+            let [a, b, c, d] = ends.map(|(node, side, force)| Hold {
                 node,
                 to: self.thread.positions()[node] + Vector3::x() * (side * SPEED * dt),
                 stiffness: (force / (SPEED * dt)).max(1e-9),
                 force_max: f64::INFINITY,
             });
-            let around = Surroundings { holds: &hands, ..Surroundings::default() };
+            let (node, to) = self.bight;
+            let bight = Hold { node, to, stiffness: BIGHT[0], force_max: BIGHT[1] };
+            let holds = [a, b, c, d, bight];
+            let around = Surroundings { holds: &holds, ..Surroundings::default() };
             let found = self.thread.step(dt, &around).expect("a step");
             seen(time, self, &found);
             report = Some(found);
@@ -162,7 +196,7 @@ impl Bend {
         force: f64,
         seconds: f64,
         dt: f64,
-        mut tell: impl FnMut(f64, f64, &ThreadReport),
+        mut tell: impl FnMut(f64, f64, &Self, &ThreadReport),
     ) -> Option<ThreadReport> {
         let begin = self.span();
         let every = (0.1 * seconds / dt).round().max(1.0) as usize;
@@ -174,7 +208,7 @@ impl Bend {
             |time, bend, report| {
                 count += 1;
                 if count % every == 0 {
-                    tell(time, bend.span() - begin, report);
+                    tell(time, bend.span() - begin, bend, report);
                 }
             },
         )

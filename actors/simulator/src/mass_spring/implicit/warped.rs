@@ -82,8 +82,7 @@ impl Warped {
             let across = first.cross(second);
             let (long, wide) = (first.norm(), across.norm());
             // On a line, or crushed: any axes will do.
-            let is_plane = wide > 1e-6 * long * second.norm();
-            if !is_plane {
+            if wide.is_nan() || wide <= 1e-6 * long * second.norm() {
                 return Matrix3::identity();
             }
             let (first, across) = (first / long, across / wide);

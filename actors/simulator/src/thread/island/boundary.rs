@@ -1,4 +1,4 @@
-//! What holds and surroundings do to the island, and feel of it.
+//! What holds do to the island, and what they and the surroundings feel of it.
 
 use nalgebra::{Point3, Vector3};
 
@@ -7,45 +7,6 @@ use crate::thread::frame::{angle_about, perpendicular};
 use crate::thread::{Hold, Surroundings, ThreadMaterial, TwistHold};
 
 impl Island {
-    /// What strands in contact feel for moving across themselves, against what they touched at the beginning. Of another
-    /// strand its velocity there is taken, which keeps the matrix narrow.
-    pub(super) fn resist(&mut self, material: &ThreadMaterial, dt: f64) {
-        let stiffness = material.contact_damping / dt;
-        let velocities = &self.trial.velocities;
-        let of = |edge: usize| (velocities[edge] + velocities[edge + 1]) * 0.5;
-        for memory in &self.trial.contacts {
-            let edge = memory.key.edge as usize;
-            let other = memory.key.feature as usize;
-            let pairs = if memory.key.with == 0 {
-                [Some((edge, of(other) * dt)), Some((other, of(edge) * dt))]
-            } else {
-                let motion = self.motions.get(memory.key.with as usize - 1);
-                [
-                    motion.map(|motion| {
-                        let at = self.trial.positions[edge];
-                        (edge, motion.to * motion.from.inverse_transform_point(&at) - at)
-                    }),
-                    None,
-                ]
-            };
-            for (edge, carried) in pairs.into_iter().flatten() {
-                let tangent = self.at.tangents[edge];
-                for node in [edge, edge + 1] {
-                    let by = self.at.positions[node] - self.trial.positions[node] - carried;
-                    let across = by - tangent * tangent.dot(&by);
-                    for row in 0..3 {
-                        self.right[node][row] -= 0.5 * stiffness * across[row];
-                        for column in 0..3 {
-                            let unit = f64::from(u8::from(row == column));
-                            self.matrix.diagonal[node][(row, column)] +=
-                                0.5 * stiffness * (unit - tangent[row] * tangent[column]);
-                        }
-                    }
-                }
-            }
-        }
-    }
-
     /// Of a hold on its node \[N\], and whether it is all that the hold can give; `share` of the way from the beginning
     /// of this part.
     pub(super) fn pull(&self, hold: &Hold, share: f64) -> (Vector3<f64>, bool) {

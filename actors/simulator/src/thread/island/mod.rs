@@ -26,6 +26,8 @@ const PARTS_MAX: usize = 512;
 const LENGTH_TOLERANCE: f64 = 2e-4;
 /// And by more than this for shorter steps.
 const LENGTH_ERROR_MAX: f64 = 2e-2;
+/// A place obeys its law when it would not have to move further than this for it \[m\].
+const TOLERANCE: f64 = 1e-9;
 
 /// A contact that is solved for.
 #[derive(Clone, Debug)]
@@ -210,7 +212,6 @@ impl Island {
         self.right.clear();
         self.right.resize(nodes, Cell::zeros());
         assemble(material, &self.trial, &self.at, dt, &around.gravity, &mut self.matrix, &mut self.right);
-        self.resist(material, dt);
         for load in around.loads {
             for k in 0..3 {
                 self.right[load.node][k] += load.force[k];
@@ -365,8 +366,10 @@ impl Island {
         if let Some(beyond) = self.active.get(CONTACTS_MAX) {
             return Err(Failure { node: beyond.key.edge as usize, why: Trouble::TooManyContacts });
         }
+        self.active.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
         self.pose();
-        report.sweeps += self.problem.solve(self.sweeps_max.max(1), 1e-9);
+        let sweeps = self.problem.solve(self.sweeps_max.max(1), TOLERANCE);
+        report.sweeps += sweeps;
         for (place, contact) in self.active.iter_mut().enumerate() {
             contact.force.copy_from_slice(&self.problem.force[3 * place..][..3]);
             let gap = self.problem.gap(place);
@@ -397,11 +400,11 @@ impl Island {
                     contact.offset[k] + apart[k] + contact.compliance * contact.force[k];
             }
         }
-        let until = self.active.iter().map(|contact| contact.rows.first()).min().unwrap_or(0);
         let nodes = self.right.len();
         for first in (0..rows).step_by(LANES) {
             let columns = first..(first + LANES).min(rows);
-            let from = columns.clone().map(|column| self.active[column / 3].rows.first()).min().unwrap_or(0);
+            // In their order along the thread, none of the places that are still to be read lies before the first.
+            let from = self.active[first / 3].rows.first();
             self.lanes.clear();
             self.lanes.resize(nodes, [[0.0; LANES]; 4]);
             for column in columns.clone() {
@@ -413,7 +416,7 @@ impl Island {
                     }
                 }
             }
-            self.matrix.solve_lanes(&mut self.lanes, from, until);
+            self.matrix.solve_lanes(&mut self.lanes, from, from);
             for (place, contact) in self.active.iter().enumerate().skip(first / 3) {
                 for k in 0..3 {
                     let apart = contact.rows.apart_lanes(k, &self.lanes);
@@ -463,6 +466,7 @@ impl Island {
             let drawn = contact.rows.vector(&[0.0, contact.drawn[0], contact.drawn[1]]);
             ContactMemory { key: contact.key, force: contact.rows.vector(&contact.force), drawn }
         }));
+        self.former.sort_unstable_by_key(|memory| memory.key);
         Ok(largest)
     }
 

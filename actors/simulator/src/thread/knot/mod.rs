@@ -9,8 +9,11 @@
 //! | Signature, determinant | `goeritz.rs` |
 //! | Names, and throws one by one | `name.rs` |
 //!
-//! An open thread is closed by [`close`]: its ends are led away from the middle of the thread and joined far out. A throw of `k` half hitches, tied with both ends around something, closes to
-//! the torus knot of `2k + 1` half turns, and throws one after the other to their connected sum.
+//! An open thread has no knot but the one that is made of it by closing it. [`identify`] closes it towards 25 directions
+//! spread evenly over the sphere ([`close_towards`]) and takes the knot that most of them give (Millett, Dobay, Stasiak
+//! 2005): a loop or an ear that happens to hang in the way of one closure does not hang in that of most. A throw of `k`
+//! half hitches, tied with both ends around something, closes to the torus knot of `2k + 1` half turns, and throws one
+//! after the other to their connected sum.
 
 mod bracket;
 mod diagram;
@@ -22,7 +25,7 @@ pub use bracket::{CROSSINGS_MAX, Laurent, jones};
 pub use diagram::Diagram;
 pub use goeritz::signature_and_determinant;
 pub use name::{Hand, Knot, KnotKind, Throw, identify, identify_closed, notation, throws};
-pub use polygon::{close, simplified};
+pub use polygon::{close_towards, simplified};
 
 use thiserror::Error;
 

@@ -7,7 +7,8 @@ use nalgebra::Point3;
 use super::bracket::{Laurent, jones};
 use super::diagram::Diagram;
 use super::goeritz::signature_and_determinant;
-use super::{KnotError, close, simplified};
+use super::polygon::directions;
+use super::{KnotError, close_towards, simplified};
 
 /// Which way a throw is twisted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -106,12 +107,37 @@ pub fn notation(throws: &[Throw]) -> String {
     text
 }
 
-/// The knot of a thread, open at both ends; see [`close`].
+/// The knot of a thread, open at both ends: the one that most of its closures have, see [`close_towards`]; of equally
+/// many the one that was found first.
 ///
 /// # Errors
-/// What keeps its crossings from being read.
+/// What keeps the crossings of all closures from being read.
 pub fn identify(points: &[Point3<f64>]) -> Result<Knot, KnotError> {
-    identify_closed(&close(points)?)
+    let mut found: Vec<(Knot, usize)> = Vec::new();
+    let mut error = None;
+    let all = directions().count();
+    for direction in directions() {
+        match identify_closed(&close_towards(points, &direction)?) {
+            Ok(knot) => {
+                let same = |of: &Knot| (&of.kind, &of.jones) == (&knot.kind, &knot.jones);
+                match found.iter_mut().find(|(of, _)| same(of)) {
+                    Some((_, votes)) => *votes += 1,
+                    None => found.push((knot, 1)),
+                }
+            }
+            Err(other) => error = error.or(Some(other)),
+        }
+        // Those that are left cannot change it any more.
+        if found.iter().any(|(_, votes)| 2 * votes > all) {
+            break;
+        }
+    }
+    // The first of those with most votes.
+    let most = found.iter().map(|(_, votes)| *votes).max();
+    match (found.into_iter().find(|(_, votes)| Some(*votes) == most), error) {
+        (Some((knot, _)), _) => Ok(knot),
+        (None, error) => Err(error.unwrap_or(KnotError::Points(points.len()))),
+    }
 }
 
 /// The knot of a closed curve; its last point is joined to its first.

@@ -6,13 +6,18 @@ use super::KnotError;
 
 /// How far out the ends of an open curve are joined, in radii of the curve.
 const FAR: f64 = 4.0;
+/// Directions that an open curve is closed towards.
+const CLOSURES: usize = 25;
 
-/// An open curve closed: both ends are led away from the middle of the curve's length, side by side, to four times its
-/// radius, and joined there. Of a thread tied around something that is how its ears are held up.
+/// An open curve closed towards a direction: both ends are led there, side by side, to four times the radius of the
+/// curve, and joined. What the curve does between its ends and there counts as part of the knot.
 ///
 /// # Errors
-/// Fewer than two points, or numbers that are not finite.
-pub fn close(points: &[Point3<f64>]) -> Result<Vec<Point3<f64>>, KnotError> {
+/// Fewer than two points, numbers that are not finite, or no direction.
+pub fn close_towards(
+    points: &[Point3<f64>],
+    direction: &Vector3<f64>,
+) -> Result<Vec<Point3<f64>>, KnotError> {
     let (Some(first), Some(last)) = (points.first(), points.last()) else {
         return Err(KnotError::Points(points.len()));
     };
@@ -22,20 +27,22 @@ pub fn close(points: &[Point3<f64>]) -> Result<Vec<Point3<f64>>, KnotError> {
     if let Some(bad) = points.iter().position(|point| !point.iter().all(|x| x.is_finite())) {
         return Err(KnotError::NotFinite(bad));
     }
-    let lengths: Vec<_> = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
-    let half = 0.5 * lengths.iter().sum::<f64>();
-    let mut passed = 0.0;
-    let middle = lengths.iter().position(|length| {
-        passed += length;
-        passed >= half
-    });
-    let middle = points[middle.unwrap_or(0)];
     let ends = (first.coords + last.coords) * 0.5;
-    let away = (ends - middle.coords).try_normalize(0.0).unwrap_or_else(Vector3::z);
+    let away = direction.try_normalize(0.0).ok_or(KnotError::MeetsItself)?;
     let radius = points.iter().map(|point| (point.coords - ends).norm()).fold(0.0, f64::max) * FAR;
     let mut closed = points.to_vec();
     closed.extend([last + away * radius, first + away * radius]);
     Ok(closed)
+}
+
+/// Directions that an open curve is closed towards, evenly over the sphere (a spiral of equal areas), none of them along
+/// an axis.
+pub(super) fn directions() -> impl Iterator<Item = Vector3<f64>> {
+    (0..CLOSURES).map(|k| {
+        let height = 1.0 - (2.0 * k as f64 + 1.0) / CLOSURES as f64;
+        let (around, across) = (2.399_963_229_728_653 * k as f64 + 0.3, (1.0 - height * height).sqrt());
+        Vector3::new(across * around.cos(), across * around.sin(), height)
+    })
 }
 
 /// The closed polygon with corners taken out whose triangle with their neighbours nothing passes through, until none is

@@ -48,13 +48,16 @@ pub fn position_based(cells: [usize; 3], size: [f64; 3], config: XpbdConfig) -> 
     Xpbd::new(&body, &wall, config).map_err(Failure::internal)
 }
 
+/// Edges of a coil that lie in turns; what is more is its straight tail.
+const COILED: usize = 100;
+
 /// A coil of suture thread on a table, its turns touching each other; the places of its ends.
 pub fn coil(edges: usize) -> Result<(Thread, [Point3<f64>; 2]), Failure> {
+    let on_coil = |turn: f64| Point3::new(3e-3 * turn.cos(), 3e-3 * turn.sin(), 4.9e-5 * turn);
+    let last = 0.15 * COILED as f64;
+    let onwards = Vector3::new(-last.sin(), last.cos(), 0.0) * (3e-3 * 0.15);
     let points: Vec<_> = (0..=edges)
-        .map(|i| {
-            let turn = i as f64 * 0.15;
-            Point3::new(3e-3 * turn.cos(), 3e-3 * turn.sin(), 4.9e-5 * turn)
-        })
+        .map(|i| on_coil(0.15 * i.min(COILED) as f64) + onwards * i.saturating_sub(COILED) as f64)
         .collect();
     let thread = Thread::new(ThreadMaterial::silk_2_0(), &points).map_err(Failure::internal)?;
     Ok((thread, [points[0], points[edges]]))

@@ -1,0 +1,328 @@
+//! The controller of a liquid: blood out of every vessel, between the surfaces that it does not pass.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_scene::{
+    Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
+    EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, RestPositions, Snapshot, SurfaceMesh, Tick,
+    VertexPositions,
+};
+
+use super::bleeding::{VesselState, rest_of};
+use crate::fluid::walls::{WallSample, sample};
+use crate::fluid::{Fluid, FluidConfig, FluidState, Spout};
+
+/// Most samples of one wall.
+const SAMPLES_MAX: usize = 200_000;
+
+/// A liquid; its drops are the entity's particles, which say how they look. A particle lives in the entity's box.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Liquid {
+    /// Distance of particles at rest \[m\].
+    pub spacing: f64,
+    /// Density at rest \[kg/m³\].
+    pub density: f64,
+    /// Kinematic viscosity \[m²/s\].
+    pub viscosity: f64,
+    /// Box in which it is, in the entity's frame \[m\]; what leaves it is absorbed.
+    #[schemars(with = "[f64; 3]")]
+    pub min: Point3<f64>,
+    /// The other end of the box \[m\].
+    #[schemars(with = "[f64; 3]")]
+    pub max: Point3<f64>,
+    /// Most particles; when there are more, the oldest are absorbed.
+    pub particles_max: u32,
+}
+
+impl Default for Liquid {
+    /// Blood.
+    fn default() -> Self {
+        let blood = FluidConfig::default();
+        Self {
+            spacing: blood.spacing,
+            density: blood.density,
+            viscosity: blood.viscosity,
+            min: blood.min,
+            max: blood.max,
+            particles_max: 4_000,
+        }
+    }
+}
+
+impl Component for Liquid {
+    const NAME: &'static str = "liquid";
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("spacing", self.spacing, 1e-4..=0.1, "1e-4 to 0.1 m")?;
+        ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
+        ComponentError::range("viscosity", self.viscosity, 0.0..=1.0, "0 to 1 m²/s")?;
+        for axis in 0..3 {
+            let size = self.max[axis] - self.min[axis];
+            ComponentError::range("max", size, self.spacing..=1e3, "beyond min, within 1000 m")?;
+        }
+        let room = trocar_scene::PARTICLES_MAX as f64 / 2.0;
+        ComponentError::range("particles_max", f64::from(self.particles_max), 1.0..=room, "1 to 32768")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+/// A surface that liquids do not pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LiquidWall {}
+
+impl Component for LiquidWall {
+    const NAME: &'static str = "liquid_wall";
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+/// What a later life goes on from.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct LiquidState {
+    /// The particles.
+    pub fluid: Arc<FluidState>,
+    /// How much came out of each vessel.
+    pub spouts: Vec<(Entity, Spout)>,
+}
+impl Component for LiquidState {
+    const NAME: &'static str = "liquid_state";
+    /// Too large to be recorded; what comes of it is.
+    const RECORD: RecordPolicy = RecordPolicy::Derived;
+}
+
+/// A wall as it was when it was sampled last, and where its samples are.
+struct Wall {
+    entity: Entity,
+    triangles: Arc<Vec<[u32; 3]>>,
+    samples: Vec<WallSample>,
+    positions: Arc<Vec<Point3<f64>>>,
+    liquid_from_wall: Isometry3<f64>,
+}
+
+/// Moves the liquid of the scene.
+pub struct FluidController {
+    liquid: Entity,
+    name: String,
+    look: Particles,
+    fluid: Fluid,
+    gravity_in_world: Vector3<f64>,
+    spouts: BTreeMap<Entity, Spout>,
+    walls: Vec<Wall>,
+    places: Vec<Point3<f64>>,
+    speeds: Vec<Vector3<f64>>,
+    order: Vec<(u64, u32)>,
+    walls_move: bool,
+    frozen: bool,
+}
+
+impl FluidController {
+    /// Reads the liquid, and goes on where an earlier life left it.
+    ///
+    /// # Errors
+    /// There is none, or more than one; a parameter or a state that does not fit it.
+    pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let scene = context.scene;
+        let mut liquids = scene.iter::<Liquid>();
+        let (Some((liquid, kind)), None) = (liquids.next(), liquids.next()) else {
+            return Err(ControllerError::Scene("fluid: one entity has to be a 'liquid'".into()));
+        };
+        let name = scene.name(liquid);
+        let wrong = |what: String| ControllerError::Scene(format!("'{name}': {what}"));
+        let config = FluidConfig {
+            spacing: kind.spacing,
+            density: kind.density,
+            viscosity: kind.viscosity,
+            gravity: scene.world_pose(liquid).rotation.inverse() * gravity_in_world,
+            min: kind.min,
+            max: kind.max,
+            particles_max: kind.particles_max as usize,
+            ..FluidConfig::default()
+        };
+        let mut fluid = Fluid::new(config).map_err(|error| wrong(error.to_string()))?;
+        let mut spouts = BTreeMap::new();
+        if let Some(known) = scene.get::<LiquidState>(liquid) {
+            fluid.restore(&known.fluid).map_err(|error| wrong(error.to_string()))?;
+            for (entity, spout) in &known.spouts {
+                spout.check().map_err(|error| wrong(error.to_string()))?;
+                spouts.insert(*entity, *spout);
+            }
+        }
+        let look = scene.get::<Particles>(liquid).cloned().unwrap_or_default();
+        Ok(Self {
+            liquid,
+            look,
+            fluid,
+            gravity_in_world,
+            spouts,
+            walls: Vec::new(),
+            places: Vec::new(),
+            speeds: Vec::new(),
+            order: Vec::new(),
+            walls_move: false,
+            frozen: scene.get::<Frozen>(liquid).is_some(),
+            name: name.clone(),
+        })
+    }
+
+    /// Where the walls are now; told to the liquid only where one of them has moved.
+    fn follow_walls(&mut self, dt: f64, scene: &Snapshot) -> Result<(), ControllerError> {
+        let liquid_from_world = scene.world_pose(self.liquid).inverse();
+        let mut walls = std::mem::take(&mut self.walls);
+        let mut known = walls.drain(..).peekable();
+        let (mut moved, mut now) = (false, Vec::new());
+        let mut carriers: Vec<Entity> = scene.iter::<LiquidWall>().map(|(entity, _)| entity).collect();
+        carriers.sort_unstable();
+        self.places.clear();
+        self.speeds.clear();
+        for entity in carriers {
+            let (Some(surface), Some(vertices)) =
+                (scene.get::<SurfaceMesh>(entity), scene.get::<VertexPositions>(entity))
+            else {
+                continue;
+            };
+            let liquid_from_wall = liquid_from_world * scene.world_pose(entity);
+            let before = known.next_if(|wall| wall.entity == entity);
+            let (triangles, positions) = (surface.triangles.clone(), vertices.positions.clone());
+            let same = |wall: &Wall| {
+                Arc::ptr_eq(&wall.triangles, &triangles) && wall.positions.len() == positions.len()
+            };
+            let wall = match before.filter(same) {
+                Some(mut wall) => {
+                    let still =
+                        Arc::ptr_eq(&wall.positions, &positions) && wall.liquid_from_wall == liquid_from_wall;
+                    moved |= !still;
+                    for sample in &wall.samples {
+                        let place = liquid_from_wall * sample.place(&positions);
+                        let before = wall.liquid_from_wall * sample.place(&wall.positions);
+                        self.places.push(place);
+                        self.speeds.push(if still { Vector3::zeros() } else { (place - before) / dt });
+                    }
+                    (wall.positions, wall.liquid_from_wall) = (positions, liquid_from_wall);
+                    wall
+                }
+                None => {
+                    moved = true;
+                    // At rest, so that another life finds the same ones.
+                    let rest = rest_of(scene, entity).filter(|rest| rest.len() == positions.len());
+                    let samples = sample(
+                        rest.unwrap_or(&positions),
+                        &triangles,
+                        self.fluid.config().spacing,
+                        SAMPLES_MAX,
+                    );
+                    let places = samples.iter().map(|sample| liquid_from_wall * sample.place(&positions));
+                    self.places.extend(places);
+                    self.speeds.resize(self.places.len(), Vector3::zeros());
+                    Wall { entity, triangles, samples, positions, liquid_from_wall }
+                }
+            };
+            now.push(wall);
+        }
+        moved |= known.next().is_some();
+        drop(known);
+        self.walls = now;
+        // Once more when they have come to rest.
+        if moved || self.walls_move {
+            self.fluid
+                .set_walls(&self.places, &self.speeds)
+                .map_err(|error| ControllerError::Failed(format!("'{}': {error}", self.name)))?;
+        }
+        self.walls_move = moved;
+        Ok(())
+    }
+
+    /// Drops in the order of their numbers; where one is gone in between, there is one that is not seen.
+    fn show(&mut self) {
+        let state = self.fluid.state();
+        self.order.clear();
+        self.order.extend(state.numbers.iter().zip(0..).map(|(number, index)| (*number, index)));
+        self.order.sort_unstable();
+        // Those that stayed behind long ago do not keep room for all that came and went since.
+        let room = trocar_scene::PARTICLES_MAX as u64;
+        let first =
+            state.next.saturating_sub(room).max(self.order.first().map_or(state.next, |first| first.0));
+        let (mut positions, mut densities) = (Vec::new(), Vec::new());
+        for (number, index) in self.order.iter().filter(|(number, _)| *number >= first) {
+            let place = state.positions[*index as usize];
+            let at = (number - first) as usize;
+            positions.resize(at, place);
+            densities.resize(at, 0.0);
+            positions.push(place);
+            densities.push(1.0);
+        }
+        self.look.first = first;
+        self.look.positions = Arc::new(positions);
+        self.look.densities = Arc::new(densities);
+    }
+
+    fn measure(&self, values: &mut BTreeMap<String, f64>) {
+        let mut put = |what: &str, value: f64| values.insert(format!("{}.{what}", self.name), value);
+        let volume = self.fluid.particle_volume();
+        let state = self.fluid.state();
+        let emitted: u64 = self.spouts.values().map(|spout| spout.emitted).sum();
+        let given: f64 = self.spouts.values().map(|spout| spout.given).sum();
+        put("volume_m3", state.numbers.len() as f64 * volume);
+        put("particles", state.numbers.len() as f64);
+        put("emitted_m3", emitted as f64 * volume);
+        put("absorbed_m3", state.absorbed as f64 * volume);
+        // Less than a particle of each is still to come.
+        put("emitted_share", if given > 0.0 { emitted as f64 * volume / given } else { 1.0 });
+    }
+}
+
+impl Controller for FluidController {
+    fn access(&self) -> Access {
+        let liquid = || EntitySet::Of(vec![self.liquid]);
+        Access::new()
+            .reads::<Liquid>()
+            .reads::<LiquidWall>()
+            .reads::<SurfaceMesh>()
+            .reads::<VertexPositions>()
+            .reads::<RestPositions>()
+            .reads::<VesselState>()
+            .reads::<Pose>()
+            .writes::<Particles>(liquid())
+            .writes::<LiquidState>(liquid())
+            .writes::<Frozen>(liquid())
+            .writes::<Measured>(EntitySet::Own)
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let dt = tick.period.as_secs_f64();
+        if !self.frozen {
+            let world_from_liquid = scene.world_pose(self.liquid);
+            self.fluid.set_gravity(world_from_liquid.rotation.inverse() * self.gravity_in_world);
+            self.follow_walls(dt, scene)?;
+            for (entity, vessel) in scene.iter::<VesselState>() {
+                let liquid_from_vessel = world_from_liquid.inverse() * scene.world_pose(entity);
+                let hole = vessel.hole_in(&liquid_from_vessel);
+                self.spouts.entry(entity).or_default().pour(vessel.bleeding.lost, dt, &hole, &mut self.fluid);
+            }
+            if let Err(error) = self.fluid.step(dt) {
+                self.frozen = true;
+                out.put(self.liquid, Frozen { reason: error.to_string(), since: tick.time });
+                out.event("frozen", self.liquid, None, tick.time.as_secs_f64());
+            }
+            let was_empty = self.look.positions.is_empty();
+            self.show();
+            if !(was_empty && self.look.positions.is_empty()) || tick.number == 1 {
+                out.put(self.liquid, self.look.clone());
+                let spouts = self.spouts.iter().map(|(entity, spout)| (*entity, *spout)).collect();
+                out.put(self.liquid, LiquidState { fluid: Arc::new(self.fluid.state().clone()), spouts });
+            }
+        }
+        let mut measured = Measured::default();
+        self.measure(&mut measured.values);
+        out.put(tick.me, measured);
+        Ok(())
+    }
+}

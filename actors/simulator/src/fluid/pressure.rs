@@ -1,0 +1,297 @@
+//! Pressures that keep a liquid from being compressed, and pull nowhere: the least p ≥ 0 with A p ≥ b, where A is the product
+//! of the divergence and the gradient of the particles. Solved by conjugate gradients that keep to the bounds: MPRGP
+//! (Dostál and Schöberl, *Minimizing quadratic functions over non-negative cone with the rate of convergence and finite
+//! termination*, 2005), scaled by the diagonal.
+
+use super::rows::Rows;
+
+/// Iterations after which the slope is computed from the beginning, if rows were held at their bounds since.
+const RENEWAL: u32 = 10;
+
+/// Lists that a solve needs; kept, so that none is made anew.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Solver {
+    /// Pressure over density of each row \[m²/s²\]: before, what to begin with; after, what is sought.
+    pub pressures: Vec<f32>,
+    /// What each row lacks at the beginning, as a share; of a row that has no pressure it does not matter.
+    pub wanted: Vec<f32>,
+    /// Whether each row can have a pressure.
+    pub is_active: Vec<bool>,
+    /// Room for velocities; their fourth number is 0.
+    pub velocities: Vec<[f32; 4]>,
+    scale: Vec<f32>,
+    scaled: Vec<f32>,
+    slope: Vec<f32>,
+    direction: Vec<f32>,
+    image: Vec<f32>,
+    rates: Vec<f32>,
+    /// Rows that were held at their bounds since the slope was computed from the beginning.
+    drift: usize,
+}
+
+fn dot(a: &[f32], b: &[f32]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| f64::from(*x) * f64::from(*y)).sum()
+}
+
+impl Solver {
+    /// Makes room for so many rows.
+    pub(super) fn resize(&mut self, count: usize) {
+        for list in [
+            &mut self.pressures,
+            &mut self.wanted,
+            &mut self.scale,
+            &mut self.scaled,
+            &mut self.slope,
+            &mut self.direction,
+            &mut self.image,
+            &mut self.rates,
+        ] {
+            list.clear();
+            list.resize(count, 0.0);
+        }
+        self.is_active.clear();
+        self.is_active.resize(count, false);
+        self.velocities.clear();
+        self.velocities.resize(count, [0.0; 4]);
+    }
+
+    /// `image` = scaled A times `of`: in single precision, as what it corrects is small.
+    fn apply(&mut self, rows: &Rows, dt: f32, of_direction: bool) {
+        let of = if of_direction { &self.direction } else { &self.scaled };
+        for ((pressure, of), scale) in self.pressures.iter_mut().zip(of).zip(&self.scale) {
+            *pressure = of * scale;
+        }
+        rows.gradient(&self.pressures, &mut self.velocities);
+        // Lanes beyond the third are no part of a place.
+        rows.compression_rate(&self.velocities, &mut self.rates);
+        for ((image, rate), scale) in self.image.iter_mut().zip(&self.rates).zip(&self.scale) {
+            *image = rate * scale * dt * dt;
+        }
+    }
+
+    /// The part of the slope along which the free rows go.
+    fn free_direction(&mut self) {
+        for ((direction, slope), value) in self.direction.iter_mut().zip(&self.slope).zip(&self.scaled) {
+            *direction = if *value > 0.0 { *slope } else { 0.0 };
+        }
+    }
+
+    /// Slope at where it is, from the beginning.
+    fn renew_slope(&mut self, rows: &Rows, dt: f32) {
+        self.apply(rows, dt, false);
+        self.drift = 0;
+        for row in 0..self.slope.len() {
+            self.slope[row] = self.image[row] - self.wanted[row] * self.scale[row];
+        }
+        self.free_direction();
+    }
+
+    /// Squares of the free and of the bound part of the slope, and the mean of what is left, as a share.
+    fn left(&self, active: usize) -> (f64, f64, f64) {
+        let (mut free, mut bound, mut sum) = (0.0, 0.0, 0.0);
+        for ((slope, value), scale) in self.slope.iter().zip(&self.scaled).zip(&self.scale) {
+            if *scale == 0.0 || (*value <= 0.0 && *slope >= 0.0) {
+                continue;
+            }
+            let square = f64::from(*slope) * f64::from(*slope);
+            if *value > 0.0 {
+                free += square;
+            } else {
+                bound += square;
+            }
+            sum += f64::from((slope / scale).abs());
+        }
+        (free, bound, sum / active as f64)
+    }
+
+    /// Solves for a part of a step \[s\] until the mean of what is left is at most `tolerance`. Iterations, and what is left.
+    pub(super) fn solve(&mut self, rows: &Rows, dt: f32, tolerance: f64, most: u32) -> (u32, f64) {
+        let mut active = 0_usize;
+        for row in 0..self.scale.len() {
+            self.scale[row] = if self.is_active[row] { 1.0 / (dt * rows.diagonal[row].sqrt()) } else { 0.0 };
+            active += usize::from(self.is_active[row]);
+            self.scaled[row] =
+                if self.is_active[row] { (self.pressures[row] / self.scale[row]).max(0.0) } else { 0.0 };
+        }
+        let mut iterations = 0;
+        let mut rest = 0.0;
+        let mut since = 0;
+        if active > 0 {
+            self.renew_slope(rows, dt);
+            loop {
+                let (free, bound, mean) = self.left(active);
+                rest = mean;
+                if self.drift > 0 && (mean <= tolerance || since >= RENEWAL) {
+                    self.renew_slope(rows, dt);
+                    since = 0;
+                    continue;
+                }
+                if mean <= tolerance || iterations >= most {
+                    break;
+                }
+                since += 1;
+                iterations += 1;
+                if bound > free {
+                    self.leave_bounds(rows, dt);
+                } else if !self.advance(rows, dt) {
+                    break;
+                }
+            }
+        }
+        for ((pressure, value), scale) in self.pressures.iter_mut().zip(&self.scaled).zip(&self.scale) {
+            *pressure = value * scale;
+        }
+        (iterations, rest)
+    }
+
+    /// Rows at their bound that want to rise do so.
+    fn leave_bounds(&mut self, rows: &Rows, dt: f32) {
+        for ((direction, slope), (value, scale)) in
+            self.direction.iter_mut().zip(&self.slope).zip(self.scaled.iter().zip(&self.scale))
+        {
+            *direction = if *value <= 0.0 && *scale > 0.0 { slope.min(0.0) } else { 0.0 };
+        }
+        self.apply(rows, dt, true);
+        let curvature = dot(&self.direction, &self.image);
+        if curvature > 0.0 {
+            self.go((dot(&self.slope, &self.direction) / curvature) as f32);
+        }
+        self.free_direction();
+    }
+
+    fn go(&mut self, length: f32) {
+        for row in 0..self.scaled.len() {
+            self.scaled[row] -= length * self.direction[row];
+            self.slope[row] -= length * self.image[row];
+        }
+    }
+
+    /// A step of conjugate gradients, or to the first bound and on; whether there was a way to go.
+    fn advance(&mut self, rows: &Rows, dt: f32) -> bool {
+        self.apply(rows, dt, true);
+        let curvature = dot(&self.direction, &self.image);
+        if curvature.is_nan() || curvature <= 0.0 {
+            return false;
+        }
+        let length = (dot(&self.slope, &self.direction) / curvature) as f32;
+        self.go(length);
+        // Who went past its bound stays at it. What that changes for others is small, and made good when the slope is next
+        // computed from the beginning: at the latest before anything is believed.
+        for value in &mut self.scaled {
+            if *value < 0.0 {
+                *value = 0.0;
+                self.drift += 1;
+            }
+        }
+        let turned = self.scaled.iter().zip(&self.slope).zip(&self.image);
+        let sum: f64 = turned
+            .filter(|((value, _), _)| **value > 0.0)
+            .map(|((_, slope), image)| f64::from(*slope) * f64::from(*image))
+            .sum();
+        let share = (sum / curvature) as f32;
+        for row in 0..self.direction.len() {
+            self.direction[row] =
+                if self.scaled[row] > 0.0 { self.slope[row] - share * self.direction[row] } else { 0.0 };
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fluid::kernel::Kernel;
+    use crate::fluid::neighbours::{CellGrid, CellStarts};
+    use crate::fluid::rows::{Axes, Walls};
+    use nalgebra::{DMatrix, DVector, Point3};
+    use rand::{Rng, SeedableRng};
+
+    /// A block of particles that are a little out of order, without walls.
+    fn rows() -> Rows {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(5);
+        let mut points = Vec::new();
+        for (i, j, k) in (0..5).flat_map(|i| (0..5).flat_map(move |j| (0..4).map(move |k| (i, j, k)))) {
+            let place = [i, j, k].map(|x| 0.1 * (f64::from(x) + random.random_range(-0.1..0.1)) + 0.2);
+            points.push(Point3::from(place));
+        }
+        let grid = CellGrid::new(Point3::origin(), Point3::new(1.0, 1.0, 1.0), 0.2);
+        let (mut cells, mut none) = (CellStarts::default(), CellStarts::default());
+        cells.sort(&grid, &points);
+        none.sort(&grid, &[]);
+        let mut rows = Rows::default();
+        let sorted = cells.order.iter().map(|index| points[*index as usize]);
+        rows.places = sorted.map(|p| [p.x as f32, p.y as f32, p.z as f32, 0.0]).collect();
+        let axes = Axes::default();
+        let walls = Walls { cells: &none, places: &[], axes: &axes, volumes: &[] };
+        rows.build(&grid, &cells, &walls, &Kernel::new(0.2), 1e-3, 0.15);
+        rows
+    }
+
+    /// The operator as a matrix, for a step of a second.
+    fn matrix(rows: &Rows) -> DMatrix<f64> {
+        let count = rows.count();
+        let mut a = DMatrix::zeros(count, count);
+        let mut unit = vec![0.0_f32; count];
+        let mut velocities = vec![[0.0; 4]; count];
+        let mut rates = vec![0.0; count];
+        for column in 0..count {
+            unit.fill(0.0);
+            unit[column] = 1.0;
+            rows.gradient(&unit, &mut velocities);
+            rows.compression_rate(&velocities, &mut rates);
+            (0..count).for_each(|row| a[(row, column)] = f64::from(rates[row]));
+        }
+        a
+    }
+
+    #[test]
+    fn the_operator_is_symmetric_has_its_diagonal_and_no_negative_eigenvalue() {
+        let rows = rows();
+        let a = matrix(&rows);
+        assert!((&a - a.transpose()).amax() < 1e-5 * a.amax());
+        for row in 0..rows.count() {
+            let diagonal = f64::from(rows.diagonal[row]);
+            assert!((a[(row, row)] - diagonal).abs() < 1e-4 * diagonal, "{row}");
+        }
+        let least = ((&a + a.transpose()) * 0.5).symmetric_eigenvalues().min();
+        assert!(least > -1e-4 * a.amax(), "{least}");
+    }
+
+    #[test]
+    fn pressures_are_at_their_bounds_or_their_rows_lack_nothing() {
+        let rows = rows();
+        let a = matrix(&rows);
+        let mut random = rand_pcg::Pcg64::seed_from_u64(7);
+        let dt = 0.01;
+        let mut solver = Solver::default();
+        solver.resize(rows.count());
+        for row in 0..rows.count() {
+            solver.wanted[row] = random.random_range(-0.02..0.02);
+            solver.is_active[row] = row % 17 != 3;
+        }
+        let (iterations, left) = solver.solve(&rows, dt, 1e-6, 500);
+        assert!(left <= 1e-6 && iterations < 400, "{iterations}: {left}");
+        let p = DVector::from_iterator(rows.count(), solver.pressures.iter().map(|p| f64::from(*p)));
+        let rest = &a * &p * f64::from(dt * dt);
+        let mut bound = 0;
+        for row in 0..rows.count() {
+            let lacks = f64::from(solver.wanted[row]) - rest[row];
+            assert!(p[row] >= 0.0);
+            if !solver.is_active[row] {
+                assert_eq!(p[row], 0.0);
+            } else if p[row] > 0.0 {
+                assert!(lacks.abs() < 1e-4, "{row}: {lacks}");
+            } else {
+                bound += 1;
+                assert!(lacks < 1e-4, "{row}: {lacks}");
+            }
+        }
+        assert!((5..95).contains(&bound), "{bound} of 100 at their bound");
+        // From where it is there is nothing left to do.
+        let before = solver.pressures.clone();
+        let (iterations, _) = solver.solve(&rows, dt, 1e-5, 500);
+        assert_eq!(iterations, 0);
+        let far = solver.pressures.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(far < 1e-6 * before.iter().copied().fold(0.0, f32::max), "{far}");
+    }
+}
