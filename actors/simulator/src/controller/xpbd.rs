@@ -1,4 +1,8 @@
 //! The controller of position-based bodies: volumes, cloths and rods.
+//!
+//! Touches are found once in a step and followed through its parts. What bounces off within a step is met again in the
+//! next only once it is inside, so a body that instruments press wants several hundred steps a second of few parts, and not few
+//! steps of many: a light one at 100 Hz rattles.
 
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
@@ -75,7 +79,7 @@ impl Default for XpbdBody {
     fn default() -> Self {
         Self {
             matter: Matter::default(),
-            parts: 10,
+            parts: 4,
             iterations: 1,
             damping: 2.0,
             thickness: 0.0,

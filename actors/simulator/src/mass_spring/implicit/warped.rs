@@ -82,7 +82,12 @@ impl Warped {
             let across = first.cross(second);
             let (long, wide) = (first.norm(), across.norm());
             // On a line, or crushed: any axes will do.
+<<<<<<< HEAD
             if wide.is_nan() || wide <= 1e-6 * long * second.norm() {
+=======
+            let is_plane = wide > 1e-6 * long * second.norm();
+            if !is_plane {
+>>>>>>> w-soft
                 return Matrix3::identity();
             }
             let (first, across) = (first / long, across / wide);
