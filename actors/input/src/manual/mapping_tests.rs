@@ -136,7 +136,7 @@ fn limits_that_make_no_sense_are_refused_by_name() {
 
 fn wish() -> impl Strategy<Value = PersonHand> {
     (prop::array::uniform3(-2.0..2.0f64), -9.0..9.0f64, prop::option::of(0.0..1.0f64))
-        .prop_map(|(moved, rolled, opening)| PersonHand { moved, rolled, opening })
+        .prop_map(|(moved, rolled, opening)| PersonHand { moved, rolled, opening, ..PersonHand::default() })
 }
 
 proptest! {
