@@ -6,7 +6,7 @@ use super::deformation::Deformation;
 use super::solver::{LinearFem, add, spread};
 
 impl LinearFem {
-    /// Displacements of the free surface nodes \[m\], in the order of [`Compliance::nodes`], as the last cycle left them.
+    /// Displacements of the free surface nodes \[m\], in the order of [`Compliance::nodes`](super::Compliance::nodes), as the last cycle left them.
     pub fn surface_displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
         self.single.fill(0.0);
         for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
