@@ -45,11 +45,12 @@ impl Axes {
     }
 }
 
+/// Places that are looked at together.
+const LANES: usize = 32;
+
 /// What is near to a place.
 #[derive(Clone, Debug, Default)]
 struct Near {
-    squares: Vec<f32>,
-    indices: Vec<u32>,
     found: Vec<Found>,
 }
 
@@ -74,25 +75,28 @@ impl Near {
         range: std::ops::Range<usize>,
         row: impl Fn(usize) -> (u32, f32),
     ) {
-        let first = range.start;
-        self.squares.resize(range.len(), 0.0);
-        let all = xs[range.clone()].iter().zip(&ys[range.clone()]).zip(&zs[range.clone()]);
-        for (square, ((x, y), z)) in self.squares.iter_mut().zip(all) {
-            let [dx, dy, dz] = [place[0] - x, place[1] - y, place[2] - z];
-            *square = dx * dx + dy * dy + dz * dz;
-        }
-        // Without branches: most are too far.
-        self.indices.resize(range.len() + 1, 0);
-        let mut count = 0;
-        for (index, distance) in self.squares.iter().enumerate() {
-            self.indices[count] = index as u32;
-            count += usize::from(*distance < square);
-        }
-        for &index in &self.indices[..count] {
-            let (square, at) = (self.squares[index as usize], first + index as usize);
-            let apart = [place[0] - xs[at], place[1] - ys[at], place[2] - zs[at]];
-            let (row, volume) = row(at);
-            self.found.push(Found { row, volume, apart, square, ..Found::default() });
+        let mut first = range.start;
+        while first < range.end {
+            let count = (range.end - first).min(LANES);
+            let [xs, ys, zs] = [xs, ys, zs].map(|axis| &axis[first..first + count]);
+            let mut squares = [f32::INFINITY; LANES];
+            for (((square, x), y), z) in squares.iter_mut().zip(xs).zip(ys).zip(zs) {
+                let [dx, dy, dz] = [place[0] - x, place[1] - y, place[2] - z];
+                *square = dx * dx + dy * dy + dz * dz;
+            }
+            // Most are too far: those that are not, as bits.
+            let mut near = 0_u32;
+            for (lane, distance) in squares.iter().enumerate() {
+                near |= u32::from(*distance < square) << lane;
+            }
+            while near != 0 {
+                let lane = near.trailing_zeros() as usize;
+                near &= near - 1;
+                let apart = [place[0] - xs[lane], place[1] - ys[lane], place[2] - zs[lane]];
+                let (row, volume) = row(first + lane);
+                self.found.push(Found { row, volume, apart, square: squares[lane], ..Found::default() });
+            }
+            first += count;
         }
     }
 
