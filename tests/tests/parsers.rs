@@ -49,6 +49,9 @@ impl Bound {
 /// as a document and as what it means.
 const TOML: Bound = Bound { per_byte: 1_024, always: 256 << 10 };
 
+/// Memory that a mesh may cost while a scenario has it made.
+const MADE_MESH: usize = 16 << 20;
+
 thread_local! {
     static APP: App = app();
 }
@@ -70,7 +73,9 @@ fn check_scenario(text: &str) -> Checked {
     APP.with(|app| {
         let file = Path::new("hostile.toml");
         let (parsed, peak) = peak_of(|| Scenario::parse(file, text, app.registry()));
-        TOML.holds(peak, text.len())?;
+        // A few letters may ask for a mesh of thousands of elements: each is made within limits of its own.
+        let asked = text.matches("mesh").count();
+        Bound { always: TOML.always + asked * MADE_MESH, ..TOML }.holds(peak, text.len())?;
         match parsed {
             Ok(scenario) => {
                 // What was accepted can be spawned, and every controller's parameters are judged without a panic.

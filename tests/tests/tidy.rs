@@ -50,7 +50,15 @@ const ARROWS: [(&str, &[&str]); 13] = [
     ("trocar-viewer", &["trocar-scene"]),
     (
         "trocar-cli",
-        &["trocar", "trocar-viewer", "trocar-scene", "trocar-devices", "trocar-kernel", "trocar-collision"],
+        &[
+            "trocar",
+            "trocar-viewer",
+            "trocar-scene",
+            "trocar-devices",
+            "trocar-kernel",
+            "trocar-collision",
+            "trocar-simulator",
+        ],
     ),
     (
         "trocar-tests",
@@ -76,7 +84,7 @@ const RESERVED: [(&str, &[&str]); 10] = [
     ("wgpu*", &["trocar-viewer"]),
     ("winit", &["trocar-viewer"]),
     ("egui*", &["trocar-viewer"]),
-    ("rayon*", &["trocar-simulator"]),
+    ("rayon*", &["trocar-simulator", "trocar-cli"]),
     ("axum*", &[]),
     ("clap*", &["trocar-cli"]),
     ("indicatif", &["trocar-cli"]),

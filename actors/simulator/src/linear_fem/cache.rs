@@ -75,18 +75,34 @@ impl Cache {
 
     fn keep(&self, compliance: &Compliance, file: &Path) -> io::Result<()> {
         fs::create_dir_all(&self.folder)?;
-        // Of another process that computes the same, the name is another.
-        let beside = file.with_extension(format!("{}.part", std::process::id()));
-        let written = File::create(&beside).and_then(|new| {
+        let (beside, new) = part_of(file)?;
+        let write = |new: File| {
             let mut out = BufWriter::new(new);
             compliance.write(&mut out)?;
             out.flush()?;
             out.get_ref().sync_all()
-        });
-        let done = written.and_then(|()| fs::rename(&beside, file));
+        };
+        let done = write(new).and_then(|()| fs::rename(&beside, file));
         if done.is_err() {
             let _ = fs::remove_file(&beside);
         }
         done
     }
+}
+
+/// How many may write the same at once, those that died over it included.
+const WRITERS_MAX: u32 = 16;
+
+/// A new file beside the one that it is to become, of another name than that of anybody who computes the same.
+fn part_of(file: &Path) -> io::Result<(PathBuf, File)> {
+    let mut taken = None;
+    for number in 0..WRITERS_MAX {
+        let part = file.with_extension(format!("{number}.part"));
+        match File::options().write(true).create_new(true).open(&part) {
+            Ok(new) => return Ok((part, new)),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => taken = Some(error),
+            Err(error) => return Err(error),
+        }
+    }
+    Err(taken.unwrap_or_else(|| io::ErrorKind::AlreadyExists.into()))
 }
