@@ -167,6 +167,26 @@ fn there_are_never_too_many_and_what_leaves_is_counted() {
 }
 
 #[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+        pool.install(|| {
+            let config = FluidConfig { viscosity: 1e-5, ..FluidConfig::default() };
+            let mut fluid = tank([30, 12, 24], [14, 12, 20], 2e-3, config);
+            (0..5).for_each(|_| {
+                fluid.step(0.005).expect("a step");
+            });
+            fluid.state().clone()
+        })
+    };
+    let one = run(1);
+    assert_eq!(one.numbers.len(), 3360);
+    for threads in [2, 3] {
+        assert_eq!(run(threads), one, "{threads} threads");
+    }
+}
+
+#[test]
 fn a_state_goes_on_bit_for_bit_and_a_refused_step_changes_nothing() {
     let config = FluidConfig::default();
     let mut fluid = tank([8, 8, 12], [4, 4, 8], 2e-3, config.clone());

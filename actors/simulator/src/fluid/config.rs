@@ -20,7 +20,7 @@ pub struct FluidConfig {
     pub max: Point3<f64>,
     /// Most particles; when there are more, the oldest are absorbed.
     pub particles_max: usize,
-    /// Part of a spacing that the fastest particle may go in a part of a step.
+    /// Part of a spacing that all but the fastest hundredth of the particles may go in a part of a step; those a whole one.
     pub cfl: f64,
     /// Most parts of a step.
     pub parts_max: u32,

@@ -8,7 +8,7 @@
 //! with a free surface*, 2003): with the pressure of the particle before it alone, what presses on a floor is not what a
 //! column weighs over its area. Walls are smooth: they push, but do not hold.
 //!
-//! One thread. What two particles do to each other is computed alike from both sides, so that momentum is kept to the last
+//! On the rayon pool, with the same bits for any number of threads. What two particles do to each other is computed alike from both sides, so that momentum is kept to the last
 //! bits.
 
 use nalgebra::{Point3, Vector3};
@@ -18,12 +18,12 @@ use super::error::{FluidError, FluidStepError, parameter};
 use super::kernel::Kernel;
 use super::neighbours::{CellGrid, CellStarts};
 use super::pressure::Solver;
-use super::rows::{Axes, Rows, Walls};
+use super::rows::{Axes, Rows, Walls, in_blocks};
 
 /// Support of the kernel in spacings of particles.
 const SUPPORT: f64 = 2.0;
 /// Fewer neighbours are spray: it is not kept from parting.
-const NEIGHBOURS_MIN: u32 = 8;
+const NEIGHBOURS_MIN: usize = 8;
 /// No particle comes nearer to a sample of a wall, in spacings: in the middle of a square of samples, 0.71 away from each, it
 /// would be through.
 const NEAREST: f64 = 0.9;
@@ -35,6 +35,8 @@ const NEXT_LAYER: f32 = 0.1499;
 const RELIEF: f64 = 2.0;
 /// but not more than this share of it in a part of a step.
 const RELIEF_MAX: f64 = 0.1;
+/// One in so many particles may be faster than the rest.
+const FEW: usize = 100;
 const CELLS_MAX: usize = 8_000_000;
 const CELLS_ALONG: usize = 4_096;
 
@@ -61,6 +63,7 @@ pub struct Fluid {
     solver: Solver,
     change: Vec<Vector3<f64>>,
     pressure: Vec<f64>,
+    speeds: Vec<f32>,
 }
 
 impl Fluid {
@@ -109,6 +112,7 @@ impl Fluid {
             solver: Solver::default(),
             change: Vec::new(),
             pressure: Vec::new(),
+            speeds: Vec::new(),
             config,
         })
     }
@@ -320,16 +324,26 @@ impl Fluid {
         Ok(report)
     }
 
-    /// How long a part may be.
-    fn part(&self, left: f64) -> f64 {
-        let fastest = self.state.velocities.iter().map(Vector3::norm_squared).fold(0.0, f64::max).sqrt();
+    /// How long a part may be. A few drops that fly ahead do not hold up the others: they may go a spacing in it.
+    fn part(&mut self, left: f64) -> f64 {
+        self.speeds.clear();
+        self.speeds.extend(self.state.velocities.iter().map(|velocity| velocity.norm_squared() as f32));
+        let (mut fastest, mut most) = (0.0, 0.0);
+        let place = self.speeds.len() - self.speeds.len().div_ceil(FEW);
+        if place < self.speeds.len() {
+            let (_, fast, faster) = self.speeds.select_nth_unstable_by(place, f32::total_cmp);
+            most = f64::from(*fast).sqrt();
+            fastest = f64::from(faster.iter().copied().fold(*fast, f32::max)).sqrt();
+        }
         let reach = self.config.cfl * self.config.spacing;
         // Of what gravity makes in it, too.
         let gravity = self.config.gravity.norm();
-        let speed = fastest + (gravity * reach).sqrt().min(gravity * left);
+        let more = (gravity * reach).sqrt().min(gravity * left);
         let viscous = 0.1 * self.kernel.support.powi(2) / self.config.viscosity.max(1e-12);
-        let most = (reach / speed.max(1e-12)).min(viscous);
-        if left <= most { left } else { left / (left / most).ceil() }
+        let longest = (reach / (most + more).max(1e-12))
+            .min(reach.max(self.config.spacing) / (fastest + more).max(1e-12))
+            .min(viscous);
+        if left <= longest { left } else { left / (left / longest).ceil() }
     }
 
     /// Brings the particles into the order of their cells.
@@ -382,18 +396,22 @@ impl Fluid {
             for (to, velocity) in self.solver.velocities.iter_mut().zip(&self.state.velocities) {
                 *to = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
             }
-            for (row, change) in self.change.iter_mut().enumerate() {
-                let (place, velocity) = (rows.places[row], self.solver.velocities[row]);
-                for (other, factor) in rows.of(row).filter(|(other, _)| *other < rows.particles) {
-                    let there = &rows.places[other];
-                    let apart: [f32; 3] = std::array::from_fn(|axis| place[axis] - there[axis]);
-                    let square = apart.iter().map(|x| x * x).sum::<f32>();
-                    let its = &self.solver.velocities[other];
-                    let approach: f32 = (0..3).map(|axis| (velocity[axis] - its[axis]) * apart[axis]).sum();
-                    let push = factor * scale * approach / (square + softening);
-                    (0..3).for_each(|axis| change[axis] += f64::from(push * apart[axis]));
+            let velocities = &self.solver.velocities;
+            in_blocks(&mut self.change, |first, changes| {
+                for (row, change) in (first..).zip(changes) {
+                    let (place, velocity) = (rows.places[row], velocities[row]);
+                    for (other, factor) in rows.of(row).filter(|(other, _)| *other < rows.particles) {
+                        let there = &rows.places[other];
+                        let apart: [f32; 3] = std::array::from_fn(|axis| place[axis] - there[axis]);
+                        let square = apart.iter().map(|x| x * x).sum::<f32>();
+                        let its = &velocities[other];
+                        let approach: f32 =
+                            (0..3).map(|axis| (velocity[axis] - its[axis]) * apart[axis]).sum();
+                        let push = factor * scale * approach / (square + softening);
+                        (0..3).for_each(|axis| change[axis] += f64::from(push * apart[axis]));
+                    }
                 }
-            }
+            });
         }
         for (velocity, change) in self.state.velocities.iter_mut().zip(&self.change) {
             *velocity += change;
@@ -439,22 +457,26 @@ impl Fluid {
             state.wall_pushes[self.wall_cells.order[*wall as usize] as usize] = *pressure;
         }
         // Each term is the same from both sides but for its sign, and sums of them are exact enough.
-        let mass = config.density * config.spacing.powi(3);
-        for row in 0..particles {
-            let (place, pressure) = (rows.places[row], solver.pressures[row]);
-            let mut change = Vector3::zeros();
-            for (other, factor) in rows.of(row) {
-                let times = factor * (pressure + solver.pressures[other]);
-                let there = &rows.places[other];
-                let push = Vector3::from_fn(|axis, _| f64::from(times * (place[axis] - there[axis])));
-                change += push;
-                if other >= particles {
-                    // As an impulse; divided by the step's time at its end.
-                    let wall = rows.wet[other - particles] as usize;
-                    self.wall_forces[self.wall_cells.order[wall] as usize] += push * (dt * mass);
-                }
+        let pressures = &solver.pressures;
+        let push = |row: usize, other: usize, factor: f32| {
+            let times = factor * (pressures[row] + pressures[other]);
+            let (place, there) = (&rows.places[row], &rows.places[other]);
+            Vector3::from_fn(|axis, _| f64::from(times * (place[axis] - there[axis])))
+        };
+        in_blocks(&mut state.velocities, |first, velocities| {
+            for (row, velocity) in (first..).zip(velocities) {
+                let pushes = rows.of(row).map(|(other, factor)| push(row, other, factor));
+                *velocity -= pushes.fold(Vector3::zeros(), |sum, push| sum + push) * dt;
             }
-            state.velocities[row] -= change * dt;
+        });
+        let mass = config.density * config.spacing.powi(3);
+        for &row in &rows.beside_walls {
+            for (other, factor) in rows.of(row as usize).filter(|(other, _)| *other >= particles) {
+                // As an impulse; divided by the step's time at its end.
+                let wall = rows.wet[other - particles] as usize;
+                let impulse = push(row as usize, other, factor) * (dt * mass);
+                self.wall_forces[self.wall_cells.order[wall] as usize] += impulse;
+            }
         }
         self.pressure.clear();
         self.pressure.extend(state.pushes.iter().map(|push| config.density * f64::from(*push)));
