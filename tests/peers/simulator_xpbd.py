@@ -1,24 +1,24 @@
 #!/usr/bin/env python3
-"""Position-based soft bodies: pypbd beside ours, blocks of one alternating with blocks of the other in one run.
+"""Position-based soft bodies of pypbd as a child process that times steps when asked, so that a benchmark can alternate
+blocks of its own with blocks of theirs.
 
     python3 -m venv peers && peers/bin/pip install -r tests/peers/requirements-simulator.txt
-    cargo build --release -p trocar-simulator --example soft_speed
-    peers/bin/python tests/peers/simulator_xpbd.py --ours target/release/examples/soft_speed --json
 
-A beam of six-tetrahedra cells is held at x = 0 and sags under its weight. Told are the processor time of a step, median
-over the blocks, and the deflection of its end at rest over that of the same tetrahedra in linear elasticity, which is
-computed here: for loads under which that is small it is the answer. Exits with 1 where ours takes more than --ratio of the
-peer's time, or has the larger error.
+One JSON object per line in and out.
+  {"cells": [20, 7, 3], "edge": 0.005, "young": 1e6, "poisson": 0.3, "density": 1000, "damping": 20, "dt": 5e-3,
+   "parts": 1, "iterations": 5, "method": "fem"}
+        -> {"tets": 2520, "constraints": ..., "deflection_linear": [m]}: a beam of six-tetrahedra cells that is held at x = 0
+           and sags under its weight, and the mean deflection of its end at rest by the same tetrahedra in linear elasticity,
+           computed here: for loads under which it is small it is the answer
+  {"steps": 40} -> {"ms": processor time of a step, "tip": mean deflection of the end [m], null when it has lost its numbers}
+An object with "error" says what was wrong with a request.
 
-What pypbd calls "FEM" has no time in it: its stiffness is that of its iterations. Its "XPBD" is distances and volumes.
+What pypbd calls "fem" has no time in it: its stiffness is that of its iterations. Its "xpbd" is distances and volumes.
 It refuses tetrahedra whose edge matrix has a determinant below 1e-6, so that lengths are scaled by 100 there, density and
 time such that the strains are the same.
 """
-import argparse
 import json
 import os
-import statistics
-import subprocess
 import sys
 import time
 
@@ -110,82 +110,32 @@ class Pypbd:
             for node in range(self.particles.size()):
                 self.particles.setVelocity(node, self.particles.getVelocity(node) * self.kept)
         now = np.array([self.particles.getPosition(int(node))[1] for node in self.end])
-        return {"ms": 1e3 * spent / count, "tip": float((self.rest - now).mean()) / SCALE}
-
-
-class Ours:
-    def __init__(self, path, ask):
-        self.child = subprocess.Popen([path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        self.ask(ask)
-
-    def ask(self, request):
-        print(json.dumps(request), file=self.child.stdin, flush=True)
-        answer = json.loads(self.child.stdout.readline())
-        if "error" in answer:
-            raise RuntimeError(answer["error"])
-        return answer
-
-    def steps(self, count):
-        return self.ask({"steps": count})
+        tip = float((self.rest - now).mean()) / SCALE
+        return {"ms": 1e3 * spent / count, "tip": tip if np.isfinite(tip) else None}
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--ours", required=True, help="the example soft_speed, built")
-    parser.add_argument("--method", choices=METHODS, default="fem", help="of pypbd")
-    parser.add_argument("--cells", type=int, nargs=3, default=[20, 7, 3])
-    parser.add_argument("--edge", type=float, default=0.005, help="of a cell [m]")
-    parser.add_argument("--young", type=float, default=1e6, help="[Pa]")
-    parser.add_argument("--dt", type=float, default=5e-3, help="[s]")
-    parser.add_argument("--iterations", type=int, default=5, help="sweeps per step, of both")
-    parser.add_argument("--parts", type=int, default=5, help="parts of a step among which its sweeps are shared out")
-    parser.add_argument("--peer-parts", type=int, default=1, help="the same of pypbd")
-    parser.add_argument("--blocks", type=int, default=12)
-    parser.add_argument("--steps", type=int, default=40, help="in a block")
-    parser.add_argument("--ratio", type=float, default=0.5)
-    parser.add_argument("--json", action="store_true", help="one object on stdout")
-    wanted = parser.parse_args()
-    if wanted.iterations % wanted.parts or wanted.iterations % wanted.peer_parts:
-        parser.error("--iterations is to be a multiple of --parts and of --peer-parts")
-    ask = {"cells": wanted.cells, "edge": wanted.edge, "young": wanted.young, "poisson": 0.3, "density": 1000.0}
-    ask |= {"damping": 20.0, "dt": wanted.dt}
-    share = lambda parts: ask | {"parts": parts, "iterations": wanted.iterations // parts}
-    theirs = Pypbd(share(wanted.peer_parts), METHODS[wanted.method])
-    ours = Ours(wanted.ours, share(wanted.parts))
-    times = {"ours": [], "pypbd": []}
-    tips = {}
-    for _ in range(wanted.blocks):
-        for name, side in (("ours", ours), ("pypbd", theirs)):
-            answer = side.steps(wanted.steps)
-            times[name].append(answer["ms"])
-            tips[name] = answer["tip"]
-    points, tets = beam(wanted.cells, wanted.edge)
-    truth = linear_deflection(points, tets, wanted.young, 0.3, 1000.0)
-    result = {
-        "tets": len(tets),
-        "dt_secs": wanted.dt,
-        "sweeps_per_step": wanted.iterations,
-        "parts": {"ours": wanted.parts, "pypbd": wanted.peer_parts},
-        "pypbd_method": wanted.method,
-        "pypbd_constraints": theirs.constraints,
-        "deflection_linear_m": truth,
-        "step_ms": {name: statistics.median(of) for name, of in times.items()},
-        "deflection_m": tips,
-        "error": {name: abs(tip / truth - 1.0) for name, tip in tips.items()},
-    }
-    result["ratio"] = result["step_ms"]["ours"] / result["step_ms"]["pypbd"]
-    # A peer that has lost its numbers is no measure of error.
-    lost = not np.isfinite(result["error"]["pypbd"])
-    result["pass"] = result["ratio"] <= wanted.ratio and (lost or result["error"]["ours"] <= result["error"]["pypbd"])
-    if lost:
-        result["error"]["pypbd"] = result["deflection_m"]["pypbd"] = None
-    if wanted.json:
-        print(json.dumps(result))
-    else:
-        for key, value in result.items():
-            print(f"{key:22} {value}")
-    return 0 if result["pass"] else 1
+    body = None
+    for line in sys.stdin:
+        try:
+            request = json.loads(line)
+            if "cells" in request:
+                body = Pypbd(request, METHODS[request["method"]])
+                points, tets = beam(request["cells"], request["edge"])
+                of = [request[key] for key in ("young", "poisson", "density")]
+                answer = {
+                    "tets": len(tets),
+                    "constraints": body.constraints,
+                    "deflection_linear": linear_deflection(points, tets, *of),
+                }
+            elif body is None:
+                answer = {"error": "no beam yet: begin with cells, edge, young and so on"}
+            else:
+                answer = body.steps(int(request["steps"]))
+        except Exception as error:  # whatever it was, the other side is to hear of it
+            answer = {"error": f"{type(error).__name__}: {error}"}
+        print(json.dumps(answer), flush=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -37,9 +37,18 @@ fn first_hand_over(session: &mut Session) -> Vec<SimTime> {
 
 #[test]
 fn the_ring_stays_in_both_hands_when_the_engine_dies_during_a_hand_over() {
+    survives(&[], 50);
+}
+
+#[test]
+fn so_it_does_with_rigid_bodies_of_our_own() {
+    survives(&[(r#"kind = "rapier""#, r#"kind = "rigid-bodies""#)], 20);
+}
+
+fn survives(replacements: &[(&str, &str)], seeds: u64) {
     let app = app();
-    let scenario = peg_transfer(&app, &[]);
-    let seeds: Vec<u64> = (1..=50).collect();
+    let scenario = peg_transfer(&app, replacements);
+    let seeds: Vec<u64> = (1..=seeds).collect();
     let figures = for_seeds(&seeds, |seed| {
         let times = first_hand_over(&mut start(&app, &scenario, &lockstep(seed)).expect("starts"));
         assert!(times.len() > 10, "seed {seed}: no hand-over within 30 s");

@@ -4,10 +4,19 @@ use trocar::prelude::*;
 use trocar::summary::Exit;
 use trocar_tests::{app, finish, for_seeds, lockstep, median, peg_transfer};
 
+/// The scenario with rigid bodies of our own in the place of the engine's.
+const BY_IMPULSES: (&str, &str) = (r#"kind = "rapier""#, r#"kind = "rigid-bodies""#);
+
 #[test]
 fn an_expert_completes_the_exercise_within_the_physical_limits() {
+    for replacements in [&[][..], &[BY_IMPULSES]] {
+        completes(replacements);
+    }
+}
+
+fn completes(replacements: &[(&str, &str)]) {
     let app = app();
-    let outcome = finish(&app, &peg_transfer(&app, &[]), &lockstep(1));
+    let outcome = finish(&app, &peg_transfer(&app, replacements), &lockstep(1));
     let summary = &outcome.summary;
     assert!(summary.task.completed, "{:?}", summary.task);
     assert!(

@@ -1,7 +1,8 @@
 //! Scenes of soft matter, in lock-step: judged by what came of them, and with a control that fails.
 
-use trocar::run::RunOutcome;
-use trocar_tests::{app, edited, finish, lockstep};
+use trocar::run::{RunOutcome, start};
+use trocar_scene::{DeviceForce, HapticStatus, SimTime};
+use trocar_tests::{app, edited, finish, for_seeds, lockstep};
 
 fn run(name: &str, replacements: &[(&str, &str)]) -> RunOutcome {
     let app = app();
@@ -65,6 +66,52 @@ fn an_implicit_and_an_explicit_simulator_share_a_scene() {
     assert_eq!(force(&both), force(&other));
 }
 
+/// What the left hand feels of the organ in `two-rates`, with pieces of the scenario replaced: stiffness while it presses
+/// \[N/m\], the force while it holds still \[N\], and by how much that goes up and down \[N\].
+fn felt(replacements: &[(&str, &str)]) -> [f64; 3] {
+    let app = app();
+    let mut session = start(&app, &edited(&app, "two-rates", replacements), &lockstep(1)).expect("it starts");
+    let hand = session.snapshot().find("hand.left").expect("a hand");
+    let (mut stiffness, mut forces) = (Vec::new(), Vec::new());
+    for millis in (1_900..3_450).step_by(5) {
+        session.run_until(SimTime::from_millis(millis));
+        let scene = session.snapshot();
+        let status = scene.get::<HapticStatus>(hand).expect("a status");
+        let force = scene.get::<DeviceForce>(hand).expect("a force").force.norm();
+        if millis < 2_400 && status.felt_stiffness > 0.0 {
+            stiffness.push(status.felt_stiffness);
+        }
+        if millis > 2_900 {
+            forces.push(force);
+        }
+    }
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let (low, high) =
+        forces.iter().fold((f64::INFINITY, 0.0_f64), |(low, high), f| (low.min(*f), high.max(*f)));
+    [mean(&stiffness), mean(&forces), high - low]
+}
+
+#[test]
+fn a_hand_feels_an_organ_alike_however_slowly_it_is_computed() {
+    let organ = |hz: &str| ("rate_hz = 20\n".to_owned(), format!("rate_hz = {hz}\n"));
+    let cases = [organ("10"), organ("20"), organ("100"), organ("200")];
+    let felts: Vec<[f64; 3]> = for_seeds(&[0, 1, 2, 3], |case| {
+        let (from, to) = &cases[case as usize];
+        felt(&[(from, to)])
+    });
+    let [stiffness, force, _] = felts[3];
+    for (felt, (_, hz)) in felts.iter().zip(&cases) {
+        assert!((felt[0] / stiffness - 1.0).abs() < 0.15, "{hz}{} of {stiffness} N/m", felt[0]);
+        // Hands tell forces apart that differ by 7 %.
+        assert!((felt[1] / force - 1.0).abs() < 0.03, "{hz}{} of {force} N", felt[1]);
+        // A hand trembles; what it holds does not shake it.
+        assert!(felt[2] < 0.5 * felt[1], "{hz}{} of {} N up and down", felt[2], felt[1]);
+    }
+    // The last force held instead, at 20 Hz, is a softer organ.
+    let held = felt(&[("renderer = { kind = \"proxy\" }", "renderer = { kind = \"held\" }")]);
+    assert!(held[0] < 0.8 * stiffness, "{} of {stiffness} N/m", held[0]);
+}
+
 #[test]
 fn a_bleeding_artery_is_clamped_and_sealed_and_the_patient_minds_when_nobody_does() {
     let sealed = holds("bleeding");
@@ -84,6 +131,19 @@ fn a_bleeding_artery_is_clamped_and_sealed_and_the_patient_minds_when_nobody_doe
     assert!(outcome(&open, "artery.rate_m3_per_s") > 0.0);
     let pressure = |run: &RunOutcome| outcome(run, "piglet.arterial_pressure_pa.smallest");
     assert!(pressure(&open) < pressure(&sealed), "{} and {} Pa", pressure(&open), pressure(&sealed));
+}
+
+#[test]
+fn a_needle_goes_through_a_pad_and_draws_its_thread_after_it() {
+    let sewn = holds("needle-tissue");
+    assert!(sewn.summary.force_newtons_max > 0.1, "{} N", sewn.summary.force_newtons_max);
+    // A needle that nobody holds goes in nowhere, nor does one through a skin that does not give.
+    let dropped = run("needle-tissue", &[("jaws = 0.0\nstep", "jaws = 0.5\nstep")]);
+    let hard = run("needle-tissue", &[("puncture_force = 0.3", "puncture_force = 1000.0")]);
+    for control in [&dropped, &hard] {
+        assert!(!control.summary.task.completed);
+        assert_eq!((outcome(control, "needle.entries"), outcome(control, "needle.exits")), (0.0, 0.0));
+    }
 }
 
 #[test]

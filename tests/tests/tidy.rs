@@ -27,7 +27,7 @@ const ARROWS: [(&str, &[&str]); 13] = [
     ("trocar-scene", &[]),
     ("trocar-devices", &[]),
     ("trocar-kernel", &["trocar-scene"]),
-    ("trocar-engine", &["trocar-scene"]),
+    ("trocar-engine", &["trocar-scene", "trocar-simulator"]),
     ("trocar-collision", &["trocar-scene"]),
     ("trocar-simulator", &["trocar-scene", "trocar-collision"]),
     ("trocar-tasks", &["trocar-scene"]),

@@ -17,7 +17,10 @@ const BLOCK: usize = 16;
 /// Blocks at most: what keeps more looks through the others one by one.
 const BLOCKS: usize = 16;
 
-/// At most `KEPT` candidates, in the order in which they were found.
+/// So many of the nearest stand before the others.
+const FIRST: usize = 2 * BLOCK;
+
+/// At most `KEPT` candidates, the nearest first.
 #[derive(Clone, Debug)]
 pub(crate) struct Candidates<T, const KEPT: usize> {
     triangle: [u32; KEPT],
@@ -31,6 +34,8 @@ pub(crate) struct Candidates<T, const KEPT: usize> {
     others_due: f64,
     /// What it and the surface have moved since the last gathering at most \[m\].
     travelled: f64,
+    /// No distance is told to be more than this \[m\].
+    horizon: f64,
 }
 
 impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
@@ -44,7 +49,14 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
             count: 0,
             others_due: f64::NEG_INFINITY,
             travelled: 0.0,
+            horizon: 0.0,
         }
+    }
+
+    /// No distance is told to be more than this \[m\], until the next gathering: what only brings nearer what is further
+    /// away than this need not be travelled.
+    pub(crate) fn horizon(&self) -> f64 {
+        self.horizon
     }
 
     pub(crate) fn travel(&mut self, distance: f64) {
@@ -72,22 +84,28 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
         found.retain(|found| found.at_least < limit);
         self.travelled = 0.0;
         self.others_due = limit;
+        self.horizon = limit;
+        let order =
+            |a: &Found<T>, b: &Found<T>| a.at_least.total_cmp(&b.at_least).then(a.triangle.cmp(&b.triangle));
         if found.len() > KEPT {
-            let order = |a: &Found<T>, b: &Found<T>| {
-                a.at_least.total_cmp(&b.at_least).then(a.triangle.cmp(&b.triangle))
-            };
             let (_, first_out, _) = found.select_nth_unstable_by(KEPT, order);
             self.others_due = first_out.at_least;
         }
-        self.count = found.len().min(KEPT);
-        for (slot, found) in found[..self.count].iter().enumerate() {
+        let gathered = found.len();
+        found.truncate(KEPT);
+        // The nearest are looked at most often: they stand together, and first.
+        if found.len() > FIRST {
+            found.select_nth_unstable_by(FIRST, order);
+        }
+        self.count = found.len();
+        for (slot, found) in found.iter().enumerate() {
             self.triangle[slot] = found.triangle;
             self.due[slot] = found.at_least;
             self.note[slot] = found.note;
         }
         // Each is looked at once before it is known.
         self.soonest = [f64::NEG_INFINITY; BLOCKS];
-        found.len()
+        gathered
     }
 
     /// The next slot from one on of which the triangle may be as near as `distance` now.
@@ -102,7 +120,7 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
                 if let Some(found) = (slot..end).find(|&slot| self.due[slot] <= due) {
                     return Some(found);
                 }
-                let soonest = self.due[block * BLOCK..end].iter().copied().fold(f64::INFINITY, f64::min);
+                let soonest = least(&self.due[block * BLOCK..end]);
                 if let Some(known) = self.soonest.get_mut(block) {
                     *known = soonest;
                 }
@@ -119,7 +137,7 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
 
     /// Tells that a triangle is not nearer than this now \[m\].
     pub(crate) fn set(&mut self, slot: usize, at_least: f64) {
-        let due = at_least + self.travelled;
+        let due = at_least.min(self.horizon) + self.travelled;
         self.due[slot] = due;
         if let Some(soonest) = self.soonest.get_mut(slot / BLOCK) {
             *soonest = soonest.min(due);
@@ -148,6 +166,20 @@ impl<T: Copy + Default, const KEPT: usize> Candidates<T, KEPT> {
     }
 }
 
+/// Written as choices four abreast, which are one instruction each; `f64::min` is several, for the sake of NaN.
+#[inline]
+fn least(values: &[f64]) -> f64 {
+    let smaller = |a: f64, b: f64| if b < a { b } else { a };
+    let (fours, rest) = values.as_chunks::<4>();
+    let mut least = [f64::INFINITY; 4];
+    for four in fours {
+        for (least, value) in least.iter_mut().zip(four) {
+            *least = smaller(*least, *value);
+        }
+    }
+    rest.iter().chain(&least).fold(f64::INFINITY, |a, b| smaller(a, *b))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -167,7 +199,8 @@ mod tests {
             for (slot, at_least, motion, reach) in deeds {
                 candidates.travel(motion);
                 if slot < candidates.len() {
-                    candidates.set(slot, at_least);
+                    candidates.set(slot, 3.0 * at_least);
+                    prop_assert!(candidates.may_reach(slot, candidates.horizon()));
                 }
                 let mut within = Vec::new();
                 let mut next = candidates.next_within(0, reach);

@@ -24,6 +24,7 @@ pub mod continuous;
 pub mod controller;
 pub mod dynamic_point;
 pub mod finger_proxy;
+mod identity;
 mod line;
 pub mod moving_surface;
 pub mod obb_tree;

@@ -27,13 +27,16 @@ pub struct VertexInside {
     pub depth: f64,
 }
 
-/// Room for the search; a warmed one does not allocate.
+/// Room for the search; a warmed one does not allocate. It remembers which triangle was nearest to each vertex and looks
+/// there first, so that one search for each pair of surfaces costs the least; what it finds does not depend on that.
 #[derive(Clone, Debug, Default)]
 pub struct PenetrationSearch {
     /// When each vertex was last looked at.
     stamps: Vec<u32>,
     stamp: u32,
     waiting: Vec<u32>,
+    /// The triangle that was nearest to each vertex when it was last looked at.
+    nearest: Vec<u32>,
     found: Vec<VertexInside>,
 }
 
@@ -60,6 +63,8 @@ impl PenetrationSearch {
         if self.stamps.len() != own.vertices().len() || self.stamp == u32::MAX {
             self.stamps.clear();
             self.stamps.resize(own.vertices().len(), 0);
+            self.nearest.clear();
+            self.nearest.resize(own.vertices().len(), u32::MAX);
             self.stamp = 0;
         }
         self.stamp += 1;
@@ -78,12 +83,19 @@ impl PenetrationSearch {
                 break;
             }
             let point = surface_in_other * own.vertices()[vertex as usize];
-            let Some(inside) = inside(other, vertex, &point, reach) else { continue };
+            let nearest = &mut self.nearest[vertex as usize];
+            let Some(inside) = inside(other, vertex, &point, reach, nearest) else { continue };
             self.found.push(inside);
             for about in surface.topology().about_vertex(vertex) {
                 own.triangles()[*about as usize].iter().for_each(|neighbour| self.wait(*neighbour));
             }
         }
+        &self.found
+    }
+
+    /// What was found last.
+    #[must_use]
+    pub fn found(&self) -> &[VertexInside] {
         &self.found
     }
 
@@ -95,10 +107,17 @@ impl PenetrationSearch {
     }
 }
 
-/// Whether a point is inside, and where it would get out.
-fn inside(other: &MovingSurface, vertex: u32, point: &Point3<f64>, reach: f64) -> Option<VertexInside> {
+/// Whether a point is inside, and where it would get out. `first` is where to look first, and the nearest afterwards.
+fn inside(
+    other: &MovingSurface,
+    vertex: u32,
+    point: &Point3<f64>,
+    reach: f64,
+    first: &mut u32,
+) -> Option<VertexInside> {
     let surface = other.surface();
-    let nearest = other.tree().nearest_to_point(&surface, point, reach).ok().flatten()?;
+    let nearest = other.tree().nearest_to_point_from(&surface, point, reach, Some(*first)).ok().flatten()?;
+    *first = nearest.triangle;
     let normal = pseudonormal(&surface, other.topology(), nearest.triangle, &nearest.nearest.weights)?;
     let way = nearest.nearest.point - point;
     if normal.dot(&way) <= 0.0 {
@@ -144,7 +163,8 @@ mod tests {
             // Against all vertices.
             let all = (0..vertices.len() as u32)
                 .filter(|vertex| {
-                    super::inside(&moving, *vertex, &(there * vertices[*vertex as usize]), 1.0).is_some()
+                    let point = there * vertices[*vertex as usize];
+                    super::inside(&moving, *vertex, &point, 1.0, &mut u32::MAX.clone()).is_some()
                 })
                 .count();
             assert_eq!(found.len(), all, "{offset}");

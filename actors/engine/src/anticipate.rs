@@ -10,6 +10,8 @@ use rapier3d_f64::parry::bounding_volume::BoundingVolume;
 use rapier3d_f64::parry::query::{ShapeCastOptions, contact};
 use rapier3d_f64::pipeline::{PhysicsWorld, QueryFilter};
 
+use trocar_simulator::instrument::local_model::Obstacle;
+
 use crate::conversion::{vector_from_rapier, vector_to_rapier};
 use crate::grasper::Grasper;
 
@@ -20,17 +22,6 @@ const PATH_MAX: f64 = 0.03;
 
 /// Speed that a hand may reach before an engine's next tick \[m/s\].
 const START_SPEED: f64 = 0.3;
-
-/// A surface on the way of an instrument.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Obstacle {
-    /// Unit normal towards the instrument.
-    pub normal_in_world: Vector3<f64>,
-    /// How far the instrument can still go against the normal \[m\].
-    pub gap: f64,
-    /// Coulomb friction of the pair.
-    pub friction: f64,
-}
 
 /// The first fixed surface that the instrument meets within `horizon_secs` if its tip keeps `velocity` and its
 /// rotation.

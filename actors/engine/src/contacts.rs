@@ -1,6 +1,5 @@
 //! Reads contacts out of Rapier: who touches whom, how deep, and with what force.
 
-use nalgebra::{Point3, Vector3};
 use rapier3d_f64::dynamics::RigidBodySet;
 use rapier3d_f64::geometry::{Collider, ColliderSet, ContactManifold, ContactPair};
 use rapier3d_f64::math::Vector;
@@ -8,72 +7,13 @@ use rapier3d_f64::pipeline::PhysicsWorld;
 use trocar_scene::components::Primitive;
 use trocar_scene::entity::Entity;
 
+use trocar_simulator::instrument::contact::{Contact, primitive_code};
+
 use crate::conversion::{point_from_rapier, vector_from_rapier};
-
-/// A contact between two colliders: of all its points the mean position, the sum of forces and the largest
-/// depth.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Contact {
-    /// First entity and its part.
-    pub a: (Entity, Primitive),
-    /// Second entity and its part.
-    pub b: (Entity, Primitive),
-    /// Where \[m\].
-    pub point_in_world: Point3<f64>,
-    /// Unit direction from `a` to `b`.
-    pub normal_in_world: Vector3<f64>,
-    /// Penetration \[m\]; negative while apart.
-    pub depth: f64,
-    /// Normal force on `b` \[N\].
-    pub normal_force: f64,
-    /// Friction on `b`, in world \[N\].
-    pub friction_in_world: Vector3<f64>,
-    /// Coulomb coefficient in effect.
-    pub friction_coefficient: f64,
-    /// Whether `a` cannot give way.
-    pub a_is_fixed: bool,
-    /// Whether `b` cannot give way.
-    pub b_is_fixed: bool,
-}
-
-impl Contact {
-    /// Force on `b`: normal and friction \[N\].
-    pub fn force_on_b_in_world(&self) -> Vector3<f64> {
-        self.normal_in_world * self.normal_force + self.friction_in_world
-    }
-
-    fn swapped(self) -> Self {
-        Self {
-            a: self.b,
-            b: self.a,
-            normal_in_world: -self.normal_in_world,
-            friction_in_world: -self.friction_in_world,
-            a_is_fixed: self.b_is_fixed,
-            b_is_fixed: self.a_is_fixed,
-            ..self
-        }
-    }
-
-    fn key(&self) -> (Entity, u64, Entity, u64) {
-        (self.a.0, primitive_code(self.a.1), self.b.0, primitive_code(self.b.1))
-    }
-}
 
 /// Collider tag: the entity in the low 64 bits, its part above.
 pub(crate) fn tag(entity: Entity, primitive: Primitive) -> u128 {
     u128::from(entity.to_bits()) | (u128::from(primitive_code(primitive)) << 64)
-}
-
-fn primitive_code(primitive: Primitive) -> u64 {
-    match primitive {
-        Primitive::Shape(index) => u64::from(index),
-        Primitive::Jaw(jaw) => (1 << 32) | u64::from(jaw),
-        Primitive::Shaft => 2 << 32,
-        // The engine's colliders are none of these.
-        Primitive::Triangle(_) | Primitive::Tetrahedron(_) | Primitive::Segment(_) | Primitive::Vertex(_) => {
-            0
-        }
-    }
 }
 
 fn untag(tag: u128) -> (Entity, Primitive) {

@@ -4,7 +4,7 @@
 //! The instrument weighs nothing, as the hand carries it, but it has inertia. Its frame is that of
 //! [`Instrument`]: origin at the closed tip, +z distal, jaws opening along x.
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Point3, Vector3};
 use rapier3d_f64::dynamics::{
     CoefficientCombineRule, GenericJointBuilder, ImpulseJointHandle, JointAxesMask, JointAxis, MotorModel,
     RigidBodyBuilder, RigidBodyHandle,
@@ -17,13 +17,15 @@ use trocar_scene::components::{Instrument, InstrumentTarget, Velocity};
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
 
+use trocar_simulator::instrument::coupling::{VirtualCoupling, Wrench};
+use trocar_simulator::instrument::grasp::Hold;
+use trocar_simulator::instrument::opening::InstrumentState;
+use trocar_simulator::instrument::set_point::SetPoint;
+use trocar_simulator::instrument::target_track::TargetTrack;
+
 use crate::conversion::{isometry_from_rapier, isometry_to_rapier, vector_from_rapier, vector_to_rapier};
-use crate::coupling::{VirtualCoupling, Wrench};
-use crate::grasp::Hold;
-use crate::jaws::{JAW_MASS_SHARE, JawOpening, Jaws, jaw_count};
-use crate::set_point::SetPoint;
+use crate::jaws::{JAW_MASS_SHARE, Jaws, jaw_count};
 use crate::settings::EngineSettings;
-use crate::target_track::TargetTrack;
 
 /// Radii of gyration of an instrument about its own x, y and z \[m\]: the distal shaft with a little of the
 /// hand behind it, which also keeps the solver's mass ratios small.
@@ -34,19 +36,6 @@ const SHAFT_REACH: f64 = 0.1;
 const ASSIST_STIFFNESS: f64 = 2000.0;
 /// Lever that turns the grasp constraint's linear stiffness into an angular one \[m\].
 const ASSIST_LEVER: f64 = 0.004;
-
-/// What suffices to continue with an instrument where another world left it.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct GrasperState {
-    /// `world_from_instrument`.
-    pub tip_in_world: Isometry3<f64>,
-    /// Velocity of the tip.
-    pub velocity: Velocity,
-    /// Jaws.
-    pub opening: JawOpening,
-    /// Where the drive of the jaws is on its way to its target \[rad\].
-    pub drive_reference: f64,
-}
 
 /// The constraint that helps friction.
 #[derive(Clone, Copy, Debug)]
@@ -86,7 +75,7 @@ impl Grasper {
         settings: &EngineSettings,
         entity: Entity,
         instrument: &Instrument,
-        state: &GrasperState,
+        state: &InstrumentState,
         slot: u32,
         groups: [InteractionGroups; 2],
         user_data: impl Fn(Option<usize>) -> u128,
@@ -209,10 +198,10 @@ impl Grasper {
     }
 
     /// Where it is and how it moves.
-    pub(crate) fn state(&self, world: &PhysicsWorld) -> GrasperState {
+    pub(crate) fn state(&self, world: &PhysicsWorld) -> InstrumentState {
         let body = &world.bodies[self.palm];
         let tip = body.position().translation;
-        GrasperState {
+        InstrumentState {
             tip_in_world: isometry_from_rapier(body.position()),
             velocity: Velocity {
                 linear: vector_from_rapier(body.velocity_at_point(tip)),

@@ -16,42 +16,17 @@ use rapier3d_f64::pipeline::PhysicsWorld;
 use rapier3d_f64::prelude::MassProperties;
 use trocar_scene::components::Instrument;
 
+pub use trocar_simulator::instrument::jaw::{JAW_MASS_SHARE, SATURATION_ANGLE, jaw_count};
+use trocar_simulator::instrument::jaw::{TURNING_MOMENT, blade, drive_reference, instrument_from_jaw, side};
+use trocar_simulator::instrument::opening::JawOpening;
+
 use crate::conversion::{isometry_from_rapier, isometry_to_rapier, vector_from_rapier, vector_to_rapier};
 use crate::settings::EngineSettings;
 
-/// A jaw reaches its largest force when its target lies this far inside of the actual opening \[rad\].
-pub const SATURATION_ANGLE: f64 = 0.1;
 /// Stiffness of the linkage, at the tip of a jaw \[N/m\].
 const LINKAGE_STIFFNESS: f64 = 3000.0;
-/// Share of the instrument's mass that each jaw carries, its part of the drive included.
-///
-/// A jaw is heavy in the directions in which the hinge guides it and light in the one in which it turns, with its
-/// centre at the hinge: a push on its tip is then nearly a pure turn, and the solver's sweeps over hinge and
-/// contact converge in a few iterations instead of creeping.
-pub const JAW_MASS_SHARE: f64 = 0.25;
-/// Moment about the hinge, in units of mass times length squared.
-const TURNING_MOMENT: f64 = 0.1;
 /// Moment about the other axes, in the same units.
 const GUIDED_MOMENT: f64 = 1.0;
-/// The blades touch at their tips first, as those of real graspers do: their pads are parallel on a body as thick
-/// as this many blades, so that closing does not push it out of the mouth.
-const PARALLEL_AT_THICKNESSES: f64 = 2.0;
-/// The blades begin this far before the hinge, so that they do not touch each other around it \[m\].
-const HINGE_CLEARANCE: f64 = 0.002;
-
-/// Opening of the jaws.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct JawOpening {
-    /// Full opening \[rad\].
-    pub angle: f64,
-    /// Its rate \[rad/s\].
-    pub rate: f64,
-    /// How far the bisector of the jaws is off the shaft's axis, about +y \[rad\].
-    pub tilt: f64,
-    /// Its rate \[rad/s\].
-    pub tilt_rate: f64,
-}
-
 /// One jaw.
 #[derive(Clone, Copy, Debug)]
 pub struct Jaw {
@@ -77,22 +52,6 @@ pub struct Jaws {
     linkage: [f64; 2],
     /// Stiffness and damping of the drive \[N·m/rad, N·m·s/rad\].
     servo: [f64; 2],
-}
-
-/// How many jaws the instrument has.
-pub fn jaw_count(instrument: &Instrument) -> usize {
-    if instrument.kind.has_jaws() { usize::from(instrument.jaws.min(2)) } else { 0 }
-}
-
-/// +1 for jaw A, −1 for jaw B: the sign of its turn about +y while opening.
-fn side(jaw: usize) -> f64 {
-    if jaw == 0 { 1.0 } else { -1.0 }
-}
-
-/// `instrument_from_jaw` of a jaw turned by `angle` about the hinge \[rad\].
-fn instrument_from_jaw(jaw_length: f64, angle: f64) -> Isometry3<f64> {
-    let hinge = Isometry3::translation(0.0, 0.0, -jaw_length);
-    hinge * Isometry3::rotation(Vector3::y() * angle) * hinge.inverse()
 }
 
 /// Frame of the hinge in both the palm and the jaw; Rapier's revolute axis is x, ours y.
@@ -122,8 +81,7 @@ impl Jaws {
     ) -> Self {
         let (length, count) = (instrument.jaw_length, jaw_count(instrument));
         let mass = JAW_MASS_SHARE * instrument.mass;
-        let half =
-            [instrument.jaw_thickness / 2.0, instrument.jaw_width / 2.0, (length - clearance(length)) / 2.0];
+        let (_, half) = blade(instrument, 0);
         let moments = Vector::new(GUIDED_MOMENT, TURNING_MOMENT, GUIDED_MOMENT) * (mass * length * length);
         let inertia_about_hinge = moments.y;
         let torque_max = instrument.jaw_force_max * length;
@@ -144,7 +102,6 @@ impl Jaws {
             let angle = opening.tilt + side(jaw) * opening.angle / 2.0;
             let rate = opening.tilt_rate + side(jaw) * opening.rate / 2.0;
             let world_from_jaw = world_from_instrument * instrument_from_jaw(length, angle);
-            let center = Vector3::new(side(jaw) * half[0], 0.0, -half[2]);
             let hinge_in_world = world_from_instrument * nalgebra::Point3::new(0.0, 0.0, -length);
             let spin = angular + world_from_instrument.rotation * Vector3::y() * rate;
             let hinge_velocity =
@@ -162,10 +119,8 @@ impl Jaws {
                     mass,
                     moments,
                 ));
-            // Turned about the inner edge of the tip, so that the closed tips meet at the origin.
-            let bow = -side(jaw) * bow(instrument);
-            let blade_in_jaw = Isometry3::rotation(Vector3::y() * bow) * Isometry3::from(center);
-            let blade = ColliderBuilder::cuboid(half[0], half[1], half[2])
+            let (blade_in_jaw, _) = blade(instrument, jaw);
+            let blade = ColliderBuilder::cuboid(half.x, half.y, half.z)
                 .position(isometry_to_rapier(&blade_in_jaw))
                 .density(0.0)
                 .friction(instrument.jaw_friction)
@@ -241,13 +196,8 @@ impl Jaws {
         step_secs: f64,
     ) {
         let target = target.clamp(0.0, self.angle_max);
-        let step = rate_max * step_secs;
-        let previous = self.reference;
-        self.reference += (target - self.reference).clamp(-step, step);
-        // No wind-up: what a squeezed body keeps open is not travelled again when the hand opens.
-        let slack = 1.5 * SATURATION_ANGLE;
-        self.reference = self.reference.clamp(actual.angle - slack, actual.angle + slack);
-        let speed = ((self.reference - previous) / step_secs).clamp(-rate_max, rate_max);
+        let speed;
+        (self.reference, speed) = drive_reference(self.reference, actual.angle, target, rate_max, step_secs);
 
         let [stiffness, damping] = self.servo;
         match (&self.jaws[..], self.drive) {
@@ -289,17 +239,6 @@ impl Jaws {
     pub fn squeeze(&self, actual: JawOpening) -> f64 {
         actual.angle - self.reference
     }
-}
-
-/// Inclination of the pads of closed jaws to the shaft's axis \[rad\].
-pub fn bow(instrument: &Instrument) -> f64 {
-    let gap = PARALLEL_AT_THICKNESSES * instrument.jaw_thickness;
-    (0.5 * gap / instrument.jaw_length).min(0.25 * instrument.jaw_angle_max)
-}
-
-/// The blades of very short jaws keep most of their length.
-fn clearance(length: f64) -> f64 {
-    HINGE_CLEARANCE.min(0.2 * length)
 }
 
 /// The same bits on every machine, unlike the platform's own.

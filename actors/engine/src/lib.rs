@@ -1,19 +1,15 @@
 //! Rapier as the physics-engine controller.
 //!
 //! [`RigidWorld`] is the plain algorithm: bodies, instruments, one [`step`](RigidWorld::step) at a time, no scene
-//! and no clock. [`EngineController`] schedules it: it brings the world up to the time of each tick, from
-//! what the scene says, and writes poses, forces, contacts and grasps back. Nothing else in Trocar knows
-//! Rapier.
+//! and no clock. [`EngineController`], which schedules it, is the controller of every
+//! [`World`](trocar_simulator::rigid_world::World) of rigid bodies; how instruments follow hands, and when they hold something,
+//! is in [`trocar_simulator::instrument`]. Nothing else in Trocar knows Rapier.
 //!
 //! | file | what it holds |
 //! |---|---|
-//! | `world.rs` | the world: bodies, steps, statistics |
+//! | `world.rs`, `world/` | the world: bodies, steps, statistics, contacts that others find |
 //! | `grasper.rs`, `jaws.rs` | an instrument as palm, jaws, hinge and drive |
-//! | `coupling.rs`, `target_track.rs` | the spring between hand and instrument, and what it follows |
-//! | `grasp.rs` | when an instrument holds something |
-//! | `contacts.rs`, `local_model.rs`, `anticipate.rs` | contacts for the collision list and for haptics |
-//! | `felt.rs` | instruments whose contacts somebody else models |
-//! | `controller.rs`, `mechanism.rs` | the controller, and its resume state |
+//! | `contacts.rs`, `anticipate.rs`, `penalty.rs` | contacts for the collision list and for haptics, and those of others |
 //! | `shapes.rs`, `settings.rs`, `conversion.rs` | geometry, tuning, glam to nalgebra |
 //!
 //! # How to grasp
@@ -49,30 +45,24 @@
 
 pub mod anticipate;
 pub mod contacts;
-pub mod controller;
 pub mod conversion;
-pub mod coupling;
-pub mod error;
-pub mod felt;
-pub mod grasp;
 pub mod grasper;
 pub mod jaws;
-pub mod local_model;
-pub mod mechanism;
-pub mod mesh_mass;
 pub mod penalty;
-mod set_point;
 pub mod settings;
 pub mod shapes;
-pub mod target_track;
 pub mod world;
 
-pub use controller::EngineController;
-pub use error::EngineError;
-pub use grasper::{Grasper, GrasperState};
-pub use mechanism::MechanismState;
+pub use grasper::Grasper;
 pub use settings::EngineSettings;
+pub use trocar_simulator::controller::RigidBodiesController;
+pub use trocar_simulator::instrument::mechanism::MechanismState;
+pub use trocar_simulator::instrument::opening::InstrumentState as GrasperState;
+pub use trocar_simulator::rigid_world::WorldError as EngineError;
 pub use world::{RigidWorld, WorldStatistics};
+
+/// Rapier as a controller of the scene: the one of all worlds of rigid bodies, with Rapier's in it.
+pub type EngineController = RigidBodiesController<RigidWorld>;
 
 /// Registers the components that the engine adds to those of the field.
 ///

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use rapier3d_f64::dynamics::{FrictionModel, IntegrationParameters, SpringCoefficients};
 use serde::{Deserialize, Serialize};
 
-use crate::error::EngineError;
+use crate::EngineError;
 
 /// How the world is stepped. The defaults are those under which grasping a 5 g ring by friction was measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -6,8 +6,9 @@ use rapier3d_f64::math::{Pose as RapierPose, Rotation, Vector};
 use rapier3d_f64::prelude::MassProperties;
 use trocar_scene::components::Shape;
 
+use trocar_simulator::rigid_world::mesh_mass::UnitSolid;
+
 use crate::conversion::matrix_to_rapier;
-use crate::mesh_mass::UnitSolid;
 
 /// Capsules that make up one ring.
 ///

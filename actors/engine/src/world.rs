@@ -4,6 +4,7 @@
 //! A plain type: no scene, no actor, no clock. [`RigidWorld::step`] advances by one substep; two worlds that
 //! are given the same calls hold the same bits.
 
+mod scheduled;
 mod surfaces;
 
 use std::collections::BTreeMap;
@@ -16,27 +17,30 @@ use rapier3d_f64::geometry::{
 use rapier3d_f64::math::Pose as RapierPose;
 use rapier3d_f64::pipeline::PhysicsWorld;
 use rapier3d_f64::prelude::MassProperties;
-use trocar_scene::component::Component;
 use trocar_scene::components::{
     Instrument, InstrumentTarget, Motion, Pose, Primitive, RigidBody, Shape, Velocity,
 };
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
 
-use crate::anticipate::{Obstacle, first_obstacle};
-use crate::contacts::{self, Contact};
+use trocar_simulator::instrument::contact::Contact;
+use trocar_simulator::instrument::coupling::Wrench;
+use trocar_simulator::instrument::grasp::{self, Hold, PadContact};
+use trocar_simulator::instrument::local_model::Obstacle;
+use trocar_simulator::instrument::opening::InstrumentState;
+use trocar_simulator::instrument::target_track::TargetTrack;
+pub use trocar_simulator::rigid_world::FLOOR;
+use trocar_simulator::rigid_world::check;
+
+use crate::EngineError;
+use crate::anticipate::first_obstacle;
+use crate::contacts;
 use crate::conversion::{pose_from_rapier, pose_to_rapier, vector_from_rapier, vector_to_rapier};
-use crate::coupling::Wrench;
-use crate::error::EngineError;
-use crate::grasp::{self, Hold, PadContact};
-use crate::grasper::{Grasper, GrasperState};
+use crate::grasper::Grasper;
 use crate::penalty::{Penalties, Trail};
 use crate::settings::EngineSettings;
 use crate::shapes;
-use crate::target_track::TargetTrack;
 
-/// The world's own floor reports its contacts under this entity.
-pub const FLOOR: Entity = Entity::of_writer(u16::MAX, u16::MAX);
 /// Most bodies besides instruments.
 pub const BODIES_MAX: usize = 4096;
 /// Most instruments: each takes two of Rapier's 32 collision groups.
@@ -238,7 +242,7 @@ impl RigidWorld {
         &mut self,
         entity: Entity,
         instrument: &Instrument,
-        state: &GrasperState,
+        state: &InstrumentState,
         hold: Option<Hold>,
     ) -> Result<(), EngineError> {
         check(entity, instrument)?;
@@ -501,7 +505,7 @@ impl RigidWorld {
         self.graspers.get(&entity)
     }
     /// Where an instrument is and how it moves.
-    pub fn grasper_state(&self, entity: Entity) -> Option<GrasperState> {
+    pub fn grasper_state(&self, entity: Entity) -> Option<InstrumentState> {
         self.graspers.get(&entity).map(|grasper| grasper.state(&self.physics))
     }
     /// The wrench that an instrument exerts on its hand, about the tip, in world axes, averaged over the steps
@@ -534,8 +538,4 @@ fn groups(member_of: u32, collides_with: u32) -> InteractionGroups {
         Group::from_bits_truncate(collides_with),
         InteractionTestMode::And,
     )
-}
-
-fn check<T: Component>(entity: Entity, component: &T) -> Result<(), EngineError> {
-    component.check().map_err(|source| EngineError::InvalidComponent { entity, component: T::NAME, source })
 }

@@ -21,6 +21,9 @@ pub struct Arc {
     pub axis: [f64; 3],
     /// How far \[rad\]; negative against the axis.
     pub angle: f64,
+    /// Whether the direction in which the jaws close turns with it, as when a curved needle is driven along itself.
+    #[serde(default)]
+    pub turns: bool,
 }
 
 fn upwards() -> [f64; 3] {
@@ -162,6 +165,9 @@ fn moment_within(from: &Moment, step: &Step, share: f64) -> Moment {
         let center = Point3::from(arc.center);
         let turn = Rotation3::from_axis_angle(&Unit::new_normalize(arc.axis.into()), arc.angle * share);
         moment.tip_in_world = center + turn * (from.tip_in_world - center);
+        if arc.turns {
+            moment.closing_in_world = turn * from.closing_in_world;
+        }
     }
     if let Some(jaws) = step.jaws {
         moment.jaw_angle = from.jaw_angle + (jaws - from.jaw_angle) * share;
@@ -209,7 +215,8 @@ mod tests {
 
     #[test]
     fn an_arc_keeps_its_distance() {
-        let arc = Arc { center: [0.02, 0.0, 0.0], axis: [0.0, 0.0, 2.0], angle: std::f64::consts::TAU };
+        let axis = [0.0, 0.0, 2.0];
+        let arc = Arc { center: [0.02, 0.0, 0.0], axis, angle: std::f64::consts::TAU, turns: false };
         let path = Path::new(start(), &[Step { seconds: 3.0, arc: Some(arc), ..Step::default() }]).unwrap();
         for k in 0..=30 {
             let tip = path.at(f64::from(k) * 0.1).tip_in_world;
@@ -217,6 +224,11 @@ mod tests {
         }
         assert!((path.at(1.5).tip_in_world.x - 0.04).abs() < 1e-9);
         assert!(path.at(3.0).tip_in_world.coords.norm() < 1e-12);
+        assert!((path.at(1.0).closing_in_world - Vector3::x()).norm() < 1e-15);
+        // A quarter of a turn later the jaws close the other way.
+        let arc = Arc { angle: std::f64::consts::FRAC_PI_2, turns: true, ..arc };
+        let path = Path::new(start(), &[Step { seconds: 3.0, arc: Some(arc), ..Step::default() }]).unwrap();
+        assert!((path.at(3.0).closing_in_world - Vector3::y()).norm() < 1e-12);
     }
 
     #[test]

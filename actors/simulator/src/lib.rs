@@ -13,9 +13,12 @@
 //! | masses and springs: thread, cloth, tube, volume, explicit and implicit | [`mass_spring`] |
 //! | position-based: distances, neo-Hookean volumes, small steps | [`xpbd`] |
 //! | Electrosurgery: enthalpy method, Pennes perfusion, Arrhenius damage | `electrosurgery/` |
-//! | Suture thread, knots, needle | [`thread`] |
+//! | Suture thread, knots | [`thread`] |
+//! | Suture needle | [`needle`] |
+//! | needle, thread and the tissue that they go through, as one island | [`suture`] |
 //! | Liquids, smoke, bleeding, vital signs | `fluid/` |
-//! | Rigid bodies: momenta, impulses | `rigid/` |
+//! | rigid bodies: momenta, impulses | [`rigid`] |
+//! | worlds of rigid bodies and instruments, ours among them; how instruments follow hands | [`rigid_world`], [`instrument`] |
 //! | bodies of different methods and rates, joined at points | [`coupling`] |
 #![forbid(unsafe_code)]
 
@@ -26,11 +29,15 @@ pub mod dynamic_fem;
 pub mod elasticity;
 pub mod electrosurgery;
 pub mod fluid;
+pub mod instrument;
 pub mod linear_fem;
 pub mod mass_spring;
+pub mod needle;
 pub mod picking;
 pub mod rigid;
+pub mod rigid_world;
 pub mod sparse;
+pub mod suture;
 pub mod tet_mesh;
 pub mod thread;
 pub mod xpbd;

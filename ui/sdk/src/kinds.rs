@@ -25,9 +25,10 @@ use trocar_scene::scenario::{Params, ScenarioError};
 use trocar_scene::{BuildContext, Controller, ControllerError};
 use trocar_simulator::controller::{
     BleedingController, DynamicFemController, ElectrosurgeryController, FluidController, InstrumentsConfig,
-    InstrumentsController, LinearFemController, MassSpringController, SmokeController, VitalSignsController,
-    XpbdController,
+    InstrumentsController, LinearFemController, MassSpringController, RigidBodiesController, SmokeController,
+    SutureController, ThreadController, VitalSignsController, XpbdController,
 };
+use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings};
 use trocar_tasks::peg_transfer_controller::mirrored_start;
 use trocar_tasks::{OutcomeConfig, OutcomeController, PegTransferConfig, PegTransferController};
 
@@ -53,6 +54,11 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
             "rapier",
             KindInfo::new("physics of rigid bodies: contacts, friction, grasping", 500.0),
             Arc::new(rapier),
+        ),
+        (
+            "rigid-bodies",
+            KindInfo::new("the same by momenta and impulses, in place of the engine", 500.0),
+            Arc::new(rigid_bodies),
         ),
         (
             "obb-tree",
@@ -134,6 +140,16 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
             "smoke",
             KindInfo::new("lets smoke rise from where tissue burns", 60.0),
             under_gravity(SmokeController::new),
+        ),
+        (
+            "suture",
+            KindInfo::new("sews: needle, thread and tissue stepped as one island", 500.0),
+            under_gravity(SutureController::new),
+        ),
+        (
+            "thread",
+            KindInfo::new("moves suture threads: implicit rods that hold their knots by friction", 500.0),
+            under_gravity(ThreadController::new),
         ),
         (
             "vital-signs",
@@ -249,6 +265,15 @@ fn rapier(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     config.gravity_in_world = context.scenario.gravity_in_world;
     config.check().map_err(|error| context.entry.params.error(error.to_string()))?;
     Ok(plain(RuntimeClass::Simulation, move |context| Ok(EngineController::new(context, config.clone())?)))
+}
+
+fn rigid_bodies(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    let mut config: RigidSettings = parse_or_default(&context.entry.params)?;
+    config.gravity_in_world = context.scenario.gravity_in_world;
+    config.check().map_err(|error| context.entry.params.error(error.to_string()))?;
+    Ok(plain(RuntimeClass::Simulation, move |context| {
+        Ok(RigidBodiesController::<ImpulseWorld>::new(context, config.clone())?)
+    }))
 }
 
 fn obb_tree(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {

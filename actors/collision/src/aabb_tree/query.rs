@@ -51,7 +51,8 @@ struct Waiting {
 }
 
 impl AabbTree {
-    /// The triangle nearest to `point` that is not further than `radius` \[m\].
+    /// The triangle nearest to `point` that is not further than `radius` \[m\]; of several as near the one of the lowest
+    /// number.
     ///
     /// # Errors
     /// [`SurfaceError::OtherTriangles`] for another surface than the tree was fitted to.
@@ -61,15 +62,42 @@ impl AabbTree {
         point: &Point3<f64>,
         radius: f64,
     ) -> Result<Option<NearestToPoint>, SurfaceError> {
+        self.nearest_to_point_from(surface, point, radius, None)
+    }
+
+    /// The same, the sooner the nearer the triangle `first` is: it is looked at before any other. One that there is none
+    /// of is passed over.
+    ///
+    /// # Errors
+    /// As [`nearest_to_point`](Self::nearest_to_point).
+    pub fn nearest_to_point_from(
+        &self,
+        surface: &Surface,
+        point: &Point3<f64>,
+        radius: f64,
+        first: Option<u32>,
+    ) -> Result<Option<NearestToPoint>, SurfaceError> {
         self.expect(surface)?;
+        let first = first.filter(|first| (*first as usize) < self.triangles);
         let mut best: Option<NearestToPoint> = None;
         let mut limit = radius;
-        self.nearest_first(&NearBox::point(point, self.scale), radius, |triangle, _| {
+        let mut look = |triangle: u32, limit: &mut f64| {
             let nearest = closest_on_triangle(point, &surface.triangle(triangle));
             let distance = (nearest.point - point).norm();
-            if distance <= limit && best.is_none_or(|best| distance < best.distance) {
-                limit = distance;
+            let is_nearer = best.is_none_or(|best| {
+                distance < best.distance || distance == best.distance && triangle < best.triangle
+            });
+            if distance <= *limit && is_nearer {
+                *limit = distance;
                 best = Some(NearestToPoint { triangle, nearest, distance });
+            }
+        };
+        if let Some(first) = first {
+            look(first, &mut limit);
+        }
+        self.nearest_first(&NearBox::point(point, self.scale), limit, |triangle, _| {
+            if Some(triangle) != first {
+                look(triangle, &mut limit);
             }
             limit
         });

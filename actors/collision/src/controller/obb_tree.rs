@@ -9,7 +9,7 @@ use super::bodies::{self, Body, Change};
 use super::report::{self, COLLISIONS_MAX, Found, Report};
 use super::tree_body::TreeBody;
 use crate::moving_surface::MovingSurface;
-use crate::obb_tree::{TouchingPair, TreeQuery};
+use crate::obb_tree::{TouchingPair, TreeFront, TreeQuery};
 use crate::penetration::{PenetrationSearch, VertexInside};
 use crate::pseudonormal::face;
 
@@ -48,13 +48,19 @@ impl Tree {
     }
 }
 
+/// Two bodies, by number, and what is known of them from one tick to the next: it decides only what a tick costs.
+struct Pair {
+    bodies: [usize; 2],
+    front: TreeFront,
+    /// For vertices of the second inside of the first, and the other way round.
+    searches: [PenetrationSearch; 2],
+}
+
 /// Finds where surfaces are in each other.
 pub struct ObbTreeController {
     trees: Vec<Tree>,
-    /// By number.
-    pairs: Vec<[usize; 2]>,
+    pairs: Vec<Pair>,
     query: TreeQuery,
-    search: PenetrationSearch,
     report: Report,
 }
 
@@ -65,62 +71,53 @@ impl ObbTreeController {
     /// A body that there is none of, or that cannot be used.
     pub fn new(config: &ObbTreeConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let (trees, pairs) = bodies::pairs(&config.pairs, |name| Tree::named(context, name))?;
+        let pair = |bodies| Pair { bodies, front: TreeFront::new(), searches: Default::default() };
         Ok(Self {
             trees,
-            pairs,
+            pairs: pairs.into_iter().map(pair).collect(),
             query: TreeQuery::new(),
-            search: PenetrationSearch::new(),
             report: Report::new(Detection::ObbTree, config.stiffness),
         })
     }
+}
 
-    fn look(&mut self, [first, second]: [usize; 2]) {
-        let (a, b) = (&self.trees[first], &self.trees[second]);
+impl Pair {
+    fn look(&mut self, trees: &[Tree], query: &mut TreeQuery, report: &mut Report) {
+        let [first, second] = self.bodies;
+        let (a, b) = (&trees[first], &trees[second]);
         if first == second {
-            for pair in self.query.self_contacts(&a.of.tree) {
-                self.report.add(fold(a, pair));
+            for pair in query.self_contacts(&a.of.tree) {
+                report.add(fold(a, pair));
             }
             return;
         }
         let b_in_a = a.body().pose.inv_mul(&b.body().pose);
-        let touching = self.query.all_contacts(&a.of.tree, &b.of.tree, &b_in_a);
-        if touching.is_empty() {
+        let touching = self.front.all_contacts(&a.of.tree, &b.of.tree, &b_in_a).len();
+        if touching == 0 {
             return;
         }
-        let seeds = |side: usize| touching.iter().map(move |pair| pair.triangles[side]);
-        let mut found = 0;
-        // Vertices of the second inside of the first: they go out of it along its outward direction.
-        let inside = self.search.vertices_inside(
-            &b.moving,
-            &a.moving,
-            &b_in_a,
-            seeds(1),
-            f64::INFINITY,
-            COLLISIONS_MAX,
-        );
-        for vertex in inside {
-            self.report.add(in_first(a, b, vertex));
+        // Where nothing has moved against each other, what is inside is what was.
+        if !self.front.rested() {
+            self.search(a, b, &b_in_a);
         }
-        found += inside.len();
-        let a_in_b = b_in_a.inverse();
-        let inside = self.search.vertices_inside(
-            &a.moving,
-            &b.moving,
-            &a_in_b,
-            seeds(0),
-            f64::INFINITY,
-            COLLISIONS_MAX,
-        );
-        for vertex in inside {
-            self.report.add(in_second(a, b, vertex));
-        }
-        found += inside.len();
-        if found == 0 {
+        let [of_second, of_first] = &self.searches;
+        of_second.found().iter().for_each(|inside| report.add(in_first(a, b, inside)));
+        of_first.found().iter().for_each(|inside| report.add(in_second(a, b, inside)));
+        if of_second.found().is_empty() && of_first.found().is_empty() {
             // Edges that cross, and no corner inside.
-            for pair in touching.iter().take(COLLISIONS_MAX) {
-                self.report.add(crossing(a, b, &b_in_a, pair));
+            for pair in self.front.pairs().iter().take(COLLISIONS_MAX) {
+                report.add(crossing(a, b, &b_in_a, pair));
             }
         }
+    }
+
+    /// Vertices of the second inside of the first, which go out of it along its outward direction, and of the first.
+    fn search(&mut self, a: &Tree, b: &Tree, b_in_a: &Isometry3<f64>) {
+        let Self { front, searches: [of_second, of_first], .. } = self;
+        let seeds = |side: usize| front.pairs().iter().map(move |pair| pair.triangles[side]);
+        let (a, b, far) = (&a.moving, &b.moving, f64::INFINITY);
+        of_second.vertices_inside(b, a, b_in_a, seeds(1), far, COLLISIONS_MAX);
+        of_first.vertices_inside(a, b, &b_in_a.inverse(), seeds(0), far, COLLISIONS_MAX);
     }
 }
 
@@ -196,8 +193,8 @@ impl Controller for ObbTreeController {
             tree.follow(scene, out);
         }
         self.report.begin();
-        for pair in 0..self.pairs.len() {
-            self.look(self.pairs[pair]);
+        for pair in &mut self.pairs {
+            pair.look(&self.trees, &mut self.query, &mut self.report);
             self.report.end_pair();
         }
         self.report.send(scene.time(), out);

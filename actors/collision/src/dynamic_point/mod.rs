@@ -5,8 +5,8 @@
 //! The line is divided into segments. Each has a *dynamic point*: its point nearest to the surface, on a triangle that is
 //! walked over the surface's topology as line and surface move. A walk ends in a local minimum, and on a folded organ that
 //! need not be the nearest: so each segment also carries a *certificate*, the triangles that were near when the tree was
-//! last asked and a distance that all others had at least. What the segment has moved (how far any of its points is from
-//! where it was; sliding along itself is free) and what the surface has moved, added up, eat away at both. A candidate is
+//! last asked and a distance that all others had at least. What the segment has moved (how far any of its points near the
+//! surface is from where it was; sliding along itself is free) and what the surface has moved, added up, eat away at both. A candidate is
 //! measured again when it may have come nearer than the dynamic point; when anything else may have, the tree is asked,
 //! with the walked point as the first bound. So what is told is the nearest of all triangles, always, whatever jumps,
 //! deforms or is cut in between: the walk and the certificate decide only what it costs.
@@ -36,7 +36,7 @@ const ROUNDING: f64 = 1e-13;
 /// Candidates of a segment at most.
 const KEPT: usize = 192;
 /// Candidates that a gathering should find: fewer expire soon, more cost more on each update.
-const WANTED: std::ops::Range<usize> = 60..150;
+const WANTED: std::ops::Range<usize> = 30..75;
 
 /// How a line is watched.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -89,6 +89,36 @@ pub struct DynamicPoint {
     /// Topology revision, and motion of the surface up to the last update.
     seen: Option<(u64, f64)>,
     statistics: LineStatistics,
+}
+
+fn distance_squared(point: &Point3<f64>, segment: &Segment) -> f64 {
+    let along = closest_on_segment(point, segment);
+    (segment[0] + (segment[1] - segment[0]) * along - point).norm_squared()
+}
+
+/// The part of a segment that may be as near as `horizon` \[m\] to a surface: a long shaft that turns about its tip, or
+/// its port, moves most where nothing is. Not smaller than it is; none where there is none.
+fn part_within(segment: &Segment, mesh: &MovingSurface, horizon: f64) -> Option<Segment> {
+    let bounds = mesh.tree().bounds()?;
+    let way = segment[1] - segment[0];
+    let (mut from, mut until) = (0.0_f64, 1.0_f64);
+    for axis in 0..3 {
+        let (low, high) = (bounds.min[axis] - horizon, bounds.max[axis] + horizon);
+        let (start, along) = (segment[0][axis], way[axis]);
+        // All that rounding could leave out, and slopes that say nothing.
+        let spare = ROUNDING * (start.abs() + along.abs() + low.abs() + high.abs());
+        if along.abs() <= spare {
+            if start < low - spare || start > high + spare {
+                return None;
+            }
+            continue;
+        }
+        let (one, other) = ((low - start) / along, (high - start) / along);
+        let spare = spare / along.abs();
+        from = from.max(one.min(other) - spare);
+        until = until.min(one.max(other) + spare);
+    }
+    (from <= until).then(|| [segment[0] + way * from, segment[0] + way * until])
 }
 
 /// The nearest so far of one segment.
@@ -186,12 +216,12 @@ impl DynamicPoint {
                     watched.ahead = 0.02 * extent;
                 }
             } else {
-                // Distance from a convex set is greatest at an end.
-                let placed = &self.watched[index].placed;
-                let moved = segment.map(|end| {
-                    let along = closest_on_segment(&end, placed);
-                    (placed[0] + (placed[1] - placed[0]) * along - end).norm_squared()
-                });
+                let watched = &self.watched[index];
+                let moved = match part_within(&segment, mesh, watched.candidates.horizon()) {
+                    // Distance from a convex set is greatest at an end.
+                    Some(part) => part.map(|end| distance_squared(&end, &watched.placed)),
+                    None => [0.0; 2],
+                };
                 let moved = moved[0].max(moved[1]).sqrt();
                 self.watched[index].candidates.travel(moved + motion + ROUNDING * scale);
             }

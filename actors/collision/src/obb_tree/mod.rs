@@ -11,6 +11,7 @@ mod build;
 mod descend;
 mod far;
 mod fit;
+mod front;
 mod lanes;
 mod leaf;
 mod obb;
@@ -18,10 +19,12 @@ mod query;
 mod self_contacts;
 mod turn;
 
+pub use front::{FrontCost, TreeFront};
 pub use query::{Proximity, TouchingPair, TreeQuery};
 
 use nalgebra::Point3;
 
+use crate::identity::Identity;
 use crate::primitive::Triangle;
 use crate::{Surface, SurfaceError, check_finite};
 use fit::Reach;
@@ -73,6 +76,11 @@ pub struct ObbTree {
     leaves: Vec<Leaf>,
     /// Box of each node, then of each leaf.
     boxes: Vec<Obb>,
+    identity: Identity,
+    /// Sum over all refits of the furthest that any vertex went \[m\].
+    motion: f64,
+    /// How many refits there were at which any vertex went anywhere.
+    refits: u64,
 }
 
 impl ObbTree {
@@ -106,7 +114,14 @@ impl ObbTree {
             return Err(SurfaceError::OtherVertices { expected: self.vertices.len(), found: vertices.len() });
         }
         check_finite(vertices)?;
-        self.vertices.copy_from_slice(vertices);
+        let mut furthest_squared = 0.0_f64;
+        for (before, now) in self.vertices.iter_mut().zip(vertices) {
+            let squared = (*now - *before).norm_squared();
+            furthest_squared = if squared > furthest_squared { squared } else { furthest_squared };
+            *before = *now;
+        }
+        self.motion += furthest_squared.sqrt();
+        self.refits += u64::from(furthest_squared > 0.0);
         self.rescale();
         turn::carry(self);
         self.refit_boxes();

@@ -79,6 +79,30 @@ struct Faces {
     gaps: [Lanes3; 2],
 }
 
+/// The greatest gap along the cross products of the axes, times the length of that product.
+#[inline(always)]
+fn crossed(
+    turned: &[[Lanes; 3]; 3],
+    magnitude: &[[Lanes; 3]; 3],
+    between: &Lanes3,
+    one: &Obb,
+    half_of_four: &Lanes3,
+) -> Lanes {
+    let half = splat(one.half);
+    let mut crossed = Lanes::all(f32::NEG_INFINITY);
+    for i in 0..3 {
+        let (i1, i2) = ((i + 1) % 3, (i + 2) % 3);
+        for j in 0..3 {
+            let (j1, j2) = ((j + 1) % 3, (j + 2) % 3);
+            let apart = (between[i2] * turned[i1][j] - between[i1] * turned[i2][j]).abs();
+            let of_one = half[i1] * magnitude[i2][j] + half[i2] * magnitude[i1][j];
+            let of_four = half_of_four[j1] * magnitude[i][j2] + half_of_four[j2] * magnitude[i][j1];
+            crossed = crossed.max(apart - (of_one + of_four));
+        }
+    }
+    crossed
+}
+
 impl ObbQuad {
     pub const NONE: Self =
         Self { center: [Lanes::ZERO; 3], axes: [[Lanes::ZERO; 3]; 3], half: [Lanes::ZERO; 3] };
@@ -121,19 +145,17 @@ impl ObbQuad {
         if near == 0 {
             return (0, worst);
         }
-        let half = splat(one.half);
-        let mut crossed = Lanes::all(f32::NEG_INFINITY);
-        for i in 0..3 {
-            let (i1, i2) = ((i + 1) % 3, (i + 2) % 3);
-            for j in 0..3 {
-                let (j1, j2) = ((j + 1) % 3, (j + 2) % 3);
-                let apart = (between[i2] * turned[i1][j] - between[i1] * turned[i2][j]).abs();
-                let of_one = half[i1] * magnitude[i2][j] + half[i2] * magnitude[i1][j];
-                let of_four = self.half[j1] * magnitude[i][j2] + self.half[j2] * magnitude[i][j1];
-                crossed = crossed.max(apart - (of_one + of_four));
-            }
-        }
-        (near & crossed.at_most(limit), worst)
+        (near & crossed(&turned, &magnitude, &between, one, &self.half).at_most(limit), worst)
+    }
+
+    /// How far each is apart from `one` along the axis that separates best: their distance is not less. Negative where
+    /// none separates them.
+    #[inline]
+    pub fn gaps(&self, one: &Obb) -> Lanes {
+        let Faces { turned, magnitude, between, gaps: [a, b] } = self.faces(one);
+        let faces = a[0].max(a[1]).max(a[2]).max(b[0]).max(b[1]).max(b[2]);
+        // The cross product of unit axes is no longer than 1: along it a gap is no less than what it seems.
+        faces.max(crossed(&turned, &magnitude, &between, one, &self.half))
     }
 
     /// What the squared distance from `one` to each is at least, and the squared distance of the centres. Each box lies

@@ -250,7 +250,8 @@ fn places(relation: &Relation<'_>, pair: Option<[u32; 2]>) -> Option<[usize; 2]>
     Some([place_a as usize, place_b as usize])
 }
 
-fn exactly(relation: &Relation<'_>, place_a: usize, place_b: usize) -> Option<TouchingPair> {
+/// Two triangles, by their places, if they touch.
+pub(super) fn exactly(relation: &Relation<'_>, place_a: usize, place_b: usize) -> Option<TouchingPair> {
     let (first, second) = (relation.a.triangle(place_a), relation.triangle_of_b(place_b));
     triangles_overlap(&first, &second).then(|| TouchingPair {
         triangles: [relation.a.numbers[place_a], relation.b.numbers[place_b]],

@@ -7,11 +7,13 @@ use rapier3d_f64::dynamics::RigidBodyHandle;
 use trocar_scene::components::{Collision, Motion, Pose, RigidBody, Velocity};
 use trocar_scene::entity::Entity;
 
+use trocar_simulator::rigid_world::mesh_mass;
+
 use super::{Body, RigidWorld};
+use crate::EngineError;
 use crate::conversion::pose_to_rapier;
-use crate::error::EngineError;
 use crate::penalty::{self, Known, Terms, Trail};
-use crate::{mesh_mass, shapes};
+use crate::shapes;
 
 impl RigidWorld {
     /// Adds a body that is a surface, in place of the one that the entity had. It falls and turns like what the surface

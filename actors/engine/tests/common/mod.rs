@@ -2,11 +2,16 @@
 #![allow(dead_code)]
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use trocar_engine::{EngineSettings, GrasperState, RigidWorld};
 use trocar_scene::components::{Instrument, InstrumentTarget, Motion, Pose, RigidBody, Shape, Velocity};
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
+use trocar_simulator::instrument::opening::InstrumentState;
+use trocar_simulator::rigid_world::World;
 
+use crate::{W, settings};
+
+/// Of every world here.
+pub const STEP_SECS: f64 = 0.001;
 pub const RING_RADIUS: f64 = 0.008;
 pub const TUBE_RADIUS: f64 = 0.0015;
 pub const RING_MASS: f64 = 0.005;
@@ -43,11 +48,11 @@ pub fn pegs(board: usize) -> Vec<[f64; 2]> {
     [-0.015, 0.015].iter().flat_map(|y| [-0.028, 0.0, 0.028].map(|x| [x0 + x, *y])).collect()
 }
 
-pub fn world() -> RigidWorld {
-    RigidWorld::new(EngineSettings::default(), SimTime::ZERO).unwrap()
+pub fn world() -> W {
+    <W as World>::new(settings(Vector3::new(0.0, 0.0, -9.81), Some(-0.05)), SimTime::ZERO).unwrap()
 }
 
-pub fn add_boards(world: &mut RigidWorld) {
+pub fn add_boards(world: &mut W) {
     let body = RigidBody { friction: 0.4, ..RigidBody::default() };
     for (index, entity) in BOARDS.iter().enumerate() {
         let pose = Pose::at(if index == 0 { -0.04 } else { 0.04 }, 0.0, 0.0);
@@ -55,14 +60,14 @@ pub fn add_boards(world: &mut RigidWorld) {
     }
 }
 
-pub fn add_ring(world: &mut RigidWorld, index: u32, pose: Pose, friction: f64) -> Entity {
+pub fn add_ring(world: &mut W, index: u32, pose: Pose, friction: f64) -> Entity {
     let entity = ring_entity(index);
     world.insert_body(entity, &ring_body(friction), &ring_shape(), &pose, &Velocity::default()).unwrap();
     entity
 }
 
 /// Six rings flat around the pegs of the left board.
-pub fn add_rings(world: &mut RigidWorld) {
+pub fn add_rings(world: &mut W) {
     for (index, [x, y]) in pegs(0).into_iter().enumerate() {
         add_ring(world, index as u32, Pose::at(x, y, TUBE_RADIUS), 0.5);
     }
@@ -87,22 +92,22 @@ pub struct TestHand {
 
 impl TestHand {
     pub fn new(
-        world: &mut RigidWorld,
+        world: &mut W,
         entity: Entity,
         instrument: &Instrument,
         tip: Isometry3<f64>,
         jaw: f64,
     ) -> Self {
-        let mut state = GrasperState { tip_in_world: tip, ..GrasperState::default() };
+        let mut state = InstrumentState { tip_in_world: tip, ..InstrumentState::default() };
         state.opening.angle = jaw;
         state.drive_reference = jaw;
-        world.insert_grasper(entity, instrument, &state, None).unwrap();
+        world.insert_tool(entity, instrument, &state, None).unwrap();
         let hand = Self { entity, tip, velocity: Vector3::zeros(), jaw_angle: jaw };
         hand.send(world);
         hand
     }
 
-    pub fn send(&self, world: &mut RigidWorld) {
+    pub fn send(&self, world: &mut W) {
         let target = InstrumentTarget {
             tip_in_world: self.tip.into(),
             velocity_in_world: Velocity { linear: self.velocity, angular: Vector3::zeros() },
@@ -115,14 +120,14 @@ impl TestHand {
 
 /// Steps for `secs` with `hands` following `plan(hand index, seconds since start) -> tip position`.
 pub fn run(
-    world: &mut RigidWorld,
+    world: &mut W,
     hands: &mut [TestHand],
     secs: f64,
     mut plan: impl FnMut(usize, f64, &mut TestHand),
-    mut watch: impl FnMut(&mut RigidWorld, f64),
+    mut watch: impl FnMut(&mut W, f64),
 ) {
-    let steps = (secs / world.settings().substep_secs).round() as usize;
-    let step = world.settings().substep_secs;
+    let step = STEP_SECS;
+    let steps = (secs / step).round() as usize;
     for k in 0..steps {
         let t = k as f64 * step;
         for (index, hand) in hands.iter_mut().enumerate() {
@@ -140,7 +145,7 @@ pub fn run(
 }
 
 pub fn hold_still(_: usize, _: f64, _: &mut TestHand) {}
-pub fn no_watch(_: &mut RigidWorld, _: f64) {}
+pub fn no_watch(_: &mut W, _: f64) {}
 
 /// Smooth step from 0 to 1 over `secs` (minimum jerk).
 pub fn minimum_jerk(t: f64, secs: f64) -> f64 {
@@ -151,7 +156,7 @@ pub fn minimum_jerk(t: f64, secs: f64) -> f64 {
 /// A ring grasped by its side at +x by an instrument that points down, at rest on the board, jaws closing for
 /// 0.4 s. Returns the hand.
 pub fn grasp_ring(
-    world: &mut RigidWorld,
+    world: &mut W,
     entity: Entity,
     instrument: &Instrument,
     center: [f64; 2],

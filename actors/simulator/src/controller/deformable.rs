@@ -127,6 +127,17 @@ impl Deformable {
         out.event("frozen", self.entity, None, tick.time.as_secs_f64());
     }
 
+    /// A line that lies otherwise than the scene has it, and is at rest so.
+    pub fn lie(&mut self, nodes: Vec<Point3<f64>>) {
+        self.segments = Arc::new((1..nodes.len() as u32).map(|end| [end - 1, end]).collect());
+        self.velocities = Arc::new(vec![Vector3::zeros(); nodes.len()]);
+        let held = nodes.iter().enumerate().filter(|(_, point)| self.anchors.hold(point));
+        self.pinned = held.map(|(vertex, _)| vertex as u32).collect();
+        self.rest = Arc::new(nodes);
+        self.positions = self.rest.clone();
+        self.has_rest = false;
+    }
+
     /// Gravity in its frame \[m/s²\].
     pub fn gravity(gravity_in_world: &Vector3<f64>, world_from_body: &Isometry3<f64>) -> Vector3<f64> {
         world_from_body.rotation.inverse() * gravity_in_world

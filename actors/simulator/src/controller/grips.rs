@@ -9,7 +9,7 @@ use super::touch::Touch;
 use crate::picking::{Jaws, Picks};
 
 /// Full opening below which jaws hold, and blades cut \[rad\].
-const CLOSED: f64 = 0.12;
+pub const CLOSED: f64 = 0.12;
 
 /// What instruments hold of a body: another life of whoever moves it goes on holding it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

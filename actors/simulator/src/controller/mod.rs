@@ -15,14 +15,24 @@ pub mod grips;
 pub mod instruments;
 pub mod linear_fem;
 pub mod mass_spring;
+pub mod rigid_bodies;
 pub mod smoke;
 pub mod soft;
+pub mod suture;
+pub mod suture_body;
+pub mod thread;
+pub mod thread_body;
+pub mod thread_grips;
+pub mod thread_memory;
+pub mod thread_obstacles;
 pub mod tools;
 pub mod touch;
 pub mod vital_signs;
 pub mod xpbd;
 
 use trocar_scene::{RegistryBuilder, RegistryError};
+
+use crate::instrument::mechanism::MechanismState;
 
 pub use bleeding::{BleedingController, Vessel, VesselState};
 pub use deformable::Deformable;
@@ -35,8 +45,14 @@ pub use fluid::{FluidController, Liquid, LiquidState, LiquidWall};
 pub use instruments::{InstrumentsConfig, InstrumentsController};
 pub use linear_fem::{LinearFemBody, LinearFemController};
 pub use mass_spring::{MassSpringBody, MassSpringController};
+pub use rigid_bodies::RigidBodiesController;
 pub use smoke::{Plume, SmokeCloud, SmokeCloudState, SmokeController};
 pub use soft::{SoftController, SoftMethod};
+pub use suture::SutureController;
+pub use suture_body::{SewnTissue, SutureMemory, SutureNeedle};
+pub use thread::ThreadController;
+pub use thread_body::{Laid, Suture, ThreadBody};
+pub use thread_memory::ThreadMemory;
 pub use vital_signs::{Patient, PatientState, VitalSignsController};
 pub use xpbd::{XpbdBody, XpbdController};
 
@@ -45,6 +61,7 @@ pub use xpbd::{XpbdBody, XpbdController};
 /// # Errors
 /// When a name is already taken by another type.
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
+    builder.register::<MechanismState>()?;
     builder.register::<MassSpringBody>()?;
     builder.register::<cuts::Cuts>()?;
     builder.register::<grips::Grips>()?;
@@ -64,6 +81,11 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<Liquid>()?;
     builder.register::<LiquidWall>()?;
     builder.register::<LiquidState>()?;
+    builder.register::<SewnTissue>()?;
+    builder.register::<SutureNeedle>()?;
+    builder.register::<SutureMemory>()?;
+    builder.register::<ThreadBody>()?;
+    builder.register::<ThreadMemory>()?;
     builder.register::<Patient>()?;
     builder.register::<PatientState>()?;
     Ok(())

@@ -29,9 +29,11 @@ pub struct RigidContact {
 /// Parameters of the response.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ContactConfig {
-    /// Rounds over all contacts. A step begins with the impulses of the last one where the list has the same length: keep
+    /// Rounds over all contacts at most. A step begins with the impulses of the last one where the list has the same length: keep
     /// contacts that last in their order, and stacks stand still.
     pub iterations: u32,
+    /// A round that changes no speed by more than this is the last one \[m/s\].
+    pub tolerance: f64,
     /// Share of the penetration beyond the slop that a step undoes.
     pub correction: f64,
     /// Penetration that stays, so that contacts stay \[m\].
@@ -42,7 +44,7 @@ pub struct ContactConfig {
 
 impl Default for ContactConfig {
     fn default() -> Self {
-        Self { iterations: 50, correction: 0.2, slop: 1e-5, rest_speed: 1e-3 }
+        Self { iterations: 50, tolerance: 0.0, correction: 0.2, slop: 1e-5, rest_speed: 1e-3 }
     }
 }
 

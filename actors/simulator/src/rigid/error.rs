@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use super::{ContactConfig, RigidContact, RigidMass, RigidState, Wrench};
+use super::{Arm, ContactConfig, Joint, RigidContact, RigidMass, RigidState, Wrench};
 
 /// Most bodies, and most contacts of a step.
 const COUNT_MAX: usize = 1_000_000;
@@ -108,6 +108,7 @@ pub(super) fn check(
     };
     gravity.iter().try_for_each(|g| parameter("gravity", *g, -1e4, 1e4, "-10000 to 10000 m/s²"))?;
     parameter("iterations", f64::from(config.iterations), 1.0, 1e4, "1 to 10000")?;
+    parameter("tolerance", config.tolerance, 0.0, 1.0, "0 to 1 m/s")?;
     parameter("correction", config.correction, 0.0, 1.0, "0 to 1")?;
     parameter("slop", config.slop, 0.0, 1.0, "0 to 1 m")?;
     parameter("rest_speed", config.rest_speed, 0.0, 1e3, "0 to 1000 m/s")
@@ -148,4 +149,19 @@ pub(super) fn check_step(
         }
     }
     Ok(())
+}
+
+pub(super) fn check_arms(
+    contacts: &[RigidContact],
+    arms: &[[Option<Arm>; 2]],
+    joints: &[Joint],
+) -> Result<(), RigidStepError> {
+    if !arms.is_empty() && arms.len() != contacts.len() {
+        return Err(RigidStepError::Contact(arms.len().min(contacts.len())));
+    }
+    let is_arm = |arm: &Arm| (arm.joint as usize) < joints.len() && arm.arm.iter().all(|x| x.is_finite());
+    match arms.iter().position(|arms| !arms.iter().flatten().all(is_arm)) {
+        Some(contact) => Err(RigidStepError::Contact(contact)),
+        None => Ok(()),
+    }
 }

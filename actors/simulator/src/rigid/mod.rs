@@ -5,11 +5,13 @@
 //! |---|---|
 //! | A body and its integrators | `body.rs` |
 //! | Contacts | `contact.rs` |
+//! | Jaws of instruments and their drives | `joint.rs` |
 //! | Impulses | `response.rs` |
 
 mod body;
 mod contact;
 mod error;
+mod joint;
 mod response;
 
 use nalgebra::Vector3;
@@ -17,6 +19,7 @@ use nalgebra::Vector3;
 pub use body::{Integrator, RigidMass, RigidState};
 pub use contact::{ContactConfig, ContactImpulse, RigidContact};
 pub use error::{RigidError, RigidStepError};
+pub use joint::{Arm, Joint};
 
 use response::Response;
 
@@ -114,6 +117,16 @@ impl RigidBodies {
         Ok(())
     }
 
+    /// Puts a body somewhere else.
+    ///
+    /// # Errors
+    /// A body that there is none of; a state that is not finite.
+    pub fn place(&mut self, body: usize, state: RigidState) -> Result<(), RigidStepError> {
+        let at = self.states.get_mut(body).filter(|_| error::is_finite(&state));
+        *at.ok_or(RigidStepError::Body { body })? = state;
+        Ok(())
+    }
+
     /// Moves all on by `dt` \[s\] under gravity, `wrenches` (one for each body, or none at all) and the contacts.
     ///
     /// # Errors
@@ -125,6 +138,23 @@ impl RigidBodies {
         wrenches: &[Wrench],
         contacts: &[RigidContact],
     ) -> Result<(), RigidStepError> {
+        self.step_with_jaws(dt, wrenches, contacts, &[], &mut [])
+    }
+
+    /// The same with jaws: `arms` says which points of contact move with their openings (one entry for each contact, or none
+    /// at all), and `joints` go on as well.
+    ///
+    /// # Errors
+    /// As [`RigidBodies::step`]; an arm of an opening that there is none of. The joints may then have moved on.
+    pub fn step_with_jaws(
+        &mut self,
+        dt: f64,
+        wrenches: &[Wrench],
+        contacts: &[RigidContact],
+        arms: &[[Option<Arm>; 2]],
+        joints: &mut [Joint],
+    ) -> Result<(), RigidStepError> {
+        error::check_arms(contacts, arms, joints)?;
         error::check_step(dt, wrenches, contacts, &self.states)?;
         self.next.copy_from_slice(&self.states);
         if self.integrator == Integrator::ExplicitEuler {
@@ -143,7 +173,16 @@ impl RigidBodies {
             next.momentum += force * dt;
             next.angular_momentum += wrench.torque * dt;
         }
-        self.response.solve(dt, &self.masses, &self.states, &mut self.next, contacts, &self.config);
+        self.response.solve(
+            dt,
+            &self.masses,
+            &self.states,
+            &mut self.next,
+            contacts,
+            arms,
+            joints,
+            &self.config,
+        );
         if self.integrator != Integrator::ExplicitEuler {
             for (next, mass) in self.next.iter_mut().zip(&self.masses) {
                 *next = mass.moved(next, dt, self.integrator);

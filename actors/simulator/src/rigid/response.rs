@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::contact::{ContactConfig, ContactImpulse, RigidContact};
+use super::joint::{Arm, Joint, Turning};
 use super::{RigidMass, RigidState};
 
 /// A contact during the solve.
@@ -10,6 +11,8 @@ use super::{RigidMass, RigidState};
 struct Row {
     bodies: [Option<usize>; 2],
     arms: [Vector3<f64>; 2],
+    /// Openings of jaws that move the point.
+    joints: [Option<Arm>; 2],
     normal: Vector3<f64>,
     /// Velocity along the normal that is wanted at least \[m/s\].
     wanted: f64,
@@ -20,6 +23,8 @@ struct Row {
     /// Inverse of what the contact feels as mass, along the normal, and in all directions.
     normal_mass: f64,
     mass: Matrix3<f64>,
+    /// What an impulse makes of its speed, over all directions \[1/kg\].
+    yields: f64,
     along: f64,
     across: Vector3<f64>,
     undone: f64,
@@ -34,6 +39,7 @@ pub(super) struct Response {
     velocities: Vec<[Vector3<f64>; 2]>,
     undo: Vec<[Vector3<f64>; 2]>,
     inverse: Vec<(f64, Matrix3<f64>)>,
+    turning: Vec<Turning>,
 }
 
 fn speed(velocities: &[[Vector3<f64>; 2]], row: &Row) -> Vector3<f64> {
@@ -43,6 +49,23 @@ fn speed(velocities: &[[Vector3<f64>; 2]], row: &Row) -> Vector3<f64> {
         })
     };
     of(0) - of(1)
+}
+
+/// What openings of jaws add to it.
+fn turned(turning: &[Turning], row: &Row) -> Vector3<f64> {
+    let of = |side: usize| {
+        row.joints[side].map_or_else(Vector3::zeros, |arm| arm.arm * turning[arm.joint as usize].rate)
+    };
+    of(0) - of(1)
+}
+
+fn turn(turning: &mut [Turning], row: &Row, impulse: &Vector3<f64>) {
+    for (side, sign) in [(0, 1.0), (1, -1.0)] {
+        if let Some(Arm { joint, arm }) = row.joints[side] {
+            let turning = &mut turning[joint as usize];
+            turning.rate += sign * turning.inverse * arm.dot(impulse);
+        }
+    }
 }
 
 fn push(
@@ -60,7 +83,9 @@ fn push(
 }
 
 impl Response {
-    /// Changes the momenta of `next`; speeds of approach are those of `before` and what forces did since.
+    /// Changes the momenta of `next`; speeds of approach are those of `before` and what forces did since. `own_arms` says which
+    /// contacts move with openings of jaws: one entry for each contact, or none at all.
+    #[allow(clippy::too_many_arguments)] // what a step is about
     pub(super) fn solve(
         &mut self,
         dt: f64,
@@ -68,14 +93,18 @@ impl Response {
         before: &[RigidState],
         next: &mut [RigidState],
         contacts: &[RigidContact],
+        own_arms: &[[Option<Arm>; 2]],
+        joints: &mut [Joint],
         config: &ContactConfig,
     ) {
         self.undo.clear();
-        if contacts.is_empty() {
+        if contacts.is_empty() && joints.is_empty() {
             self.impulses.clear();
             return;
         }
-        let Self { rows, impulses, velocities, undo, inverse } = self;
+        let Self { rows, impulses, velocities, undo, inverse, turning } = self;
+        turning.clear();
+        turning.extend(joints.iter().map(Turning::begin));
         // A list of other length is of other contacts; one of the same that is not the same costs rounds, no more.
         let is_warm = impulses.len() == contacts.len();
         velocities.clear();
@@ -99,10 +128,15 @@ impl Response {
                     feels += Matrix3::identity() * inverse[*body].0 - cross * inverse[*body].1 * cross;
                 }
             }
+            let openings = own_arms.get(index).copied().unwrap_or_default();
+            for arm in openings.iter().flatten() {
+                feels += arm.arm * arm.arm.transpose() * turning[arm.joint as usize].inverse;
+            }
             let normal = contact.normal_in_world;
             let mut row = Row {
                 bodies,
                 arms,
+                joints: openings,
                 normal,
                 wanted: 0.0,
                 undo: 0.0,
@@ -110,6 +144,7 @@ impl Response {
                 friction: contact.friction,
                 normal_mass: 1.0 / normal.dot(&(feels * normal)),
                 mass: feels.try_inverse().unwrap_or_else(Matrix3::zeros),
+                yields: feels.trace() / 3.0,
                 along: 0.0,
                 across: Vector3::zeros(),
                 undone: 0.0,
@@ -121,7 +156,13 @@ impl Response {
                         + masses[body].angular_velocity(&before[body]).cross(arm)
                 })
             };
-            let approach = (of(bodies[0], &arms[0]) - of(bodies[1], &arms[1]) - row.surface).dot(&normal);
+            let opening = |arm: Option<Arm>| {
+                arm.map_or_else(Vector3::zeros, |arm| arm.arm * joints[arm.joint as usize].rate)
+            };
+            let approach = (of(bodies[0], &arms[0]) - of(bodies[1], &arms[1]) + opening(openings[0])
+                - opening(openings[1])
+                - row.surface)
+                .dot(&normal);
             if contact.depth < 0.0 {
                 row.wanted = contact.depth / dt;
             }
@@ -135,23 +176,32 @@ impl Response {
                 let across = held - normal * held.dot(&normal);
                 row.across =
                     across * (row.friction * row.along / across.norm().max(f64::MIN_POSITIVE)).min(1.0);
-                push(velocities, inverse, &row, &(normal * row.along + row.across));
+                let impulse = normal * row.along + row.across;
+                push(velocities, inverse, &row, &impulse);
+                turn(turning, &row, &impulse);
             }
             rows.push(row);
         }
         impulses.clear();
         let count = rows.len();
         for round in 0..config.iterations {
+            // The largest speed that this round still changes.
+            let mut change = 0.0_f64;
+            for (turning, joint) in turning.iter_mut().zip(joints.iter()) {
+                turning.solve(joint, dt);
+            }
             for index in 0..count {
                 // There and back: one order only would lean every stack to one side.
                 let row = &mut rows[if round % 2 == 0 { index } else { count - 1 - index }];
-                let slip = speed(velocities, row) - row.surface;
+                let slip = speed(velocities, row) + turned(turning, row) - row.surface;
                 let along = (row.along + row.normal_mass * (row.wanted - slip.dot(&row.normal))).max(0.0);
                 let impulse = row.normal * (along - row.along);
+                change = change.max((along - row.along).abs() * row.yields);
                 row.along = along;
                 push(velocities, inverse, row, &impulse);
+                turn(turning, row, &impulse);
                 // What would stop the slip, as far as Coulomb's cone lets it.
-                let slip = speed(velocities, row) - row.surface;
+                let slip = speed(velocities, row) + turned(turning, row) - row.surface;
                 let slip = slip - row.normal * slip.dot(&row.normal);
                 let mut across = row.across - row.mass * slip;
                 across -= row.normal * across.dot(&row.normal);
@@ -160,13 +210,19 @@ impl Response {
                     across *= most / size;
                 }
                 let impulse = across - row.across;
+                change = change.max(impulse.norm() * row.yields);
                 row.across = across;
                 push(velocities, inverse, row, &impulse);
+                turn(turning, row, &impulse);
                 let gap = speed(undo, row).dot(&row.normal);
                 let undone = (row.undone + row.normal_mass * (row.undo - gap)).max(0.0);
                 let impulse = row.normal * (undone - row.undone);
+                change = change.max((undone - row.undone).abs() * row.yields);
                 row.undone = undone;
                 push(undo, inverse, row, &impulse);
+            }
+            if change < config.tolerance {
+                break;
             }
         }
         // Momenta by the impulses themselves: what one body gets the other gives, to the last bit but rounding.
@@ -179,6 +235,9 @@ impl Response {
                 }
             }
             impulses.push(ContactImpulse { impulse });
+        }
+        for (turning, joint) in turning.iter().zip(joints.iter_mut()) {
+            turning.end(joint, dt);
         }
     }
 

@@ -26,6 +26,15 @@ impl Hold {
     }
 }
 
+/// Edges that an obstacle does not stop: what jaws hold lies between them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Spared {
+    /// The obstacle's place in the list.
+    pub obstacle: usize,
+    /// First and last edge.
+    pub edges: [usize; 2],
+}
+
 /// An edge whose director is led to a direction, so that it cannot turn about itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TwistHold {

@@ -8,7 +8,7 @@
 //! | Contact with static friction | `contact/` |
 //! | One step of rod and contacts together | `island/` |
 //! | Which knot it is | [`knot`] |
-
+//! | How it lies at the beginning | [`laid`] |
 //!
 //! # Why this method
 //! A thread of 2-0 silk weighs 41 ng per segment of a millimetre's half and carries newtons: explicit steps would have
@@ -17,21 +17,24 @@
 //! one iteration, and contacts see each other through the rod's own compliance, so that a knot under load is one
 //! problem and not a sequence of collisions.
 
-mod block_band;
+pub(crate) mod block_band;
 mod boundary;
 mod contact;
 mod error;
-mod frame;
+pub(crate) mod frame;
 mod island;
 pub mod knot;
+pub mod laid;
 mod material;
-mod rod;
+mod measure;
+pub(crate) mod rod;
 mod state;
 
-pub use boundary::{HOLD_STIFFNESS, Hold, Load, TwistHold};
+pub use boundary::{HOLD_STIFFNESS, Hold, Load, Spared, TwistHold};
 pub use contact::{CONTACTS_MAX, Obstacle, Shape};
 pub use error::{ThreadError, ThreadStepError, Trouble};
 pub use material::ThreadMaterial;
+pub use measure::{Strands, nearest_edges};
 pub use state::{ContactKey, ContactMemory, NODES_MAX, ThreadState};
 
 use nalgebra::{Point3, Vector3};
@@ -55,6 +58,8 @@ pub struct Surroundings<'a> {
     pub loads: &'a [Load],
     /// What the thread can touch; an obstacle keeps its place in the list from step to step.
     pub obstacles: &'a [Obstacle<'a>],
+    /// What of the thread does not touch which of them.
+    pub spared: &'a [Spared],
 }
 
 /// How a step went.

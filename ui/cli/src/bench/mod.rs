@@ -130,10 +130,11 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         ("detectors live beside two hands", &collision::live),
         ("growth with the number of triangles", &collision::growth),
     ];
-    let simulator: [(&'static str, Measure<'_>); 4] = [
+    let simulator: [(&'static str, Measure<'_>); 5] = [
         ("finite elements", &|| simulator::elements(args.peers.as_deref())),
         ("cloth and position-based bodies", &|| simulator::soft(args.peers.as_deref())),
         ("thread, heat and liquid", &simulator::flows),
+        ("two rates in one scene, live", &simulator::live),
         ("growth with size", &simulator::growth),
     ];
     let parts: &[Part] = match args.suite.as_str() {

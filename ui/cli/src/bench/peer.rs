@@ -30,6 +30,8 @@ impl Peer {
         fs::write(&file, script).map_err(Failure::internal)?;
         let mut child = Command::new(python)
             .arg(file)
+            // Whatever it leaves behind is gone with the folder.
+            .current_dir(folder.path())
             // One thread, as ours.
             .envs(["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"].map(|name| (name, "1")))
             .stdin(Stdio::piped())

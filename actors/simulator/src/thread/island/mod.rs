@@ -197,6 +197,15 @@ impl Island {
             around.obstacles,
             &self.motions,
         );
+        if !around.spared.is_empty() {
+            let spared = |key: &ContactKey| {
+                around.spared.iter().any(|spared| {
+                    key.with as usize == spared.obstacle + 1
+                        && (spared.edges[0]..=spared.edges[1]).contains(&(key.edge as usize))
+                })
+            };
+            self.candidates.found.retain(|candidate| !spared(&candidate.key));
+        }
     }
 
     /// The rod's matrix and forces at the iterate, with what holds and pulls it.

@@ -34,38 +34,63 @@ struct Scene {
     triangles: usize,
     /// Rates at which their vertices are written \[Hz\]; none: it is rigid.
     waves: [Option<f64>; 2],
-    /// What the detector must reach \[Hz\].
+    /// Rate at which a rigid organ is elsewhere \[Hz\].
+    moves_hz: f64,
+    /// What the detector is to reach \[Hz\].
     asked_hz: f64,
+    /// Whether it is held against that, or only told.
+    is_judged: bool,
 }
 
-const SCENES: [Scene; 4] = [
+/// Rate at which hands move what they hold \[Hz\].
+const HANDS_HZ: f64 = 1_000.0;
+
+const SCENES: [Scene; 5] = [
     Scene {
         name: "rigid_rigid",
         kind: "obb-tree",
         triangles: 10_000,
         waves: [None, None],
+        moves_hz: HANDS_HZ,
         asked_hz: 4_000.0,
+        is_judged: true,
+    },
+    // As if hands were as fast as the detector: it never finds anything where it was.
+    Scene {
+        name: "rigid_rigid_restless",
+        kind: "obb-tree",
+        triangles: 10_000,
+        waves: [None, None],
+        moves_hz: ABOVE * 4_000.0,
+        asked_hz: 4_000.0,
+        is_judged: false,
     },
     Scene {
         name: "soft_rigid",
         kind: "obb-tree",
         triangles: 10_000,
         waves: [Some(300.0), None],
+        moves_hz: HANDS_HZ,
         asked_hz: 1_000.0,
+        is_judged: true,
     },
     Scene {
         name: "soft_soft",
         kind: "obb-tree",
         triangles: 5_000,
         waves: [Some(100.0), Some(60.0)],
+        moves_hz: HANDS_HZ,
         asked_hz: 100.0,
+        is_judged: true,
     },
     Scene {
         name: "soft_soft_hash",
         kind: "spherical-hash",
         triangles: 5_000,
         waves: [Some(100.0), Some(60.0)],
+        moves_hz: HANDS_HZ,
         asked_hz: 100.0,
+        is_judged: true,
     },
 ];
 
@@ -173,7 +198,7 @@ fn scenario(scene: &Scene, touches_at: f64) -> String {
         text += &format!(
             "[[controller]]\nname = \"mover.{organ}\"\nkind = \"mover\"\nrate_hz = {}\nparams = {{ body = \"{organ}\", \
              triangles = {triangles}, soft = {}{height} }}\n",
-            wave.unwrap_or(1_000.0),
+            wave.unwrap_or(scene.moves_hz),
             wave.is_some()
         );
     }
@@ -217,7 +242,8 @@ fn measure(scene: &Scene) -> Result<Vec<BenchResult>, Failure> {
         };
         let detector = row("detector")?;
         let found = detector.hits.unwrap_or_default();
-        if found.ticks < detector.scheduled / 4 {
+        // Of those that ran: what a busy machine left out says nothing of the organs.
+        if found.ticks < (detector.scheduled - detector.missed) / 4 {
             let reason = format!("{}: the organs met in {} ticks only", scene.name, found.ticks);
             return Err(Failure::internal(reason));
         }
@@ -230,9 +256,8 @@ fn measure(scene: &Scene) -> Result<Vec<BenchResult>, Failure> {
     let name = |what: &str| format!("collision_live_{}_{what}", scene.name);
     let floor = median_and_spread(&bare).0;
     // What is asked for, as far as a bare loop at that rate comes here.
-    let bar = scene.asked_hz * floor;
-    let mut rate =
-        BenchResult::on_value(name("hz"), "Hz", median_and_spread(&achieved), Some(bar), Better::Higher);
+    let bar = scene.is_judged.then_some(scene.asked_hz * floor);
+    let mut rate = BenchResult::on_value(name("hz"), "Hz", median_and_spread(&achieved), bar, Better::Higher);
     rate.floor = Some(target * floor);
     rate.ratio = Some(rate.value / (target * floor)).filter(|ratio| ratio.is_finite());
     let floor = median_and_spread(&bare_hands).0;

@@ -41,9 +41,14 @@ pub fn cloth(n: u32, integrator: Integrator) -> Result<MassSpring, Failure> {
 }
 
 /// A position-based block, clamped at x = 0.
-pub fn position_based(cells: [usize; 3], size: [f64; 3], config: XpbdConfig) -> Result<Xpbd, Failure> {
+pub fn position_based(
+    cells: [usize; 3],
+    size: [f64; 3],
+    young_modulus: f64,
+    config: XpbdConfig,
+) -> Result<Xpbd, Failure> {
     let (mesh, wall) = block(cells, size)?;
-    let elasticity = Some(Elasticity { young_modulus: 1e5, poisson_ratio: 0.3, density: 1000.0 });
+    let elasticity = Some(Elasticity { young_modulus, poisson_ratio: 0.3, density: 1000.0 });
     let body = Body { rest: mesh.rest(), tets: mesh.tets(), elasticity, ..Body::default() };
     Xpbd::new(&body, &wall, config).map_err(Failure::internal)
 }
@@ -51,11 +56,13 @@ pub fn position_based(cells: [usize; 3], size: [f64; 3], config: XpbdConfig) -> 
 /// Edges of a coil that lie in turns; what is more is its straight tail.
 const COILED: usize = 100;
 
-/// A coil of suture thread on a table, its turns touching each other; the places of its ends.
-pub fn coil(edges: usize) -> Result<(Thread, [Point3<f64>; 2]), Failure> {
+/// A coil of suture thread on a table, its turns touching each other, its tail lying on the table as well or leading up to a
+/// hand; the places of its ends.
+pub fn coil(edges: usize, lying: bool) -> Result<(Thread, [Point3<f64>; 2]), Failure> {
     let on_coil = |turn: f64| Point3::new(3e-3 * turn.cos(), 3e-3 * turn.sin(), 4.9e-5 * turn);
     let last = 0.15 * COILED as f64;
-    let onwards = Vector3::new(-last.sin(), last.cos(), 0.0) * (3e-3 * 0.15);
+    let slope = if lying { 0.0 } else { 0.5 };
+    let onwards = Vector3::new(-last.sin(), last.cos(), slope).normalize() * (3e-3 * 0.15);
     let points: Vec<_> = (0..=edges)
         .map(|i| on_coil(0.15 * i.min(COILED) as f64) + onwards * i.saturating_sub(COILED) as f64)
         .collect();
@@ -85,8 +92,15 @@ pub fn basin(particles: usize) -> Result<Fluid, Failure> {
     // About three times as wide as deep.
     let n = (3.0 * particles as f64).cbrt().ceil() as i32;
     let layers = (particles as f64 / f64::from(n * n)).ceil() as i32;
-    let config =
-        FluidConfig { spacing, viscosity: 1e-5, particles_max: particles + 1, ..FluidConfig::default() };
+    let far = f64::from(n.max(layers) + 8) * spacing;
+    let config = FluidConfig {
+        spacing,
+        viscosity: 1e-5,
+        particles_max: particles + 1,
+        min: Point3::new(-far, -far, -far),
+        max: Point3::new(far, far, far),
+        ..FluidConfig::default()
+    };
     let mut fluid = Fluid::new(config).map_err(Failure::internal)?;
     let place = |i: i32, j: i32, k: i32| {
         Point3::new(f64::from(i) + 0.5, f64::from(j) + 0.5, f64::from(k) + 0.5) * spacing

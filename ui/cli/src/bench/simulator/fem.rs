@@ -12,7 +12,8 @@ use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, Load};
 
 use super::bodies::{GRAVITY, block};
 use super::peers::MujocoBeam;
-use super::{BLOCKS, at_most, per_run, scaled, secs, told};
+use super::roofline::{Work, share};
+use super::{BLOCKS, at_most, per_run, scaled, secs};
 use crate::failure::Failure;
 
 /// Young's modulus \[Pa\] and Poisson's ratio of a soft organ.
@@ -23,21 +24,6 @@ pub fn precomputed(cells: [usize; 3], size: [f64; 3]) -> Result<LinearFem, Failu
     let (mesh, wall) = block(cells, size)?;
     let material = Elastic::new(ORGAN.0, ORGAN.1).map_err(Failure::internal)?;
     LinearFem::new(mesh, &material, &wall, &Limits::default(), &mut |_| true).map_err(Failure::internal)
-}
-
-/// How fast this thread reads memory \[bytes/s\]: the largest of several sums over 64 MiB.
-fn read_bandwidth() -> f64 {
-    let memory = vec![1.0_f32; 1 << 24];
-    let pass = || {
-        // Eight sums at once, so that adding is never what takes the time.
-        let sums = memory.chunks_exact(8).fold([0.0_f32; 8], |mut sums, chunk| {
-            sums.iter_mut().zip(chunk).for_each(|(sum, value)| *sum += value);
-            sums
-        });
-        black_box(sums);
-    };
-    let fastest = (0..BLOCKS).map(|_| secs(pass)).fold(f64::INFINITY, f64::min);
-    (memory.len() * size_of::<f32>()) as f64 / fastest
 }
 
 /// Linear finite elements with a precomputed inverse.
@@ -71,10 +57,10 @@ pub fn linear() -> Result<Vec<BenchResult>, Failure> {
     let mut out = Vec::new();
     let surface = per_run(200, || body.surface_displacements(black_box(&mut out)));
     rows.push(at_most("linear_fem_surface_1009_nodes", "µs", scaled(surface, 1e6), 100.0));
-    // It reads, for each of the ten held nodes and each axis, one row of the inverse.
-    let bytes = 30 * body.compliance().row(0, 0).len() * size_of::<f32>();
-    let share = bytes as f64 / surface.0 / read_bandwidth();
-    rows.push(told("linear_fem_surface_bandwidth_share", "share", share, Better::Higher));
+    // It reads, for each of the ten held nodes and each axis, one row of the inverse, and adds it up.
+    let numbers = (30 * body.compliance().row(0, 0).len()) as f64;
+    let work = Work { operations: 2.0 * numbers, single: true, bytes: 4.0 * numbers };
+    rows.push(share("linear_fem_surface_1009_nodes", surface.0, work));
 
     // The bar of SOFA's benchmark: 320 nodes.
     let mut bar = precomputed([19, 3, 3], [0.19, 0.03, 0.03])?;
@@ -93,11 +79,14 @@ pub fn linear() -> Result<Vec<BenchResult>, Failure> {
     Ok(rows)
 }
 
-/// A corotational beam that swings under its weight.
+/// Stiffness damping of the beams \[s\]: their swing has gone by the end of the blocks.
+const DAMPING: f64 = 2e-2;
+
+/// A corotational beam that sags under its weight.
 pub fn beam(cells: [usize; 3]) -> Result<DynamicFem, Failure> {
     let (mesh, wall) = block(cells, [0.1, 0.02, 0.02])?;
     let elastic = Elastic::new(1e5, 0.3).map_err(Failure::internal)?;
-    let config = Config { stiffness_damping: 1e-3, ..Config::default() };
+    let config = Config { stiffness_damping: DAMPING, ..Config::default() };
     DynamicFem::new(mesh, &elastic, &config, &wall).map_err(Failure::internal)
 }
 
@@ -110,7 +99,7 @@ pub fn dynamic(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     let mut rows = Vec::new();
     for cells in [[20, 3, 3], [32, 5, 5]] {
         let mut body = beam(cells)?;
-        let mut peer = python.map(|python| MujocoBeam::start(python, cells)).transpose()?;
+        let mut peer = python.map(|python| MujocoBeam::start(python, cells, DAMPING)).transpose()?;
         let tets = body.mesh().tets().len();
         let inputs = Inputs { acceleration: GRAVITY, ..Inputs::default() };
         let (mut ours, mut theirs, mut residual) = (Vec::new(), Vec::new(), 0.0_f64);
@@ -143,7 +132,7 @@ pub fn dynamic(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
         });
         rows.push(at_most(&format!("corotational_{tets}_residual"), "share", (residual, 0.0), 1e-4));
         if let Some(peer) = &mut peer {
-            // The same time has passed for both.
+            // Both are at rest by now.
             let ends =
                 body.mesh().rest().iter().zip(body.positions()).filter(|(rest, _)| rest.x > 0.1 - 1e-9);
             let drops: Vec<f64> = ends.map(|(rest, now)| rest.z - now.z).collect();

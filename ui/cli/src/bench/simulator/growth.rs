@@ -45,7 +45,7 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
         row("xpbd", tets, scaled(soft::xpbd_secs(cells, 5)?, 1e6));
     }
     for edges in [30, 100, 300] {
-        row("thread", edges, scaled(flows::thread_secs(edges)?, 1e6));
+        row("thread", edges, scaled(flows::thread_secs(edges, false)?, 1e6));
     }
     for n in [22, 71, 158] {
         row("heat", 2 * (n * n) as usize, scaled(flows::heat_secs(n)?, 1e6));

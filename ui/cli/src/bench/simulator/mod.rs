@@ -7,7 +7,9 @@ mod bodies;
 mod fem;
 mod flows;
 mod growth;
+mod live;
 mod peers;
+mod roofline;
 mod soft;
 
 use std::path::Path;
@@ -100,4 +102,9 @@ pub fn flows() -> Result<Vec<BenchResult>, Failure> {
 /// How costs grow with size.
 pub fn growth() -> Result<Vec<BenchResult>, Failure> {
     alone(growth::growth)
+}
+
+/// Two rates in one scene, live.
+pub fn live() -> Result<Vec<BenchResult>, Failure> {
+    live::live()
 }

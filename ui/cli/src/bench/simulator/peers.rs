@@ -7,6 +7,7 @@ use serde_json::json;
 use crate::bench::peer::{Peer, numbers};
 use crate::failure::Failure;
 
+const PYPBD: &str = include_str!("../../../../../tests/peers/simulator_xpbd.py");
 const MUJOCO: &str = include_str!("../../../../../tests/peers/simulator_fem.py");
 
 /// The beam of [`super::fem::beam`] in MuJoCo.
@@ -20,22 +21,22 @@ impl MujocoBeam {
     ///
     /// # Errors
     /// When that Python has no MuJoCo, or it does not understand.
-    pub fn start(python: &Path, cells: [usize; 3]) -> Result<Self, Failure> {
+    pub fn start(python: &Path, cells: [usize; 3], damping: f64) -> Result<Self, Failure> {
         let mut peer = Peer::start(python, MUJOCO)?;
         peer.ask(&json!({
             "cells": cells, "size": [0.1, 0.02, 0.02], "young": 1e5, "poisson": 0.3, "density": 1000.0,
-            "damping": 1e-3, "dt": 1e-3
+            "damping": damping, "dt": 1e-3
         }))?;
         Ok(Self { peer, tip: 0.0 })
     }
 
-    /// Mean time of so many steps \[ms\].
+    /// Mean processor time of so many steps \[ms\].
     ///
     /// # Errors
     /// When it does not answer.
     pub fn steps(&mut self, count: usize) -> Result<f64, Failure> {
         let answer = self.peer.ask(&json!({ "steps": count }))?;
-        let times = numbers(&answer, "ms");
+        let times = numbers(&answer, "cpu_ms");
         self.tip = answer["tip"].as_f64().unwrap_or(f64::NAN);
         Ok(times.iter().sum::<f64>() / times.len() as f64)
     }
@@ -44,4 +45,65 @@ impl MujocoBeam {
     pub fn tip(&self) -> f64 {
         self.tip
     }
+}
+
+/// A beam of cells in pypbd.
+pub struct PypbdBeam {
+    peer: Peer,
+    /// Deflection of its end at rest by linear elasticity \[m\].
+    pub deflection_linear: f64,
+    tip: Option<f64>,
+}
+
+impl PypbdBeam {
+    /// Starts it with the same beam, by so many iterations in a step.
+    ///
+    /// # Errors
+    /// When that Python has no pypbd, or it does not understand.
+    pub fn start(python: &Path, beam: &SaggingBeam, iterations: u32) -> Result<Self, Failure> {
+        let mut peer = Peer::start(python, PYPBD)?;
+        let answer = peer.ask(&json!({
+            "cells": beam.cells, "edge": beam.edge, "young": beam.young, "poisson": beam.poisson,
+            "density": beam.density, "damping": beam.damping, "dt": beam.step_secs, "parts": 1,
+            "iterations": iterations, "method": "fem"
+        }))?;
+        let deflection_linear = answer["deflection_linear"]
+            .as_f64()
+            .ok_or_else(|| Failure::internal("the peer does not say how far its beam should sag"))?;
+        Ok(Self { peer, deflection_linear, tip: None })
+    }
+
+    /// Mean processor time of so many steps \[ms\].
+    ///
+    /// # Errors
+    /// When it does not answer.
+    pub fn steps(&mut self, count: usize) -> Result<f64, Failure> {
+        let answer = self.peer.ask(&json!({ "steps": count }))?;
+        self.tip = answer["tip"].as_f64();
+        answer["ms"].as_f64().ok_or_else(|| Failure::internal("the peer tells no time"))
+    }
+
+    /// How far its end has come down \[m\]; none when it has lost its numbers.
+    pub fn tip(&self) -> Option<f64> {
+        self.tip
+    }
+}
+
+/// A beam that is held at one end and sags under its weight.
+#[derive(Clone, Copy, Debug)]
+pub struct SaggingBeam {
+    /// Cells of six tetrahedra along each axis.
+    pub cells: [usize; 3],
+    /// Of a cell \[m\].
+    pub edge: f64,
+    /// Young's modulus \[Pa\].
+    pub young: f64,
+    /// Poisson's ratio.
+    pub poisson: f64,
+    /// \[kg/m³\].
+    pub density: f64,
+    /// Share of a velocity that goes in a second \[1/s\].
+    pub damping: f64,
+    /// \[s\].
+    pub step_secs: f64,
 }

@@ -4,15 +4,18 @@ use std::hint::black_box;
 use std::path::Path;
 
 use trocar::summary::{BenchResult, Better};
+use trocar_kernel::bench::median_and_spread;
 use trocar_simulator::mass_spring::{Input, Integrator, LinearSolver, MassSpring, TooLarge};
 use trocar_simulator::xpbd::{XpbdConfig, XpbdInput};
 
 use super::bodies::{GRAVITY, cloth as gauze, position_based as beam};
-use super::{at_least_hz, at_most, per_run, scaled, told};
+use super::peers::{PypbdBeam, SaggingBeam};
+use super::roofline::{Work, share};
+use super::{BLOCKS, at_least_hz, at_most, per_run, scaled, secs};
 use crate::failure::Failure;
 
 /// How the cloth is stepped implicitly \[s\].
-const IMPLICIT_STEP: f64 = 0.01;
+const IMPLICIT_STEP: f64 = 1e-3;
 
 /// An explicit cloth, and the largest share of its safe step that is taken.
 pub fn explicit(n: u32) -> Result<(MassSpring, f64), Failure> {
@@ -23,7 +26,7 @@ pub fn explicit(n: u32) -> Result<(MassSpring, f64), Failure> {
 
 /// An implicit cloth.
 pub fn implicit(n: u32) -> Result<(MassSpring, f64), Failure> {
-    let solver = LinearSolver::ConjugateGradients { tolerance: 1e-4, iterations_max: 500 };
+    let solver = LinearSolver::Warped { tolerance: 1e-4, iterations_max: 200 };
     Ok((gauze(n, Integrator::Implicit { solver, newton: 1 })?, IMPLICIT_STEP))
 }
 
@@ -43,8 +46,20 @@ pub fn step_secs((mut cloth, dt): (MassSpring, f64), runs: usize) -> Result<(f64
 
 /// A gauze of 64 × 64 squares.
 pub fn cloth() -> Result<Vec<BenchResult>, Failure> {
+    let cloth = explicit(64)?;
+    let network = cloth.0.network();
+    // Of a spring: the way between two nodes and how fast it grows, its length, the force and its two ends. Of a node: its
+    // acceleration, speed and place.
+    let (springs, nodes) = (network.springs.len() as f64, network.masses.len() as f64);
+    let work = Work {
+        operations: 35.0 * springs + 18.0 * nodes,
+        single: false,
+        bytes: 24.0 * springs + 48.0 * nodes,
+    };
+    let figure = step_secs(cloth, 200)?;
     Ok(vec![
-        at_least_hz("cloth_64_explicit", step_secs(explicit(64)?, 200)?, 2_000.0),
+        at_least_hz("cloth_64_explicit", figure, 2_000.0),
+        share("cloth_64_explicit", figure.0, work),
         at_most("cloth_64_implicit", "ms", scaled(step_secs(implicit(64)?, 10)?, 1e3), 8.0),
     ])
 }
@@ -52,7 +67,7 @@ pub fn cloth() -> Result<Vec<BenchResult>, Failure> {
 /// Median time of a step of 5 ms with five rounds of constraints, of a block of so many cells of 1 cm.
 pub fn xpbd_secs(cells: [usize; 3], runs: usize) -> Result<(f64, f64), Failure> {
     let config = XpbdConfig { parts: 1, iterations: 5, damping: 1.0, ..XpbdConfig::default() };
-    let mut body = beam(cells, cells.map(|count| 0.01 * count as f64), config)?;
+    let mut body = beam(cells, cells.map(|count| 0.01 * count as f64), 1e5, config)?;
     let input = XpbdInput { gravity: GRAVITY, ..XpbdInput::default() };
     let mut failed = None;
     let figure = per_run(runs, || {
@@ -63,8 +78,71 @@ pub fn xpbd_secs(cells: [usize; 3], runs: usize) -> Result<(f64, f64), Failure> 
     failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
 }
 
-/// Position-based bodies beside pypbd's.
-pub fn position_based(_python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
-    let (value, _) = scaled(xpbd_secs([30, 7, 2], 50)?, 1e3);
-    Ok(vec![told("xpbd_2520", "ms", value, Better::Lower)])
+/// The beam that pypbd and we let sag: 2,520 tetrahedra.
+const SAGGING: SaggingBeam = SaggingBeam {
+    cells: [20, 7, 3],
+    edge: 0.005,
+    young: 1e6,
+    poisson: 0.3,
+    density: 1000.0,
+    damping: 20.0,
+    step_secs: 5e-3,
+};
+/// Sweeps over its constraints in a step.
+const SWEEPS: u32 = 5;
+/// Steps of a block: after all blocks it is at rest.
+const STEPS: usize = 60;
+
+/// Position-based bodies beside pypbd's: the same beam, as many sweeps over its constraints in a step, blocks in turns; and how far
+/// each is from where linear elasticity has its end.
+pub fn position_based(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
+    let SaggingBeam { cells, edge, young, damping, step_secs, .. } = SAGGING;
+    let config = XpbdConfig { parts: SWEEPS, iterations: 1, damping, ..XpbdConfig::default() };
+    let mut body = beam(cells, cells.map(|count| edge * count as f64), young, config)?;
+    let rest = body.state().positions.clone();
+    let mut peer = python.map(|python| PypbdBeam::start(python, &SAGGING, SWEEPS)).transpose()?;
+    let input = XpbdInput { gravity: GRAVITY, ..XpbdInput::default() };
+    let (mut ours, mut theirs, mut failed) = (Vec::new(), Vec::new(), None);
+    for _ in 0..BLOCKS {
+        let block = secs(|| {
+            for _ in 0..STEPS {
+                if let Err(error) = body.step(step_secs, black_box(&input)) {
+                    failed = Some(error);
+                }
+            }
+        });
+        ours.push(block / STEPS as f64 * 1e3);
+        if let Some(peer) = &mut peer {
+            theirs.push(peer.steps(STEPS)?);
+        }
+    }
+    if let Some(error) = failed {
+        return Err(Failure::internal(error));
+    }
+    let figure = median_and_spread(&ours);
+    let name = "simulator_xpbd_2520";
+    // Of a tetrahedron: its edges, F, two invariants and their gradients, the step of two constraints, the moves of four nodes.
+    let operations = 330.0 * f64::from(SWEEPS) * body.tets() as f64;
+    let bytes = 64.0 * f64::from(SWEEPS) * body.tets() as f64;
+    let share = share("xpbd_2520", figure.0 * 1e-3, Work { operations, single: true, bytes });
+    let Some(peer) = peer else {
+        let own = BenchResult::on_value(name, "ms (no peer)", figure, None, Better::Lower);
+        return Ok(vec![own, share]);
+    };
+    let floor = median_and_spread(&theirs).0;
+    let far = edge * cells[0] as f64 - 1e-9;
+    let ends = rest.iter().zip(&body.state().positions).filter(|(rest, _)| rest.x > far);
+    let drops: Vec<f64> = ends.map(|(rest, now)| rest.z - now.z).collect();
+    let tip = drops.iter().sum::<f64>() / drops.len() as f64;
+    let error = |tip: f64| (tip / peer.deflection_linear - 1.0).abs();
+    // One that has lost its numbers is no measure of error.
+    let theirs = peer.tip().map(error);
+    let own = BenchResult::on_value(
+        "simulator_xpbd_2520_static_error",
+        "share",
+        (error(tip), 0.0),
+        theirs,
+        Better::Lower,
+    );
+    Ok(vec![BenchResult::on_ratio(name, "ms", figure, floor, Some(0.5), Better::Lower), share, own])
 }

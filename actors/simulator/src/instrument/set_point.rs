@@ -1,6 +1,6 @@
 //! Where the coupling pulls an instrument: after the hand, and after a gap towards it at a bounded speed.
 //!
-//! An engine that was kept waiting, or that is a new one, finds the hand some centimetres further on. Pulled there at
+//! A world that was kept waiting, or that is a new one, finds the hand some centimetres further on. Pulled there at
 //! once, an instrument tears itself off from what it holds; it is led there instead, as fast as a hand would go.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
@@ -16,7 +16,7 @@ const START_TURN: f64 = 0.1;
 
 /// The pose that the coupling pulls to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct SetPoint {
+pub struct SetPoint {
     pose: Option<Isometry3<f64>>,
 }
 
@@ -25,7 +25,7 @@ impl SetPoint {
     /// instrument whose tip is at `tip`.
     ///
     /// A hand that moves on without a gap is followed exactly.
-    pub(crate) fn follow(
+    pub fn follow(
         &mut self,
         wanted: &Isometry3<f64>,
         velocity: &Velocity,

@@ -1,4 +1,4 @@
-//! What of an instrument's mechanism only the engine knows, kept in the scene so that another life of the engine
+//! What of an instrument's mechanism only those know who move it, kept in the scene so that another life of theirs
 //! continues without a jolt.
 
 use schemars::JsonSchema;

@@ -1,11 +1,11 @@
-//! What the engine refuses.
+//! What a world of rigid bodies refuses.
 
 use thiserror::Error;
 use trocar_scene::{ComponentError, ControllerError, Entity};
 
-/// A body, an instrument or a setting that the engine cannot simulate.
+/// A body, an instrument or a setting that cannot be simulated.
 #[derive(Clone, Debug, Error, PartialEq)]
-pub enum EngineError {
+pub enum WorldError {
     /// A component of an entity is out of range.
     #[error("{entity}: {component}: {source}")]
     InvalidComponent {
@@ -16,8 +16,8 @@ pub enum EngineError {
         /// What is wrong with it.
         source: ComponentError,
     },
-    /// A setting of the engine is out of range.
-    #[error("engine setting {field} = {value} is out of range ({valid})")]
+    /// A setting is out of range.
+    #[error("setting {field} = {value} is out of range ({valid})")]
     InvalidSetting {
         /// The setting.
         field: &'static str,
@@ -34,7 +34,7 @@ pub enum EngineError {
         /// What there is.
         known: String,
     },
-    /// More instruments than there are collision groups.
+    /// More instruments than the world admits.
     #[error("{entity}: there are already {max} instruments, which is the limit")]
     TooManyInstruments {
         /// The instrument that was refused.
@@ -42,7 +42,7 @@ pub enum EngineError {
         /// The limit.
         max: usize,
     },
-    /// More bodies than the engine admits.
+    /// More bodies than the world admits.
     #[error("{entity}: there are already {max} bodies, which is the limit")]
     TooManyBodies {
         /// The body that was refused.
@@ -72,10 +72,10 @@ pub enum EngineError {
     },
 }
 
-impl From<EngineError> for ControllerError {
-    fn from(error: EngineError) -> Self {
+impl From<WorldError> for ControllerError {
+    fn from(error: WorldError) -> Self {
         match error {
-            EngineError::Diverged { .. } => Self::Failed(error.to_string()),
+            WorldError::Diverged { .. } => Self::Failed(error.to_string()),
             _ => Self::Scene(error.to_string()),
         }
     }

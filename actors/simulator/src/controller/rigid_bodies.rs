@@ -21,17 +21,14 @@ use trocar_scene::entity::Entity;
 use trocar_scene::snapshot::Snapshot;
 use trocar_scene::time::{Revision, SimTime};
 
-use crate::contacts::Contact;
-use crate::error::EngineError;
-use crate::felt::{held_by, is_modelled, modelled_by_others};
-use crate::grasp::Hold;
-use crate::grasper::GrasperState;
-use crate::jaws::JawOpening;
-use crate::local_model::local_contact_model;
-use crate::mechanism::MechanismState;
-use crate::settings::EngineSettings;
-use crate::target_track::TargetTrack;
-use crate::world::{FLOOR, RigidWorld};
+use crate::instrument::contact::Contact;
+use crate::instrument::felt::{held_by, is_modelled, modelled_by_others};
+use crate::instrument::grasp::Hold;
+use crate::instrument::local_model::local_contact_model;
+use crate::instrument::mechanism::MechanismState;
+use crate::instrument::opening::{InstrumentState, JawOpening};
+use crate::instrument::target_track::TargetTrack;
+use crate::rigid_world::{FLOOR, Scheduling, World, WorldError};
 
 /// Most contacts that the collision list carries; the deepest ones stay.
 pub const COLLISIONS_MAX: usize = 256;
@@ -43,11 +40,14 @@ const CATCH_UP_SECS_MAX: f64 = 0.2;
 /// the next ticks: a tick that computed all of it at once would be taken for a stall, on a machine that was busy anyway.
 const TICK_SECS_MAX: f64 = 0.02;
 
-/// Rapier as a controller of the scene.
-pub struct EngineController {
+/// Rigid bodies and instruments as a controller of the scene, by whatever world computes them.
+pub struct RigidBodiesController<W: World> {
     me: Entity,
-    world: RigidWorld,
+    world: W,
     access: Access,
+    /// Length of one step \[s\].
+    step_secs: f64,
+    method: Detection,
     /// Bodies and instruments whose rows it may write, sorted; all if absent.
     declared: Option<Vec<Entity>>,
     /// Instruments whose contacts somebody else models, sorted.
@@ -111,19 +111,22 @@ struct KnownInstrument {
     grasp: Option<Grasp>,
 }
 
-impl EngineController {
+impl<W: World> RigidBodiesController<W> {
     /// Builds the world from the scene.
     ///
     /// # Errors
     /// What the scene or the settings have that cannot be simulated.
-    pub fn new(context: &BuildContext<'_>, settings: EngineSettings) -> Result<Self, EngineError> {
-        let modelled_by_others = modelled_by_others(context.scene, &settings.contact_models_by_others)?;
+    pub fn new(context: &BuildContext<'_>, settings: W::Settings) -> Result<Self, WorldError> {
+        let scheduling = W::scheduling(&settings);
+        let modelled_by_others = modelled_by_others(context.scene, &scheduling.contact_models_by_others)?;
         let mut this = Self {
             me: context.me,
-            access: declared_access(context.scene, &settings, &modelled_by_others),
-            declared: declared_rows(context.scene, &settings),
+            access: declared_access(context.scene, &scheduling, &modelled_by_others),
+            declared: declared_rows(context.scene, &scheduling),
             modelled_by_others,
-            world: RigidWorld::new(settings, context.time)?,
+            step_secs: scheduling.substep_secs,
+            method: scheduling.method,
+            world: W::new(settings, context.time)?,
             seen: Revision::ZERO,
             bodies: BTreeMap::new(),
             instruments: BTreeMap::new(),
@@ -135,12 +138,12 @@ impl EngineController {
     }
 
     /// The world that it steps.
-    pub fn world(&self) -> &RigidWorld {
+    pub fn world(&self) -> &W {
         &self.world
     }
 
     /// Takes in what changed in the scene since the last time.
-    fn take_in(&mut self, scene: &Snapshot, period_secs: f64) -> Result<(), EngineError> {
+    fn take_in(&mut self, scene: &Snapshot, period_secs: f64) -> Result<(), WorldError> {
         self.drop_vanished(scene);
         let changed = scene.iter_changed::<RigidBody>(self.seen).map(|(entity, _)| entity);
         let changed = changed
@@ -189,7 +192,7 @@ impl EngineController {
         entity: Entity,
         body: &RigidBody,
         geometry: Geometry,
-    ) -> Result<(), EngineError> {
+    ) -> Result<(), WorldError> {
         if let Some(known) = self.bodies.get_mut(&entity) {
             let same = known.geometry.is_same(&geometry);
             if known.body == *body && same {
@@ -233,7 +236,7 @@ impl EngineController {
         geometry: &Geometry,
         pose: &Pose,
         velocity: &Velocity,
-    ) -> Result<(), EngineError> {
+    ) -> Result<(), WorldError> {
         match geometry {
             Geometry::Shape(shape) => self.world.insert_body(entity, body, shape, pose, velocity),
             Geometry::Surface(vertices, triangles) => {
@@ -251,19 +254,19 @@ impl EngineController {
         let known: Vec<_> =
             lists().map(|(writer, _)| (writer, scene.changed::<CollisionList>(writer))).collect();
         if known != self.lists {
-            self.world.set_penalties(lists().flat_map(|(_, list)| &list.collisions));
+            self.world.set_found(lists().flat_map(|(_, list)| &list.collisions));
             self.lists = known;
         }
     }
 
-    /// A pose that is none of the engine's own is a teleport.
+    /// A pose that is none of the world's own is a teleport.
     fn take_pose(
         &mut self,
         scene: &Snapshot,
         entity: Entity,
         pose: &Pose,
         period_secs: f64,
-    ) -> Result<(), EngineError> {
+    ) -> Result<(), WorldError> {
         let Some(known) = self.bodies.get_mut(&entity) else { return Ok(()) };
         if known.written.contains(&Some(*pose)) {
             return Ok(());
@@ -282,7 +285,7 @@ impl EngineController {
         scene: &Snapshot,
         entity: Entity,
         instrument: &Instrument,
-    ) -> Result<(), EngineError> {
+    ) -> Result<(), WorldError> {
         let by_others = self.modelled_by_others.binary_search(&entity).is_ok();
         let model = scene.get::<LocalContactModel>(entity).filter(|_| by_others);
         let model_changed = model.and_then(|_| scene.changed::<LocalContactModel>(entity));
@@ -294,16 +297,14 @@ impl EngineController {
         if rebuild {
             let resumed = scene.get::<JawState>(entity);
             let grasp = scene.get::<Grasp>(entity).copied();
-            let (state, hold) = match (self.world.grasper_state(entity), resumed, target) {
-                (Some(state), _, _) => {
-                    (state, self.world.grasper(entity).and_then(|grasper| grasper.hold().copied()))
-                }
+            let (state, hold) = match (self.world.tool(entity), resumed, target) {
+                (Some(tool), _, _) => (tool.state, tool.hold),
                 (None, Some(jaws), _) => (resumed_state(scene, entity, jaws), grasp.map(hold_of)),
-                // A new instrument starts where its hand is, or else where the scenario puts it: a slow engine
+                // A new instrument starts where its hand is, or else where the scenario puts it: a slow world
                 // would otherwise tell haptics of its surroundings a whole tick late.
                 (None, None, Some(target)) => {
                     let opening = JawOpening { angle: target.jaw_angle, ..JawOpening::default() };
-                    let state = GrasperState {
+                    let state = InstrumentState {
                         tip_in_world: target.tip_in_world.isometry(),
                         velocity: target.velocity_in_world,
                         opening,
@@ -312,7 +313,7 @@ impl EngineController {
                     (state, None)
                 }
                 (None, None, None) if scene.get::<Pose>(entity).is_some() => {
-                    let state = GrasperState {
+                    let state = InstrumentState {
                         tip_in_world: scene.world_pose(entity),
                         velocity: Velocity::default(),
                         opening: JawOpening::default(),
@@ -322,8 +323,8 @@ impl EngineController {
                 }
                 (None, None, None) => return Ok(()),
             };
-            let is_new = self.world.grasper(entity).is_none();
-            self.world.insert_grasper(entity, instrument, &state, hold)?;
+            let is_new = self.world.tool(entity).is_none();
+            self.world.insert_tool(entity, instrument, &state, hold)?;
             if let Some(mechanism) = scene.get::<MechanismState>(entity).filter(|_| is_new) {
                 let track = TargetTrack::of(mechanism.previous_target, mechanism.newest_target);
                 self.world.set_track(entity, track)?;
@@ -375,24 +376,20 @@ impl EngineController {
             if self.declared.as_ref().is_some_and(|rows| rows.binary_search(&entity).is_err()) {
                 continue;
             }
-            let (Some(state), Some(wrench)) =
-                (self.world.grasper_state(entity), self.world.take_wrench_on_hand(entity))
+            let (Some(tool), Some(wrench)) =
+                (self.world.tool(entity), self.world.take_wrench_on_hand(entity))
             else {
                 continue;
             };
+            let state = tool.state;
             let is_modelled = is_modelled(&self.access, entity);
             // One tick to get there, half a tick for haptics to hear of it.
             let obstacle = self.world.obstacle(entity, 1.5 * period_secs);
-            let Some(grasper) = self.world.grasper(entity) else { continue };
             out.put(entity, in_parent(scene, entity, state.tip_in_world.into()));
             out.put(entity, state.velocity);
             out.put(
                 entity,
-                JawState {
-                    angle: state.opening.angle,
-                    rate: state.opening.rate,
-                    pad_force: grasper.pad_force(),
-                },
+                JawState { angle: state.opening.angle, rate: state.opening.rate, pad_force: tool.pad_force },
             );
             if keeps_mechanism {
                 out.put(
@@ -401,19 +398,21 @@ impl EngineController {
                         tilt: state.opening.tilt,
                         tilt_rate: state.opening.tilt_rate,
                         drive_reference: state.drive_reference,
-                        previous_target: grasper.previous_target().copied(),
-                        newest_target: grasper.target().copied(),
+                        previous_target: tool.track.previous().copied(),
+                        newest_target: tool.track.newest().copied(),
                     },
                 );
             }
             out.put(entity, InstrumentForce { force: wrench.force, torque: wrench.torque, at: now });
             if is_modelled {
-                out.put(entity, local_contact_model(grasper, &state, &contacts, obstacle, now));
+                out.put(
+                    entity,
+                    local_contact_model(entity, &tool.coupling, &state, &contacts, obstacle, now),
+                );
             }
             let Some(known) = self.instruments.get_mut(&entity) else { continue };
-            let since =
-                known.grasp.filter(|grasp| grasper.hold().is_some_and(|hold| hold.held == grasp.held));
-            let grasp = grasper.hold().map(|hold| Grasp {
+            let since = known.grasp.filter(|grasp| tool.hold.is_some_and(|hold| hold.held == grasp.held));
+            let grasp = tool.hold.map(|hold| Grasp {
                 held: hold.held,
                 anchor: hold.anchor.into(),
                 since: since.map_or(now, |grasp| grasp.since),
@@ -431,10 +430,11 @@ impl EngineController {
     }
 
     fn write_collisions(&mut self, contacts: &[Contact], now: SimTime, out: &mut Commands) {
+        let method = self.method;
         let mut collisions: Vec<Collision> = contacts
             .iter()
             .filter(|contact| contact.a.0 != FLOOR && contact.b.0 != FLOOR)
-            .map(|contact| collision_of(contact, now))
+            .map(|contact| collision_of(contact, method, now))
             .collect();
         if collisions.len() > COLLISIONS_MAX {
             collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
@@ -445,12 +445,12 @@ impl EngineController {
             return;
         }
         self.collisions_were_empty = collisions.is_empty();
-        let penetration_max = self.world.statistics().penetration_max;
+        let penetration_max = self.world.penetration_max();
         out.contribute(CollisionList { collisions, penetration_max });
     }
 }
 
-impl Controller for EngineController {
+impl<W: World> Controller for RigidBodiesController<W> {
     fn access(&self) -> Access {
         self.access.clone()
     }
@@ -458,7 +458,7 @@ impl Controller for EngineController {
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         self.take_in(scene, tick.period.as_secs_f64())
             .map_err(|error| ControllerError::Scene(error.to_string()))?;
-        let step_secs = self.world.settings().substep_secs;
+        let step_secs = self.step_secs;
         // The world is brought up to the time of the tick; how far it is behind says how many steps that takes.
         let behind = tick.time.since(self.world.now()).as_secs_f64();
         if behind > CATCH_UP_SECS_MAX {
@@ -476,7 +476,7 @@ impl Controller for EngineController {
     }
 }
 
-/// The bodies that the engine moves: those that are dynamic now, and the instruments. Naming them leaves the poses
+/// The bodies that the world moves: those that are dynamic now, and the instruments. Naming them leaves the poses
 /// of all others to others.
 fn moved_entities(scene: &Snapshot) -> Vec<Entity> {
     let mut moved: Vec<Entity> = scene
@@ -491,12 +491,12 @@ fn moved_entities(scene: &Snapshot) -> Vec<Entity> {
 }
 
 /// Rows that may be written; `None` for all.
-fn declared_rows(scene: &Snapshot, settings: &EngineSettings) -> Option<Vec<Entity>> {
-    (!settings.claims_all_poses).then(|| moved_entities(scene))
+fn declared_rows(scene: &Snapshot, scheduling: &Scheduling) -> Option<Vec<Entity>> {
+    (!scheduling.claims_all_poses).then(|| moved_entities(scene))
 }
 
-fn declared_access(scene: &Snapshot, settings: &EngineSettings, modelled_by_others: &[Entity]) -> Access {
-    let on = |entities| if settings.claims_all_poses { EntitySet::All } else { EntitySet::Of(entities) };
+fn declared_access(scene: &Snapshot, scheduling: &Scheduling, modelled_by_others: &[Entity]) -> Access {
+    let on = |entities| if scheduling.claims_all_poses { EntitySet::All } else { EntitySet::Of(entities) };
     let moved = moved_entities(scene);
     let instruments: Vec<Entity> = scene.iter::<Instrument>().map(|(entity, _)| entity).collect();
     let mut modelled = instruments.clone();
@@ -546,10 +546,10 @@ fn in_parent(scene: &Snapshot, entity: Entity, world_from_entity: Pose) -> Pose 
     }
 }
 
-/// The state of an instrument as an earlier life of the engine left it in the scene.
-fn resumed_state(scene: &Snapshot, entity: Entity, jaws: &JawState) -> GrasperState {
+/// The state of an instrument as an earlier life of the world left it in the scene.
+fn resumed_state(scene: &Snapshot, entity: Entity, jaws: &JawState) -> InstrumentState {
     let mechanism = scene.get::<MechanismState>(entity);
-    GrasperState {
+    InstrumentState {
         tip_in_world: scene.world_pose(entity),
         velocity: scene.get::<Velocity>(entity).copied().unwrap_or_default(),
         opening: JawOpening {
@@ -572,7 +572,7 @@ fn hold_of(grasp: Grasp) -> Hold {
     }
 }
 
-fn collision_of(contact: &Contact, detected_at: SimTime) -> Collision {
+fn collision_of(contact: &Contact, method: Detection, detected_at: SimTime) -> Collision {
     let overlap = contact.normal_in_world * (0.5 * contact.depth);
     Collision {
         a: contact.a.0,
@@ -584,7 +584,7 @@ fn collision_of(contact: &Contact, detected_at: SimTime) -> Collision {
         depth: contact.depth,
         force_in_world: contact.force_on_b_in_world(),
         velocity_constraint: 0.0,
-        method: Detection::Engine,
+        method,
         detected_at,
     }
 }

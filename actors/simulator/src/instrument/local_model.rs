@@ -1,4 +1,4 @@
-//! The local model of an instrument's contacts that haptics evaluate between two ticks of the engine (Adachi,
+//! The local model of an instrument's contacts that haptics evaluate between two ticks of the world of bodies (Adachi,
 //! Kumano, Ogino 1995: intermediate representation; Mark et al. 1996).
 //!
 //! Contacts with what cannot give way become planes, shifted to where they stop the *tip* (a push on the shaft
@@ -10,19 +10,31 @@ use trocar_scene::components::{ContactPlane, LocalContactModel};
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
 
-use crate::anticipate::Obstacle;
-use crate::contacts::Contact;
-use crate::grasper::{Grasper, GrasperState};
+use super::contact::Contact;
+use super::coupling::VirtualCoupling;
+use super::opening::InstrumentState;
 
 /// Planes whose normals differ by less than about 18° are one plane.
 const SAME_PLANE_COSINE: f64 = 0.95;
 /// A surface further away than this is left out \[m\].
 const REACH: f64 = 0.0005;
 
+/// A surface on the way of an instrument.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Obstacle {
+    /// Unit normal towards the instrument.
+    pub normal_in_world: Vector3<f64>,
+    /// How far the instrument can still go against the normal \[m\].
+    pub gap: f64,
+    /// Coulomb friction of the pair.
+    pub friction: f64,
+}
+
 /// The local model of one instrument from all contacts of the step, and from what it is about to touch.
 pub fn local_contact_model(
-    grasper: &Grasper,
-    state: &GrasperState,
+    instrument: Entity,
+    coupling: &VirtualCoupling,
+    state: &InstrumentState,
     contacts: &[Contact],
     obstacle: Option<Obstacle>,
     at: SimTime,
@@ -37,7 +49,7 @@ pub fn local_contact_model(
     // Force and gap of each plane, for the choice of the most important ones.
     let mut weights = [(0.0, f64::INFINITY); 4];
     for contact in contacts {
-        let Some(side) = Side::of(contact, grasper.entity()) else { continue };
+        let Some(side) = Side::of(contact, instrument) else { continue };
         if !side.other_is_fixed {
             model.base_force += side.force_on_instrument;
             continue;
@@ -46,11 +58,11 @@ pub fn local_contact_model(
         if gap > REACH {
             continue;
         }
-        let plane = plane_at(grasper, state, side.normal_to_instrument, gap, contact.friction_coefficient);
+        let plane = plane_at(coupling, state, side.normal_to_instrument, gap, contact.friction_coefficient);
         insert(&mut model.planes, &mut weights, plane, (contact.normal_force, gap));
     }
     if let Some(Obstacle { normal_in_world, gap, friction }) = obstacle {
-        let plane = plane_at(grasper, state, normal_in_world, gap, friction);
+        let plane = plane_at(coupling, state, normal_in_world, gap, friction);
         insert(&mut model.planes, &mut weights, plane, (0.0, gap));
     }
     model
@@ -58,8 +70,8 @@ pub fn local_contact_model(
 
 /// The plane at which the tip stops when the instrument is `gap` away from a surface.
 fn plane_at(
-    grasper: &Grasper,
-    state: &GrasperState,
+    coupling: &VirtualCoupling,
+    state: &InstrumentState,
     normal_in_world: Vector3<f64>,
     gap: f64,
     friction: f64,
@@ -67,8 +79,8 @@ fn plane_at(
     ContactPlane {
         point_in_world: (state.tip_in_world.translation.vector - normal_in_world * gap).into(),
         normal_in_world,
-        stiffness: grasper.coupling().stiffness(),
-        damping: grasper.coupling().damping(),
+        stiffness: coupling.stiffness(),
+        damping: coupling.damping(),
         friction,
     }
 }

@@ -1,5 +1,5 @@
 //! Instruments whose contacts somebody else models: a hand feels what that model says, and the instrument follows the
-//! hand only as far as the model lets it, so that one does not see it sink into what the engine does not know.
+//! hand only as far as the model lets it, so that one does not see it sink into what the world of bodies does not know.
 
 use trocar_scene::access::{Access, EntitySet};
 use trocar_scene::component::Component;
@@ -7,7 +7,7 @@ use trocar_scene::components::{Instrument, InstrumentTarget, LocalContactModel, 
 use trocar_scene::entity::Entity;
 use trocar_scene::snapshot::Snapshot;
 
-use crate::error::EngineError;
+use crate::rigid_world::WorldError;
 
 /// Sweeps over the planes: each brings the target nearer to where all of them allow it.
 const SWEEPS: usize = 16;
@@ -15,15 +15,15 @@ const SWEEPS: usize = 16;
 /// The instruments of those names, sorted.
 ///
 /// # Errors
-/// [`EngineError::UnknownInstrument`].
-pub fn modelled_by_others(scene: &Snapshot, names: &[String]) -> Result<Vec<Entity>, EngineError> {
+/// [`WorldError::UnknownInstrument`].
+pub fn modelled_by_others(scene: &Snapshot, names: &[String]) -> Result<Vec<Entity>, WorldError> {
     let is_instrument = |entity: &Entity| scene.get::<Instrument>(*entity).is_some();
     let mut found = Vec::with_capacity(names.len());
     for name in names {
         let Some(entity) = scene.find(name).filter(is_instrument) else {
             let known = scene.iter::<Name>().filter(|(entity, _)| is_instrument(entity));
             let known: Vec<&str> = known.map(|(_, name)| name.0.as_str()).collect();
-            return Err(EngineError::UnknownInstrument { name: name.clone(), known: known.join(", ") });
+            return Err(WorldError::UnknownInstrument { name: name.clone(), known: known.join(", ") });
         };
         found.push(entity);
     }
@@ -32,7 +32,7 @@ pub fn modelled_by_others(scene: &Snapshot, names: &[String]) -> Result<Vec<Enti
     Ok(found)
 }
 
-/// Whether the model of an instrument's contacts is the engine's own: where others have any, those that came later have none.
+/// Whether the model of an instrument's contacts is the world's own: where others have any, those that came later have none.
 pub fn is_modelled(access: &Access, instrument: Entity) -> bool {
     let declared = access.writes.iter().find(|(name, _)| *name == LocalContactModel::NAME);
     match declared {

@@ -1,15 +1,12 @@
 //! The engine as a controller on a store: what it picks up, what it writes, and that another life of it goes on
 //! where the last one stood.
 
-mod common;
-
 use std::sync::Arc;
 
-use common::{
+use crate::common::{
     LEFT, RIGHT, RING_MASS, RING_RADIUS, TUBE_RADIUS, minimum_jerk, pointing_down, ring_body, ring_shape,
 };
 use nalgebra::Vector3;
-use trocar_engine::{EngineController, EngineSettings};
 use trocar_scene::components::{
     CollisionList, Grasp, Instrument, InstrumentForce, InstrumentTarget, JawState, LocalContactModel, Pose,
     RigidBody, Velocity,
@@ -18,6 +15,12 @@ use trocar_scene::{
     BuildContext, Commands, Component, Controller, Entity, EntityAllocator, Events, Jobs, Registry,
     RegistryBuilder, SimTime, Snapshot, Store, Tick, WriterRules,
 };
+use trocar_simulator::controller::RigidBodiesController;
+use trocar_simulator::rigid_world::World;
+
+use crate::W;
+
+type Settings = <W as World>::Settings;
 
 const BOARD: Entity = Entity::new(0, 0, 3);
 const RING: Entity = Entity::new(0, 0, 10);
@@ -26,14 +29,14 @@ const ME: u16 = 7;
 fn registry() -> Arc<Registry> {
     let mut builder = RegistryBuilder::new();
     trocar_scene::components::register(&mut builder).unwrap();
-    trocar_engine::register(&mut builder).unwrap();
+    trocar_simulator::controller::register(&mut builder).unwrap();
     builder.build()
 }
 
 /// A store with an engine on it, and hands that write targets at 1 kHz.
 struct Bench {
     store: Store,
-    engine: EngineController,
+    engine: RigidBodiesController<W>,
     rules: WriterRules,
     commands: Commands,
     hands: Commands,
@@ -42,10 +45,10 @@ struct Bench {
     ticks: u64,
 }
 
-fn build(scene: &Snapshot, time: SimTime, epoch: u32, settings: EngineSettings) -> EngineController {
+fn build(scene: &Snapshot, time: SimTime, epoch: u32, settings: Settings) -> RigidBodiesController<W> {
     let me = Entity::of_writer(0, ME);
     let context = BuildContext { scene, time, name: "engine", me, epoch, seed: 1 };
-    EngineController::new(&context, settings).unwrap()
+    RigidBodiesController::new(&context, settings).unwrap()
 }
 
 fn put<T: Component>(store: &mut Store, entity: Entity, value: T) {
@@ -64,10 +67,10 @@ fn change(store: &mut Store, what: impl FnOnce(&mut Commands)) {
 impl Bench {
     /// A board without pegs and a ring flat on it at the origin.
     fn new(period_ms: u64, instruments: &[(Entity, Instrument)]) -> Self {
-        Self::with(period_ms, instruments, EngineSettings::default())
+        Self::with(period_ms, instruments, Settings::default())
     }
 
-    fn with(period_ms: u64, instruments: &[(Entity, Instrument)], settings: EngineSettings) -> Self {
+    fn with(period_ms: u64, instruments: &[(Entity, Instrument)], settings: Settings) -> Self {
         let registry = registry();
         let mut store = Store::new(registry.clone());
         let mut commands = Commands::new(registry.clone(), EntityAllocator::new(0, 0));
@@ -143,7 +146,7 @@ impl Bench {
     /// Another life of the engine, from nothing but the scene.
     fn rebuild(&mut self) {
         let scene = self.store.snapshot();
-        self.engine = build(&scene, self.now(), 2, EngineSettings::default());
+        self.engine = build(&scene, self.now(), 2, Settings::default());
     }
 
     fn get<T: Component>(&self, entity: Entity) -> T {
@@ -323,7 +326,7 @@ fn what_changes_in_the_scene_is_picked_up() {
 #[test]
 fn bodies_spawned_at_run_time_are_written_if_the_engine_claims_all_poses() {
     for claims_all_poses in [false, true] {
-        let settings = EngineSettings { claims_all_poses, ..EngineSettings::default() };
+        let settings = Settings { claims_all_poses, ..Settings::default() };
         let mut bench = Bench::with(2, &[], settings);
         (0..10).for_each(|_| bench.step(&[]));
         let extra = Entity::new(0, 0, 15);

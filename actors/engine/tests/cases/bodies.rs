@@ -1,26 +1,27 @@
 //! Bodies and instruments against closed forms; determinism; what the world refuses.
 
-mod common;
-
-use common::*;
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
-use trocar_engine::{EngineError, EngineSettings, GrasperState, RigidWorld};
 use trocar_scene::components::{
     Instrument, InstrumentKind, InstrumentTarget, Motion, Pose, RigidBody, Shape, Velocity,
 };
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
+use trocar_simulator::instrument::opening::InstrumentState;
+use trocar_simulator::rigid_world::{World, WorldError};
+
+use crate::common::*;
+use crate::{TOOLS_MAX, W, settings};
 
 const BALL: Entity = Entity::new(0, 0, 50);
 
-fn add_ball(world: &mut RigidWorld, z: f64, restitution: f64) {
+fn add_ball(world: &mut W, z: f64, restitution: f64) {
     let body = RigidBody { motion: Motion::Dynamic, mass: 0.01, restitution, ..RigidBody::default() };
     let shape = Shape::Sphere { radius: 0.005 };
     world.insert_body(BALL, &body, &shape, &Pose::at(0.0, 0.0, z), &Velocity::default()).unwrap();
 }
 
-fn steps(world: &mut RigidWorld, count: usize) {
+fn steps(world: &mut W, count: usize) {
     (0..count).for_each(|_| world.step().unwrap());
 }
 
@@ -60,12 +61,8 @@ fn a_ball_bounces_to_the_square_of_its_restitution() {
 #[test]
 fn a_rolling_sphere_accelerates_at_five_sevenths() {
     let tilt = 0.1f64;
-    let settings = EngineSettings {
-        gravity_in_world: Vector3::new(9.81 * tilt.sin(), 0.0, -9.81 * tilt.cos()),
-        floor_height: Some(0.0),
-        ..EngineSettings::default()
-    };
-    let mut world = RigidWorld::new(settings, SimTime::ZERO).unwrap();
+    let settings = settings(Vector3::new(9.81 * tilt.sin(), 0.0, -9.81 * tilt.cos()), Some(0.0));
+    let mut world = <W as World>::new(settings, SimTime::ZERO).unwrap();
     add_ball(&mut world, 0.005, 0.0);
     steps(&mut world, 100);
     let before = world.velocity(BALL).unwrap().linear.x;
@@ -99,7 +96,7 @@ fn a_kinematic_body_travels_and_pushes() {
         world.pose(ring).unwrap().translation.x - RING_RADIUS - TUBE_RADIUS > front - 2e-4,
         "pushed along"
     );
-    assert!(world.statistics().penetration_max < 1e-4);
+    assert!(world.penetration_max() < 1e-4);
 }
 
 #[test]
@@ -116,7 +113,7 @@ fn a_ring_dropped_over_a_peg_lands_around_it() {
         (at - Vector3::new(x, y, at.z)).norm() < RING_RADIUS - TUBE_RADIUS - 0.001 + 1e-4,
         "around the peg"
     );
-    assert!(world.statistics().penetration_max < 1e-4, "{}", world.statistics().penetration_max);
+    assert!(world.penetration_max() < 1e-4, "{}", world.penetration_max());
 }
 
 #[test]
@@ -129,7 +126,7 @@ fn rings_that_tumble_onto_the_board_do_not_sink_in() {
         let turn = UnitQuaternion::from_euler_angles(0.4 * (0.7 * f).sin(), 0.5 * (1.3 * f).cos(), f);
         add_ring(&mut world, 0, Pose::new(Vector3::new(-0.026, 0.0, 0.01 + 0.0015 * f), turn), 0.5);
         steps(&mut world, 250);
-        worst = worst.max(world.statistics().penetration_max);
+        worst = worst.max(world.penetration_max());
     }
     println!("deepest penetration of 20 tumbling rings: {:.4} mm", worst * 1e3);
     assert!(worst < 5e-5);
@@ -145,8 +142,8 @@ fn a_ring_dropped_onto_the_tip_of_a_peg_does_not_pass_through_it() {
         world.step().unwrap();
     }
     let at = world.pose(ring).unwrap().translation;
-    println!("came to rest at {at:.4?}, penetration {:.4} mm", world.statistics().penetration_max * 1e3);
-    assert!(at.z > 0.0 && world.statistics().penetration_max < 2e-4);
+    println!("came to rest at {at:.4?}, penetration {:.4} mm", world.penetration_max() * 1e3);
+    assert!(at.z > 0.0 && world.penetration_max() < 2e-4);
 }
 
 #[test]
@@ -190,12 +187,9 @@ fn a_pressed_board_feels_as_stiff_as_the_coupling() {
         felt.push(world.take_wrench_on_hand(LEFT).unwrap().force.z);
     }
     let stiffness = (felt[2] - felt[0]) / 0.002;
-    println!(
-        "felt {felt:.3?} N: {stiffness:.1} N/m, penetration {:.4} mm",
-        world.statistics().penetration_max * 1e3
-    );
+    println!("felt {felt:.3?} N: {stiffness:.1} N/m, penetration {:.4} mm", world.penetration_max() * 1e3);
     assert!((stiffness / 1000.0 - 1.0).abs() < 0.02);
-    assert!(world.statistics().penetration_max < 1e-4);
+    assert!(world.penetration_max() < 1e-4);
 }
 
 #[test]
@@ -218,12 +212,12 @@ fn any_jump_of_the_target_stays_bounded() {
                 force_max = force_max.max(world.take_wrench_on_hand(LEFT).unwrap().force.norm());
             },
         );
-        let state = world.grasper_state(LEFT).unwrap();
+        let state = world.tool(LEFT).unwrap().state;
         assert!(state.velocity.linear.norm() < 10.0 && state.tip_in_world.translation.vector.norm() < 1.0);
     }
     assert!(force_max <= 20.0 + 1e-9, "{force_max} N");
     run(&mut world, &mut hands, 0.5, |_, _, hand| hand.tip = pointing_down(0.0, 0.0, 0.08), no_watch);
-    let state = world.grasper_state(LEFT).unwrap();
+    let state = world.tool(LEFT).unwrap().state;
     assert!(
         (state.tip_in_world.translation.vector - Vector3::new(0.0, 0.0, 0.08)).norm() < 1e-4,
         "it recovers"
@@ -245,7 +239,7 @@ fn two_instruments_do_not_pass_through_each_other() {
     let (left, right) = (world.pose(LEFT).unwrap().translation, world.pose(RIGHT).unwrap().translation);
     assert!(left.x < right.x, "each stays on its own side");
     let forces = [LEFT, RIGHT].map(|hand| world.take_wrench_on_hand(hand).unwrap().force.x);
-    assert!(world.statistics().penetration_max < 1e-4, "{}", world.statistics().penetration_max);
+    assert!(world.penetration_max() < 1e-4, "{}", world.penetration_max());
     println!("forces {forces:?}");
 }
 
@@ -326,22 +320,22 @@ fn bad_instruments_and_targets_are_refused() {
     let mut world = world();
     let bad = Instrument { mass: -1.0, ..Instrument::default() };
     assert!(matches!(
-        world.insert_grasper(LEFT, &bad, &GrasperState::default(), None),
-        Err(EngineError::InvalidComponent { component: "instrument", .. })
+        world.insert_tool(LEFT, &bad, &InstrumentState::default(), None),
+        Err(WorldError::InvalidComponent { component: "instrument", .. })
     ));
     let target = InstrumentTarget::default();
-    assert_eq!(world.set_target(LEFT, target), Err(EngineError::Unknown { entity: LEFT }));
-    world.insert_grasper(LEFT, &Instrument::default(), &GrasperState::default(), None).unwrap();
+    assert_eq!(world.set_target(LEFT, target), Err(WorldError::Unknown { entity: LEFT }));
+    world.insert_tool(LEFT, &Instrument::default(), &InstrumentState::default(), None).unwrap();
     let nan = InstrumentTarget { jaw_angle: f64::NAN, ..target };
     assert!(world.set_target(LEFT, nan).is_err());
-    for index in 0..14 {
+    for index in 0..TOOLS_MAX as u32 - 1 {
         let entity = Entity::new(0, 0, 100 + index);
-        world.insert_grasper(entity, &Instrument::default(), &GrasperState::default(), None).unwrap();
+        world.insert_tool(entity, &Instrument::default(), &InstrumentState::default(), None).unwrap();
     }
     let entity = Entity::new(0, 0, 200);
     assert_eq!(
-        world.insert_grasper(entity, &Instrument::default(), &GrasperState::default(), None),
-        Err(EngineError::TooManyInstruments { entity, max: 15 })
+        world.insert_tool(entity, &Instrument::default(), &InstrumentState::default(), None),
+        Err(WorldError::TooManyInstruments { entity, max: TOOLS_MAX })
     );
 }
 

@@ -1,12 +1,11 @@
 //! Grasping by friction: what holds, what slips, what falls, and what two hands feel of one ring.
 
-mod common;
-
-use common::*;
-use nalgebra::Vector3;
-use trocar_engine::RigidWorld;
+use crate::W;
+use crate::common::*;
+use nalgebra::{Isometry3, Vector3};
 use trocar_scene::components::{Instrument, Pose};
 use trocar_scene::entity::Entity;
+use trocar_simulator::rigid_world::World;
 
 const WEIGHT: f64 = RING_MASS * 9.81;
 
@@ -15,7 +14,7 @@ fn instrument(force: f64, friction: f64) -> Instrument {
 }
 
 /// Grasps a ring that lies on the board, lifts it by 30 mm and waits. The world, the ring and the hand.
-fn lifted(instrument: &Instrument, ring_friction: f64) -> (RigidWorld, Entity, TestHand) {
+fn lifted(instrument: &Instrument, ring_friction: f64) -> (W, Entity, TestHand) {
     let mut world = world();
     add_boards(&mut world);
     let ring = add_ring(&mut world, 0, Pose::at(-0.04, 0.0, TUBE_RADIUS), ring_friction);
@@ -24,7 +23,7 @@ fn lifted(instrument: &Instrument, ring_friction: f64) -> (RigidWorld, Entity, T
     (world, ring, hands[0])
 }
 
-fn lift(world: &mut RigidWorld, hands: &mut [TestHand]) {
+fn lift(world: &mut W, hands: &mut [TestHand]) {
     let start: Vec<_> = hands.iter().map(|hand| hand.tip).collect();
     let plan = |index: usize, t: f64, hand: &mut TestHand| {
         hand.tip.translation.vector.z = start[index].translation.vector.z + 0.03 * minimum_jerk(t, 0.5);
@@ -33,7 +32,12 @@ fn lift(world: &mut RigidWorld, hands: &mut [TestHand]) {
     run(world, hands, 0.2, hold_still, no_watch);
 }
 
-fn height(world: &RigidWorld, ring: Entity) -> f64 {
+/// `instrument_from_ring` of the left instrument.
+fn relative_pose(world: &W, ring: Entity) -> Isometry3<f64> {
+    world.pose(LEFT).unwrap().isometry().inverse() * world.pose(ring).unwrap().isometry()
+}
+
+fn height(world: &W, ring: Entity) -> f64 {
     world.pose(ring).unwrap().translation.z
 }
 
@@ -41,9 +45,9 @@ fn height(world: &RigidWorld, ring: Entity) -> f64 {
 fn friction_alone_lifts_and_holds_a_shaken_ring() {
     for (force, friction) in [(1.0, 0.3), (1.0, 0.6), (1.5, 0.5), (2.0, 0.5), (5.0, 0.5)] {
         let (mut world, ring, hand) = lifted(&instrument(force, friction), friction);
-        let held = world.relative_pose(LEFT, ring).unwrap();
+        let held = relative_pose(&world, ring);
         assert_eq!(
-            world.grasper(LEFT).unwrap().hold().map(|hold| (hold.held, hold.assisted)),
+            world.tool(LEFT).unwrap().hold.map(|hold| (hold.held, hold.assisted)),
             Some((ring, false))
         );
         let center = hand.tip.translation.vector;
@@ -54,10 +58,10 @@ fn friction_alone_lifts_and_holds_a_shaken_ring() {
             hand.tip.translation.vector = center + Vector3::new(phase.sin(), 0.0, 1.0 - phase.cos()) * swing;
         };
         run(&mut world, &mut [hand], 2.0, plan, |world, _| {
-            let now = world.relative_pose(LEFT, ring).unwrap();
+            let now = relative_pose(world, ring);
             slip = slip.max((now.translation.vector - held.translation.vector).norm());
         });
-        let penetration = world.statistics().penetration_max;
+        let penetration = world.penetration_max();
         println!(
             "{force} N jaws, friction {friction}: slip {:.3} mm, penetration {:.4} mm",
             slip * 1e3,
@@ -74,7 +78,7 @@ fn without_friction_the_ring_stays_on_the_board() {
     let (world, ring, _) = lifted(&instrument(1.5, 0.0), 0.5);
     println!("ring at {:.2} mm", height(&world, ring) * 1e3);
     assert!(height(&world, ring) < 0.003);
-    assert_eq!(world.grasper(LEFT).unwrap().hold(), None);
+    assert_eq!(world.tool(LEFT).unwrap().hold, None);
 }
 
 #[test]
@@ -82,7 +86,7 @@ fn with_one_jaw_the_ring_stays_on_the_board() {
     let (world, ring, _) = lifted(&Instrument { jaws: 1, ..instrument(1.5, 0.6) }, 0.5);
     println!("ring at {:.2} mm", height(&world, ring) * 1e3);
     assert!(height(&world, ring) < 0.003);
-    assert_eq!(world.grasper(LEFT).unwrap().hold(), None);
+    assert_eq!(world.tool(LEFT).unwrap().hold, None);
 }
 
 #[test]
@@ -90,7 +94,7 @@ fn opening_the_jaws_drops_the_ring() {
     let (mut world, ring, hand) = lifted(&instrument(1.5, 0.6), 0.5);
     run(&mut world, &mut [hand], 1.0, |_, _, hand| hand.jaw_angle = 0.5, no_watch);
     assert!(height(&world, ring) < 0.003);
-    assert_eq!(world.grasper(LEFT).unwrap().hold(), None);
+    assert_eq!(world.tool(LEFT).unwrap().hold, None);
 }
 
 #[test]
@@ -107,7 +111,7 @@ fn a_hand_feels_the_weight_that_it_lifts() {
 }
 
 /// One ring in both hands, each at its own side, 30 mm up.
-fn ring_in_two_hands(instrument: &Instrument) -> (RigidWorld, Entity, [TestHand; 2]) {
+fn ring_in_two_hands(instrument: &Instrument) -> (W, Entity, [TestHand; 2]) {
     let mut world = world();
     add_boards(&mut world);
     let ring = add_ring(&mut world, 0, Pose::at(-0.04, 0.0, TUBE_RADIUS), 0.5);
@@ -120,7 +124,7 @@ fn ring_in_two_hands(instrument: &Instrument) -> (RigidWorld, Entity, [TestHand;
     (world, ring, hands)
 }
 
-fn mean_forces(world: &mut RigidWorld, hands: &mut [TestHand], secs: f64) -> [Vector3<f64>; 2] {
+fn mean_forces(world: &mut W, hands: &mut [TestHand], secs: f64) -> [Vector3<f64>; 2] {
     for hand in hands.iter() {
         world.take_wrench_on_hand(hand.entity);
     }
@@ -132,7 +136,7 @@ fn mean_forces(world: &mut RigidWorld, hands: &mut [TestHand], secs: f64) -> [Ve
 fn two_hands_share_the_weight_of_one_ring() {
     let (mut world, ring, mut hands) = ring_in_two_hands(&instrument(1.5, 0.6));
     for entity in [LEFT, RIGHT] {
-        assert_eq!(world.grasper(entity).unwrap().hold().map(|hold| hold.held), Some(ring));
+        assert_eq!(world.tool(entity).unwrap().hold.map(|hold| hold.held), Some(ring));
     }
     let [left, right] = mean_forces(&mut world, &mut hands, 0.5);
     let sum = left + right;
@@ -167,7 +171,7 @@ fn the_grasp_constraint_forms_by_opposing_contacts_and_breaks_above_its_force() 
     let build = Instrument { grasp_assist: true, grasp_break_force: 2.0, ..instrument(0.5, 0.2) };
     let (mut world, ring, mut hands) = ring_in_two_hands(&build);
     for entity in [LEFT, RIGHT] {
-        assert!(world.grasper(entity).unwrap().hold().unwrap().assisted, "formed");
+        assert!(world.tool(entity).unwrap().hold.unwrap().assisted, "formed");
     }
     // Friction alone carries 0.2 N per hand; 1 mm pulls with 1 N.
     let start = hands.map(|hand| hand.tip.translation.vector.y);
@@ -178,13 +182,13 @@ fn the_grasp_constraint_forms_by_opposing_contacts_and_breaks_above_its_force() 
         }
     };
     run(&mut world, &mut hands, 0.4, pull(0.0005), no_watch);
-    assert!([LEFT, RIGHT].iter().all(|hand| world.grasper(*hand).unwrap().hold().unwrap().assisted), "holds");
+    assert!([LEFT, RIGHT].iter().all(|hand| world.tool(*hand).unwrap().hold.unwrap().assisted), "holds");
     let mut force_max: f64 = 0.0;
     let mut torn_at = None;
     run(&mut world, &mut hands, 1.0, pull(0.012), |world, t| {
         let assisted = [LEFT, RIGHT]
             .iter()
-            .all(|hand| world.grasper(*hand).unwrap().hold().is_some_and(|hold| hold.assisted));
+            .all(|hand| world.tool(*hand).unwrap().hold.is_some_and(|hold| hold.assisted));
         if !assisted && torn_at.is_none() {
             torn_at = Some(t);
         }
@@ -200,7 +204,7 @@ fn the_grasp_constraint_forms_by_opposing_contacts_and_breaks_above_its_force() 
 fn the_grasp_constraint_lets_go_when_the_jaws_open() {
     let build = Instrument { grasp_assist: true, ..instrument(1.5, 0.6) };
     let (mut world, ring, hand) = lifted(&build, 0.5);
-    assert!(world.grasper(LEFT).unwrap().hold().unwrap().assisted);
+    assert!(world.tool(LEFT).unwrap().hold.unwrap().assisted);
     run(&mut world, &mut [hand], 1.0, |_, _, hand| hand.jaw_angle = 0.5, no_watch);
     assert!(height(&world, ring) < 0.003);
 }

@@ -1,0 +1,130 @@
+//! Rapier's world as the controller of rigid bodies schedules it.
+
+use nalgebra::Point3;
+use trocar_scene::components::{
+    Collision, Detection, Instrument, InstrumentTarget, Pose, RigidBody, Shape, Velocity,
+};
+use trocar_scene::entity::Entity;
+use trocar_scene::time::SimTime;
+use trocar_simulator::instrument::contact::Contact;
+use trocar_simulator::instrument::coupling::Wrench;
+use trocar_simulator::instrument::grasp::Hold;
+use trocar_simulator::instrument::local_model::Obstacle;
+use trocar_simulator::instrument::opening::InstrumentState;
+use trocar_simulator::instrument::target_track::TargetTrack;
+use trocar_simulator::rigid_world::{Scheduling, ToolView, World};
+
+use super::RigidWorld;
+use crate::{EngineError, EngineSettings};
+
+impl World for RigidWorld {
+    type Settings = EngineSettings;
+
+    fn new(settings: EngineSettings, now: SimTime) -> Result<Self, EngineError> {
+        Self::new(settings, now)
+    }
+    fn scheduling(settings: &EngineSettings) -> Scheduling {
+        Scheduling {
+            substep_secs: settings.substep_secs,
+            method: Detection::Engine,
+            claims_all_poses: settings.claims_all_poses,
+            contact_models_by_others: settings.contact_models_by_others.clone(),
+        }
+    }
+    fn now(&self) -> SimTime {
+        self.now()
+    }
+    fn skip_to(&mut self, time: SimTime) {
+        self.skip_to(time);
+    }
+    fn step(&mut self) -> Result<(), EngineError> {
+        self.step()
+    }
+    fn insert_body(
+        &mut self,
+        entity: Entity,
+        body: &RigidBody,
+        shape: &Shape,
+        pose: &Pose,
+        velocity: &Velocity,
+    ) -> Result<(), EngineError> {
+        self.insert_body(entity, body, shape, pose, velocity)
+    }
+    fn insert_surface_body(
+        &mut self,
+        entity: Entity,
+        body: &RigidBody,
+        surface: (&[Point3<f64>], &[[u32; 3]]),
+        pose: &Pose,
+        velocity: &Velocity,
+    ) -> Result<(), EngineError> {
+        self.insert_surface_body(entity, body, surface, pose, velocity)
+    }
+    fn insert_tool(
+        &mut self,
+        entity: Entity,
+        instrument: &Instrument,
+        state: &InstrumentState,
+        hold: Option<Hold>,
+    ) -> Result<(), EngineError> {
+        self.insert_grasper(entity, instrument, state, hold)
+    }
+    fn remove(&mut self, entity: Entity) -> bool {
+        self.remove(entity)
+    }
+    fn move_body(
+        &mut self,
+        entity: Entity,
+        pose: &Pose,
+        velocity: &Velocity,
+        travel_secs: f64,
+    ) -> Result<(), EngineError> {
+        self.move_body(entity, pose, velocity, travel_secs)
+    }
+    fn set_surface(&mut self, entity: Entity, body: &RigidBody) -> Result<(), EngineError> {
+        self.set_surface(entity, body)
+    }
+    fn set_track(&mut self, entity: Entity, track: TargetTrack) -> Result<(), EngineError> {
+        self.set_track(entity, track)
+    }
+    fn set_target(&mut self, entity: Entity, target: InstrumentTarget) -> Result<(), EngineError> {
+        self.set_target(entity, target)
+    }
+    fn has_surfaces(&self) -> bool {
+        self.has_surfaces()
+    }
+    fn set_found<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
+        self.set_penalties(found);
+    }
+    fn pose(&self, entity: Entity) -> Option<Pose> {
+        self.pose(entity)
+    }
+    fn velocity(&self, entity: Entity) -> Option<Velocity> {
+        self.velocity(entity)
+    }
+    fn is_sleeping(&self, entity: Entity) -> bool {
+        self.is_sleeping(entity)
+    }
+    fn tool(&self, entity: Entity) -> Option<ToolView> {
+        let (grasper, state) = (self.grasper(entity)?, self.grasper_state(entity)?);
+        Some(ToolView {
+            state,
+            coupling: *grasper.coupling(),
+            hold: grasper.hold().copied(),
+            pad_force: grasper.pad_force(),
+            track: grasper.track,
+        })
+    }
+    fn take_wrench_on_hand(&mut self, entity: Entity) -> Option<Wrench> {
+        self.take_wrench_on_hand(entity)
+    }
+    fn obstacle(&self, entity: Entity, horizon_secs: f64) -> Option<Obstacle> {
+        self.obstacle(entity, horizon_secs)
+    }
+    fn contacts(&mut self) -> &[Contact] {
+        self.contacts()
+    }
+    fn penetration_max(&self) -> f64 {
+        self.statistics().penetration_max
+    }
+}

@@ -1,0 +1,5 @@
+//! What any world of rigid bodies and instruments has to do.
+
+mod bodies;
+mod controller;
+mod grasping;

@@ -1,0 +1,12 @@
+//! Our own world, by momenta and impulses: the same as Rapier's has to do.
+
+mod cases;
+mod common;
+
+use nalgebra::Vector3;
+use trocar_simulator::rigid_world::RigidSettings;
+pub(crate) use trocar_simulator::rigid_world::{ImpulseWorld as W, TOOLS_MAX};
+
+pub(crate) fn settings(gravity_in_world: Vector3<f64>, floor_height: Option<f64>) -> RigidSettings {
+    RigidSettings { gravity_in_world, floor_height, ..RigidSettings::default() }
+}

@@ -1,0 +1,13 @@
+//! Rapier's world: what any world of rigid bodies has to do.
+
+mod cases;
+mod common;
+
+use nalgebra::Vector3;
+use trocar_engine::EngineSettings;
+pub(crate) use trocar_engine::RigidWorld as W;
+pub(crate) use trocar_engine::world::INSTRUMENTS_MAX as TOOLS_MAX;
+
+pub(crate) fn settings(gravity_in_world: Vector3<f64>, floor_height: Option<f64>) -> EngineSettings {
+    EngineSettings { gravity_in_world, floor_height, ..EngineSettings::default() }
+}

@@ -1,0 +1,369 @@
+//! The controller of sewing: what instruments hold of a needle or its thread leads them, the island of needle, thread and
+//! tissue is stepped, and where they are goes back.
+//!
+//! Jaws take what lies between them when they close: the needle rather than the thread. What they hold is coupled to the
+//! instrument by its compliance, and slips beyond what the jaws can hold; instruments are told the force.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_scene::components::LineMesh;
+use trocar_scene::{
+    Access, BuildContext, Collision, CollisionList, Commands, Controller, ControllerError, Detection, Entity,
+    EntitySet, Frozen, Instrument, JawState, Measured, Pose, Primitive, Snapshot, Tick,
+};
+
+use super::deformable::Deformable;
+use super::grips::{CLOSED, holds};
+use super::suture_body::{HeldPart, HeldWhat, SewnTissue, SutureMemory, SutureNeedle};
+use super::thread_body::ThreadBody;
+use crate::elasticity::Elastic;
+use crate::needle::NeedleState;
+use crate::suture::{Around, Grip, Suture, SutureReport, SutureState, Tissue};
+use crate::tet_mesh::{MeshRules, TetMesh};
+use crate::thread::{Hold, ThreadState};
+
+/// Longest step of the island \[s\].
+const STEP: f64 = 1e-3;
+/// Jaws that open by more than this beyond closed let go \[rad\].
+const OPENING: f64 = 0.05;
+/// Pieces of the needle's line.
+const PIECES: usize = 24;
+/// Of a held needle against its instrument \[N/m\], \[N·m/rad\]: steel jaws.
+const STIFFNESS: f64 = 2e4;
+const TURNING_STIFFNESS: f64 = 5.0;
+/// Of a held node of the thread \[N/m\].
+const THREAD_STIFFNESS: f64 = 2e4;
+
+/// Sews with the needle that carries [`SutureNeedle`], in the tissue that carries [`SewnTissue`].
+pub struct SutureController {
+    gravity: Vector3<f64>,
+    needle: Deformable,
+    tissue: Deformable,
+    kind: SutureNeedle,
+    suture: Suture,
+    memory: SutureMemory,
+    report: SutureReport,
+    grips: Vec<Grip>,
+    holds: Vec<Hold>,
+    forces: Vec<(Entity, Point3<f64>, Vector3<f64>, f64)>,
+    has_line: bool,
+    frozen: bool,
+}
+
+impl SutureController {
+    /// Reads needle and tissue, and goes on from where an earlier life left them.
+    ///
+    /// # Errors
+    /// There is not one of each, or what is wrong with them.
+    pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let scene = context.scene;
+        let wrong = |why: String| ControllerError::Scene(format!("suture: {why}"));
+        let (needles, tissues) =
+            (Deformable::carriers::<SutureNeedle>(scene), Deformable::carriers::<SewnTissue>(scene));
+        let ([needle], [tissue]) = (&needles[..], &tissues[..]) else {
+            return Err(wrong(format!(
+                "there are {} entities with a 'needle' and {} with 'sewn'; one of each is valid",
+                needles.len(),
+                tissues.len()
+            )));
+        };
+        let (Some(kind), Some(sewn)) =
+            (scene.get::<SutureNeedle>(*needle).copied(), scene.get::<SewnTissue>(*tissue).copied())
+        else {
+            return Err(wrong("needle or tissue is gone".into()));
+        };
+        let mut line = Deformable::read(scene, *needle)?;
+        let body = Deformable::read(scene, *tissue)?;
+        let world_from_body = scene.world_pose(*tissue);
+        let rest: Vec<_> = body.rest.iter().map(|point| world_from_body * point).collect();
+        let mesh = TetMesh::new(&rest, &body.tets, &MeshRules::default())
+            .map_err(|error| wrong(error.to_string()))?;
+        let elastic =
+            Elastic::new(sewn.young_modulus, sewn.poisson_ratio).map_err(|error| wrong(error.to_string()))?;
+        let soft = Tissue::new(mesh, &elastic, &body.pinned).map_err(|error| wrong(error.to_string()))?;
+        let material = ThreadBody { suture: kind.suture, ..ThreadBody::default() }.material();
+        let memory = scene.get::<SutureMemory>(*needle).cloned().unwrap_or_default();
+        let (state, is_new) = match &memory.state {
+            Some(state) => (state.clone(), false),
+            None => (begin(&kind, &scene.world_pose(*needle)).map_err(wrong)?, true),
+        };
+        let mut suture = Suture::new(&kind.shape(), Some(material), sewn.resistance(), soft, state)
+            .map_err(|error| wrong(error.to_string()))?;
+        if is_new {
+            suture.swage();
+        }
+        let mut nodes = Vec::new();
+        line_of(&suture, &scene.world_pose(*needle), &mut nodes);
+        line.lie(nodes);
+        line.radius = kind.wire_radius;
+        Ok(Self {
+            gravity: gravity_in_world,
+            frozen: scene.get::<Frozen>(*needle).is_some(),
+            needle: line,
+            tissue: body,
+            kind,
+            suture,
+            memory,
+            report: SutureReport::default(),
+            grips: Vec::new(),
+            holds: Vec::new(),
+            forces: Vec::new(),
+            has_line: false,
+        })
+    }
+
+    /// Takes and lets go.
+    fn update(&mut self, scene: &Snapshot) {
+        let angle = |entity| scene.get::<JawState>(entity).map(|jaws| jaws.angle);
+        let stays = |held: &HeldPart| angle(held.instrument).is_some_and(|angle| angle <= CLOSED + OPENING);
+        self.memory.held.retain(stays);
+        let mut closed = Vec::new();
+        for (entity, instrument) in scene.iter::<Instrument>() {
+            if !holds(instrument.kind) || angle(entity).is_none_or(|angle| angle > CLOSED) {
+                continue;
+            }
+            closed.push(entity);
+            let holds_already = self.memory.held.iter().any(|held| held.instrument == entity);
+            if self.memory.closed.contains(&entity) || holds_already {
+                continue;
+            }
+            let at = scene.world_pose(entity);
+            if let Some(what) = self.between(instrument, &at) {
+                self.memory.held.push(HeldPart { instrument: entity, at, what });
+            }
+        }
+        self.memory.closed = closed;
+    }
+
+    /// What lies between the jaws of an instrument that is at `world_from_instrument`.
+    fn between(&self, instrument: &Instrument, world_from_instrument: &Isometry3<f64>) -> Option<HeldWhat> {
+        let reach = instrument.jaw_thickness.max(1e-3) + self.kind.wire_radius;
+        let inside = |point: &Point3<f64>| {
+            let own = world_from_instrument.inverse_transform_point(point);
+            let along = own.z.clamp(-instrument.jaw_length, 0.0);
+            let off = (own - Point3::new(0.0, 0.0, along)).norm();
+            (off <= reach).then_some(off)
+        };
+        let state = self.suture.state();
+        let pose = state.needle.pose();
+        let solid = self.suture.solid();
+        let length = solid.shape().length();
+        let on_needle = (0..=4 * PIECES)
+            .filter_map(|piece| {
+                let along = length * piece as f64 / (4 * PIECES) as f64;
+                Some((along, inside(&(pose * solid.point(along)))?))
+            })
+            .min_by(|a, b| a.1.total_cmp(&b.1));
+        if let Some((along, _)) = on_needle {
+            let instrument_from_needle = world_from_instrument.inverse() * pose;
+            return Some(HeldWhat::Needle { along, instrument_from_needle });
+        }
+        let positions = &state.thread.as_ref()?.positions;
+        let nodes = positions.iter().enumerate().filter_map(|(node, at)| Some((node, inside(at)?)));
+        let (node, _) = nodes.min_by(|a, b| a.1.total_cmp(&b.1))?;
+        let in_instrument = world_from_instrument.inverse_transform_point(&positions[node]);
+        Some(HeldWhat::Thread { node: node as u32, in_instrument })
+    }
+
+    /// One tick; what instruments are told is left in `forces`.
+    fn step(&mut self, scene: &Snapshot, period: f64) -> Result<(), String> {
+        self.update(scene);
+        let count = (period / STEP - 1e-9).ceil().max(1.0);
+        self.forces.clear();
+        for step in 0..count as usize {
+            let [begin, end] = [step, step + 1].map(|step| step as f64 / count);
+            self.grips.clear();
+            self.holds.clear();
+            for held in &self.memory.held {
+                let now = scene.world_pose(held.instrument);
+                let at = |share: f64| held.at.try_lerp_slerp(&now, share, 1e-12).unwrap_or(now);
+                match held.what {
+                    HeldWhat::Needle { along, instrument_from_needle } => self.grips.push(Grip {
+                        point: self.suture.solid().point(along),
+                        from: at(begin) * instrument_from_needle,
+                        to: at(end) * instrument_from_needle,
+                        stiffness: STIFFNESS,
+                        turning_stiffness: TURNING_STIFFNESS,
+                        force_max: self.kind.jaw_force,
+                        torque_max: self.kind.jaw_torque,
+                    }),
+                    HeldWhat::Thread { node, in_instrument } => self.holds.push(Hold {
+                        node: node as usize,
+                        to: at(end) * in_instrument,
+                        stiffness: THREAD_STIFFNESS,
+                        force_max: self.kind.jaw_force,
+                    }),
+                }
+            }
+            let around = Around { gravity: self.gravity, grips: &self.grips, holds: &self.holds, loads: &[] };
+            self.report = self.suture.step(period / count, &around).map_err(|error| error.to_string())?;
+            // What slipped is held otherwise from now on.
+            let slipped = self.suture.gripped().iter().map(|gripped| gripped.slipped);
+            let needles = self.memory.held.iter_mut().filter_map(|held| match &mut held.what {
+                HeldWhat::Needle { instrument_from_needle, .. } => {
+                    Some((held.instrument, held.at, instrument_from_needle))
+                }
+                HeldWhat::Thread { .. } => None,
+            });
+            for ((instrument, before, pose), slipped) in needles.zip(slipped) {
+                if let Some(wanted) = slipped {
+                    let now = scene.world_pose(instrument);
+                    let at = before.try_lerp_slerp(&now, end, 1e-12).unwrap_or(now);
+                    *pose = at.inverse() * wanted;
+                }
+            }
+        }
+        self.told();
+        for held in &mut self.memory.held {
+            held.at = scene.world_pose(held.instrument);
+        }
+        self.memory.state = Some(self.suture.state().clone());
+        Ok(())
+    }
+
+    /// What instruments feel: where, the force on what they hold, and how far they are from it.
+    fn told(&mut self) {
+        let pose = self.suture.state().needle.pose();
+        let mut gripped = self.suture.gripped().iter();
+        let mut nodes = self.suture.hold_forces().iter();
+        for held in &self.memory.held {
+            let (place, force, stiffness) = match held.what {
+                HeldWhat::Needle { along, .. } => {
+                    let Some(gripped) = gripped.next() else { continue };
+                    (pose * self.suture.solid().point(along), gripped.force, STIFFNESS)
+                }
+                HeldWhat::Thread { node, .. } => {
+                    let (Some(force), Some(thread)) = (nodes.next(), &self.suture.state().thread) else {
+                        continue;
+                    };
+                    (thread.positions[node as usize], *force, THREAD_STIFFNESS)
+                }
+            };
+            self.forces.push((held.instrument, place, force, force.norm() / stiffness));
+        }
+    }
+
+    fn write(&mut self, scene: &Snapshot, out: &mut Commands) {
+        let (line, body) = (self.needle.entity, self.tissue.entity);
+        if !self.has_line {
+            self.has_line = true;
+            let segments = self.needle.segments.clone();
+            out.put(line, LineMesh { segments, radius: self.needle.radius });
+        }
+        let mut nodes = Vec::new();
+        line_of(&self.suture, &scene.world_pose(line), &mut nodes);
+        let still = vec![Vector3::zeros(); nodes.len()];
+        self.needle.write(&nodes, &still, out);
+        let body_from_world = scene.world_pose(body).inverse();
+        let positions: Vec<_> =
+            self.suture.tissue().positions().iter().map(|point| body_from_world * point).collect();
+        // Quasi-static: it has no velocities.
+        let still = vec![Vector3::zeros(); positions.len()];
+        self.tissue.write(&positions, &still, out);
+        out.put(line, self.memory.clone());
+    }
+
+    fn measure(&self, world_from_needle: &Isometry3<f64>, measured: &mut Measured) {
+        let state = self.suture.state();
+        let tissue = self.suture.tissue();
+        let name = &self.needle.name;
+        let mut put = |what: &str, value: f64| {
+            measured.values.insert(format!("{name}.{what}"), value);
+        };
+        let exits = state.bites.iter().filter(|bite| bite.exit.is_some());
+        put("entries", f64::from(state.bites_so_far));
+        put("exits", exits.clone().count() as f64);
+        put("punctured_at_n", state.bites.iter().map(|bite| bite.entry_force).fold(0.0, f64::max));
+        put("inside_m", self.report.length_inside);
+        put("tip_force_n", self.report.tip_force);
+        put("drag_n", self.report.drag);
+        put("tissue_force_n", self.report.force_on_tissue.norm());
+        put("tissue_energy_j", tissue.energy());
+        put("needle_energy_j", state.needle.kinetic_energy(self.suture.solid()));
+        put("held_by", self.memory.held.len() as f64);
+        // How much of the thread is past the place in the tissue that it reached first.
+        put("thread_through_m", state.channel.last().map_or(0.0, |point| (-point.along).max(0.0)));
+        if let Some(plan) = self.kind.planned_exit {
+            let plan = world_from_needle * Point3::from(plan);
+            let off = exits.filter_map(|bite| Some((tissue.at_rest(&bite.exit?.0) - plan).norm()));
+            put("exit_off_plan_m", off.fold(f64::INFINITY, f64::min).min(1.0));
+        }
+        put("frozen", f64::from(u8::from(self.frozen)));
+    }
+}
+
+impl Controller for SutureController {
+    fn access(&self) -> Access {
+        let needle = EntitySet::Of(vec![self.needle.entity]);
+        Deformable::access(&[self.needle.entity, self.tissue.entity])
+            .reads::<SutureNeedle>()
+            .reads::<SewnTissue>()
+            .reads::<Pose>()
+            .reads::<Instrument>()
+            .reads::<JawState>()
+            .writes::<LineMesh>(needle.clone())
+            .writes::<SutureMemory>(needle)
+            .writes::<Measured>(EntitySet::Own)
+            .contributes::<CollisionList>()
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let mut list = CollisionList { collisions: Vec::new(), penetration_max: 0.0 };
+        if !self.frozen {
+            match self.step(scene, tick.period.as_secs_f64()) {
+                Ok(()) => {
+                    self.write(scene, out);
+                    for (instrument, place, force, depth) in &self.forces {
+                        list.collisions.push(Collision {
+                            a: *instrument,
+                            primitive_a: Primitive::Jaw(0),
+                            b: self.needle.entity,
+                            primitive_b: Primitive::Shape(0),
+                            points_in_world: [*place; 2],
+                            normal_in_world: force.try_normalize(1e-12).unwrap_or_else(Vector3::z),
+                            depth: *depth,
+                            force_in_world: *force,
+                            velocity_constraint: 0.0,
+                            method: Detection::Simulator,
+                            detected_at: tick.time,
+                        });
+                    }
+                }
+                Err(why) => {
+                    self.frozen = true;
+                    self.needle.freeze(&why, tick, out);
+                }
+            }
+        }
+        let mut measured = Measured::default();
+        self.measure(&scene.world_pose(self.needle.entity), &mut measured);
+        out.contribute(list);
+        out.put(tick.me, measured);
+        Ok(())
+    }
+}
+
+/// Needle and thread as a scene begins with them, in the world.
+fn begin(kind: &SutureNeedle, world_from_entity: &Isometry3<f64>) -> Result<SutureState, String> {
+    let solid = kind.shape().solid().map_err(|error| error.to_string())?;
+    let pose = world_from_entity * kind.pose()?;
+    let (tail, back) = (pose * solid.point(0.0), pose * -solid.tangent(0.0));
+    let edges = (kind.thread_length / kind.thread_edge).round().max(2.0);
+    let edge = kind.thread_length / edges;
+    let nodes: Vec<_> = (0..=edges as usize).map(|node| tail + back * (node as f64 * edge)).collect();
+    Ok(SutureState::new(NeedleState::at_rest(&pose), Some(ThreadState::at_rest(&nodes))))
+}
+
+/// Needle and thread as one line from the tip to the thread's end, in the frame of the entity.
+fn line_of(suture: &Suture, world_from_entity: &Isometry3<f64>, nodes: &mut Vec<Point3<f64>>) {
+    let own = |point: &Point3<f64>| world_from_entity.inverse_transform_point(point);
+    let (solid, pose) = (suture.solid(), suture.state().needle.pose());
+    let length = solid.shape().length();
+    nodes.clear();
+    nodes.extend(
+        (0..PIECES).map(|piece| own(&(pose * solid.point(length * (1.0 - piece as f64 / PIECES as f64))))),
+    );
+    match &suture.state().thread {
+        Some(thread) => nodes.extend(thread.positions.iter().map(own)),
+        None => nodes.push(own(&(pose * solid.point(0.0)))),
+    }
+}

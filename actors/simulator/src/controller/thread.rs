@@ -1,0 +1,354 @@
+//! The controller of suture threads: what a scene says of a thread and of what it can touch goes into one step of its
+//! island, and where it is then goes back.
+//!
+//! Each tick: jaws take and let go; the tick is divided into steps of the length that the thread asks for, in each of which
+//! everything that it touches goes on by its share of the way since the last tick; nodes, memory, contacts and measures are
+//! told. Instruments feel what the thread exerts on their rods, and what it pulls at their jaws.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_scene::components::LineMesh;
+use trocar_scene::{
+    Access, BuildContext, Collision, CollisionList, Commands, Controller, ControllerError, Detection, Entity,
+    EntitySet, Frozen, Instrument, JawState, Measured, Pose, Primitive, RigidBody, Shape, Snapshot,
+    SurfaceMesh, Tick,
+};
+
+use super::deformable::Deformable;
+use super::thread_body::ThreadBody;
+use super::thread_grips::{Leading, Pull, in_world, pulls, update};
+use super::thread_memory::{Met, ThreadMemory};
+use super::thread_obstacles::Parts;
+use super::touch::COLLISIONS_MAX;
+use crate::thread::knot::{KnotKind, identify};
+use crate::thread::{Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
+
+/// Ticks from one look at its knot to the next.
+const KNOT_EVERY: u64 = 50;
+/// Forces below this are none \[N\].
+const FORCE_MIN: f64 = 1e-6;
+/// How stiff the contact of an instrument's rod with a thread feels \[N/m\]: what gives way is the shaft.
+const ROD_STIFFNESS: f64 = 1000.0;
+
+/// The knot as a measure: 0 none, 1 a single throw, 2 a figure-eight, 3 square, 4 granny, 5 surgeon's, 6 other throws one
+/// after the other, 7 one without a name, −1 one that cannot be told.
+#[must_use]
+pub fn knot_code(kind: Option<&KnotKind>) -> f64 {
+    match kind {
+        Some(KnotKind::Unknot) => 0.0,
+        Some(KnotKind::Trefoil(_)) => 1.0,
+        Some(KnotKind::FigureEight) => 2.0,
+        Some(KnotKind::Square) => 3.0,
+        Some(KnotKind::Granny(_)) => 4.0,
+        Some(KnotKind::Surgeon(_)) => 5.0,
+        Some(KnotKind::Throws(_)) => 6.0,
+        Some(KnotKind::Other) => 7.0,
+        None => -1.0,
+    }
+}
+
+struct Body {
+    body: Deformable,
+    kind: ThreadBody,
+    thread: Thread,
+    memory: ThreadMemory,
+    parts: Parts,
+    leading: Leading,
+    report: ThreadReport,
+    /// On each part, the mean over the last tick.
+    reactions: Vec<Reaction>,
+    pulls: Vec<(Entity, Pull)>,
+    /// Whether the scene has its line already.
+    has_line: bool,
+    frozen: bool,
+}
+
+/// Steps every thread that carries [`ThreadBody`].
+pub struct ThreadController {
+    gravity_in_world: Vector3<f64>,
+    bodies: Vec<Body>,
+}
+
+impl ThreadController {
+    /// Reads the threads, and goes on from where an earlier life left them.
+    ///
+    /// # Errors
+    /// Names the thread, and what is wrong with it.
+    pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let mut bodies = Vec::new();
+        for entity in Deformable::carriers::<ThreadBody>(context.scene) {
+            let Some(kind) = context.scene.get::<ThreadBody>(entity) else { continue };
+            let body = Deformable::read(context.scene, entity)?;
+            let name = body.name.clone();
+            let built = Body::new(kind.clone(), body, context.scene);
+            bodies.push(built.map_err(|why| ControllerError::Scene(format!("'{name}': {why}")))?);
+        }
+        if bodies.is_empty() {
+            return Err(ControllerError::Scene("thread: no entity has a 'thread'".into()));
+        }
+        Ok(Self { gravity_in_world, bodies })
+    }
+}
+
+impl Controller for ThreadController {
+    fn access(&self) -> Access {
+        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
+        Deformable::access(&bodies)
+            .reads::<ThreadBody>()
+            .reads::<Pose>()
+            .reads::<Instrument>()
+            .reads::<JawState>()
+            .reads::<RigidBody>()
+            .reads::<Shape>()
+            .reads::<SurfaceMesh>()
+            .writes::<LineMesh>(EntitySet::Of(bodies.clone()))
+            .writes::<ThreadMemory>(EntitySet::Of(bodies))
+            .writes::<Measured>(EntitySet::Own)
+            .contributes::<CollisionList>()
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let mut collisions = Vec::new();
+        let mut measured = Measured::default();
+        let mut depth_max = 0.0_f64;
+        for body in &mut self.bodies {
+            let world_from_thread = scene.world_pose(body.body.entity);
+            body.reactions.clear();
+            body.pulls.clear();
+            if !body.frozen {
+                let gravity = Deformable::gravity(&self.gravity_in_world, &world_from_thread);
+                if let Err(why) = body.step(scene, &world_from_thread, gravity, tick) {
+                    body.frozen = true;
+                    body.body.freeze(&why, tick, out);
+                } else {
+                    body.write(out);
+                    body.tell(&world_from_thread, tick, &mut collisions);
+                }
+            }
+            depth_max = depth_max.max(body.memory.penetration_max);
+            body.measure(&mut measured);
+        }
+        collisions.sort_by(|a, b| b.force_in_world.norm().total_cmp(&a.force_in_world.norm()));
+        collisions.truncate(COLLISIONS_MAX);
+        out.contribute(CollisionList { collisions, penetration_max: depth_max });
+        out.put(tick.me, measured);
+        Ok(())
+    }
+}
+
+impl Body {
+    fn new(kind: ThreadBody, mut body: Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let chain = |(edge, ends): (usize, &[u32; 2])| *ends == [edge as u32, edge as u32 + 1];
+        if body.segments.is_empty() || !body.segments.iter().enumerate().all(chain) {
+            return Err(
+                "its line is not one thread from its first vertex to its last: give it a mesh of a line"
+                    .into(),
+            );
+        }
+        let material = kind.material();
+        body.radius = material.radius;
+        let known = scene.get::<ThreadMemory>(body.entity);
+        let thread = match known {
+            Some(memory) => Thread::restore(material, memory.state(&body.positions, &body.velocities)),
+            None => {
+                let laid = kind.nodes()?;
+                if let Some(nodes) = &laid {
+                    body.lie(nodes.clone());
+                }
+                Thread::new(material, &body.positions)
+            }
+        };
+        Ok(Self {
+            thread: thread.map_err(|error| error.to_string())?,
+            memory: known
+                .cloned()
+                .unwrap_or_else(|| ThreadMemory { loop_min: -1.0, ..ThreadMemory::default() }),
+            has_line: known.is_some(),
+            frozen: scene.get::<Frozen>(body.entity).is_some(),
+            parts: Parts::default(),
+            leading: Leading::default(),
+            report: ThreadReport::default(),
+            reactions: Vec::new(),
+            pulls: Vec::new(),
+            body,
+            kind,
+        })
+    }
+
+    /// One tick.
+    fn step(
+        &mut self,
+        scene: &Snapshot,
+        world_from_thread: &Isometry3<f64>,
+        gravity: Vector3<f64>,
+        tick: &Tick<'_>,
+    ) -> Result<(), String> {
+        let period = tick.period.as_secs_f64();
+        self.parts.read(scene, world_from_thread, self.kind.tool_friction, &self.memory.met);
+        self.follow()?;
+        update(&mut self.memory.grips, &self.parts, scene, &self.thread, period);
+        self.leading.spare(&self.memory.grips, &self.parts, self.thread.state());
+        let count = (period / self.kind.step - 1e-9).ceil().max(1.0);
+        let dt = period / count;
+        self.reactions.resize(self.parts.list.len(), Reaction::default());
+        let mut report = ThreadReport::default();
+        for step in 0..count as usize {
+            let fractions = [step, step + 1].map(|step| step as f64 / count);
+            let obstacles: Vec<Obstacle<'_>> =
+                self.parts.list.iter().map(|part| part.obstacle(fractions)).collect();
+            self.leading.holds.clear();
+            self.leading.twist_holds.clear();
+            self.leading.add(&self.memory.grips, &self.parts, scene, fractions[1]);
+            let rest = &self.body.rest;
+            self.leading
+                .holds
+                .extend(self.body.pinned.iter().map(|&node| Hold::fixed(node as usize, rest[node as usize])));
+            let around = Surroundings {
+                gravity,
+                holds: &self.leading.holds,
+                twist_holds: &self.leading.twist_holds,
+                loads: &[],
+                obstacles: &obstacles,
+                spared: &self.leading.spared,
+            };
+            let done = self.thread.step(dt, &around).map_err(|error| error.to_string())?;
+            report.parts += done.parts;
+            report.iterations += done.iterations;
+            report.sweeps += done.sweeps;
+            report.contacts = done.contacts;
+            report.strain_max = report.strain_max.max(done.strain_max);
+            report.penetration_max = report.penetration_max.max(done.penetration_max);
+            for (sum, reaction) in self.reactions.iter_mut().zip(self.thread.reactions()) {
+                sum.force += reaction.force / count;
+                sum.torque += reaction.torque / count;
+            }
+        }
+        self.report = report;
+        self.pulls =
+            pulls(&mut self.memory.grips, &self.parts, scene, self.thread.state(), self.thread.hold_forces());
+        self.memory.met.clear();
+        self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
+        self.memory.penetration_max = self.memory.penetration_max.max(report.penetration_max);
+        self.look(tick.number);
+        self.memory.take(self.thread.state());
+        Ok(())
+    }
+
+    /// When the scene has other things to touch than at the last tick, contacts with those that are left keep what they
+    /// remember.
+    fn follow(&mut self) -> Result<(), String> {
+        let known = &self.memory.met;
+        let same = |met: &Met, part: &Met| met.entity == part.entity && met.part == part.part;
+        let list = &self.parts.list;
+        if known.len() == list.len() && known.iter().zip(list).all(|(met, part)| same(met, &part.met)) {
+            return Ok(());
+        }
+        let mut state = self.thread.state().clone();
+        state.contacts.retain_mut(|contact| {
+            let Some(index) = (contact.key.with as usize).checked_sub(1) else { return true };
+            let now = known.get(index).and_then(|met| list.iter().position(|part| same(met, &part.met)));
+            contact.key.with = now.map_or(0, |now| 1 + now as u32);
+            now.is_some()
+        });
+        state.contacts.sort_unstable_by_key(|contact| contact.key);
+        self.thread = Thread::restore(*self.thread.material(), state).map_err(|error| error.to_string())?;
+        Ok(())
+    }
+
+    /// Which knot it is, and how long its loop has been at the shortest since.
+    fn look(&mut self, number: u64) {
+        if number % KNOT_EVERY == 1 {
+            let found = identify(self.thread.positions()).ok();
+            let code = knot_code(found.as_ref().map(|knot| &knot.kind));
+            if code != self.memory.knot {
+                self.memory.knot = code;
+                self.memory.loop_min = -1.0;
+            }
+        }
+        if let Some(strands) = self.thread.strands() {
+            let (now, least) = (strands.loop_length(), self.memory.loop_min);
+            self.memory.loop_min = if least < 0.0 { now } else { least.min(now) };
+        }
+    }
+
+    fn write(&mut self, out: &mut Commands) {
+        if !self.has_line {
+            self.has_line = true;
+            out.put(
+                self.body.entity,
+                LineMesh { segments: self.body.segments.clone(), radius: self.body.radius },
+            );
+        }
+        let state = self.thread.state();
+        self.body.write(&state.positions, &state.velocities, out);
+        out.put(self.body.entity, self.memory.clone());
+    }
+
+    /// What it exerts on whom.
+    fn tell(&self, world_from_thread: &Isometry3<f64>, tick: &Tick<'_>, collisions: &mut Vec<Collision>) {
+        let mut add = |a: Entity,
+                       primitive_a: Primitive,
+                       place: Point3<f64>,
+                       force_on_thread: Vector3<f64>,
+                       depth: f64| {
+            collisions.push(Collision {
+                a,
+                primitive_a,
+                b: self.body.entity,
+                primitive_b: Primitive::Shape(0),
+                points_in_world: [place; 2],
+                normal_in_world: force_on_thread.try_normalize(1e-12).unwrap_or_else(Vector3::z),
+                depth,
+                force_in_world: force_on_thread,
+                velocity_constraint: 0.0,
+                method: Detection::Simulator,
+                detected_at: tick.time,
+            });
+        };
+        for (part, reaction) in self.parts.list.iter().zip(&self.reactions) {
+            let size = reaction.force.norm();
+            if size < FORCE_MIN {
+                continue;
+            }
+            // The point nearest to the part's origin about which the forces turn nothing across them.
+            let arm = reaction.force.cross(&reaction.torque) / (size * size);
+            let place = world_from_thread * Point3::from(part.to.translation.vector + arm);
+            let primitive = match part.jaw {
+                Some(jaw) => Primitive::Jaw(jaw as u8),
+                None if part.rod.is_some() => Primitive::Shaft,
+                None => Primitive::Shape(0),
+            };
+            add(
+                part.met.entity,
+                primitive,
+                place,
+                world_from_thread.rotation * -reaction.force,
+                size / ROD_STIFFNESS,
+            );
+        }
+        for (instrument, pull) in &self.pulls {
+            let (place, force) = in_world(pull, world_from_thread);
+            // How far the instrument is from what it holds: force over depth is how stiff it feels.
+            add(*instrument, Primitive::Jaw(0), place, force, (pull.places[1] - pull.places[0]).norm());
+        }
+    }
+
+    fn measure(&self, measured: &mut Measured) {
+        let mut put = |what: &str, value: f64| {
+            measured.values.insert(format!("{}.{what}", self.body.name), value);
+        };
+        let state = self.thread.state();
+        put("tension_n", state.tensions.iter().copied().fold(0.0, f64::max));
+        put("held_nodes", self.memory.grips.iter().map(|grip| grip.nodes.len()).sum::<usize>() as f64);
+        put("held_force_n", self.pulls.iter().map(|(_, pull)| pull.force.norm()).sum());
+        put("contact_force_n", self.reactions.iter().map(|reaction| reaction.force.norm()).sum());
+        put("knot", self.memory.knot);
+        let now = self.thread.strands().map_or(0.0, |strands| strands.loop_length());
+        put("loop_m", now);
+        put("slip_m", if self.memory.loop_min < 0.0 { 0.0 } else { now - self.memory.loop_min });
+        put("penetration_m", self.memory.penetration_max);
+        put("strain", self.report.strain_max);
+        put("contacts", self.report.contacts as f64);
+        put("iterations", self.report.iterations as f64);
+        put("frozen", f64::from(u8::from(self.frozen)));
+    }
+}

@@ -1,0 +1,226 @@
+//! A suture thread as a scene describes it: which one it is, what of it is known otherwise, how it lies at the beginning.
+
+use nalgebra::Point3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_scene::components::Parameter;
+use trocar_scene::{Component, ComponentError};
+
+use crate::thread::laid::{Throws, resampled, throws};
+use crate::thread::{NODES_MAX, ThreadMaterial};
+
+/// Throws of a thread that is laid tied, and places that one goes through, at most.
+const THROWS_MAX: usize = 8;
+const PLACES_MAX: usize = 1000;
+
+/// Sutures by name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Suture {
+    /// Braided silk, USP size 2-0.
+    #[default]
+    Silk2_0,
+    /// Braided silk, USP size 2.
+    Silk2,
+}
+
+impl Suture {
+    /// What is known of it, and from where.
+    #[must_use]
+    pub fn parameters(self) -> [(&'static str, Parameter); 6] {
+        let (radius, thickness) = match self {
+            Self::Silk2_0 => (1.5e-4, "USP <861>: 2-0 is 0.300 to 0.339 mm thick"),
+            Self::Silk2 => (2.5e-4, "USP <861>: 2 is 0.500 to 0.599 mm thick"),
+        };
+        let base = ThreadMaterial::silk_2_0();
+        // The same braid, thicker: forces with the area, moments of bending with its square.
+        let scale: f64 = radius / base.radius;
+        let of = |value: f64, source: &str| Parameter { value, source: source.to_owned() };
+        [
+            ("radius", of(radius, thickness)),
+            ("mass_per_length", of(base.mass_per_length * scale.powi(2), "silk 1.3 g/cm³, all of it solid")),
+            (
+                "axial_stiffness",
+                of(
+                    base.axial_stiffness * scale.powi(2),
+                    "strain 0.06 % of 2-0 at 2 N: chosen, below solid silk (Naleway 2015: 8.7 GPa)",
+                ),
+            ),
+            (
+                "bending_stiffness",
+                of(
+                    base.bending_stiffness * scale.powi(4),
+                    "a hundredth of a solid silk rod: chosen, a braid bends far more easily",
+                ),
+            ),
+            (
+                "twisting_stiffness",
+                of(base.twisting_stiffness * scale.powi(4), "near a solid silk rod: chosen"),
+            ),
+            ("friction", of(base.friction, "in the middle of what is reported of sutures: chosen")),
+        ]
+    }
+
+    fn material(self) -> ThreadMaterial {
+        let [radius, mass, axial, bending, twisting, friction] =
+            self.parameters().map(|(_, known)| known.value);
+        ThreadMaterial {
+            radius,
+            mass_per_length: mass,
+            axial_stiffness: axial,
+            bending_stiffness: bending,
+            twisting_stiffness: twisting,
+            friction,
+            ..ThreadMaterial::silk_2_0()
+        }
+    }
+}
+
+/// How a thread lies at the beginning, in the entity's frame; one that is not laid lies as its mesh has it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Laid {
+    /// Through places, straight between them.
+    Through {
+        /// The places \[m\].
+        places: Vec<[f64; 3]>,
+    },
+    /// Tied loosely around something: see [`Throws`].
+    Throws {
+        /// Half turns of each throw, the first one first.
+        half_turns: Vec<i32>,
+        /// Places that the loop goes through, from the left (−x) to the right \[m\].
+        around: Vec<[f64; 3]>,
+        /// Between the knot and where the loop begins \[m\].
+        arm: f64,
+        /// Ends beyond the last throw \[m\].
+        ear: f64,
+    },
+}
+
+/// A suture thread: it needs a mesh of a line, and `anchors` where it is to be held.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ThreadBody {
+    /// Which one.
+    pub suture: Suture,
+    /// Coulomb's coefficient of it on itself, where it is known otherwise.
+    pub friction: Option<Parameter>,
+    /// Its `EI` \[N·m²\], where it is known otherwise.
+    pub bending_stiffness: Option<Parameter>,
+    /// Its `GJ` \[N·m²\], where it is known otherwise.
+    pub twisting_stiffness: Option<Parameter>,
+    /// Coulomb's coefficient of it on instruments.
+    pub tool_friction: f64,
+    /// Longest step of the solver \[s\]: a tick is divided into such.
+    pub step: f64,
+    /// Length of edges where it is tied, in diameters, and elsewhere \[m\]; of a thread that is laid.
+    pub edges: [f64; 2],
+    /// How it lies at the beginning.
+    pub laid: Option<Laid>,
+    /// The surface of masses and springs that it is tied around, if there is one: its `mass_spring` body is then stepped
+    /// with it. By its name.
+    pub tied_around: Option<String>,
+}
+
+impl Default for ThreadBody {
+    fn default() -> Self {
+        Self {
+            suture: Suture::default(),
+            friction: None,
+            bending_stiffness: None,
+            twisting_stiffness: None,
+            tool_friction: 0.2,
+            step: 5e-4,
+            edges: [1.5, 2e-3],
+            laid: None,
+            tied_around: None,
+        }
+    }
+}
+
+impl Component for ThreadBody {
+    const NAME: &'static str = "thread";
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        for (field, known, range, valid) in [
+            ("friction", &self.friction, 0.0..=10.0, "0 to 10"),
+            ("bending_stiffness", &self.bending_stiffness, 1e-14..=1.0, "1e-14 to 1 N·m²"),
+            ("twisting_stiffness", &self.twisting_stiffness, 1e-14..=1.0, "1e-14 to 1 N·m²"),
+        ] {
+            if let Some(known) = known {
+                ComponentError::range(field, known.value, range, valid)?;
+            }
+        }
+        ComponentError::range("tool_friction", self.tool_friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("step", self.step, 1e-5..=crate::thread::STEP_MAX, "1e-5 to 2e-3 s")?;
+        ComponentError::range("edges[0]", self.edges[0], 0.5..=20.0, "0.5 to 20 diameters")?;
+        ComponentError::range("edges[1]", self.edges[1], 1e-4..=0.05, "1e-4 to 0.05 m")?;
+        match &self.laid {
+            None => Ok(()),
+            Some(Laid::Through { places }) => {
+                ComponentError::range("places", places.len() as f64, 2.0..=PLACES_MAX as f64, "2 to 1000")
+            }
+            Some(Laid::Throws { half_turns, around, arm, ear }) => {
+                let count = half_turns.len() as f64;
+                ComponentError::range("half_turns", count, 1.0..=THROWS_MAX as f64, "1 to 8")?;
+                for turns in half_turns {
+                    ComponentError::range(
+                        "half_turns",
+                        f64::from(turns.unsigned_abs()),
+                        1.0..=9.0,
+                        "1 to 9",
+                    )?;
+                }
+                ComponentError::range("around", around.len() as f64, 1.0..=PLACES_MAX as f64, "1 to 1000")?;
+                ComponentError::range("arm", *arm, 1e-3..=0.2, "1e-3 to 0.2 m")?;
+                ComponentError::range("ear", *ear, 1e-3..=0.5, "1e-3 to 0.5 m")
+            }
+        }
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+impl ThreadBody {
+    /// Of what it is made.
+    #[must_use]
+    pub fn material(&self) -> ThreadMaterial {
+        let mut material = self.suture.material();
+        let known = |known: &Option<Parameter>, value: &mut f64| {
+            if let Some(known) = known {
+                *value = known.value;
+            }
+        };
+        known(&self.friction, &mut material.friction);
+        known(&self.bending_stiffness, &mut material.bending_stiffness);
+        known(&self.twisting_stiffness, &mut material.twisting_stiffness);
+        material
+    }
+
+    /// Its nodes at the beginning \[m\], if it is laid.
+    ///
+    /// # Errors
+    /// It would have too few or too many nodes.
+    pub fn nodes(&self) -> Result<Option<Vec<Point3<f64>>>, String> {
+        let radius = self.suture.material().radius;
+        let edges = [self.edges[0] * 2.0 * radius, self.edges[1]];
+        let points =
+            |places: &[[f64; 3]]| -> Vec<Point3<f64>> { places.iter().map(|at| Point3::from(*at)).collect() };
+        let nodes = match &self.laid {
+            None => return Ok(None),
+            Some(Laid::Through { places }) => resampled(&points(places), edges[0]),
+            Some(Laid::Throws { half_turns, around, arm, ear }) => {
+                throws(&Throws { half_turns, around: &points(around), radius, arm: *arm, ear: *ear, edges })
+            }
+        };
+        if !(3..=NODES_MAX).contains(&nodes.len()) {
+            return Err(format!(
+                "laid with edges of {edges:?} m it has {} nodes; valid: 3 to {NODES_MAX}",
+                nodes.len()
+            ));
+        }
+        Ok(Some(nodes))
+    }
+}

@@ -1,0 +1,199 @@
+//! Everything that needle, thread and their channel through the tissue need to go on bit for bit. The tissue itself is
+//! quasi-static: how it is deformed follows from the forces that are kept here.
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::SutureError;
+use super::tissue::{Place, Tissue};
+use crate::needle::NeedleState;
+use crate::thread::ThreadState;
+
+/// Places of all channels together that are followed at most.
+pub const CHANNEL_MAX: usize = 120;
+/// Bites that are remembered at most.
+pub const BITES_MAX: usize = 32;
+
+/// What the tip is doing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Tip {
+    /// It is outside.
+    #[default]
+    Free,
+    /// It presses on the surface from outside.
+    Touching(Place, u32),
+    /// It is in the tissue.
+    Inside(Place),
+    /// It presses on the surface from inside.
+    Leaving(Place, u32),
+}
+
+impl Tip {
+    /// Where it is in contact with the tissue.
+    #[must_use]
+    pub fn place(&self) -> Option<&Place> {
+        match self {
+            Self::Free => None,
+            Self::Touching(place, _) | Self::Inside(place) | Self::Leaving(place, _) => Some(place),
+        }
+    }
+}
+
+/// A material point on the way that the tip has cut. Needle and thread pass by it and cannot leave it sideways.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ChannelPoint {
+    /// In the tissue.
+    pub place: Place,
+    /// What is there now: arc length from the swage \[m\], positive along the needle, negative along the thread.
+    pub along: f64,
+    /// What it sticks to: as `along`.
+    pub stuck: f64,
+    /// Of the tissue on needle or thread, in the world \[N\].
+    pub force: Vector3<f64>,
+    /// Number of its bite.
+    pub bite: u32,
+}
+
+/// Once into the tissue and, perhaps, out again.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Bite {
+    /// Its number; bites are counted from 0.
+    pub number: u32,
+    /// Where the tip went in, and through which triangle of the surface.
+    pub entry: (Place, u32),
+    /// Where it came out.
+    pub exit: Option<(Place, u32)>,
+    /// The force at which the surface gave on the way in \[N\].
+    pub entry_force: f64,
+    /// And out.
+    pub exit_force: f64,
+}
+
+/// Needle, thread and channel.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SutureState {
+    /// The needle.
+    pub needle: NeedleState,
+    /// Its thread, the swaged end first.
+    pub thread: Option<ThreadState>,
+    /// How far the thread's first director is turned from the needle's z-axis \[rad\].
+    pub swage_turn: f64,
+    /// What the tip does.
+    pub tip: Tip,
+    /// Of the tissue on the tip, in the world \[N\].
+    pub tip_force: Vector3<f64>,
+    /// All channels, in the order in which needle and thread lie in them: from the end of the thread to the tip.
+    pub channel: Vec<ChannelPoint>,
+    /// Bites that something is in, oldest first, and those that nothing is in any longer.
+    pub bites: Vec<Bite>,
+    /// Bites so far.
+    pub bites_so_far: u32,
+}
+
+impl SutureState {
+    /// A needle at rest that is in nothing, with its thread.
+    #[must_use]
+    pub fn new(needle: NeedleState, thread: Option<ThreadState>) -> Self {
+        Self {
+            needle,
+            thread,
+            swage_turn: 0.0,
+            tip: Tip::Free,
+            tip_force: Vector3::zeros(),
+            channel: Vec::new(),
+            bites: Vec::new(),
+            bites_so_far: 0,
+        }
+    }
+
+    /// Refuses what cannot be a state of this tissue; `radius` of the thread \[m\].
+    pub(super) fn check(&self, tissue: &Tissue, radius: Option<f64>) -> Result<(), SutureError> {
+        if !self.needle.is_finite() {
+            return Err(SutureError::State("the needle's pose or momentum is not finite"));
+        }
+        match (&self.thread, radius) {
+            (Some(thread), Some(radius)) => thread.check(radius)?,
+            (None, None) => {}
+            _ => {
+                return Err(SutureError::State(
+                    "a thread without a material, or a material without a thread",
+                ));
+            }
+        }
+        if self.channel.len() > CHANNEL_MAX || self.bites.len() > BITES_MAX {
+            return Err(SutureError::State("more places in channels, or more bites, than can be followed"));
+        }
+        let finite = |x: &Vector3<f64>| x.iter().all(|x| x.is_finite());
+        let triangles = tissue.mesh().surface().len();
+        let surface =
+            |(place, triangle): &(Place, u32)| tissue.has(place) && (*triangle as usize) < triangles;
+        let tip = match &self.tip {
+            Tip::Free => true,
+            Tip::Inside(place) => tissue.has(place),
+            Tip::Touching(place, triangle) | Tip::Leaving(place, triangle) => surface(&(*place, *triangle)),
+        };
+        if !tip || !finite(&self.tip_force) || !self.swage_turn.is_finite() {
+            return Err(SutureError::State("the tip is at no place of the tissue"));
+        }
+        let sound = |point: &ChannelPoint| {
+            tissue.has(&point.place)
+                && point.along.is_finite()
+                && point.stuck.is_finite()
+                && finite(&point.force)
+                && self.bites.iter().any(|bite| bite.number == point.bite)
+        };
+        if !self.channel.iter().all(sound) {
+            return Err(SutureError::State("a place of a channel is none of the tissue, or of no bite"));
+        }
+        if !self.channel.is_sorted_by(|a, b| a.along <= b.along + 1e-3) {
+            return Err(SutureError::State("places of a channel are not in the order of what lies in them"));
+        }
+        if !self.bites.iter().all(|bite| surface(&bite.entry) && bite.exit.as_ref().is_none_or(surface)) {
+            return Err(SutureError::State("a bite begins or ends at no place of the surface"));
+        }
+        Ok(())
+    }
+
+    /// Forces of needle and thread on the tissue.
+    pub(super) fn forces_on_tissue(&self) -> impl Iterator<Item = (Place, Vector3<f64>)> {
+        let tip = self.tip.place().map(|place| (*place, -self.tip_force));
+        self.channel.iter().map(|point| (point.place, -point.force)).chain(tip)
+    }
+}
+
+/// What happened in a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event {
+    /// The tip has met the surface there \[m\].
+    Touched(Point3<f64>),
+    /// The surface has given way to the tip from outside.
+    Entered {
+        /// Number of the bite.
+        bite: u32,
+        /// \[N\].
+        force: f64,
+    },
+    /// And from inside.
+    Left {
+        /// Number of the bite.
+        bite: u32,
+        /// \[N\].
+        force: f64,
+    },
+    /// The tip has gone back out where it came in.
+    Withdrawn {
+        /// Number of the bite.
+        bite: u32,
+    },
+    /// The tip has gone back in where it came out.
+    Back {
+        /// Number of the bite.
+        bite: u32,
+    },
+    /// The end of the thread, or of the needle that has none, has gone through.
+    Through {
+        /// Number of the bite.
+        bite: u32,
+    },
+}

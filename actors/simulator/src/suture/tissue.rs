@@ -1,0 +1,383 @@
+//! Tissue that is sewn: a linear elastic body that answers at any point of its inside, its surface, and the way from one
+//! element to the next.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::SutureError;
+use crate::elasticity::Elastic;
+use crate::linear_fem::Columns;
+use crate::tet_mesh::TetMesh;
+
+/// Nodes about which the tissue can be asked at most: about as many as 150 places in a channel touch.
+pub const NODES_MAX: usize = 1200;
+/// Elements that one way can lead through at most.
+const WALK_MAX: usize = 4096;
+/// A point is in an element when no weight is further below zero.
+const INSIDE: f64 = -1e-9;
+/// Corners of the face opposite to each corner, counter-clockwise seen from outside.
+const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+
+/// A material point: an element and the weights of its corners.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Place {
+    /// Which element.
+    pub tet: u32,
+    /// Of its corners; they add up to 1.
+    pub weights: [f64; 4],
+}
+
+/// Where a straight way through the tissue ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Way {
+    /// Inside.
+    Ends(Place),
+    /// At the surface, which it leaves there; the number of the triangle.
+    Leaves(Place, u32),
+}
+
+/// A crossing of the surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Crossing {
+    /// Which triangle of the surface.
+    pub triangle: u32,
+    /// Where.
+    pub place: Place,
+    /// When, as a share of the way.
+    pub share: f64,
+}
+
+/// Elastic tissue, held where it is fixed.
+pub struct Tissue {
+    mesh: TetMesh,
+    columns: Columns,
+    /// Across the face opposite to each corner: another element, or a triangle of the surface.
+    beyond: Vec<[Beyond; 4]>,
+    /// The element of each triangle of the surface.
+    behind: Vec<u32>,
+    material: Elastic,
+    /// Of an element \[m\].
+    size: f64,
+    positions: Vec<Point3<f64>>,
+    before: Vec<Point3<f64>>,
+    forces: Vec<(u32, Vector3<f64>)>,
+    full: Vec<f64>,
+    moved: Vec<Vector3<f64>>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Beyond {
+    Element(u32),
+    Surface(u32),
+}
+
+impl Tissue {
+    /// Of a mesh in the frame of the world, held at the nodes `fixed`.
+    ///
+    /// # Errors
+    /// A body that is held by nothing, or too large.
+    pub fn new(mesh: TetMesh, material: &Elastic, fixed: &[u32]) -> Result<Self, SutureError> {
+        let columns = Columns::new(&mesh, material, fixed, NODES_MAX)?;
+        let mut faces: Vec<([u32; 3], u32, u8)> = Vec::with_capacity(4 * mesh.tets().len());
+        for (tet, nodes) in mesh.tets().iter().enumerate() {
+            for (corner, opposite) in OPPOSITE.iter().enumerate() {
+                let mut key = opposite.map(|other| nodes[other]);
+                key.sort_unstable();
+                faces.push((key, tet as u32, corner as u8));
+            }
+        }
+        faces.sort_unstable();
+        let mut beyond = vec![[Beyond::Surface(0); 4]; mesh.tets().len()];
+        for pair in faces.windows(2).filter(|pair| pair[0].0 == pair[1].0) {
+            beyond[pair[0].1 as usize][pair[0].2 as usize] = Beyond::Element(pair[1].1);
+            beyond[pair[1].1 as usize][pair[1].2 as usize] = Beyond::Element(pair[0].1);
+        }
+        let mut behind = Vec::with_capacity(mesh.surface().len());
+        for (index, triangle) in mesh.surface().iter().enumerate() {
+            let mut key = *triangle;
+            key.sort_unstable();
+            let at = faces.partition_point(|face| face.0 < key);
+            let (_, tet, corner) = faces[at];
+            beyond[tet as usize][corner as usize] = Beyond::Surface(index as u32);
+            behind.push(tet);
+        }
+        let positions = mesh.rest().to_vec();
+        let before = positions.clone();
+        let (forces, full, moved) = Default::default();
+        let size = (6.0 * mesh.volume() / mesh.tets().len().max(1) as f64).cbrt();
+        let material = *material;
+        Ok(Self { mesh, columns, beyond, behind, material, size, positions, before, forces, full, moved })
+    }
+
+    /// The body at rest.
+    #[must_use]
+    pub fn mesh(&self) -> &TetMesh {
+        &self.mesh
+    }
+
+    /// Of the nodes, in the world \[m\].
+    #[must_use]
+    pub fn positions(&self) -> &[Point3<f64>] {
+        &self.positions
+    }
+
+    /// Forces on nodes that deform it now \[N\].
+    #[must_use]
+    pub fn forces(&self) -> &[(u32, Vector3<f64>)] {
+        &self.forces
+    }
+
+    /// Energy of its deformation \[J\].
+    #[must_use]
+    pub fn energy(&self) -> f64 {
+        let work = |(node, force): &(u32, Vector3<f64>)| {
+            force.dot(&(self.positions[*node as usize] - self.mesh.rest()[*node as usize]))
+        };
+        0.5 * self.forces.iter().map(work).sum::<f64>()
+    }
+
+    /// How far any node is from rest at most \[m\].
+    #[must_use]
+    pub fn displacement_max(&self) -> f64 {
+        let far = self.positions.iter().zip(self.mesh.rest()).map(|(now, rest)| (now - rest).norm());
+        far.fold(0.0, f64::max)
+    }
+
+    /// How far a line of a radius \[m\] goes sideways through the tissue under a force per length \[m²/N\], of what elements
+    /// cannot show: Kelvin's line load in plane strain, from the radius to the size of an element. Without it several
+    /// places in one element would pinch what lies in them.
+    #[must_use]
+    pub fn gives_way_about(&self, radius: f64) -> f64 {
+        let poisson = self.material.poisson_ratio();
+        let through =
+            (3.0 - 4.0 * poisson) / (8.0 * std::f64::consts::PI * self.material.mu() * (1.0 - poisson));
+        through * (self.size / radius).ln().max(0.0)
+    }
+
+    /// Whether a place is one of this mesh's.
+    #[must_use]
+    pub fn has(&self, place: &Place) -> bool {
+        (place.tet as usize) < self.mesh.tets().len()
+            && place.weights.iter().all(|weight| (-0.01..=1.01).contains(weight))
+            && (place.weights.iter().sum::<f64>() - 1.0).abs() < 1e-6
+    }
+
+    /// The nodes of a place and their weights, those that matter first brought to the knowledge of the inverse; `false`
+    /// when there is no room for more.
+    pub(super) fn name(&mut self, place: &Place) -> bool {
+        let nodes = self.mesh.tets()[place.tet as usize];
+        nodes.iter().zip(place.weights).all(|(node, weight)| weight == 0.0 || self.columns.name(*node))
+    }
+
+    /// Displacement at `a` per force at `b`, which have been named \[m/N\].
+    pub(super) fn between(&self, a: &Place, b: &Place) -> Matrix3<f64> {
+        let mut sum = Matrix3::zeros();
+        let (of_a, of_b) = (self.mesh.tets()[a.tet as usize], self.mesh.tets()[b.tet as usize]);
+        for (m, u) in of_a.iter().zip(a.weights) {
+            for (n, v) in of_b.iter().zip(b.weights) {
+                if u != 0.0 && v != 0.0 {
+                    sum += self.columns.between(*m, *n) * (u * v);
+                }
+            }
+        }
+        sum
+    }
+
+    /// Where a place is when nothing pulls \[m\].
+    #[must_use]
+    pub fn at_rest(&self, place: &Place) -> Point3<f64> {
+        mean(self.mesh.rest(), &self.mesh.tets()[place.tet as usize], &place.weights)
+    }
+
+    /// Where a place is now \[m\].
+    #[must_use]
+    pub fn now(&self, place: &Place) -> Point3<f64> {
+        mean(&self.positions, &self.mesh.tets()[place.tet as usize], &place.weights)
+    }
+
+    /// The material point that is at a point of the world now, or the nearest by its smallest weight. Looks through all
+    /// elements.
+    #[must_use]
+    pub fn locate(&self, point: &Point3<f64>) -> Place {
+        let mut best = (Place::default(), f64::NEG_INFINITY);
+        for tet in 0..self.mesh.tets().len() as u32 {
+            let weights = self.weights(tet, point);
+            let least = weights.iter().copied().fold(f64::INFINITY, f64::min);
+            if least > best.1 {
+                best = (Place { tet, weights }, least);
+            }
+        }
+        best.0
+    }
+
+    fn weights(&self, tet: u32, point: &Point3<f64>) -> [f64; 4] {
+        let [a, b, c, d] = self.mesh.tets()[tet as usize].map(|node| self.positions[node as usize]);
+        let inverse = Matrix3::from_columns(&[b - a, c - a, d - a]).try_inverse();
+        let inner = inverse.map_or_else(|| Vector3::repeat(f64::NAN), |inverse| inverse * (point - a));
+        [1.0 - inner.sum(), inner.x, inner.y, inner.z]
+    }
+
+    /// Straight on from a place to a point of the world, from element to element as they are now.
+    #[must_use]
+    pub fn walk(&self, from: &Place, to: &Point3<f64>) -> Way {
+        let start = self.now(from);
+        let mut tet = from.tet;
+        let mut came_from = None;
+        let mut place = *from;
+        for _ in 0..WALK_MAX {
+            let (first, last) = (self.weights(tet, &start), self.weights(tet, to));
+            if last.iter().all(|weight| *weight >= INSIDE) {
+                return Way::Ends(Place { tet, weights: last });
+            }
+            // The face that is crossed first of those that are behind no more.
+            let mut nearest: Option<(usize, f64)> = None;
+            for corner in 0..4 {
+                if last[corner] >= INSIDE || came_from == Some(self.beyond[tet as usize][corner]) {
+                    continue;
+                }
+                let share = (first[corner] / (first[corner] - last[corner])).clamp(0.0, 1.0);
+                if nearest.is_none_or(|(_, known)| share < known) {
+                    nearest = Some((corner, share));
+                }
+            }
+            let Some((corner, share)) = nearest else { break };
+            let mut weights: [f64; 4] = std::array::from_fn(|k| first[k] + (last[k] - first[k]) * share);
+            weights[corner] = 0.0;
+            place = Place { tet, weights: sound(weights) };
+            match self.beyond[tet as usize][corner] {
+                Beyond::Surface(triangle) => return Way::Leaves(place, triangle),
+                Beyond::Element(next) => {
+                    came_from = Some(Beyond::Element(tet));
+                    tet = next;
+                }
+            }
+        }
+        // Only of elements without volume: stays where it got to.
+        Way::Ends(place)
+    }
+
+    /// Where a point that goes from `from` to `to` \[m\] during the step comes in through the surface first, which has moved
+    /// from where it was when the step began to where it is now. Sides are compared at both ends of the step.
+    pub(super) fn comes_in(&self, from: &Point3<f64>, to: &Point3<f64>) -> Option<Crossing> {
+        let low = from.coords.inf(&to.coords);
+        let high = from.coords.sup(&to.coords);
+        let mut first: Option<Crossing> = None;
+        for (index, triangle) in self.mesh.surface().iter().enumerate() {
+            let new = triangle.map(|node| self.positions[node as usize]);
+            let old = triangle.map(|node| self.before[node as usize]);
+            let apart = |k: usize| {
+                let of = |points: &[Point3<f64>; 3], f: fn(f64, f64) -> f64, start: f64| {
+                    points.iter().fold(start, |sum, point| f(sum, point[k]))
+                };
+                let least = of(&new, f64::min, of(&old, f64::min, f64::INFINITY));
+                let most = of(&new, f64::max, of(&old, f64::max, f64::NEG_INFINITY));
+                low[k] > most || high[k] < least
+            };
+            if (0..3).any(apart) {
+                continue;
+            }
+            let (Some(start), Some(end)) = (above(&old, from), above(&new, to)) else { continue };
+            if start.0 < 0.0 || end.0 >= 0.0 {
+                continue;
+            }
+            let share = start.0 / (start.0 - end.0);
+            let weights: [f64; 3] = std::array::from_fn(|k| start.1[k] + (end.1[k] - start.1[k]) * share);
+            if weights.iter().all(|weight| *weight >= -1e-9) && first.is_none_or(|known| share < known.share)
+            {
+                let place = self.on_surface(index as u32, &weights);
+                first = Some(Crossing { triangle: index as u32, place, share });
+            }
+        }
+        first
+    }
+
+    /// A point of a triangle of the surface.
+    #[must_use]
+    pub fn on_surface(&self, triangle: u32, weights: &[f64; 3]) -> Place {
+        let tet = self.behind[triangle as usize];
+        let corners = self.mesh.surface()[triangle as usize];
+        let of = self.mesh.tets()[tet as usize].map(|node| {
+            let corner = corners.iter().position(|corner| *corner == node);
+            corner.map_or(0.0, |corner| weights[corner])
+        });
+        Place { tet, weights: sound(of) }
+    }
+
+    /// The outward normal of a triangle of the surface at rest: under one tip the facets of a mesh tilt by more than the
+    /// tissue does, and displacements are small.
+    #[must_use]
+    pub fn normal(&self, triangle: u32) -> Vector3<f64> {
+        let [a, b, c] = self.mesh.surface()[triangle as usize].map(|node| self.mesh.rest()[node as usize]);
+        (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vector3::z)
+    }
+
+    /// The place of the surface that is nearest to a point of the world now, and its triangle.
+    #[must_use]
+    pub fn nearest(&self, point: &Point3<f64>) -> (Place, u32) {
+        let mut best = (0, [1.0, 0.0, 0.0], f64::INFINITY);
+        for (index, triangle) in self.mesh.surface().iter().enumerate() {
+            let corners = triangle.map(|node| self.positions[node as usize]);
+            let hit = trocar_collision::primitive::closest_on_triangle(point, &corners);
+            let distance = (hit.point - point).norm_squared();
+            if distance < best.2 {
+                best = (index, hit.weights, distance);
+            }
+        }
+        (self.on_surface(best.0 as u32, &best.1), best.0 as u32)
+    }
+
+    /// Remembers where it is as the beginning of a step.
+    pub(super) fn begin(&mut self) {
+        self.before.clone_from(&self.positions);
+    }
+
+    /// Deforms it by these forces at places that have been named.
+    pub(super) fn deform(&mut self, forces: impl Iterator<Item = (Place, Vector3<f64>)>) {
+        self.forces.clear();
+        for (place, force) in forces {
+            for (node, weight) in self.mesh.tets()[place.tet as usize].into_iter().zip(place.weights) {
+                if weight != 0.0 {
+                    self.forces.push((node, force * weight));
+                }
+            }
+        }
+        self.forces.sort_by_key(|(node, _)| *node);
+        self.forces.dedup_by(|next, sum| {
+            let same = next.0 == sum.0;
+            if same {
+                sum.1 += next.1;
+            }
+            same
+        });
+        self.columns.displacements(&self.forces, &mut self.full, &mut self.moved);
+        for ((now, rest), by) in self.positions.iter_mut().zip(self.mesh.rest()).zip(&self.moved) {
+            *now = rest + by;
+        }
+    }
+}
+
+/// Weights that add up to 1.
+fn sound(weights: [f64; 4]) -> [f64; 4] {
+    let weights = weights.map(|weight| weight.max(0.0));
+    let sum: f64 = weights.iter().sum();
+    weights.map(|weight| weight / sum)
+}
+
+fn mean(positions: &[Point3<f64>], nodes: &[u32; 4], weights: &[f64; 4]) -> Point3<f64> {
+    let sum: Vector3<f64> =
+        nodes.iter().zip(weights).map(|(node, weight)| positions[*node as usize].coords * *weight).sum();
+    Point3::from(sum)
+}
+
+/// Height over a triangle \[m\], and the weights of the foot.
+fn above([a, b, c]: &[Point3<f64>; 3], point: &Point3<f64>) -> Option<(f64, [f64; 3])> {
+    let (e, f, to) = (b - a, c - a, point - a);
+    let normal = e.cross(&f);
+    let square = normal.norm_squared();
+    if square <= 0.0 {
+        return None;
+    }
+    let v = to.cross(&f).dot(&normal) / square;
+    let w = e.cross(&to).dot(&normal) / square;
+    Some((to.dot(&normal) / square.sqrt(), [1.0 - v - w, v, w]))
+}

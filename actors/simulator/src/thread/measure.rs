@@ -1,0 +1,76 @@
+//! What a knot does as a whole: where along the thread its strands lie, how far apart they are.
+
+use trocar_collision::primitive::closest_segments;
+
+use super::Thread;
+use super::contact::nearest_segments;
+
+/// The two strands of a knot, each as the middle of the places where it touches, weighed by how hard it is pressed there;
+/// along the thread from its first node, without strain \[m\].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Strands {
+    /// Of the first and of the second strand.
+    pub middles: [f64; 2],
+    /// Sum of all pushes of the thread on itself \[N\].
+    pub pressed: f64,
+}
+
+impl Strands {
+    /// Of the loop between the strands \[m\]: it grows by what slips through the knot.
+    #[must_use]
+    pub fn loop_length(&self) -> f64 {
+        self.middles[1] - self.middles[0]
+    }
+}
+
+impl Thread {
+    /// The strands of a thread that touches itself, the loop being the longest part between two touches.
+    #[must_use]
+    pub fn strands(&self) -> Option<Strands> {
+        let state = self.state();
+        let mut arcs = vec![0.0];
+        for rest in &state.rest_lengths {
+            arcs.push(arcs[arcs.len() - 1] + rest);
+        }
+        let mut places: Vec<(f64, f64)> = Vec::with_capacity(2 * state.contacts.len());
+        for contact in state.contacts.iter().filter(|contact| contact.key.with == 0) {
+            let edges = [contact.key.edge, contact.key.feature].map(|edge| edge as usize);
+            let segment = |edge: usize| [state.positions[edge], state.positions[edge + 1]];
+            let along = nearest_segments(&segment(edges[0]), &segment(edges[1]));
+            let weight = contact.force.norm();
+            for (edge, along) in edges.into_iter().zip(along) {
+                places.push((arcs[edge] + along * state.rest_lengths[edge], weight));
+            }
+        }
+        places.retain(|place| place.1 > 0.0);
+        places.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        let widest = (1..places.len())
+            .max_by(|&a, &b| (places[a].0 - places[a - 1].0).total_cmp(&(places[b].0 - places[b - 1].0)))?;
+        let middle = |side: &[(f64, f64)]| {
+            let weight: f64 = side.iter().map(|place| place.1).sum();
+            side.iter().map(|place| place.0 * place.1).sum::<f64>() / weight
+        };
+        let pressed = 0.5 * places.iter().map(|place| place.1).sum::<f64>();
+        Some(Strands { middles: [middle(&places[..widest]), middle(&places[widest..])], pressed })
+    }
+}
+
+/// How near to each other centre lines of strands are at least \[m\]. Edges nearer along the thread than half a turn of its
+/// tightest bend are the same strand.
+#[must_use]
+pub fn nearest_edges(thread: &Thread) -> f64 {
+    let (points, rest) = (thread.positions(), &thread.state().rest_lengths);
+    let mut least = f64::INFINITY;
+    for first in 0..rest.len() {
+        let mut apart = 0.0;
+        for second in first + 2..rest.len() {
+            apart += rest[second - 1];
+            if second < first + 3 || apart < std::f64::consts::PI * thread.material().radius {
+                continue;
+            }
+            let edge = |k: usize| [points[k], points[k + 1]];
+            least = least.min(closest_segments(&edge(first), &edge(second)).distance_squared);
+        }
+    }
+    least.sqrt()
+}

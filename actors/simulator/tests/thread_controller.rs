@@ -1,0 +1,185 @@
+//! A thread on a scene: taken by jaws, pulled, let go, met by rods, laid tied, and continued by another life.
+
+mod stage;
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use stage::{Stage, scene};
+use trocar_scene::{
+    BuildContext, Collision, CollisionList, ControllerError, Frozen, JawState, Pose, VertexPositions,
+};
+use trocar_simulator::controller::{ThreadController, ThreadMemory};
+
+const HZ: f64 = 500.0;
+
+const GRASPER: &str = r#"
+[[entity]]
+name = "grasper"
+[entity.pose]
+translation = [0.015, 0.006, 0.0]
+rotation = [-0.7071067811865476, 0.0, 0.0, 0.7071067811865476]
+[entity.instrument]
+kind = "needle_driver"
+shaft_length = 0.15
+jaw_force_max = 5.0
+jaw_friction = 0.6
+coupling_stiffness = 1000.0
+"#;
+
+/// Held at its left end, along x.
+const THREAD: &str = r#"
+[[entity]]
+name = "thread"
+mesh = { line = { length = 0.04, segments = 40, radius = 0.00015 } }
+thread = { suture = "silk2_0" }
+anchors = { regions = [{ box = { min = [-0.0201, -1.0, -1.0], max = [-0.0185, 1.0, 1.0] } }] }
+"#;
+
+fn build(context: &BuildContext<'_>) -> Result<ThreadController, ControllerError> {
+    ThreadController::new(Vector3::zeros(), context)
+}
+
+/// Shaft along y, jaws closing along z, tip at a place.
+fn grasper(x: f64, y: f64, z: f64) -> Pose {
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
+    let closing = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
+    Isometry3::from_parts(Vector3::new(x, y, z).into(), turn * closing).into()
+}
+
+fn lead(stage: &mut Stage<ThreadController>, at: [f64; 3], angle: f64, rate: f64) {
+    stage.put("grasper", grasper(at[0], at[1], at[2]));
+    stage.put("grasper", JawState { angle, rate, ..JawState::default() });
+    stage.tick();
+}
+
+/// Jaws close on the right end in a quarter of a second, and pull to the right by `way`.
+fn pull(
+    stage: &mut Stage<ThreadController>,
+    way: f64,
+    ticks: u32,
+    mut between: impl FnMut(&mut Stage<ThreadController>),
+) {
+    for tick in 0..125 {
+        lead(stage, [0.015, 0.006, 0.0], 0.4 * (1.0 - f64::from(tick) / 125.0), -1.6);
+    }
+    for tick in 1..=ticks {
+        if tick == ticks / 2 {
+            between(stage);
+        }
+        lead(stage, [0.015 + way * f64::from(tick) / f64::from(ticks), 0.006, 0.0], 0.0, 0.0);
+    }
+    for _ in 0..50 {
+        lead(stage, [0.015 + way, 0.006, 0.0], 0.0, 0.0);
+    }
+}
+
+fn collisions(stage: &Stage<ThreadController>) -> Vec<Collision> {
+    let lists = stage.store.view().iter::<CollisionList>();
+    lists.flat_map(|(_, list)| list.collisions.clone()).collect()
+}
+
+#[test]
+fn jaws_take_a_thread_feel_its_pull_and_let_it_go() {
+    let mut stage = Stage::new(scene(&format!("{GRASPER}{THREAD}")), HZ, build);
+    pull(&mut stage, 0.002, 100, |_| {});
+    assert!(!stage.has::<Frozen>("thread"));
+    assert!(stage.measured("thread.held_nodes") >= 2.0);
+    // Two millimetres of a coupling of 1,000 N/m, less what the thread lengthens: 2 N · 35 mm / 3.5 kN.
+    let tension = stage.measured("thread.tension_n");
+    assert!((tension / 2.0 - 1.0).abs() < 0.05, "{tension} N");
+    let grasper = stage.entity("grasper");
+    let felt: Vector3<f64> =
+        collisions(&stage).iter().filter(|c| c.a == grasper).map(|c| -c.force_in_world).sum();
+    assert!((felt.x + tension).abs() < 0.02 * tension, "the hand is pulled by {felt:?} N");
+    // Opened, it holds nothing and feels nothing.
+    for tick in 0..100 {
+        lead(&mut stage, [0.017, 0.006, 0.0], 0.008 * f64::from(tick), 4.0);
+    }
+    assert_eq!(stage.measured("thread.held_nodes"), 0.0);
+    assert!(stage.measured("thread.tension_n") < 0.05, "{} N", stage.measured("thread.tension_n"));
+}
+
+#[test]
+fn what_pulls_harder_than_the_pads_hold_slips_out_of_the_jaws() {
+    let weak = GRASPER.replace("jaw_force_max = 5.0", "jaw_force_max = 0.5");
+    let mut stage = Stage::new(scene(&format!("{weak}{THREAD}")), HZ, build);
+    pull(&mut stage, 0.002, 60, |_| {});
+    // Two pads of 0.5 N with friction 0.6; those of the other test hold 2 N on the same way.
+    let tension = stage.measured("thread.tension_n");
+    assert!((0.5..0.6 * 1.05).contains(&tension), "{tension} N");
+}
+
+#[test]
+fn another_life_goes_on_to_the_bit() {
+    let text = format!("{GRASPER}{THREAD}");
+    let mut whole = Stage::new(scene(&text), HZ, build);
+    pull(&mut whole, 0.003, 100, |_| {});
+    let mut one = Stage::new(scene(&text), HZ, build);
+    pull(&mut one, 0.003, 100, |stage| stage.rebuild(build));
+    assert_eq!(whole.get::<VertexPositions>("thread"), one.get::<VertexPositions>("thread"));
+    assert_eq!(whole.get::<ThreadMemory>("thread"), one.get::<ThreadMemory>("thread"));
+}
+
+#[test]
+fn a_rod_that_is_moved_against_a_thread_drags_it_along_and_is_pushed_back() {
+    let probe = r#"
+[[entity]]
+name = "probe"
+pose = { translation = [0.0, 0.0, 0.003] }
+instrument = { kind = "probe", shaft_length = 0.05, shaft_radius = 0.002, jaw_length = 0.004, jaws = 0 }
+"#;
+    let both = THREAD.replace(
+        "max = [-0.0185, 1.0, 1.0] } }]",
+        "max = [-0.0185, 1.0, 1.0] } }, { box = { min = [0.0185, -1.0, -1.0], max = [0.0201, 1.0, 1.0] } }]",
+    );
+    let slack = both.replace("thread = {", "pose = { translation = [0.0, 0.0, 0.0] }\nthread = {");
+    let mut stage = Stage::new(scene(&format!("{probe}{slack}")), HZ, build);
+    for tick in 0..100 {
+        // Its shaft is along z, through y = 3 mm, and comes towards the thread by 1.1 mm: 0.25 mm into it.
+        let y = 0.003 - 1.1e-3 * f64::from(tick) / 100.0;
+        stage.put("probe", Pose::from(Isometry3::translation(0.0, y, 0.02)));
+        stage.tick();
+    }
+    assert!(!stage.has::<Frozen>("thread"));
+    let points = stage.get::<VertexPositions>("thread");
+    let lowest = points.positions.iter().map(|p| p.y).fold(0.0, f64::min);
+    assert!((lowest + 0.24e-3).abs() < 0.04e-3, "pushed to {lowest} m");
+    let probe = stage.entity("probe");
+    let on_thread: Vector3<f64> =
+        collisions(&stage).iter().filter(|c| c.a == probe).map(|c| c.force_in_world).sum();
+    // 2 T sin α of a thread that is stretched by it.
+    let tension = stage.measured("thread.tension_n");
+    let wanted = -2.0 * tension * 0.25 / 18.5;
+    assert!(tension > 0.1 && (on_thread.y / wanted - 1.0).abs() < 0.3, "{on_thread:?} N at {tension} N");
+}
+
+#[test]
+fn a_thread_is_laid_tied_and_told_which_knot_it_is() {
+    for (half_turns, code) in [("[3]", 1.0), ("[3, -3]", 3.0), ("[3, 3]", 4.0), ("[5, -3]", 5.0)] {
+        let laid = format!(
+            "{THREAD}[entity.thread.laid.throws]\nhalf_turns = {half_turns}\narm = 0.005\near = 0.01\n\
+             around = [[-0.004, 0.0, -0.006], [0.004, 0.0, -0.006]]\n"
+        )
+        .replace("thread = { suture = \"silk2_0\" }\n", "")
+        .replace("anchors = { regions = [{ box = { min = [-0.0201, -1.0, -1.0], max = [-0.0185, 1.0, 1.0] } }] }\n", "");
+        let mut stage = Stage::new(scene(&laid), HZ, build);
+        stage.tick();
+        assert_eq!(stage.measured("thread.knot"), code, "{half_turns}");
+        assert!(stage.get::<VertexPositions>("thread").positions.len() > 50);
+    }
+}
+
+#[test]
+fn a_mesh_that_is_no_thread_is_refused_by_name() {
+    let none = "[[entity]]\nname = \"pad\"\nmesh = { sheet = { size = [0.01, 0.01], cells = [2, 2] } }\nthread = {}\n";
+    let store = scene(none);
+    let context = BuildContext {
+        scene: store.view(),
+        time: trocar_scene::SimTime::ZERO,
+        name: "thread",
+        me: trocar_scene::Entity::of_writer(0, 7),
+        epoch: 1,
+        seed: 1,
+    };
+    let told = build(&context).err().expect("refused").to_string();
+    assert!(told.contains("'pad'") && told.contains("line"), "{told}");
+}
