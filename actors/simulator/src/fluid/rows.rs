@@ -3,6 +3,7 @@
 
 use std::ops::Range;
 
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::kernel::Kernel;
@@ -22,6 +23,13 @@ pub(super) fn in_blocks<T: Send>(list: &mut [T], each: impl Fn(usize, &mut [T]) 
     } else {
         each(0, list);
     }
+}
+
+/// Which neighbours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Among {
+    All,
+    Liquid,
 }
 
 /// Neighbours of every particle, then of every sample of a wall that a particle is near to.
@@ -49,15 +57,17 @@ pub(super) struct Rows {
 struct Block {
     /// Where the list of each row begins; one more than there are rows.
     starts: Vec<u32>,
-    /// Row of each neighbour, and volume of what is not a plain particle of the two times the kernel's slope \[m³/m⁵\]: times
-    /// the way from one to the other it is the gradient that the two have in common.
-    links: Vec<(u32, f32)>,
+    /// Row of each neighbour: particles first, then walls.
+    others: Vec<u32>,
+    /// The gradient that a row and its neighbour have in common: volume of what is not a plain particle of the two, times the
+    /// kernel's slope, times the way to the row from the neighbour \[1/m\]; its fourth number is the factor of the way. Kept
+    /// whole, since every product with the operator asks for it.
+    gradients: Vec<[f32; 4]>,
     /// Compression and diagonal of each row.
     sums: Vec<[f32; 2]>,
     beside_walls: Vec<u32>,
     near: Near,
-    /// Particles and walls about a cell.
-    about: Vec<[Range<usize>; 2]>,
+    about: About,
 }
 
 /// What all blocks are built from.
@@ -91,63 +101,126 @@ impl Axes {
 /// Places that are looked at together.
 const LANES: usize = 32;
 
-/// What is near to a place.
+/// What lies about a cell, side by side: particles first, then walls that are wet.
 #[derive(Clone, Debug, Default)]
-struct Near {
-    found: Vec<Found>,
+struct About {
+    axes: [Vec<f32>; 3],
+    rows: Vec<u32>,
+    volumes: Vec<f32>,
+    /// How many particles.
+    liquid: usize,
+    /// Which particles, and where they begin.
+    ranges: Vec<(Range<usize>, usize)>,
 }
 
-/// Row, volume, way and kernel's value and slope times volume of what is near.
-#[derive(Clone, Copy, Debug, Default)]
-struct Found {
-    row: u32,
-    volume: f32,
-    apart: [f32; 3],
-    square: f32,
-    value: f32,
-    factor: f32,
+impl About {
+    /// All that is about a cell.
+    fn gather(&mut self, scene: &Scene<'_>, cell: usize) {
+        self.axes.iter_mut().for_each(Vec::clear);
+        self.rows.clear();
+        self.volumes.clear();
+        self.ranges.clear();
+        for (from, to) in scene.grid.rows_about(cell) {
+            let range = scene.cells.range(from, to);
+            self.ranges.push((range.clone(), self.rows.len()));
+            for (list, axis) in self.axes.iter_mut().zip(&scene.axes.0) {
+                list.extend_from_slice(&axis[range.clone()]);
+            }
+            self.rows.extend(range.map(|row| row as u32));
+        }
+        self.liquid = self.rows.len();
+        self.volumes.resize(self.liquid, scene.volume);
+        let walls = scene.walls;
+        for (from, to) in scene.grid.rows_about(cell) {
+            // At the very edge of its reach a wall may be dry.
+            for wall in walls.cells.range(from, to).filter(|wall| scene.row_of_wall[*wall] != DRY) {
+                for (list, axis) in self.axes.iter_mut().zip(&walls.axes.0) {
+                    list.push(axis[wall]);
+                }
+                self.rows.push(scene.row_of_wall[wall]);
+                self.volumes.push(walls.volumes[wall]);
+            }
+        }
+    }
+
+    /// Where a particle stands.
+    fn place_of(&self, row: usize) -> Option<usize> {
+        self.ranges.iter().find(|(range, _)| range.contains(&row)).map(|(range, at)| at + row - range.start)
+    }
+}
+
+/// What is near to a place, a kind of number at a time, so that several are computed at once.
+#[derive(Clone, Debug, Default)]
+struct Near {
+    /// Places among what is about.
+    hits: Vec<u32>,
+    /// How many particles.
+    liquid: usize,
+    gradients: Vec<[f32; 4]>,
+    squares: Vec<f32>,
+    volumes: Vec<f32>,
+    /// Kernel and its slope, times volume.
+    values: Vec<f32>,
+    factors: Vec<f32>,
 }
 
 impl Near {
-    /// Which of a range of places are within a distance of one; `row` says which row one is, and its volume.
-    fn find(
-        &mut self,
-        place: &[f32; 4],
-        square: f32,
-        Axes([xs, ys, zs]): &Axes,
-        range: std::ops::Range<usize>,
-        row: impl Fn(usize) -> (u32, f32),
-    ) {
-        let mut first = range.start;
-        while first < range.end {
-            let count = (range.end - first).min(LANES);
-            let [xs, ys, zs] = [xs, ys, zs].map(|axis| &axis[first..first + count]);
+    /// Which of the first `count` about it are within a distance of a place, but for the one that stands at `own`.
+    fn find(&mut self, place: &[f32; 4], square: f32, about: &About, count: usize, own: Option<usize>) {
+        self.hits.clear();
+        self.hits.resize(count + 1, 0);
+        let mut found = 0;
+        let mut first = 0;
+        while first < count {
+            let lanes = (count - first).min(LANES);
+            let [xs, ys, zs] = [0, 1, 2].map(|axis: usize| &about.axes[axis][first..first + lanes]);
             let mut squares = [f32::INFINITY; LANES];
             for (((square, x), y), z) in squares.iter_mut().zip(xs).zip(ys).zip(zs) {
                 let [dx, dy, dz] = [place[0] - x, place[1] - y, place[2] - z];
                 *square = dx * dx + dy * dy + dz * dz;
             }
-            // Most are too far: those that are not, as bits.
-            let mut near = 0_u32;
-            for (lane, distance) in squares.iter().enumerate() {
-                near |= u32::from(*distance < square) << lane;
+            if let Some(lane) = own.and_then(|own| own.checked_sub(first)).filter(|lane| *lane < LANES) {
+                squares[lane] = f32::INFINITY;
             }
-            while near != 0 {
-                let lane = near.trailing_zeros() as usize;
-                near &= near - 1;
-                let apart = [place[0] - xs[lane], place[1] - ys[lane], place[2] - zs[lane]];
-                let (row, volume) = row(first + lane);
-                self.found.push(Found { row, volume, apart, square: squares[lane], ..Found::default() });
+            // Most are too far, and which ones nobody could foresee: written down without asking, then kept or not.
+            for (lane, distance) in squares[..lanes].iter().enumerate() {
+                self.hits[found] = (first + lane) as u32;
+                found += usize::from(*distance < square);
             }
-            first += count;
+            first += lanes;
         }
+        self.hits.truncate(found);
+        self.liquid = self.hits.partition_point(|at| (*at as usize) < about.liquid);
     }
 
-    /// Kernels of all that was found.
-    fn weigh(&mut self, kernel: &Kernel) {
-        for found in &mut self.found {
-            let (value, slope) = kernel.value_and_slope_single(found.square.sqrt());
-            (found.value, found.factor) = (found.volume * value, found.volume * slope);
+    /// Kernels and gradients of all that was found; all have the volume of a wall, where one asks.
+    fn weigh(&mut self, place: &[f32; 4], about: &About, kernel: &Kernel, volume: Option<f32>) {
+        let Self { hits, gradients, squares, volumes, values, factors, .. } = self;
+        let [xs, ys, zs] = &about.axes;
+        gradients.clear();
+        gradients.extend(hits.iter().map(|at| {
+            let at = *at as usize;
+            [place[0] - xs[at], place[1] - ys[at], place[2] - zs[at], 1.0]
+        }));
+        squares.clear();
+        squares.extend(gradients.iter().map(|way| way[0] * way[0] + way[1] * way[1] + way[2] * way[2]));
+        volumes.clear();
+        match volume {
+            Some(volume) => volumes.resize(hits.len(), volume),
+            None => volumes.extend(hits.iter().map(|at| about.volumes[*at as usize])),
+        }
+        for list in [&mut *values, factors] {
+            list.clear();
+            list.resize(hits.len(), 0.0);
+        }
+        for ((value, factor), (square, volume)) in
+            values.iter_mut().zip(factors.iter_mut()).zip(squares.iter().zip(volumes.iter()))
+        {
+            let of = kernel.value_and_slope_single(square.sqrt());
+            (*value, *factor) = (volume * of.0, volume * of.1);
+        }
+        for (gradient, factor) in gradients.iter_mut().zip(factors.iter()) {
+            gradient.iter_mut().for_each(|way| *way *= factor);
         }
     }
 }
@@ -165,7 +238,8 @@ impl Scene<'_> {
         let square = (self.kernel.support * self.kernel.support) as f32;
         let own = self.volume * self.kernel.value_and_slope(0.0).0 as f32;
         block.starts.clear();
-        block.links.clear();
+        block.others.clear();
+        block.gradients.clear();
         block.sums.clear();
         block.beside_walls.clear();
         let mut known = None;
@@ -174,60 +248,47 @@ impl Scene<'_> {
             let cell = self.grid.cell_of(&place);
             if known != Some(cell) {
                 known = Some(cell);
-                block.about.clear();
-                let ranges = self.grid.rows_about(cell);
-                block.about.extend(
-                    ranges.map(|(from, to)| [self.cells.range(from, to), self.walls.cells.range(from, to)]),
-                );
+                block.about.gather(self, cell);
             }
-            let near = &mut block.near;
-            near.found.clear();
+            let Block { near, about, .. } = block;
             if row < self.particles {
-                for [particles, walls] in &block.about {
-                    near.find(&place, square, self.axes, particles.clone(), |at| (at as u32, self.volume));
-                    let of_wall = |at: usize| (self.row_of_wall[at], self.walls.volumes[at]);
-                    near.find(&place, square, self.walls.axes, walls.clone(), of_wall);
-                }
-                // At the very edge of its reach a wall may be dry.
-                near.found.retain(|found| found.row != row as u32 && found.row != DRY);
-                near.weigh(self.kernel);
-                block.add(row as u32, own, self.particles as u32);
+                near.find(&place, square, about, about.rows.len(), about.place_of(row));
+                near.weigh(&place, about, self.kernel, None);
+                block.add(row, own, true);
             } else {
                 let volume = self.walls.volumes[self.wet[row - self.particles] as usize];
-                for [particles, _] in &block.about {
-                    near.find(&place, square, self.axes, particles.clone(), |at| (at as u32, volume));
-                }
-                near.weigh(self.kernel);
-                block.add(row as u32, 1.0 - self.beside * volume / self.volume, self.particles as u32);
+                near.find(&place, square, about, about.liquid, None);
+                near.weigh(&place, about, self.kernel, Some(volume));
+                block.add(row, 1.0 - self.beside * volume / self.volume, false);
             }
         }
-        block.starts.push(block.links.len() as u32);
+        block.starts.push(block.others.len() as u32);
     }
 }
 
 impl Block {
-    /// The row whose neighbours were found.
-    fn add(&mut self, row: u32, own: f32, particles: u32) {
-        self.starts.push(self.links.len() as u32);
-        let (mut compression, mut squares, mut sum) = (own, 0.0_f32, [0.0_f32; 3]);
-        let mut has_wall = false;
-        for found in &self.near.found {
-            compression += found.value;
-            let gradient = found.apart.map(|apart| found.factor * apart);
-            // Walls do not give way.
-            if found.row < particles {
-                squares += gradient.iter().map(|x| x * x).sum::<f32>();
-            } else {
-                has_wall = true;
-            }
-            (0..3).for_each(|axis| sum[axis] += gradient[axis]);
+    /// The row whose neighbours were found; walls among them do not give way.
+    fn add(&mut self, row: usize, own: f32, is_particle: bool) {
+        self.starts.push(self.others.len() as u32);
+        let Near { hits, liquid, gradients, values, .. } = &self.near;
+        let liquid = *liquid;
+        self.others.extend(hits.iter().map(|at| self.about.rows[*at as usize]));
+        self.gradients.extend_from_slice(gradients);
+        let squares = two_sums(&gradients[..liquid], |sum, of| {
+            (0..4).for_each(|axis| sum[axis] += of[axis] * of[axis]);
+        });
+        let mut diagonal = squares[0] + squares[1] + squares[2];
+        if is_particle {
+            let sum = two_sums(gradients, |sum, of| (0..4).for_each(|axis| sum[axis] += of[axis]));
+            diagonal += sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2];
         }
-        self.links.extend(self.near.found.iter().map(|found| (found.row, found.factor)));
-        if has_wall {
-            self.beside_walls.push(row);
+        let fours = values.chunks_exact(4);
+        let rest: f32 = fours.remainder().iter().sum();
+        let four = fours.fold([0.0_f32; 4], |sum, of| std::array::from_fn(|k| sum[k] + of[k]));
+        self.sums.push([own + (four[0] + four[1]) + (four[2] + four[3]) + rest, diagonal]);
+        if liquid < hits.len() {
+            self.beside_walls.push(row as u32);
         }
-        let own = if row < particles { sum.iter().map(|x| x * x).sum::<f32>() } else { 0.0 };
-        self.sums.push([compression, squares + own]);
     }
 }
 
@@ -308,35 +369,68 @@ impl Rows {
         }
     }
 
-    fn links_of(&self, row: usize) -> &[(u32, f32)] {
-        let Block { starts, links, .. } = &self.blocks[row / BLOCK];
-        &links[starts[row % BLOCK] as usize..starts[row % BLOCK + 1] as usize]
+    fn links_of(&self, row: usize) -> (&[u32], &[[f32; 4]]) {
+        let Block { starts, others, gradients, .. } = &self.blocks[row / BLOCK];
+        let range = starts[row % BLOCK] as usize..starts[row % BLOCK + 1] as usize;
+        (&others[range.clone()], &gradients[range])
     }
 
-    /// Neighbours of a row, and their factors.
+    /// Neighbours of a row, and the gradients that it has in common with them, the factor of the way last.
     #[inline]
-    pub(super) fn of(&self, row: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
-        self.links_of(row).iter().map(|(other, factor)| (*other as usize, *factor))
+    pub(super) fn of(&self, row: usize) -> impl Iterator<Item = (usize, &[f32; 4])> + '_ {
+        let (others, gradients) = self.links_of(row);
+        others.iter().map(|other| *other as usize).zip(gradients)
+    }
+
+    /// As [`Self::of`], of particles only.
+    fn liquid_of(&self, row: usize) -> (&[u32], &[[f32; 4]]) {
+        let (others, gradients) = self.links_of(row);
+        let liquid = match others.last() {
+            Some(last) if *last as usize >= self.particles => {
+                others.partition_point(|other| (*other as usize) < self.particles)
+            }
+            _ => others.len(),
+        };
+        (&others[..liquid], &gradients[..liquid])
+    }
+
+    /// Adds up vectors over the links of a row, in double precision, so that what one gives another takes; the fourth of
+    /// their numbers does not count.
+    #[inline]
+    pub(super) fn sum(
+        &self,
+        row: usize,
+        of: Among,
+        vector: impl Fn(usize, &[f32; 4]) -> [f32; 4],
+    ) -> Vector3<f64> {
+        let (others, gradients) = match of {
+            Among::All => self.links_of(row),
+            Among::Liquid => self.liquid_of(row),
+        };
+        let mut sum = [0.0_f64; 4];
+        for (other, gradient) in others.iter().zip(gradients) {
+            let vector = vector(*other as usize, gradient);
+            (0..4).for_each(|axis| sum[axis] += f64::from(vector[axis]));
+        }
+        Vector3::new(sum[0], sum[1], sum[2])
     }
 
     /// How many neighbours a row has.
     pub(super) fn degree(&self, row: usize) -> usize {
-        self.links_of(row).len()
+        self.links_of(row).0.len()
     }
 
     /// What pressures over density \[m²/s²\] make of each particle's acceleration, against it: G p \[m/s²\].
     pub(super) fn gradient(&self, pressures: &[f32], out: &mut [[f32; 4]]) {
         in_blocks(&mut out[..self.particles], |first, out| {
             for (row, out) in (first..).zip(out) {
-                let (place, pressure) = (self.places[row], pressures[row]);
-                let push = |sum: &mut [f32; 4], (other, factor): (u32, f32)| {
-                    let times = factor * (pressure + pressures[other as usize]);
-                    let there = self.places[other as usize];
-                    for axis in 0..4 {
-                        sum[axis] += times * (place[axis] - there[axis]);
-                    }
-                };
-                *out = two_sums(self.links_of(row), push);
+                let pressure = pressures[row];
+                let sum = self.links_sum(row, |sum, other, gradient| {
+                    let times = pressure + pressures[other];
+                    (0..4).for_each(|axis| sum[axis] += times * gradient[axis]);
+                });
+                // The fourth is no part of a way.
+                *out = [sum[0], sum[1], sum[2], 0.0];
             }
         });
     }
@@ -346,30 +440,44 @@ impl Rows {
     pub(super) fn compression_rate(&self, velocities: &[[f32; 4]], out: &mut [f32]) {
         in_blocks(out, |first, out| {
             for (row, out) in (first..).zip(out) {
-                let (place, velocity) = (self.places[row], velocities[row]);
-                let close = |sum: &mut [f32; 4], (other, factor): (u32, f32)| {
-                    let (there, its) = (self.places[other as usize], velocities[other as usize]);
-                    for axis in 0..4 {
-                        sum[axis] += factor * ((place[axis] - there[axis]) * (velocity[axis] - its[axis]));
-                    }
-                };
-                *out = two_sums(self.links_of(row), close).iter().sum();
+                let velocity = velocities[row];
+                let sum = self.links_sum(row, |sum, other, gradient| {
+                    let its = velocities[other];
+                    (0..4).for_each(|axis| sum[axis] += gradient[axis] * (velocity[axis] - its[axis]));
+                });
+                *out = sum.iter().sum();
             }
         });
     }
+
+    /// Adds up over the links of a row in two sums, of which neither waits for the other.
+    #[inline]
+    fn links_sum(&self, row: usize, add: impl Fn(&mut [f32; 4], usize, &[f32; 4])) -> [f32; 4] {
+        let (others, gradients) = self.links_of(row);
+        let (mut even, mut odd) = ([0.0; 4], [0.0; 4]);
+        let (pairs, ways) = (others.chunks_exact(2), gradients.chunks_exact(2));
+        if let ([last], [way]) = (pairs.remainder(), ways.remainder()) {
+            add(&mut even, *last as usize, way);
+        }
+        for (pair, way) in pairs.zip(ways) {
+            add(&mut even, pair[0] as usize, &way[0]);
+            add(&mut odd, pair[1] as usize, &way[1]);
+        }
+        std::array::from_fn(|axis| even[axis] + odd[axis])
+    }
 }
 
-/// Adds up over links in two sums, of which neither waits for the other.
+/// Adds up in two sums, of which neither waits for the other.
 #[inline]
-fn two_sums(links: &[(u32, f32)], add: impl Fn(&mut [f32; 4], (u32, f32))) -> [f32; 4] {
+fn two_sums(list: &[[f32; 4]], add: impl Fn(&mut [f32; 4], &[f32; 4])) -> [f32; 4] {
     let (mut even, mut odd) = ([0.0; 4], [0.0; 4]);
-    let pairs = links.chunks_exact(2);
+    let pairs = list.chunks_exact(2);
     if let [last] = pairs.remainder() {
-        add(&mut even, *last);
+        add(&mut even, last);
     }
     for pair in pairs {
-        add(&mut even, pair[0]);
-        add(&mut odd, pair[1]);
+        add(&mut even, &pair[0]);
+        add(&mut odd, &pair[1]);
     }
     std::array::from_fn(|axis| even[axis] + odd[axis])
 }

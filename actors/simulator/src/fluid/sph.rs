@@ -18,7 +18,7 @@ use super::error::{FluidError, FluidStepError, parameter};
 use super::kernel::Kernel;
 use super::neighbours::{CellGrid, CellStarts};
 use super::pressure::Solver;
-use super::rows::{Axes, Rows, Walls, in_blocks};
+use super::rows::{Among, Axes, Rows, Walls, in_blocks};
 
 /// Support of the kernel in spacings of particles.
 const SUPPORT: f64 = 2.0;
@@ -399,17 +399,19 @@ impl Fluid {
             let velocities = &self.solver.velocities;
             in_blocks(&mut self.change, |first, changes| {
                 for (row, change) in (first..).zip(changes) {
-                    let (place, velocity) = (rows.places[row], velocities[row]);
-                    for (other, factor) in rows.of(row).filter(|(other, _)| *other < rows.particles) {
-                        let there = &rows.places[other];
-                        let apart: [f32; 3] = std::array::from_fn(|axis| place[axis] - there[axis]);
-                        let square = apart.iter().map(|x| x * x).sum::<f32>();
+                    let velocity = velocities[row];
+                    *change += rows.sum(row, Among::Liquid, |other, gradient| {
+                        // With the gradient f x for the way x: f (v·x) x / (x² + softening).
                         let its = &velocities[other];
-                        let approach: f32 =
-                            (0..3).map(|axis| (velocity[axis] - its[axis]) * apart[axis]).sum();
-                        let push = factor * scale * approach / (square + softening);
-                        (0..3).for_each(|axis| change[axis] += f64::from(push * apart[axis]));
-                    }
+                        let products: [f32; 4] =
+                            std::array::from_fn(|axis| (velocity[axis] - its[axis]) * gradient[axis]);
+                        let approach = products[0] + products[1] + products[2];
+                        let factor = gradient[3];
+                        let squares = gradient.map(|along| along * along);
+                        let square = squares[0] + squares[1] + squares[2] + softening * squares[3];
+                        let push = scale * factor * approach / square.max(f32::MIN_POSITIVE);
+                        gradient.map(|along| push * along)
+                    });
                 }
             });
         }
@@ -458,24 +460,22 @@ impl Fluid {
         }
         // Each term is the same from both sides but for its sign, and sums of them are exact enough.
         let pressures = &solver.pressures;
-        let push = |row: usize, other: usize, factor: f32| {
-            let times = factor * (pressures[row] + pressures[other]);
-            let (place, there) = (&rows.places[row], &rows.places[other]);
-            Vector3::from_fn(|axis, _| f64::from(times * (place[axis] - there[axis])))
+        let push = |row: usize, other: usize, gradient: &[f32; 4]| {
+            let times = pressures[row] + pressures[other];
+            gradient.map(|along| times * along)
         };
         in_blocks(&mut state.velocities, |first, velocities| {
             for (row, velocity) in (first..).zip(velocities) {
-                let pushes = rows.of(row).map(|(other, factor)| push(row, other, factor));
-                *velocity -= pushes.fold(Vector3::zeros(), |sum, push| sum + push) * dt;
+                *velocity -= rows.sum(row, Among::All, |other, gradient| push(row, other, gradient)) * dt;
             }
         });
         let mass = config.density * config.spacing.powi(3);
         for &row in &rows.beside_walls {
-            for (other, factor) in rows.of(row as usize).filter(|(other, _)| *other >= particles) {
+            for (other, gradient) in rows.of(row as usize).filter(|(other, _)| *other >= particles) {
                 // As an impulse; divided by the step's time at its end.
                 let wall = rows.wet[other - particles] as usize;
-                let impulse = push(row as usize, other, factor) * (dt * mass);
-                self.wall_forces[self.wall_cells.order[wall] as usize] += impulse;
+                let [x, y, z, _] = push(row as usize, other, gradient).map(f64::from);
+                self.wall_forces[self.wall_cells.order[wall] as usize] += Vector3::new(x, y, z) * (dt * mass);
             }
         }
         self.pressure.clear();
