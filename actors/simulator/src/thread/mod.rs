@@ -7,6 +7,7 @@
 //! | Direct solver along the rod | `block_band.rs` |
 //! | Contact with static friction | `contact/` |
 //! | One step of rod and contacts together | `island/` |
+//! | Short edges where they are needed | `adapt.rs` |
 //! | Which knot it is | [`knot`] |
 //! | How it lies at the beginning | [`laid`] |
 //!
@@ -17,6 +18,7 @@
 //! one iteration, and contacts see each other through the rod's own compliance, so that a knot under load is one
 //! problem and not a sequence of collisions.
 
+mod adapt;
 pub(crate) mod block_band;
 mod boundary;
 mod contact;
@@ -30,6 +32,7 @@ mod measure;
 pub(crate) mod rod;
 mod state;
 
+pub use adapt::{Fineness, Renumbered};
 pub use boundary::{HOLD_STIFFNESS, Hold, Load, Spared, TwistHold};
 pub use contact::{CONTACTS_MAX, Obstacle, Shape};
 pub use error::{ThreadError, ThreadStepError, Trouble};

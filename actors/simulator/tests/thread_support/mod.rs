@@ -145,6 +145,17 @@ impl Bend {
         (self.thread.positions()[self.arms[1]] - self.thread.positions()[self.arms[0]]).norm()
     }
 
+    /// The lowest node of the slack loop.
+    pub fn bight(&self) -> usize {
+        self.bight.0
+    }
+
+    /// Nodes have other numbers now.
+    pub fn renumber(&mut self, now: impl Fn(usize) -> usize) {
+        self.arms = self.arms.map(&now);
+        self.bight.0 = now(self.bight.0);
+    }
+
     /// Goes on for a time; `pull` gives the forces at the loop and at the ears.
     pub fn steps(
         &mut self,
