@@ -35,6 +35,8 @@ const HOPS_MAX: usize = 32;
 const ROUNDING: f64 = 1e-13;
 /// Candidates of a segment at most.
 const KEPT: usize = 192;
+/// Candidates that wait for being measured at most.
+const WAITING: usize = 16;
 /// Candidates that a gathering should find: fewer expire soon, more cost more on each update.
 const WANTED: std::ops::Range<usize> = 30..75;
 
@@ -365,36 +367,63 @@ impl DynamicPoint {
         best: &mut Best,
     ) {
         let candidates = &mut self.watched[index].candidates;
-        let mut tests = 0;
         let mut from = 0;
-        while let Some(slot) = candidates.next_within(from, best.distance.min(reach)) {
-            from = slot + 1;
-            let near = best.distance.min(reach);
-            let triangle = candidates.triangle(slot);
-            if Some(triangle) == best.triangle {
-                continue;
-            }
-            if candidates.note(slot).is_empty() {
-                let corners = mesh.surface().triangle(triangle);
-                candidates.set_note(slot, Support::guess(segment, &corners, mesh.motion()));
-            }
-            let at_least = candidates.note(slot).at_least(segment, mesh.motion()) - rounding;
-            if at_least > near {
+        // What has to be measured, by what it is at least: the nearest first, which spares most of the others.
+        let mut waiting = [(f64::INFINITY, 0_usize); WAITING];
+        let mut count = 0;
+        loop {
+            let next = candidates.next_within(from, best.distance.min(reach));
+            if let Some(slot) = next {
+                from = slot + 1;
+                let triangle = candidates.triangle(slot);
+                if Some(triangle) == best.triangle {
+                    continue;
+                }
+                if candidates.note(slot).is_empty() {
+                    let corners = mesh.surface().triangle(triangle);
+                    candidates.set_note(slot, Support::guess(segment, &corners, mesh.motion()));
+                }
+                let at_least = candidates.note(slot).at_least(segment, mesh.motion()) - rounding;
                 candidates.set(slot, at_least);
-                continue;
+                if at_least > best.distance.min(reach) {
+                    continue;
+                }
+                waiting[count] = (at_least, slot);
+                count += 1;
+                if count < WAITING {
+                    continue;
+                }
             }
-            // Only here: a triangle and its corners lie where memory is slow.
-            let corners = mesh.surface().triangle(triangle);
-            let nearest = closest_segment_triangle(segment, &corners);
-            let distance = nearest.distance_squared.sqrt();
-            tests += 1;
-            candidates.set(slot, distance);
-            candidates.set_note(slot, Support::new(&nearest, &corners, mesh.motion()));
-            if distance < best.distance {
-                *best = Best { triangle: Some(triangle), nearest, distance };
+            while count > 0 {
+                let mut least = 0;
+                for other in 1..count {
+                    if waiting[other].0 < waiting[least].0 {
+                        least = other;
+                    }
+                }
+                let (at_least, slot) = waiting[least];
+                count -= 1;
+                waiting[least] = waiting[count];
+                if at_least > best.distance.min(reach) {
+                    count = 0;
+                    break;
+                }
+                // Only here: a triangle and its corners lie where memory is slow.
+                let triangle = candidates.triangle(slot);
+                let corners = mesh.surface().triangle(triangle);
+                let nearest = closest_segment_triangle(segment, &corners);
+                let distance = nearest.distance_squared.sqrt();
+                self.statistics.triangle_tests += 1;
+                candidates.set(slot, distance);
+                candidates.set_note(slot, Support::new(&nearest, &corners, mesh.motion()));
+                if distance < best.distance {
+                    *best = Best { triangle: Some(triangle), nearest, distance };
+                }
+            }
+            if next.is_none() {
+                return;
             }
         }
-        self.statistics.triangle_tests += tests;
     }
 
     /// The nearest of all, and new candidates.
