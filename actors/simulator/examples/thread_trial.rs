@@ -9,6 +9,11 @@ use trocar_simulator::thread::{Thread, ThreadMaterial, ThreadReport, knot};
 #[path = "../tests/thread_support/mod.rs"]
 mod thread_support;
 
+fn with_friction(thread: &Thread, friction: f64) -> Thread {
+    let material = ThreadMaterial { friction, ..*thread.material() };
+    Thread::restore(material, thread.state().clone()).expect("a thread")
+}
+
 fn main() {
     let of =
         |k: usize, other: f64| std::env::args().nth(k).and_then(|text| text.parse().ok()).unwrap_or(other);
@@ -33,7 +38,11 @@ fn main() {
     thread.set_sweeps(of(8, 200.0) as usize);
     let begun = std::time::Instant::now();
     let mut bend = thread_support::Bend::new(thread);
+    // As if each throw had been drawn tight before the next one was laid: what is wet slides while it is tightened.
+    let wet = of(11, friction);
+    bend.thread = with_friction(&bend.thread, wet);
     let tightened = bend.tighten(tight, 0.25, dt);
+    bend.thread = with_friction(&bend.thread, friction);
     println!("tightened {tightened:?} after {:?}", begun.elapsed());
     let tell = |time: f64, slip: f64, bend: &thread_support::Bend, report: &ThreadReport| {
         let points = bend.thread.positions();

@@ -22,6 +22,7 @@
 //! | bodies of different methods and rates, joined at points | [`coupling`] |
 #![forbid(unsafe_code)]
 
+mod clone_in_place;
 pub mod controller;
 pub mod coupling;
 pub mod cutting;

@@ -2,16 +2,21 @@
 
 #[path = "../../../tests/support/counting.rs"]
 mod counting;
+mod suture_support;
 
 use counting::peak_of;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
+use suture_support::{jaws, pad, pose, straight, threaded, tissue};
 use trocar_simulator::dynamic_fem::{Config, Constitution, DynamicFem, Inputs};
 use trocar_simulator::elasticity::Elastic;
+use trocar_simulator::fluid::{Fluid, FluidConfig};
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
 use trocar_simulator::mass_spring::{
     self, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
 };
+use trocar_simulator::suture::{Around, Resistance};
 use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
+use trocar_simulator::thread::{self, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 use trocar_simulator::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput};
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -46,9 +51,11 @@ fn a_cloth_steps_without_allocating() {
         .collect();
     let material = SurfaceMaterial { membrane_stiffness: 500.0, bending_stiffness: 1e-6, density: 0.15 };
     let gradients = LinearSolver::ConjugateGradients { tolerance: 1e-4, iterations_max: 200 };
+    let warped = LinearSolver::Warped { tolerance: 1e-4, iterations_max: 200 };
     for integrator in [
         Integrator::Explicit { too_large: TooLarge::Divide { most: 100 } },
         Integrator::Implicit { solver: gradients, newton: 1 },
+        Integrator::Implicit { solver: warped, newton: 1 },
         Integrator::Implicit { solver: LinearSolver::Cholesky, newton: 1 },
     ] {
         let network = Network::from_surface(&points, &triangles, &material).expect("a surface");
@@ -100,5 +107,72 @@ fn position_based_bodies_step_without_allocating() {
     let input = XpbdInput { gravity: GRAVITY, ..XpbdInput::default() };
     allocates_nothing("xpbd", || {
         solver.step(1e-3, &input).expect("a step");
+    });
+}
+
+#[test]
+fn a_thread_that_lies_on_itself_and_on_a_table_steps_without_allocating() {
+    let on_coil = |turn: f64| Point3::new(3e-3 * turn.cos(), 3e-3 * turn.sin(), 4.9e-5 * turn);
+    let points: Vec<_> = (0..=100).map(|i| on_coil(0.15 * f64::from(i))).collect();
+    let mut thread = Thread::new(ThreadMaterial::silk_2_0(), &points).expect("a thread");
+    let table = Shape::HalfSpace { normal: Vector3::z() };
+    let obstacles = [Obstacle::fixed(table, Isometry3::translation(0.0, 0.0, -4e-4), 0.3)];
+    let holds = [thread::Hold::fixed(0, points[0]), thread::Hold::fixed(100, points[100])];
+    let around =
+        Surroundings { gravity: GRAVITY, holds: &holds, obstacles: &obstacles, ..Surroundings::default() };
+    let mut touched = 0;
+    (0..500).for_each(|_| {
+        thread.step(1e-3, &around).expect("a step");
+    });
+    allocates_nothing("a thread", || touched += thread.step(1e-3, &around).expect("a step").contacts);
+    assert!(touched > 10 * WARM, "{touched} contacts in all");
+}
+
+#[test]
+fn a_needle_in_tissue_steps_without_allocating() {
+    let (shape, material) = (straight(), Resistance::default());
+    let at = |depth: f64| pose(&shape, Point3::new(0.0, 0.0, 1e-3 - depth), -Vector3::z(), Vector3::y());
+    let mut suture = threaded(&shape, &at(0.0), 20, 1e-3, material, tissue(pad()));
+    let (mut from, mut time) = (at(0.0), 0.0_f64);
+    let mut go = |depth: f64| {
+        let to = at(depth);
+        let grip = jaws(&shape, 0.5 * shape.length(), from, to);
+        from = to;
+        suture.step(1e-3, &Around { grips: &[grip], gravity: GRAVITY, ..Around::default() }).expect("a step");
+        suture.state().channel.len()
+    };
+    let mut inside = 0;
+    (0..200).for_each(|step| inside = go(6e-3 * f64::from(step) / 200.0));
+    (0..500).for_each(|step| inside = go(6e-3 + 2e-4 * (0.1 * f64::from(step)).sin()));
+    assert!(inside > 2, "{inside} places of the needle in the tissue");
+    allocates_nothing("a suture", || {
+        time += 0.1;
+        go(6e-3 + 2e-4 * time.sin());
+    });
+}
+
+#[test]
+fn a_liquid_in_a_basin_steps_without_allocating() {
+    let (spacing, n) = (2e-3, 8);
+    let place = |i: i32, j: i32, k: i32| {
+        Point3::new(f64::from(i) + 0.5, f64::from(j) + 0.5, f64::from(k) + 0.5) * spacing
+    };
+    let mut fluid =
+        Fluid::new(FluidConfig { spacing, viscosity: 1e-5, ..FluidConfig::default() }).expect("a liquid");
+    let cells = |from: i32, to: i32| {
+        (from..to).flat_map(move |i| (from..to).flat_map(move |j| (from..to).map(move |k| (i, j, k))))
+    };
+    let is_wall = |(i, j, k): &(i32, i32, i32)| [*i, *j].iter().any(|at| *at == -1 || *at == n) || *k == -1;
+    let walls: Vec<_> = cells(-1, n + 1).filter(is_wall).map(|(i, j, k)| place(i, j, k)).collect();
+    fluid.set_walls(&walls, &vec![Vector3::zeros(); walls.len()]).expect("walls");
+    for (i, j, k) in cells(0, n) {
+        fluid.add(place(i, j, k), Vector3::zeros()).expect("in the box");
+    }
+    // Lists are longest while it comes to rest.
+    (0..1000).for_each(|_| {
+        fluid.step(4e-3).expect("a step");
+    });
+    allocates_nothing("a liquid", || {
+        fluid.step(4e-3).expect("a step");
     });
 }

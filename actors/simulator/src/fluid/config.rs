@@ -3,6 +3,8 @@
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::clone_in_place::clones_in_place;
+
 /// What a liquid is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FluidConfig {
@@ -50,7 +52,7 @@ impl Default for FluidConfig {
 }
 
 /// Particles of a liquid; lists are in no particular order, but always the same.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FluidState {
     /// Numbers, in the order in which particles came: never used twice.
     pub numbers: Vec<u64>,
@@ -67,6 +69,8 @@ pub struct FluidState {
     /// How many were absorbed since the beginning.
     pub absorbed: u64,
 }
+
+clones_in_place!(FluidState { numbers, positions, velocities, pushes, wall_pushes, next, absorbed });
 
 /// What a step came to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

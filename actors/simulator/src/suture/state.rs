@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::SutureError;
 use super::tissue::{Place, Tissue};
+use crate::clone_in_place::clones_in_place;
 use crate::needle::NeedleState;
 use crate::thread::ThreadState;
 
@@ -71,7 +72,7 @@ pub struct Bite {
 }
 
 /// Needle, thread and channel.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub struct SutureState {
     /// The needle.
     pub needle: NeedleState,
@@ -90,6 +91,8 @@ pub struct SutureState {
     /// Bites so far.
     pub bites_so_far: u32,
 }
+
+clones_in_place!(SutureState { needle, thread, swage_turn, tip, tip_force, channel, bites, bites_so_far });
 
 impl SutureState {
     /// A needle at rest that is in nothing, with its thread.

@@ -5,12 +5,13 @@ use serde::{Deserialize, Serialize};
 
 use super::ThreadError;
 use super::frame::{perpendicular, transport};
+use crate::clone_in_place::clones_in_place;
 
 /// Nodes of a thread at most.
 pub const NODES_MAX: usize = 4096;
 
 /// The whole state of a thread of `n` nodes and `n − 1` edges.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ThreadState {
     /// Of the nodes, in the world \[m\].
     pub positions: Vec<Point3<f64>>,
@@ -30,6 +31,17 @@ pub struct ThreadState {
     /// What the contacts remember, in the order of their keys.
     pub contacts: Vec<ContactMemory>,
 }
+
+clones_in_place!(ThreadState {
+    positions,
+    velocities,
+    rest_lengths,
+    directors,
+    twists,
+    spins,
+    tensions,
+    contacts,
+});
 
 /// Which two things are in contact.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
