@@ -11,7 +11,9 @@ use trocar_simulator::thread::{
     Fineness, Hold, Surroundings, Thread, ThreadError, ThreadMaterial, ThreadState,
 };
 
-const FINE: f64 = 4.5e-4;
+/// 1.3 diameters, so that none is longer than 1.5.
+const FINE: f64 = 3.9e-4;
+const LONGEST: f64 = 4.5e-4;
 const COARSE: f64 = 2e-3;
 
 fn fineness() -> Fineness {
@@ -65,7 +67,7 @@ fn edges_are_short_while_strands_are_near_and_long_again_when_they_have_parted()
                 for contact in thread.state().contacts.iter().filter(|contact| contact.key.with == 0) {
                     for edge in [contact.key.edge, contact.key.feature] {
                         let rest = thread.state().rest_lengths[edge as usize];
-                        assert!(rest <= FINE * 1.000_01, "edge {edge} of {rest} m touches");
+                        assert!(rest <= LONGEST, "edge {edge} of {rest} m touches");
                     }
                 }
                 let near = nearest_strands(thread.positions(), thread.material().radius);
@@ -86,7 +88,7 @@ fn edges_are_short_while_strands_are_near_and_long_again_when_they_have_parted()
     go(&mut thread, -0.0204, 140);
     go(&mut thread, 0.0, 100);
     assert!(closest < 3.2e-4 && closest > 0.8 * 3e-4, "the legs came to {closest} m");
-    assert!(shortest_near <= FINE * 1.000_01, "{shortest_near}");
+    assert!(shortest_near <= LONGEST, "{shortest_near}");
     let at_last = thread.state().rest_lengths.len();
     assert!(most > at_first.len() + 5, "{} edges, then {most}", at_first.len());
     assert!(at_last <= at_first.len() + 4, "{} edges, then {most}, then {at_last}", at_first.len());
@@ -162,7 +164,7 @@ fn length_momentum_and_twist_stay_and_divided_edges_lie_where_they_lay() {
 #[test]
 fn a_knot_that_is_tied_with_adaptive_edges_holds_on_fewer_nodes() {
     let material = ThreadMaterial { friction: 0.3, ..ThreadMaterial::silk_2_0() };
-    let tied = loose_knot(&[3, -3], material.radius, 1.5 * material.diameter());
+    let tied = loose_knot(&[3, -3], material.radius, FINE);
     // With long ends, laid as finely as the knot.
     let (first, last) = (tied[0], tied[tied.len() - 1]);
     let ear = |end: Point3<f64>, k: i32| end + Vector3::x() * (end.x.signum() * FINE * f64::from(k));
@@ -205,11 +207,11 @@ fn a_knot_that_is_tied_with_adaptive_edges_holds_on_fewer_nodes() {
     let state = bend.thread.state();
     for contact in state.contacts.iter().filter(|contact| contact.key.with == 0) {
         for edge in [contact.key.edge, contact.key.feature] {
-            assert!(state.rest_lengths[edge as usize] <= 1.5 * material.diameter() * 1.000_01);
+            assert!(state.rest_lengths[edge as usize] <= LONGEST);
         }
     }
     let now = state.positions.len();
-    assert!(most < laid && 3 * now < 2 * laid, "{laid} nodes, then {most}, then {now}");
+    assert!(most < laid && 4 * now < 3 * laid, "{laid} nodes, then {most}, then {now}");
 }
 
 #[test]

@@ -16,17 +16,20 @@ use super::{Thread, ThreadError};
 const GRADE: f64 = 0.5;
 /// An edge turns by this much at most from the one before, else it is to be shorter \[rad\].
 const TURN_MAX: f64 = 0.5;
+/// An edge is divided when it is longer than it should be by more than this, as a factor: of one that is hardly longer the
+/// halves would be needlessly short.
+const TOLERATED: f64 = 1.15;
 /// Two edges become one where they turn by less than this \[rad\],
 const STRAIGHT: f64 = 0.1;
 /// and are together no longer than this share of what may be, so that they are not divided again at once.
-const HYSTERESIS: f64 = 0.8;
+const HYSTERESIS: f64 = 0.95;
 
 /// How long edges may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Fineness {
-    /// Near to another strand, and where it bends sharply \[m\]: 1.5 diameters at most hold a knot.
+    /// Near to another strand, and where it bends sharply \[m\], but for a seventh: 1.3 diameters hold a knot.
     pub fine: f64,
-    /// Elsewhere \[m\].
+    /// Elsewhere, but for a seventh \[m\].
     pub coarse: f64,
     /// Strands whose surfaces are not further apart are near \[m\]: more than they come nearer until the next time.
     pub reach: f64,
@@ -192,9 +195,8 @@ fn divided(
         if deeds[edge] == Deed::Joined || is_second {
             continue;
         }
-        // A hair longer than wanted is no reason.
-        let parts =
-            (state.rest_lengths[edge] / wanted[edge] - 1e-6).ceil().clamp(1.0, NODES_MAX as f64) as usize;
+        let parts = (state.rest_lengths[edge] / (TOLERATED * wanted[edge])).ceil();
+        let parts = parts.clamp(1.0, NODES_MAX as f64) as usize;
         if parts > 1 && nodes + parts - 1 <= nodes_max {
             deeds[edge] = Deed::Parts(parts);
             nodes += parts - 1;
