@@ -89,6 +89,54 @@ pub fn tube(radius: f64, length: f64, around: usize, along: usize) -> Result<Sur
     Ok(data)
 }
 
+/// Tetrahedra of a cube, its corners numbered by their three bits, x first.
+const SIX: [[usize; 4]; 6] =
+    [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]];
+
+/// The wall of a tube along z about the origin: outer `radius`, thickness of the `wall` and `length` \[m\], with `around` by
+/// `along` by `across` cells of six tetrahedra each.
+///
+/// # Errors
+/// Lengths or numbers out of range; a wall that leaves no lumen; at least three cells around.
+pub fn pipe(
+    radius: f64,
+    wall: f64,
+    length: f64,
+    [around, along, across]: [usize; 3],
+) -> Result<TetData, OrganError> {
+    check("tube", &[radius, wall, length], &[around, along, across])?;
+    if around < 3 {
+        let valid = "3 to 1024 cells around";
+        return Err(OrganError::OutOfRange { field: "tube", value: around as f64, valid });
+    }
+    if wall >= radius {
+        let valid = "a wall thinner than the radius";
+        return Err(OrganError::OutOfRange { field: "tube", value: wall, valid });
+    }
+    let mut data = TetData::default();
+    for i in 0..around {
+        let angle = std::f64::consts::TAU * i as f64 / around as f64;
+        for j in 0..=along {
+            let z = (j as f64 / along as f64 - 0.5) * length;
+            for k in 0..=across {
+                let r = radius - wall * (1.0 - k as f64 / across as f64);
+                data.positions.push(Point3::new(r * angle.cos(), r * angle.sin(), z));
+            }
+        }
+    }
+    let cells = (0..around).flat_map(|i| (0..along).flat_map(move |j| (0..across).map(move |k| (i, j, k))));
+    for (i, j, k) in cells {
+        let corner = |local: usize| {
+            let (a, b, c) = (local >> 2, (local >> 1) & 1, local & 1);
+            (((i + a) % around * (along + 1) + j + b) * (across + 1) + k + c) as u32
+        };
+        data.tets.extend(SIX.map(|tet| tet.map(corner)));
+    }
+    data.tags = vec![0; data.tets.len()];
+    data.flip_inverted();
+    Ok(data)
+}
+
 /// A box about the origin, `size` \[m\], of cubes of six tetrahedra each around their diagonals.
 ///
 /// # Errors
@@ -106,8 +154,6 @@ pub fn block(size: [f64; 3], cells: [usize; 3]) -> Result<TetData, OrganError> {
             }
         }
     }
-    const SIX: [[usize; 4]; 6] =
-        [[0, 4, 6, 7], [0, 6, 2, 7], [0, 2, 3, 7], [0, 3, 1, 7], [0, 1, 5, 7], [0, 5, 4, 7]];
     for i in 0..nx {
         for j in 0..ny {
             for k in 0..nz {
@@ -148,6 +194,12 @@ mod tests {
         assert!(gauze.triangles.iter().enumerate().all(|(t, _)| gauze.area_vector(t).z > 0.0));
         let report = validate_surface(&gauze);
         assert!(report.is_manifold() && report.is_oriented() && report.euler_characteristic() == 1);
+
+        let walled = pipe(0.01, 0.002, 0.08, [48, 20, 2]).unwrap();
+        let ring = std::f64::consts::PI * (0.01_f64.powi(2) - 0.008_f64.powi(2)) * 0.08;
+        assert!((walled.volume() / ring - 1.0).abs() < 3e-3, "{} of {ring}", walled.volume());
+        assert!(validate_tets(&walled).is_sound(), "{:?}", validate_tets(&walled));
+        assert!(pipe(0.01, 0.01, 0.08, [48, 20, 2]).is_err() && pipe(0.01, 0.002, 0.08, [2, 20, 2]).is_err());
 
         let pipe = tube(0.01, 0.08, 48, 20).unwrap();
         let exact = std::f64::consts::TAU * 0.01 * 0.08;

@@ -10,7 +10,7 @@ mod stuffing;
 use thiserror::Error;
 
 pub use catalogue::Organ;
-pub use grids::{block, line, sheet, tube};
+pub use grids::{block, line, pipe, sheet, tube};
 pub use implicit::{Implicit, Part};
 pub use lattice::CELLS_MAX;
 pub use stuffing::tetrahedra;

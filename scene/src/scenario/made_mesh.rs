@@ -33,16 +33,22 @@ pub(super) struct Sheet {
     cells: [u32; 2],
 }
 
-/// A tube without lids along z about the origin.
+/// A tube without lids along z about the origin: a surface, or a wall of tetrahedra.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Tube {
-    /// Radius \[m\].
+    /// Radius, of a wall the outer one \[m\].
     radius: f64,
     /// Length \[m\].
     length: f64,
     /// Cells around, and along.
     cells: [u32; 2],
+    /// Thickness of its wall \[m\]; without, it is a surface.
+    #[serde(default)]
+    wall: Option<f64>,
+    /// Cells across the wall; 2 unless told.
+    #[serde(default)]
+    layers: Option<u32>,
 }
 
 /// A box about the origin, of tetrahedra.
@@ -97,7 +103,12 @@ pub(super) fn load(table: &Table, key: &str, value: &Spanned<DeValue>) -> Result
             Ok(from_surface(organs::sheet(size, cells.map(count)).map_err(refused)?))
         }
         "tube" => {
-            let Tube { radius, length, cells: [around, along] } = table.value(key)?.ok_or_else(missing)?;
+            let Tube { radius, length, cells: [around, along], wall, layers } =
+                table.value(key)?.ok_or_else(missing)?;
+            if let Some(wall) = wall {
+                let cells = [around, along, layers.unwrap_or(2)].map(count);
+                return Ok(from_tets(organs::pipe(radius, wall, length, cells).map_err(refused)?));
+            }
             let tube = organs::tube(radius, length, count(around), count(along));
             Ok(from_surface(tube.map_err(refused)?))
         }

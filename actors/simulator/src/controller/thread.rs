@@ -209,6 +209,7 @@ impl Body {
                 loads: &[],
                 obstacles: &obstacles,
                 spared: &self.leading.spared,
+                elastic: None,
             };
             let done = self.thread.step(dt, &around).map_err(|error| error.to_string())?;
             report.parts += done.parts;

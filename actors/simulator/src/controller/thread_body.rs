@@ -118,9 +118,6 @@ pub struct ThreadBody {
     pub edges: [f64; 2],
     /// How it lies at the beginning.
     pub laid: Option<Laid>,
-    /// The surface of masses and springs that it is tied around, if there is one: its `mass_spring` body is then stepped
-    /// with it. By its name.
-    pub tied_around: Option<String>,
 }
 
 impl Default for ThreadBody {
@@ -134,7 +131,6 @@ impl Default for ThreadBody {
             step: 5e-4,
             edges: [1.5, 2e-3],
             laid: None,
-            tied_around: None,
         }
     }
 }

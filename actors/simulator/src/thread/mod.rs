@@ -7,6 +7,7 @@
 //! | Direct solver along the rod | `block_band.rs` |
 //! | Contact with static friction | `contact/` |
 //! | One step of rod and contacts together | `island/` |
+//! | Elastic bodies that it is tied around | [`elastic`] |
 //! | Short edges where they are needed | `adapt.rs` |
 //! | Which knot it is | [`knot`] |
 //! | How it lies at the beginning | [`laid`] |
@@ -22,6 +23,7 @@ mod adapt;
 pub(crate) mod block_band;
 mod boundary;
 mod contact;
+pub mod elastic;
 mod error;
 pub(crate) mod frame;
 mod island;
@@ -40,6 +42,7 @@ pub use material::ThreadMaterial;
 pub use measure::{Strands, nearest_edges};
 pub use state::{ContactKey, ContactMemory, NODES_MAX, ThreadState};
 
+use elastic::{ElasticBody, Press};
 use nalgebra::{Point3, Vector3};
 
 /// The longest step \[s\].
@@ -63,6 +66,18 @@ pub struct Surroundings<'a> {
     pub obstacles: &'a [Obstacle<'a>],
     /// What of the thread does not touch which of them.
     pub spared: &'a [Spared],
+    /// One of the obstacles gives way: it is the surface of an elastic body.
+    pub elastic: Option<Elastic<'a>>,
+}
+
+/// An obstacle that gives way within the step. Its shape is the mesh of the body as it is when the step begins, in its place
+/// from beginning to end; what presses it then is [`Thread::presses`], by which it is to be deformed.
+#[derive(Clone, Copy, Debug)]
+pub struct Elastic<'a> {
+    /// Which obstacle.
+    pub obstacle: usize,
+    /// The body.
+    pub body: &'a ElasticBody,
 }
 
 /// How a step went.
@@ -170,6 +185,12 @@ impl Thread {
         self.island.reactions()
     }
 
+    /// What the thread did to the elastic body at the end of the last step.
+    #[must_use]
+    pub fn presses(&self) -> &[Press] {
+        self.island.presses()
+    }
+
     fn check(&self, dt: f64, around: &Surroundings) -> Result<(), ThreadStepError> {
         if dt.is_nan() || dt <= 0.0 || dt > STEP_MAX {
             return Err(ThreadStepError::Step(dt));
@@ -224,6 +245,23 @@ impl Thread {
         for (index, obstacle) in around.obstacles.iter().enumerate() {
             if let Some(why) = obstacle.wrong() {
                 return given("obstacle", index, &why);
+            }
+        }
+        if let Some(elastic) = &around.elastic {
+            let body = elastic.body;
+            let is_surface = |obstacle: &Obstacle| {
+                matches!(obstacle.shape, Shape::Mesh { from, triangles, .. }
+                    if from.len() == body.positions().len() && triangles.len() == body.triangles().len())
+            };
+            match around.obstacles.get(elastic.obstacle) {
+                Some(obstacle) if !is_surface(obstacle) => {
+                    return given("elastic body", elastic.obstacle, "that obstacle is not its surface");
+                }
+                Some(obstacle) if obstacle.from != obstacle.to => {
+                    return given("elastic body", elastic.obstacle, "it has to stay in its place");
+                }
+                Some(_) => {}
+                None => return given("elastic body", elastic.obstacle, "there is no such obstacle"),
             }
         }
         Ok(())

@@ -4,6 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 mod boundary;
+mod elastic;
 
 use nalgebra::{Point3, Vector3};
 
@@ -12,6 +13,7 @@ use crate::thread::contact::{
     CONTACTS_MAX, Candidates, Complementarity, Motion, Rows, Side, nearest_on_obstacle, nearest_segments,
     passed_through, place, tangents,
 };
+use crate::thread::elastic::{Press, SurfacePlace};
 use crate::thread::rod::{Iterate, assemble};
 use crate::thread::state::{ContactKey, ContactMemory, ThreadState};
 use crate::thread::{Reaction, Surroundings, ThreadMaterial, ThreadReport, ThreadStepError, Trouble};
@@ -42,6 +44,8 @@ struct Active {
     /// On the obstacle \[m\].
     surface: Point3<f64>,
     drawn: [f64; 2],
+    /// On the elastic body.
+    gives: Option<SurfacePlace>,
 }
 
 /// Room for a step.
@@ -64,6 +68,11 @@ pub(crate) struct Island {
     hold_forces: Vec<Vector3<f64>>,
     hold_torques: Vec<f64>,
     reactions: Vec<Reaction>,
+    /// On the elastic body, at the end of the last part.
+    presses: Vec<Press>,
+    /// Triangles of the elastic body that are near to edges.
+    near: Vec<elastic::Near>,
+    places: Vec<elastic::GivingPlace>,
 }
 
 /// What went wrong in a part of the step, and where.
@@ -89,6 +98,10 @@ impl Island {
         &self.reactions
     }
 
+    pub fn presses(&self) -> &[Press] {
+        &self.presses
+    }
+
     /// Takes the state on by `dt`, or leaves it as it is.
     pub fn step(
         &mut self,
@@ -104,6 +117,10 @@ impl Island {
         self.hold_torques.resize(around.twist_holds.len(), 0.0);
         self.reactions.clear();
         self.reactions.resize(around.obstacles.len(), Reaction::default());
+        self.presses.clear();
+        if let Some(elastic) = &around.elastic {
+            self.presses.extend_from_slice(elastic.body.presses());
+        }
         let mut report = ThreadReport::default();
         // Time in units of the shortest part, so that the parts add up exactly.
         let whole = 1_u32 << HALVINGS_MAX;
@@ -114,6 +131,7 @@ impl Island {
             match self.part(material, dt * (fractions[1] - fractions[0]), fractions, around, &mut report) {
                 Ok(()) => {
                     self.feel(material, fractions, around);
+                    self.press(around);
                     self.finish(dt * (fractions[1] - fractions[0]));
                     done += part;
                     report.parts += 1;
@@ -173,7 +191,7 @@ impl Island {
             report.iterations += 1;
             self.linearise(material, dt, fractions, around)?;
             self.gather(material, around);
-            self.answer(report)?;
+            self.answer(around, report)?;
             let largest = self.advance(material)?;
             self.guard(material, around)?;
             let error = self.length_error(material);
@@ -260,12 +278,16 @@ impl Island {
             Cell::new(by.x, by.y, by.z, self.at.turns.get(node).copied().unwrap_or(0.0))
         }));
         self.active.clear();
+        self.near.clear();
         for index in 0..self.candidates.found.len() {
             let key = self.candidates.found[index].key;
-            if let Some(active) = self.contact(material, around, key) {
+            if around.elastic.is_some_and(|elastic| key.with as usize == elastic.obstacle + 1) {
+                self.note_near(material, around, key);
+            } else if let Some(active) = self.contact(material, around, key) {
                 self.active.push(active);
             }
         }
+        self.touch_elastic(material, around);
     }
 
     fn contact(&self, material: &ThreadMaterial, around: &Surroundings, key: ContactKey) -> Option<Active> {
@@ -351,11 +373,12 @@ impl Island {
             compliance,
             surface: surface.map_or_else(Point3::origin, |[_, to]| to),
             drawn: [0.0; 2],
+            gives: None,
         }
     }
 
     /// Solves the linearised island: leaves the change of the iterate in `moved` and forces in the contacts.
-    fn answer(&mut self, report: &mut ThreadReport) -> Result<(), Failure> {
+    fn answer(&mut self, around: &Surroundings, report: &mut ThreadReport) -> Result<(), Failure> {
         let push = |active: &[Active], right: &mut [Cell]| {
             for contact in active {
                 contact.rows.push(&contact.force, right);
@@ -377,6 +400,7 @@ impl Island {
         }
         self.active.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
         self.pose();
+        self.yield_to_each_other(around);
         let sweeps = self.problem.solve(self.sweeps_max.max(1), TOLERANCE);
         report.sweeps += sweeps;
         for (place, contact) in self.active.iter_mut().enumerate() {
@@ -520,7 +544,10 @@ impl Island {
         let of = |edge: u32| [self.at.positions[edge as usize], self.at.positions[edge as usize + 1]];
         self.active.iter().fold(0.0, |most, contact| {
             let key = &contact.key;
-            let gap = if key.with == 0 {
+            let gap = if contact.gives.is_some() {
+                // The surface has given way since it was measured: what is left is what the contact itself does.
+                -contact.compliance * contact.force[0]
+            } else if key.with == 0 {
                 let (first, second) = (of(key.edge), of(key.feature));
                 let [s, t] = nearest_segments(&first, &second);
                 (place(&first, s) - place(&second, t)).norm() - 2.0 * material.radius
