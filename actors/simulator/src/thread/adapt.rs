@@ -298,11 +298,11 @@ fn twist(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
         edge += 1;
     }
     let last = to.rest_lengths.len();
-    for node in 1..last {
+    for (node, more) in more.iter().enumerate().take(last).skip(1) {
         let (before, after) = (tangent(to, node - 1), tangent(to, node));
         let carried = transport(&before, &after, &to.directors[node - 1]);
         let angle = angle_about(&carried, &to.directors[node], &after);
-        to.twists[node] = unwrapped(angle, to.twists[node] + more[node]);
+        to.twists[node] = unwrapped(angle, to.twists[node] + more);
     }
     (to.twists[0], to.twists[last]) = (0.0, 0.0);
 }
