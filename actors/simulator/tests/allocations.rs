@@ -125,7 +125,7 @@ fn a_thread_that_lies_on_itself_and_on_a_table_steps_without_allocating() {
         thread.step(1e-3, &around).expect("a step");
     });
     allocates_nothing("a thread", || touched += thread.step(1e-3, &around).expect("a step").contacts);
-    assert!(touched > 10 * WARM, "{touched} contacts in all");
+    assert!(touched >= WARM, "{touched} contacts in all");
 }
 
 #[test]

@@ -132,3 +132,41 @@ fn bad_input_is_named_and_changes_nothing() {
     let wrong = ThreadMaterial { radius: -1.0, ..material };
     assert!(matches!(Thread::new(wrong, &line(5, 1e-3)), Err(ThreadError::Material { name: "radius", .. })));
 }
+
+#[test]
+fn a_long_thread_comes_to_rest_on_a_table_and_then_costs_hardly_any_steps() {
+    let material = ThreadMaterial::silk_2_0();
+    // Wound up at one end, and laid down from half a millimetre.
+    let points: Vec<_> = (0..=300)
+        .map(|i| {
+            let turn = 0.15 * f64::from(i.min(100));
+            let onwards = Vector3::new(-15.0_f64.sin(), 15.0_f64.cos(), 0.0) * f64::from((i - 100).max(0));
+            Point3::new(3e-3 * turn.cos(), 3e-3 * turn.sin(), 4.9e-5 * turn) + onwards * 4.5e-4
+        })
+        .collect();
+    let mut thread = Thread::new(material, &points).expect("a thread");
+    let table = Shape::HalfSpace { normal: Vector3::z() };
+    let obstacles = [Obstacle::fixed(table, Isometry3::translation(0.0, 0.0, -4e-4), 0.3)];
+    let holds = [Hold::fixed(0, points[0]), Hold::fixed(300, points[300])];
+    let gravity = Vector3::new(0.0, 0.0, -9.81);
+    let around = Surroundings { gravity, holds: &holds, obstacles: &obstacles, ..Surroundings::default() };
+    let (mut deepest, mut newton, mut last) = (0.0_f64, 0, 0);
+    for step in 0..600 {
+        let report = thread.step(1e-3, &around).expect("a step");
+        deepest = deepest.max(report.penetration_max);
+        newton += report.sweeps;
+        if step >= 550 {
+            last += report.sweeps;
+            assert!(report.contacts > 150, "{report:?}");
+        }
+        for contact in &thread.state().contacts {
+            let normal = contact.force.z;
+            let across = contact.force.xy().norm();
+            let on_table = contact.key.with == 1;
+            assert!(!on_table || (normal > 0.0 && across <= 0.3 * normal * (1.0 + 1e-9)), "{contact:?}");
+        }
+    }
+    assert!(deepest < 1e-6, "{deepest} m deep");
+    // Of each of which there are few, even while it falls, unwinds and slides.
+    assert!(newton < 600 * 12 && last < 50 * 3, "{newton} Newton steps, of those {last} at rest");
+}

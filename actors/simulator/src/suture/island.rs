@@ -13,7 +13,7 @@ use super::solve::{Bounded, Law};
 use super::state::{SutureState, Tip};
 use super::tissue::{Place, Tissue};
 use crate::needle::{NeedleState, Solid};
-use crate::thread::block_band::{BlockBand, Cell, LANES, LaneCell};
+use crate::thread::block_band::{BlockBand, Cell, Factors, LANES, LaneCell};
 use crate::thread::rod::{Iterate, assemble};
 use crate::thread::{ThreadMaterial, ThreadState};
 
@@ -66,6 +66,7 @@ pub(super) struct Island {
     pub iterations: usize,
     pub rounds: usize,
     matrix: BlockBand,
+    factors: Factors,
     right: Vec<Cell>,
     moved: Vec<Cell>,
     lanes: Vec<LaneCell>,
@@ -127,7 +128,7 @@ impl Island {
         let free = mobility.answer(&left);
         self.moved.clone_from(&self.right);
         if start.thread.is_some() {
-            self.matrix.solve(&mut self.moved);
+            self.factors.solve(&mut self.moved);
         }
         self.pose(tissue, &mobility, &free);
         let solved = self.problem.solve();
@@ -146,7 +147,7 @@ impl Island {
             }
         }
         if start.thread.is_some() {
-            self.matrix.solve(&mut self.moved);
+            self.factors.solve(&mut self.moved);
         }
         let by = mobility.answer(&load);
         let (way, turn) = (by.fixed_rows::<3>(0).norm(), by.fixed_rows::<3>(3).norm());
@@ -204,7 +205,7 @@ impl Island {
                 self.right[load.node][k] += load.force[k];
             }
         }
-        self.matrix.factor().map_err(|_| "the thread's matrix is not positive definite")
+        self.factors.find(&self.matrix, None).map_err(|_| "the thread's matrix is not positive definite")
     }
 
     /// All rows at the iterate.
@@ -482,7 +483,7 @@ impl Island {
                     }
                 }
             }
-            self.matrix.solve_lanes(&mut self.lanes, from, 0);
+            self.factors.solve_lanes(&mut self.lanes, from, 0);
             for (index, row) in self.rows.iter().enumerate() {
                 for (node, cell) in &row.thread[..row.used] {
                     let moved = &self.lanes[*node as usize];

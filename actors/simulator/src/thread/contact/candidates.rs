@@ -2,6 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::continuous::{Sweep, edge_edge, segment_face};
+use trocar_collision::primitive::{Segment, closest_segments};
 
 use super::{Motion, Obstacle, Shape};
 use crate::thread::state::ContactKey;
@@ -209,6 +210,21 @@ pub(crate) fn centre_separation(radius: f64) -> f64 {
     CORE * 2.0 * radius
 }
 
+/// Whether two edges stay further apart than `separation` \[m\] for being further apart at the beginning than they can
+/// come nearer: no point of one moves against a point of the other by more than the nodes do.
+fn apart(first: &Sweep<Segment>, second: &Sweep<Segment>, separation: f64) -> bool {
+    let mut way = 0.0_f64;
+    for a in 0..2 {
+        for b in 0..2 {
+            let moved = (first.to[a] - first.from[a]) - (second.to[b] - second.from[b]);
+            way = way.max(moved.norm_squared());
+        }
+    }
+    // A hundredth more than rounding needs.
+    let least = (way.sqrt() + separation) * 1.01;
+    closest_segments(&first.from, &second.from).distance_squared > least * least
+}
+
 /// Whether the edge of `key` passes through the other one, or through the obstacle, on the way from `from` to `to`.
 pub(crate) fn passed_through(
     key: &ContactKey,
@@ -222,8 +238,13 @@ pub(crate) fn passed_through(
     let swept = |edge: usize| Sweep { from: [from[edge], from[edge + 1]], to: [to[edge], to[edge + 1]] };
     // What was that near at the beginning is not stopped: it is on its way out.
     let hit = |found: Option<trocar_collision::continuous::Impact>| found.is_some_and(|at| at.time > 0.0);
+    // Most pairs are decided by how far they are apart at the beginning.
+    let edges = |other: &Sweep<Segment>, separation: f64| {
+        let own = swept(edge);
+        !apart(&own, other, separation) && hit(edge_edge(&own, other, separation))
+    };
     if key.with == 0 {
-        return hit(edge_edge(&swept(edge), &swept(key.feature as usize), centre_separation(radius)));
+        return edges(&swept(key.feature as usize), centre_separation(radius));
     }
     let index = key.with as usize - 1;
     let (obstacle, motion) = (&obstacles[index], &motions[index]);
@@ -232,12 +253,12 @@ pub(crate) fn passed_through(
         Shape::Sphere { radius: of } => {
             let centre = |pose: &nalgebra::Isometry3<f64>| [Point3::from(pose.translation.vector); 2];
             let other = Sweep { from: centre(&motion.from), to: centre(&motion.to) };
-            hit(edge_edge(&swept(edge), &other, CORE * (radius + of)))
+            edges(&other, CORE * (radius + of))
         }
         Shape::Capsule { ends, radius: of } => {
             let other =
                 Sweep { from: ends.map(|end| motion.from * end), to: ends.map(|end| motion.to * end) };
-            hit(edge_edge(&swept(edge), &other, CORE * (radius + of)))
+            edges(&other, CORE * (radius + of))
         }
         Shape::Mesh { from: before, to: after, triangles, radius: of } => {
             let Some(corners) = triangles.get(key.feature as usize) else { return false };

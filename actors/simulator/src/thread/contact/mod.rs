@@ -1,20 +1,22 @@
 //! Contacts of a thread with itself and with what is around it: found ahead of the motion, solved together with the
-//! rod through its compliance (`W = J A⁻¹ Jᵀ`, as Duriez et al. 2006 do for deformable solids), with static friction as
-//! a place to which the surfaces are drawn back.
+//! rod, those of strands through its compliance (`W = J A⁻¹ Jᵀ`, as Duriez et al. 2006 do for deformable solids), with
+//! static friction as a place to which the surfaces are drawn back.
 
 mod candidates;
+mod law;
 mod nearest;
 mod obstacle;
 mod rows;
 mod solve;
 
 pub(crate) use candidates::{Candidates, passed_through};
+pub(crate) use law::Law;
 pub(crate) use obstacle::Motion;
 pub use obstacle::{Obstacle, Shape};
 pub(crate) use rows::{Rows, Side, place, tangents};
-pub(crate) use solve::Complementarity;
+pub(crate) use solve::{Complementarity, SOFTENING};
 
 pub(crate) use nearest::{nearest_on_obstacle, nearest_segments};
 
-/// Contacts that are solved for at most.
+/// Contacts of strands with each other that are solved for at most; of those with obstacles any number is.
 pub const CONTACTS_MAX: usize = 400;

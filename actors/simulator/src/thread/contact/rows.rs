@@ -81,7 +81,7 @@ impl Rows {
     }
 
     /// The same for several motions at once, along one direction.
-    #[inline]
+    #[inline(always)]
     pub fn apart_lanes(&self, direction: usize, moved: &[LaneCell]) -> [f64; LANES] {
         let mut sum = [0.0; LANES];
         for k in 0..self.used {

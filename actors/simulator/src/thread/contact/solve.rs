@@ -1,40 +1,33 @@
-//! Forces of many contacts that act on each other through one elastic body: block Gauss–Seidel over Coulomb's law
-//! (Jourdan, Alart, Jean 1998) on the assembled compliance, with conjugate steps, and Newton's method for what it leaves
-//! (Alart, Curnier 1991).
+//! Forces of many contacts that act on each other through one elastic body: Newton's method on Coulomb's law for places
+//! that give way (Alart, Curnier 1991), on the assembled compliance.
 
-/// Equations of one Newton step at most; of more, sweeps are cheaper.
-const UNKNOWNS_MAX: usize = 500;
-/// Sweeps after the first Newton steps that did not end; twice as many after the next ones.
-const PATIENCE: usize = 24;
-/// Newton steps in a row at most.
-const NEWTON_MAX: usize = 12;
-/// After so many they have to be nearer to the law than the sweeps were.
-const NEWTON_TRIALS: usize = 4;
+use super::Law;
+use crate::thread::wide::wide;
+
+/// Newton steps from where the forces of the last time are, at most.
+const STEPS_MAX: usize = 24;
+/// Where those go in circles: how many times more the places give way at first, and then less and less. What is soft is
+/// soon found, and each solution is a good beginning for the next (numerical continuation: Allgower, Georg 1990).
+pub(crate) const SOFTENING: [f64; 5] = [1e4, 1e3, 1e2, 1e1, 1.0];
+/// Newton steps with each of these at most.
+const SOFTENED_STEPS_MAX: usize = 20;
 
 /// One equation of a Newton step.
 #[derive(Clone, Copy, Debug)]
 struct Unknown {
-    /// The row, or the first of the two rows that `across` weighs.
-    row: usize,
-    across: Option<[f64; 2]>,
-    stiffening: f64,
-}
-
-/// A place that slides.
-#[derive(Clone, Copy, Debug)]
-struct Slide {
     place: usize,
-    /// Which unknown its push is.
-    normal: usize,
-    /// Direction of its friction.
-    along: [f64; 2],
-    friction: f64,
+    /// The three rows of the place for one unit of it \[N\].
+    force: [f64; 3],
+    /// Weights of the three rows of the place in its equation.
+    along: [f64; 3],
+    /// How far it gives way in addition \[m/N\].
+    yields: f64,
 }
 
-/// The problem `gap = gap₀ + (W + C) (force − force₀)`, and its solution.
+/// The problem `gap = offset + (W + C) force`, where every place obeys Coulomb's law, and its solution.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Complementarity {
-    /// `W`, column by column, then with the compliance of the contacts on its diagonal \[m/N\].
+    /// `W`, column by column, with `C` on its diagonal \[m/N\].
     pub compliance: Vec<f64>,
     /// What the rows are with the forces, the yielding of the contacts included \[m\].
     pub gap: Vec<f64>,
@@ -42,13 +35,13 @@ pub(crate) struct Complementarity {
     pub force: Vec<f64>,
     /// Of each place: the first row pushes only, the other two hold up to this times that push.
     pub frictions: Vec<f64>,
-    /// Forces and gaps before a Newton step.
-    start: Vec<f64>,
-    start_gap: Vec<f64>,
-    /// The last step of conjugate sweeps.
-    direction: Vec<f64>,
+    /// `C` of each place \[m/N\].
+    pub yields: Vec<f64>,
+    offset: Vec<f64>,
+    laws: Vec<Law>,
     unknowns: Vec<Unknown>,
-    slides: Vec<Slide>,
+    /// The forces that were nearest to the law.
+    nearest: Vec<f64>,
     /// Row by row, the right-hand side last.
     system: Vec<f64>,
     column: Vec<f64>,
@@ -65,57 +58,69 @@ impl Complementarity {
             list.resize(length, 0.0);
         }
         self.frictions.clear();
+        self.yields.clear();
     }
 
-    /// Improves the forces until no place is further than `tolerance` \[m\] from obeying its law, with at most so many
-    /// `sweeps`. Says how many; more than that many mean that it got no further.
-    ///
-    /// Sweeps find out which places push and which of them slide; Newton steps on the equations of those places (Alart,
-    /// Curnier 1991) then carry the tension of a strand along all that hold it at once, for which sweeps alone need as
-    /// many as there are places, squared. Newton steps that do not end where the law holds are taken back, and more sweeps
-    /// come before the next ones.
-    pub fn solve(&mut self, sweeps: usize, tolerance: f64) -> usize {
-        // What is at rest needs no sweep.
-        let mut patience = 0;
-        let mut done = 0;
-        while done < sweeps {
-            done += self.sweeps(patience.min(sweeps - done), tolerance);
-            let before = self.error();
-            if before <= tolerance {
-                return done;
+    /// Finds forces with which no place is further than `tolerance` \[m\] from obeying its law, in at most so many
+    /// `steps`. Says how many; more than that many mean that there are none that were found, and that those that came
+    /// nearest are left.
+    pub fn solve(&mut self, steps: usize, tolerance: f64) -> usize {
+        if self.error() <= tolerance {
+            // What is at rest needs no step.
+            return 0;
+        }
+        self.offset.clone_from(&self.gap);
+        for row in 0..self.force.len() {
+            if self.force[row] != 0.0 {
+                let column = &self.compliance[row * self.force.len()..][..self.force.len()];
+                add(&mut self.offset, column, -self.force[row]);
             }
-            self.start.clone_from(&self.force);
-            self.start_gap.clone_from(&self.gap);
-            for step in 0..NEWTON_MAX {
-                if !self.newton() {
+        }
+        self.laws.clear();
+        for place in 0..self.frictions.len() {
+            let (force, apart, yields) = (self.force(place), self.apart(place), self.yields[place]);
+            self.laws.push(Law::begin(force, apart, self.frictions[place], yields));
+        }
+        self.nearest.clone_from(&self.force);
+        let mut least = f64::INFINITY;
+        let mut done = 0;
+        let plain = std::iter::once((1.0, STEPS_MAX));
+        for (softness, most) in plain.chain(SOFTENING.map(|softness| (softness, SOFTENED_STEPS_MAX))) {
+            for _ in 0..most {
+                if done == steps || !self.newton(softness) {
                     break;
                 }
                 done += 1;
-                let after = self.error();
-                if after <= tolerance {
-                    return done;
+                let error = self.error();
+                if softness == 1.0 && error < least {
+                    least = error;
+                    self.nearest.clone_from(&self.force);
+                    if error <= tolerance {
+                        self.confine();
+                        return done;
+                    }
                 }
-                if after.is_infinite() || (step + 1 >= NEWTON_TRIALS && after > before) {
+                if !self.next(softness) {
                     break;
                 }
             }
-            std::mem::swap(&mut self.force, &mut self.start);
-            std::mem::swap(&mut self.gap, &mut self.start_gap);
-            patience = (2 * patience).max(PATIENCE);
         }
-        sweeps + 1
+        self.force.clone_from(&self.nearest);
+        self.confine();
+        steps + 1
     }
 
     /// How far the place that is furthest from its law would have to move for it \[m\].
-    fn error(&self) -> f64 {
+    pub fn error(&self) -> f64 {
         let mut largest = 0.0_f64;
         for place in 0..self.frictions.len() {
             let (force, most, w) = self.wanted(place);
             let now = &self.force[3 * place..][..3];
             let normal = (force[0].max(0.0) - now[0]) * w[0];
-            let size = force[1].hypot(force[2]);
+            let size = (force[1] * force[1] + force[2] * force[2]).sqrt();
             let scale = if size > most { most / size } else { 1.0 };
-            let across = (force[1] * scale - now[1]).hypot(force[2] * scale - now[2]) * w[1];
+            let off = [force[1] * scale - now[1], force[2] * scale - now[2]];
+            let across = (off[0] * off[0] + off[1] * off[1]).sqrt() * w[1];
             // Not a number is the furthest of all.
             let error = normal.abs().max(across);
             largest = if error.is_nan() { f64::INFINITY } else { largest.max(error) };
@@ -133,244 +138,186 @@ impl Complementarity {
         (force, self.frictions[place] * force[0].max(0.0), w)
     }
 
-    /// One step of Newton's method for the places that push: those that stick get what keeps them where they are, those
-    /// that slide what their push allows, against their slide. `start` and `start_gap` keep what was. Says whether
-    /// there was a step to take.
-    fn newton(&mut self) -> bool {
+    /// The forces that obey the laws as they are linearised, of places that give way so many times as much; and the gaps.
+    /// False where there are none.
+    fn newton(&mut self, softness: f64) -> bool {
         let rows = self.force.len();
         self.unknowns.clear();
-        self.slides.clear();
-        for place in 0..self.frictions.len() {
-            let (force, most, w) = self.wanted(place);
-            if force[0] <= 0.0 {
-                continue;
-            }
-            let size = force[1].hypot(force[2]);
-            let at = 3 * place;
-            self.unknowns.push(Unknown { row: at, across: None, stiffening: 0.0 });
-            if size <= most {
-                self.unknowns.push(Unknown { row: at + 1, across: None, stiffening: 0.0 });
-                self.unknowns.push(Unknown { row: at + 2, across: None, stiffening: 0.0 });
-                continue;
-            }
-            let along = [force[1] / size, force[2] / size];
-            let normal = self.unknowns.len() - 1;
-            self.slides.push(Slide { place, normal, along, friction: self.frictions[place] });
-            // Across its slide a place is held the more the less it slides.
-            let share = most / size;
-            if share > 1e-6 {
-                let stiffening = w[1] * (1.0 - share) / share;
-                self.unknowns.push(Unknown { row: at + 1, across: Some([-along[1], along[0]]), stiffening });
-            }
-        }
-        let count = self.unknowns.len();
-        if count == 0 || count > UNKNOWNS_MAX {
-            return false;
-        }
-        // Forces of places that do not push, and slides that are not at their limit, go first; the gaps follow.
-        for place in 0..self.frictions.len() {
-            let pushes = self.unknowns.binary_search_by_key(&(3 * place), |unknown| unknown.row).is_ok();
-            if !pushes {
-                self.set(place, [0.0; 3]);
-            }
-        }
-        for slide in 0..self.slides.len() {
-            let Slide { place, along, friction, .. } = self.slides[slide];
-            let held = friction * self.force[3 * place].max(0.0);
-            let across = self.force[3 * place + 2] * along[0] - self.force[3 * place + 1] * along[1];
-            let force = [
-                self.force[3 * place],
-                held * along[0] - across * along[1],
-                held * along[1] + across * along[0],
-            ];
-            self.set(place, force);
-        }
-        self.system.clear();
-        self.system.resize(count * (count + 1), 0.0);
-        let mut slides = self.slides.iter().peekable();
-        for column in 0..count {
-            let of = self.unknowns[column];
-            // How far every row moves for this force, and for the friction that comes with it.
-            self.column.clear();
-            self.column.resize(rows, 0.0);
-            match of.across {
-                None => add(&mut self.column, &self.compliance[of.row * rows..][..rows], 1.0),
-                Some(across) => {
-                    for (k, share) in across.into_iter().enumerate() {
-                        let from = &self.compliance[(of.row + k) * rows..][..rows];
-                        add(&mut self.column, from, share);
+        for (place, law) in self.laws.iter().enumerate() {
+            let yields = self.yields[place];
+            let more = (softness - 1.0) * yields;
+            match *law {
+                Law::Open => {}
+                Law::Sticks => {
+                    for k in 0..3 {
+                        let one = std::array::from_fn(|row| if row == k { 1.0 } else { 0.0 });
+                        self.unknowns.push(Unknown { place, force: one, along: one, yields: more });
+                    }
+                }
+                Law::Slides { along: [x, y], share } => {
+                    let friction = self.frictions[place];
+                    self.unknowns.push(Unknown {
+                        place,
+                        force: [1.0, -friction * x, -friction * y],
+                        along: [1.0, 0.0, 0.0],
+                        yields: more,
+                    });
+                    // Across its slide a place is held the more the less it slides.
+                    if friction > 0.0 && share > 1e-9 {
+                        let across = [0.0, -y, x];
+                        let yields = (softness / share - 1.0) * yields;
+                        self.unknowns.push(Unknown { place, force: across, along: across, yields });
                     }
                 }
             }
-            if let Some(slide) = slides.next_if(|slide| slide.normal == column) {
-                for (k, share) in slide.along.into_iter().enumerate() {
-                    let from = &self.compliance[(of.row + 1 + k) * rows..][..rows];
-                    add(&mut self.column, from, slide.friction * share);
+        }
+        let count = self.unknowns.len();
+        let width = count + 1;
+        self.system.clear();
+        self.system.resize(count * width, 0.0);
+        for column in 0..count {
+            let of = self.unknowns[column];
+            // How far every row moves for it.
+            self.column.clear();
+            self.column.resize(rows, 0.0);
+            for (k, force) in of.force.into_iter().enumerate() {
+                if force != 0.0 {
+                    add(&mut self.column, &self.compliance[(3 * of.place + k) * rows..][..rows], force);
                 }
             }
             for (row, unknown) in self.unknowns.iter().enumerate() {
-                self.system[row * (count + 1) + column] = match unknown.across {
-                    None => self.column[unknown.row],
-                    Some([x, y]) => self.column[unknown.row] * x + self.column[unknown.row + 1] * y,
-                };
+                self.system[row * width + column] = unknown.of(&self.column);
             }
-            self.system[column * (count + 1) + column] += of.stiffening;
+            self.system[column * width + column] += of.yields;
         }
-        for row in 0..count {
-            let of = self.unknowns[row];
-            let (gap, force) = match of.across {
-                None => (self.gap[of.row], 0.0),
-                Some([x, y]) => (
-                    self.gap[of.row] * x + self.gap[of.row + 1] * y,
-                    self.force[of.row] * x + self.force[of.row + 1] * y,
-                ),
-            };
-            self.system[row * (count + 1) + count] = -gap - of.stiffening * force;
+        for (row, unknown) in self.unknowns.iter().enumerate() {
+            self.system[row * width + count] = -unknown.of(&self.offset);
         }
         if !eliminate(&mut self.system, count) {
             return false;
         }
-        self.take(count);
+        self.force.fill(0.0);
+        for (row, unknown) in self.unknowns.iter().enumerate() {
+            let size = self.system[row * width + count];
+            for k in 0..3 {
+                self.force[3 * unknown.place + k] += unknown.force[k] * size;
+            }
+        }
+        self.gap.clone_from(&self.offset);
+        for row in 0..rows {
+            if self.force[row] != 0.0 {
+                add(&mut self.gap, &self.compliance[row * rows..][..rows], self.force[row]);
+            }
+        }
         true
     }
 
-    /// Adds what was found to the forces, as far as the law allows.
-    fn take(&mut self, count: usize) {
-        let mut index = 0;
-        while index < count {
-            let place = self.unknowns[index].row / 3;
-            let mut force: [f64; 3] = std::array::from_fn(|k| self.force[3 * place + k]);
-            let before = force[0];
-            let mut next = index;
-            while next < count && self.unknowns[next].row / 3 == place {
-                let by = self.system[next * (count + 1) + count];
-                match self.unknowns[next].across {
-                    None => force[self.unknowns[next].row - 3 * place] += by,
-                    Some([x, y]) => (force[1], force[2]) = (force[1] + by * x, force[2] + by * y),
-                }
-                next += 1;
-            }
-            if let Some(slide) = self.slides.iter().find(|slide| slide.normal == index) {
-                let more = slide.friction * (force[0] - before);
-                (force[1], force[2]) = (force[1] + more * slide.along[0], force[2] + more * slide.along[1]);
-            }
-            self.set(place, force);
-            index = next;
+    /// What the places are taken to do next. Whether that is anything else than before.
+    fn next(&mut self, softness: f64) -> bool {
+        let mut changed = false;
+        for place in 0..self.laws.len() {
+            let (apart, yields) = (self.apart(place), softness * self.yields[place]);
+            let friction = self.frictions[place];
+            let (force, found) = Law::of(apart, friction, yields);
+            let next = self.laws[place].next(found, friction);
+            let now = self.force(place);
+            let lacking = (0..3).fold(0.0, |most, k| f64::max(most, (force[k] - now[k]).abs()));
+            changed |= next != self.laws[place] && lacking * yields > 0.0;
+            self.laws[place] = next;
         }
+        changed
     }
 
-    /// Gives a place other forces, and lets the gaps follow.
-    fn set(&mut self, place: usize, force: [f64; 3]) {
-        let rows = self.force.len();
-        for (k, force) in force.into_iter().enumerate() {
-            let row = 3 * place + k;
-            let change = force - self.force[row];
-            if change != 0.0 {
-                add(&mut self.gap, &self.compliance[row * rows..][..rows], change);
-                self.force[row] = force;
-            }
+    /// Leaves no force that the law forbids for being within the tolerance of one that it allows.
+    fn confine(&mut self) {
+        for (force, friction) in self.force.chunks_exact_mut(3).zip(&self.frictions) {
+            let most = friction * force[0].max(0.0);
+            let size = force[1].hypot(force[2]);
+            let scale = if size > most { most / size } else { 1.0 };
+            force.copy_from_slice(&[force[0].max(0.0), force[1] * scale, force[2] * scale]);
         }
-    }
-
-    /// So many sweeps, each a step of descent, with successive steps made conjugate (Silcowitz, Niebe, Erleben 2010): of a
-    /// strand that slides as a whole they come nearer than Newton's steps, which lose their way among its places.
-    fn sweeps(&mut self, count: usize, tolerance: f64) -> usize {
-        let rows = self.force.len();
-        self.direction.clear();
-        self.direction.resize(rows, 0.0);
-        let mut before = 0.0_f64;
-        for done in 1..=count {
-            self.start.clone_from(&self.force);
-            if self.sweep() <= tolerance || done == count {
-                return done;
-            }
-            let square: f64 = self.force.iter().zip(&self.start).map(|(a, b)| (a - b) * (a - b)).sum();
-            let keep = if before > 0.0 && square <= before { square / before } else { 0.0 };
-            before = square;
-            for row in 0..rows {
-                let along = keep * self.direction[row];
-                self.direction[row] = along + self.force[row] - self.start[row];
-                if along != 0.0 {
-                    self.force[row] += along;
-                    add(&mut self.gap, &self.compliance[row * rows..][..rows], along);
-                }
-            }
-        }
-        count
-    }
-
-    /// There and back again, so that a strand passes what it feels on in either direction; how far a place moved at most.
-    fn sweep(&mut self) -> f64 {
-        let mut largest = 0.0_f64;
-        for place in 0..self.frictions.len() {
-            largest = largest.max(self.relax(place));
-        }
-        for place in (0..self.frictions.len()).rev() {
-            largest = largest.max(self.relax(place));
-        }
-        largest
-    }
-
-    /// Solves one place with the others as they are; returns how far it moved \[m\].
-    fn relax(&mut self, place: usize) -> f64 {
-        let (rows, at) = (self.force.len(), 3 * place);
-        let w = |row: usize, column: usize| self.compliance[(at + column) * rows + at + row];
-        let before = [self.force[at], self.force[at + 1], self.force[at + 2]];
-        let gap = [self.gap[at], self.gap[at + 1], self.gap[at + 2]];
-        let normal = (before[0] - gap[0] / w(0, 0)).max(0.0);
-        let pushed = normal - before[0];
-        let (g1, g2) = (gap[1] + w(1, 0) * pushed, gap[2] + w(2, 0) * pushed);
-        let determinant = w(1, 1) * w(2, 2) - w(1, 2) * w(2, 1);
-        let first = before[1] - (w(2, 2) * g1 - w(1, 2) * g2) / determinant;
-        let second = before[2] - (w(1, 1) * g2 - w(2, 1) * g1) / determinant;
-        let (size, most) = (first.hypot(second), self.frictions[place] * normal);
-        let scale = if size > most { most / size } else { 1.0 };
-        let after = [normal, first * scale, second * scale];
-        let mut moved = 0.0_f64;
-        for k in 0..3 {
-            let change = after[k] - before[k];
-            if change != 0.0 {
-                moved = moved.max((change * w(k, k)).abs());
-            }
-        }
-        for k in 0..3 {
-            let change = after[k] - before[k];
-            if change != 0.0 {
-                add(&mut self.gap, &self.compliance[(at + k) * rows..][..rows], change);
-                self.force[at + k] = after[k];
-            }
-        }
-        moved
     }
 
     /// The three rows of a place \[m\].
+    #[cfg(test)]
     pub fn gap(&self, place: usize) -> [f64; 3] {
         std::array::from_fn(|k| self.gap[3 * place + k])
     }
+
+    /// The force of a place \[N\].
+    pub fn force(&self, place: usize) -> [f64; 3] {
+        std::array::from_fn(|k| self.force[3 * place + k])
+    }
+
+    /// Where the surfaces of a place are, without its yielding \[m\].
+    fn apart(&self, place: usize) -> [f64; 3] {
+        let yields = self.yields[place];
+        std::array::from_fn(|k| self.gap[3 * place + k] - yields * self.force[3 * place + k])
+    }
 }
 
-/// Solves a system in place by elimination with row exchanges; the solution is left in its last column. False where it
-/// has none.
+impl Unknown {
+    /// Of its place, what its equation says of these rows.
+    #[inline]
+    fn of(&self, rows: &[f64]) -> f64 {
+        let at = &rows[3 * self.place..][..3];
+        self.along[0] * at[0] + self.along[1] * at[1] + self.along[2] * at[2]
+    }
+}
+
+/// Columns that are eliminated together.
+const PANEL: usize = 4;
+
+/// Solves a system in place by elimination with row exchanges, a few columns at a time; the solution is left in its last
+/// column. False where it has none.
 fn eliminate(system: &mut [f64], count: usize) -> bool {
+    wide(
+        #[inline(always)]
+        || eliminate_here(system, count),
+    )
+}
+
+#[inline(always)]
+fn eliminate_here(system: &mut [f64], count: usize) -> bool {
     let width = count + 1;
-    for pivot in 0..count {
-        let size = |row: usize| system[row * width + pivot].abs();
-        let best = (pivot..count).max_by(|&a, &b| size(a).total_cmp(&size(b))).unwrap_or(pivot);
-        let value = system[best * width + pivot];
-        if !value.is_finite() || value == 0.0 {
-            return false;
-        }
-        if best != pivot {
-            for column in pivot..width {
-                system.swap(best * width + column, pivot * width + column);
+    for first in (0..count).step_by(PANEL) {
+        let last = (first + PANEL).min(count);
+        for pivot in first..last {
+            let size = |row: usize| system[row * width + pivot].abs();
+            let best = (pivot..count).max_by(|&a, &b| size(a).total_cmp(&size(b))).unwrap_or(pivot);
+            let value = system[best * width + pivot];
+            if !value.is_finite() || value == 0.0 {
+                return false;
+            }
+            if best != pivot {
+                let (above, below) = system.split_at_mut(best * width);
+                above[pivot * width..][..width].swap_with_slice(&mut below[..width]);
+            }
+            let (above, below) = system.split_at_mut((pivot + 1) * width);
+            let of = &above[pivot * width..];
+            for values in below.chunks_exact_mut(width) {
+                let factor = values[pivot] / value;
+                values[pivot] = factor;
+                add(&mut values[pivot + 1..last], &of[pivot + 1..last], -factor);
             }
         }
-        let (above, below) = system.split_at_mut((pivot + 1) * width);
-        let of = &above[pivot * width..];
+        let (above, below) = system.split_at_mut(last * width);
+        let panel = &mut above[first * width..];
+        for row in 1..last - first {
+            let (before, values) = panel.split_at_mut(row * width);
+            for (k, of) in before.chunks_exact(width).enumerate() {
+                let factor = values[first + k];
+                add(&mut values[last..width], &of[last..], -factor);
+            }
+        }
+        if last - first < PANEL {
+            continue;
+        }
+        let [a, b, c, d] = std::array::from_fn(|k| &above[(first + k) * width + last..][..width - last]);
         for row in below.chunks_exact_mut(width) {
-            let factor = row[pivot] / value;
-            if factor != 0.0 {
-                add(&mut row[pivot + 1..], &of[pivot + 1..], -factor);
+            let (factors, row) = row[first..].split_at_mut(PANEL);
+            for ((((x, a), b), c), d) in row.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+                *x -= factors[0] * a + factors[1] * b + factors[2] * c + factors[3] * d;
             }
         }
     }
@@ -384,7 +331,7 @@ fn eliminate(system: &mut [f64], count: usize) -> bool {
     true
 }
 
-#[inline]
+#[inline(always)]
 fn add(sum: &mut [f64], column: &[f64], factor: f64) {
     for (sum, value) in sum.iter_mut().zip(column) {
         *sum += value * factor;
@@ -400,6 +347,7 @@ mod tests {
         let mut problem = Complementarity::default();
         problem.clear(1);
         problem.frictions.push(friction);
+        problem.yields.push(1e-6);
         for k in 0..3 {
             problem.compliance[4 * k] = 1e-3;
         }
@@ -437,6 +385,7 @@ mod tests {
             problem.gap[r] = ((r * 7 % 11) as f64 - 5.5) * 0.1;
         }
         problem.frictions = vec![0.3; places];
+        problem.yields = vec![1e-3; places];
         problem.solve(300, 1e-12);
         for place in 0..places {
             let (force, gap) = (&problem.force[3 * place..][..3], problem.gap(place));
@@ -447,5 +396,36 @@ mod tests {
                 assert!(gap[1].hypot(gap[2]) < 1e-8, "sticks without holding still");
             }
         }
+    }
+
+    #[test]
+    fn panels_and_wide_registers_solve_what_elimination_solves() {
+        use nalgebra::DMatrix;
+        use rand::{Rng, SeedableRng};
+        for count in [1, 3, 4, 5, 8, 23] {
+            let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(count as u64);
+            let system: Vec<f64> = (0..count * (count + 1)).map(|_| random.random_range(-1.0..1.0)).collect();
+            let dense = DMatrix::from_row_slice(count, count + 1, &system);
+            let expected = dense
+                .columns(0, count)
+                .into_owned()
+                .lu()
+                .solve(&dense.column(count).into_owned())
+                .expect("regular");
+            let (mut plain, mut wide) = (system.clone(), system);
+            assert!(eliminate_here(&mut plain, count) && eliminate(&mut wide, count));
+            assert_eq!(plain, wide, "the same to the bit");
+            for row in 0..count {
+                assert!((wide[row * (count + 1) + count] - expected[row]).abs() < 1e-9, "{row} of {count}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_has_no_solution_is_left_where_it_was() {
+        let mut nothing = single([-1e-3, 1e-3, 0.0], 0.3);
+        nothing.compliance[4] = f64::NAN;
+        assert_eq!(nothing.solve(10, 1e-12), 11);
+        assert_eq!(nothing.force, [0.0; 3]);
     }
 }

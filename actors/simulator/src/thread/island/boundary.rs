@@ -1,19 +1,23 @@
 //! What holds do to the island, and what they and the surroundings feel of it.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::Island;
 use crate::thread::frame::{angle_about, perpendicular};
 use crate::thread::{Hold, Surroundings, ThreadMaterial, TwistHold};
 
 impl Island {
-    /// Of a hold on its node \[N\], and whether it is all that the hold can give; `share` of the way from the beginning
-    /// of this part.
-    pub(super) fn pull(&self, hold: &Hold, share: f64) -> (Vector3<f64>, bool) {
+    /// Of a hold on its node \[N\], and how stiff it is there \[N/m\]; `share` of the way from the beginning of this part.
+    pub(super) fn pull(&self, hold: &Hold, share: f64) -> (Vector3<f64>, Matrix3<f64>) {
         let from = self.trial.positions[hold.node];
         let pull = (from + (hold.to - from) * share - self.at.positions[hold.node]) * hold.stiffness;
         let size = pull.norm();
-        if size > hold.force_max { (pull * (hold.force_max / size), true) } else { (pull, false) }
+        if size <= hold.force_max {
+            return (pull, Matrix3::identity() * hold.stiffness);
+        }
+        // All that it can give, whose direction turns with the node.
+        let (along, held) = (pull / size, hold.force_max / size);
+        (pull * held, (Matrix3::identity() - along * along.transpose()) * (hold.stiffness * held))
     }
 
     /// How far an edge still has to turn \[rad\]; `share` of the way from the beginning of this part.
@@ -38,7 +42,7 @@ impl Island {
             let left = self.turn_left(hold, share);
             self.hold_torques[index] += stiffness * left * weight;
         }
-        for contact in self.active.iter().filter(|contact| contact.key.with > 0) {
+        for contact in self.dense.iter().chain(&self.banded).filter(|contact| contact.key.with > 0) {
             let index = contact.key.with as usize - 1;
             let force = -contact.rows.vector(&contact.force) * weight;
             let arm = contact.surface - Point3::from(around.obstacles[index].to.translation.vector);

@@ -10,7 +10,17 @@ use crate::thread::state::ContactKey;
 use crate::thread::{Surroundings, ThreadMaterial};
 
 /// A contact with the elastic body: which one, where, and its directions in the body's frame.
-pub(super) type GivingPlace = (usize, SurfacePlace, [Vector3<f64>; 3]);
+type GivingPlace = (usize, SurfacePlace, [Vector3<f64>; 3]);
+
+/// How the elastic body gives way where it is touched.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Giving {
+    places: Vec<GivingPlace>,
+    /// Of each row, how far it was displaced before \[m\].
+    base: Vec<f64>,
+    /// Between their rows, column by column \[m/N\].
+    compliance: Vec<f64>,
+}
 
 /// Contacts of one place of an edge with an elastic body at most: the bottom of a groove and both of its sides.
 const SIDES: usize = 3;
@@ -67,19 +77,19 @@ impl Island {
             let first = order(a).cmp(&order(b));
             first.then(a.distance.total_cmp(&b.distance)).then(a.key.cmp(&b.key))
         });
-        let mut begin = self.active.len();
+        let mut begin = self.dense.len();
         for index in 0..self.near.len() {
             let near = self.near[index];
             let edge = near.key.edge as usize;
             let place_on_edge = |key: &ContactKey| (key.edge, key.feature % 2);
             if self
-                .active
+                .dense
                 .get(begin)
                 .is_some_and(|first| place_on_edge(&first.key) != place_on_edge(&near.key))
             {
-                begin = self.active.len();
+                begin = self.dense.len();
             }
-            let own = &self.active[begin..];
+            let own = &self.dense[begin..];
             let same = |other: &Active| (other.surface - near.point).norm() < SAME * material.radius;
             if own.len() >= SIDES || own.iter().any(same) {
                 continue;
@@ -97,51 +107,80 @@ impl Island {
             let gap = near.distance - material.radius;
             let remembered =
                 self.remembered(near.key, rows, friction, gap, Some([near.point; 2]), compliance);
-            self.active.push(Active { gives: Some(near.place), ..remembered });
+            self.dense.push(Active { gives: Some(near.place), ..remembered });
         }
     }
 
-    /// Adds the body's compliance to the contacts' problem that stands, and to their gaps how far the body gives way to
-    /// their forces as they are. Gaps were measured to the surface as it was when the step began; how far the thread has
-    /// slid is counted from the beginning of the part.
-    pub(super) fn yield_to_each_other(&mut self, around: &Surroundings) {
+    /// Finds how the body gives way at its contacts. Gaps were measured to the surface as it was when the step began; how far
+    /// the thread has slid is counted from the beginning of the part.
+    pub(super) fn find_giving(&mut self, around: &Surroundings) {
+        let Giving { places, base, compliance } = &mut self.giving;
+        places.clear();
+        base.clear();
         let Some(elastic) = &around.elastic else { return };
         let body = elastic.body;
         let world_from_body = around.obstacles[elastic.obstacle].to;
-        let mut places = std::mem::take(&mut self.places);
-        places.clear();
-        places.extend(self.active.iter().enumerate().filter_map(|(index, contact)| {
+        places.extend(self.dense.iter().enumerate().filter_map(|(index, contact)| {
             let directions = contact.rows.directions;
             let in_body = directions.map(|of| world_from_body.rotation.inverse_transform_vector(&of));
             Some((index, contact.gives?, in_body))
         }));
-        let rows = self.problem.force.len();
-        for (place, (index, at, directions)) in places.iter().enumerate() {
+        let rows = 3 * places.len();
+        compliance.clear();
+        compliance.resize(rows * rows, 0.0);
+        for (place, (_, at, directions)) in places.iter().enumerate() {
             let from_rest = body.displacement(at, body.presses());
-            let since =
-                if self.presses.is_empty() { Vector3::zeros() } else { body.displacement(at, &self.presses) };
-            for (k, direction) in directions.iter().enumerate() {
-                let moved = if k == 0 { &from_rest } else { &since };
-                self.problem.gap[3 * index + k] += direction.dot(moved);
-            }
-            for (other, by, toward) in &places[..=place] {
+            let since = body.displacement(at, &self.presses);
+            base.extend(
+                directions
+                    .iter()
+                    .zip([from_rest, since, since])
+                    .map(|(direction, moved)| direction.dot(&moved)),
+            );
+            for (other, (_, by, toward)) in places[..=place].iter().enumerate() {
                 let block = body.between(at, by);
                 for (k, direction) in directions.iter().enumerate() {
                     let along = block.tr_mul(direction);
                     for (m, toward) in toward.iter().enumerate() {
-                        let value = along.dot(toward);
-                        let (row, column) = (3 * index + k, 3 * other + m);
-                        self.problem.compliance[column * rows + row] += value;
-                        if index != other {
-                            self.problem.compliance[row * rows + column] += value;
-                            self.problem.gap[column] += value * self.problem.force[row];
-                        }
-                        self.problem.gap[row] += value * self.problem.force[column];
+                        let (row, column) = (3 * place + k, 3 * other + m);
+                        compliance[column * rows + row] = along.dot(toward);
+                        compliance[row * rows + column] = along.dot(toward);
                     }
                 }
             }
         }
-        self.places = places;
+    }
+
+    /// Adds the body's compliance to the contacts' problem.
+    pub(super) fn add_giving(&mut self) {
+        let Giving { places, compliance, .. } = &self.giving;
+        let (own, rows) = (3 * places.len(), self.problem.force.len());
+        for (column, (first, ..)) in places.iter().enumerate() {
+            for (row, (second, ..)) in places.iter().enumerate() {
+                for (k, m) in (0..3).flat_map(|k| (0..3).map(move |m| (k, m))) {
+                    self.problem.compliance[(3 * first + m) * rows + 3 * second + k] +=
+                        compliance[(3 * column + m) * own + 3 * row + k];
+                }
+            }
+        }
+    }
+
+    /// Adds to the gaps how far the body gives way to the forces as they are.
+    pub(super) fn give_way(&mut self) {
+        let Giving { places, base, compliance } = &self.giving;
+        let own = 3 * places.len();
+        for (row, (index, ..)) in places.iter().enumerate() {
+            for k in 0..3 {
+                let mut gap = base[3 * row + k];
+                for (column, (other, ..)) in places.iter().enumerate() {
+                    for m in 0..3 {
+                        gap += compliance[(3 * column + m) * own + 3 * row + k]
+                            * self.problem.force[3 * other + m];
+                    }
+                }
+                self.problem.gap[3 * index + k] += gap;
+            }
+        }
     }
 
     /// Takes down what presses the body at the end of a part.
@@ -149,7 +188,7 @@ impl Island {
         let Some(elastic) = &around.elastic else { return };
         let world_from_body: Isometry3<f64> = around.obstacles[elastic.obstacle].to;
         self.presses.clear();
-        for contact in self.active.iter().filter(|contact| contact.force[0] > 0.0) {
+        for contact in self.dense.iter().filter(|contact| contact.force[0] > 0.0) {
             let Some(at) = contact.gives else { continue };
             let force = contact.rows.vector(&contact.force);
             self.presses

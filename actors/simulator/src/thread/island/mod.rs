@@ -3,16 +3,15 @@
 // One index walks several arrays.
 #![allow(clippy::needless_range_loop)]
 
+mod answer;
 mod boundary;
 mod elastic;
+mod gather;
 
 use nalgebra::{Point3, Vector3};
 
-use crate::thread::block_band::{BlockBand, Cell, LANES, LaneCell};
-use crate::thread::contact::{
-    CONTACTS_MAX, Candidates, Complementarity, Motion, Rows, Side, nearest_on_obstacle, nearest_segments,
-    passed_through, place, tangents,
-};
+use crate::thread::block_band::{Added, BlockBand, Cell, Factors, LaneCell};
+use crate::thread::contact::{Candidates, Complementarity, Law, Motion, Rows, passed_through};
 use crate::thread::elastic::{Press, SurfacePlace};
 use crate::thread::rod::{Iterate, assemble};
 use crate::thread::state::{ContactKey, ContactMemory, ThreadState};
@@ -41,6 +40,9 @@ struct Active {
     offset: [f64; 3],
     force: [f64; 3],
     compliance: f64,
+    /// Of a contact with an obstacle: as it is in the factors, and as it will be in the next ones.
+    law: Law,
+    next: Law,
     /// On the obstacle \[m\].
     surface: Point3<f64>,
     drawn: [f64; 2],
@@ -56,13 +58,21 @@ pub(crate) struct Island {
     trial: ThreadState,
     at: Iterate,
     matrix: BlockBand,
+    added: Added,
+    factors: Factors,
     right: Vec<Cell>,
     moved: Vec<Cell>,
+    expected: Vec<Cell>,
+    last: Vec<Cell>,
+    rest: Vec<Cell>,
     lanes: Vec<LaneCell>,
     reach: Vec<f64>,
     motions: Vec<Motion>,
     candidates: Candidates,
-    active: Vec<Active>,
+    /// Contacts of strands with each other, and with the elastic body.
+    dense: Vec<Active>,
+    /// Contacts with obstacles.
+    banded: Vec<Active>,
     former: Vec<ContactMemory>,
     problem: Complementarity,
     hold_forces: Vec<Vector3<f64>>,
@@ -72,7 +82,7 @@ pub(crate) struct Island {
     presses: Vec<Press>,
     /// Triangles of the elastic body that are near to edges.
     near: Vec<elastic::Near>,
-    places: Vec<elastic::GivingPlace>,
+    giving: elastic::Giving,
 }
 
 /// What went wrong in a part of the step, and where.
@@ -128,11 +138,13 @@ impl Island {
         while done < whole {
             part = part.min(whole - done);
             let fractions = [f64::from(done) / f64::from(whole), f64::from(done + part) / f64::from(whole)];
-            match self.part(material, dt * (fractions[1] - fractions[0]), fractions, around, &mut report) {
+            let divisible = part > 1 && report.parts < PARTS_MAX;
+            let length = dt * (fractions[1] - fractions[0]);
+            match self.part(material, length, fractions, around, divisible, &mut report) {
                 Ok(()) => {
                     self.feel(material, fractions, around);
                     self.press(around);
-                    self.finish(dt * (fractions[1] - fractions[0]));
+                    self.finish(length);
                     done += part;
                     report.parts += 1;
                     // A part is as long as the place it begins at allows: 1, 2, 4 … of the shortest.
@@ -140,18 +152,18 @@ impl Island {
                         part *= 2;
                     }
                 }
-                Err(failure) if part == 1 || report.parts >= PARTS_MAX => {
+                Err(failure) if !divisible => {
                     return Err(ThreadStepError::Diverged {
                         node: failure.node,
                         time: dt * fractions[0],
                         why: failure.why,
-                        shortest: dt * (fractions[1] - fractions[0]),
+                        shortest: length,
                     });
                 }
                 Err(_) => part /= 2,
             }
         }
-        report.contacts = self.active.len();
+        report.contacts = self.contacts().filter(|contact| contact.force[0] > 0.0).count();
         report.strain_max = self
             .at
             .lengths
@@ -163,13 +175,14 @@ impl Island {
         Ok(report)
     }
 
-    /// Finds the end of one part of the step.
+    /// Finds the end of one part of the step; `divisible` says whether it might be shorter.
     fn part(
         &mut self,
         material: &ThreadMaterial,
         dt: f64,
         fractions: [f64; 2],
         around: &Surroundings,
+        divisible: bool,
         report: &mut ThreadReport,
     ) -> Result<(), Failure> {
         let diameter = material.diameter();
@@ -189,17 +202,25 @@ impl Island {
         self.former.clone_from(&self.trial.contacts);
         for iteration in 0..ITERATIONS_MAX {
             report.iterations += 1;
-            self.linearise(material, dt, fractions, around)?;
-            self.gather(material, around);
+            self.linearise(material, dt, fractions, around);
+            self.gather(material, around, if iteration == 0 { dt } else { 0.0 });
             self.answer(around, report)?;
+            let damped = self.damp(iteration);
             let largest = self.advance(material)?;
             self.guard(material, around)?;
             let error = self.length_error(material);
-            if error.1 < LENGTH_TOLERANCE && largest < 0.1 * diameter {
+            if error.1 < LENGTH_TOLERANCE && largest < 0.1 * diameter && !damped {
                 break;
             }
-            if iteration + 1 == ITERATIONS_MAX && error.1 > LENGTH_ERROR_MAX {
+            if iteration + 1 < ITERATIONS_MAX {
+                continue;
+            }
+            if error.1 > LENGTH_ERROR_MAX {
                 return Err(Failure { node: error.0, why: Trouble::Strain });
+            }
+            // What came near in the last iterate only has not been solved for.
+            if let Some(node) = self.sunk(material, around).filter(|_| divisible) {
+                return Err(Failure { node, why: Trouble::PassedThrough });
             }
         }
         Ok(())
@@ -227,13 +248,7 @@ impl Island {
     }
 
     /// The rod's matrix and forces at the iterate, with what holds and pulls it.
-    fn linearise(
-        &mut self,
-        material: &ThreadMaterial,
-        dt: f64,
-        fractions: [f64; 2],
-        around: &Surroundings,
-    ) -> Result<(), Failure> {
+    fn linearise(&mut self, material: &ThreadMaterial, dt: f64, fractions: [f64; 2], around: &Surroundings) {
         let nodes = self.at.positions.len();
         self.matrix.clear(nodes);
         self.right.clear();
@@ -246,12 +261,11 @@ impl Island {
         }
         let share = (fractions[1] - fractions[0]) / (1.0 - fractions[0]);
         for hold in around.holds {
-            let (pull, slips) = self.pull(hold, share);
+            let (pull, stiffness) = self.pull(hold, share);
+            let mut diagonal = self.matrix.diagonal[hold.node].fixed_view_mut::<3, 3>(0, 0);
+            diagonal += stiffness;
             for k in 0..3 {
                 self.right[hold.node][k] += pull[k];
-                if !slips {
-                    self.matrix.diagonal[hold.node][(k, k)] += hold.stiffness;
-                }
             }
         }
         for hold in around.twist_holds {
@@ -260,213 +274,32 @@ impl Island {
             self.right[edge][3] += stiffness * self.turn_left(hold, share);
             self.matrix.diagonal[edge][(3, 3)] += stiffness;
         }
-        self.matrix.factor().map_err(|node| Failure {
-            node,
-            why: if self.at.positions[node].iter().all(|x| x.is_finite()) {
-                Trouble::NotPositive
-            } else {
-                Trouble::NotFinite
-            },
-        })
     }
 
-    /// The candidates that are near, as rows, with the forces of the last time.
-    fn gather(&mut self, material: &ThreadMaterial, around: &Surroundings) {
-        self.moved.clear();
-        self.moved.extend((0..self.at.positions.len()).map(|node| {
-            let by = self.at.positions[node] - self.trial.positions[node];
-            Cell::new(by.x, by.y, by.z, self.at.turns.get(node).copied().unwrap_or(0.0))
-        }));
-        self.active.clear();
-        self.near.clear();
-        for index in 0..self.candidates.found.len() {
-            let key = self.candidates.found[index].key;
-            if around.elastic.is_some_and(|elastic| key.with as usize == elastic.obstacle + 1) {
-                self.note_near(material, around, key);
-            } else if let Some(active) = self.contact(material, around, key) {
-                self.active.push(active);
-            }
-        }
-        self.touch_elastic(material, around);
+    /// All that are solved for.
+    fn contacts(&self) -> impl Iterator<Item = &Active> {
+        self.dense.iter().chain(&self.banded)
     }
 
-    fn contact(&self, material: &ThreadMaterial, around: &Surroundings, key: ContactKey) -> Option<Active> {
-        let edge = key.edge as usize;
-        let of = |edge: usize| [self.at.positions[edge], self.at.positions[edge + 1]];
-        let room = |edge: usize| self.reach[edge].max(self.reach[edge + 1]);
-        let radius = material.radius;
-        let side = |edge: usize, along: f64, arm: Vector3<f64>| Side {
-            edge,
-            along,
-            arm,
-            tangent: self.at.tangents[edge],
-            length: self.at.lengths[edge],
-        };
-        if key.with == 0 {
-            let other = key.feature as usize;
-            let (first, second) = (of(edge), of(other));
-            let [s, t] = nearest_segments(&first, &second);
-            let between = place(&first, s) - place(&second, t);
-            let distance = between.norm();
-            let gap = distance - 2.0 * radius;
-            if gap > room(edge) + room(other) || distance.is_nan() || distance < 1e-9 {
-                return None;
-            }
-            let normal = between / distance;
-            let [t1, t2] = tangents(&normal, &self.at.tangents[edge]);
-            let rows = Rows::new(
-                &side(edge, s, normal * -radius),
-                Some(&side(other, t, normal * radius)),
-                [normal, t1, t2],
-            );
-            return Some(self.remembered(
-                key,
-                rows,
-                material.friction,
-                gap,
-                None,
-                material.contact_compliance,
-            ));
+    /// Halves a change of the iterate that takes back the one before: contacts whose places jump between two edges, or turn
+    /// with a free end, would swing to and fro for ever. Whether it did.
+    fn damp(&mut self, iteration: usize) -> bool {
+        if iteration == 0 {
+            self.last.clear();
         }
-        let index = key.with as usize - 1;
-        let obstacle = &around.obstacles[index];
-        let found = nearest_on_obstacle(&obstacle.shape, &self.motions[index], key.feature, &of(edge))?;
-        let gap = found.distance - radius;
-        let way = (found.surface[1] - found.surface[0]).norm();
-        if gap > room(edge) + way {
-            return None;
+        let place = |cell: &Cell| Vector3::new(cell[0], cell[1], cell[2]);
+        let (mut both, mut now, mut before) = (0.0, 0.0, 0.0);
+        for (moved, last) in self.moved.iter().map(place).zip(self.last.iter().map(place)) {
+            both += moved.dot(&last);
+            now += moved.norm_squared();
+            before += last.norm_squared();
         }
-        let [t1, t2] = tangents(&found.normal, &self.at.tangents[edge]);
-        let rows = Rows::new(&side(edge, found.along, found.normal * -radius), None, [found.normal, t1, t2]);
-        let compliance = 0.5 * material.contact_compliance;
-        Some(self.remembered(key, rows, obstacle.friction, gap, Some(found.surface), compliance))
-    }
-
-    fn remembered(
-        &self,
-        key: ContactKey,
-        rows: Rows,
-        friction: f64,
-        gap: f64,
-        surface: Option<[Point3<f64>; 2]>,
-        compliance: f64,
-    ) -> Active {
-        let of = |list: &[ContactMemory]| {
-            list.binary_search_by_key(&key, |memory| memory.key).ok().map(|place| list[place])
-        };
-        // The force of the last iteration, but drawn from where it stuck when the step began.
-        let force = of(&self.former).map_or(Vector3::zeros(), |memory| memory.force);
-        let drawn = of(&self.trial.contacts).map_or(Vector3::zeros(), |memory| memory.drawn);
-        let apart = rows.apart(&self.moved);
-        let carried = surface.map_or(Vector3::zeros(), |[from, to]| to - from);
-        let slipped = |k: usize| drawn.dot(&rows.directions[k]) + apart[k] - carried.dot(&rows.directions[k]);
-        let normal = force.dot(&rows.directions[0]).max(0.0);
-        let held = [force.dot(&rows.directions[1]), force.dot(&rows.directions[2])];
-        let size = held[0].hypot(held[1]);
-        let scale = if size > friction * normal { friction * normal / size } else { 1.0 };
-        Active {
-            key,
-            rows,
-            friction,
-            offset: [gap, slipped(1), slipped(2)],
-            force: [normal, held[0] * scale, held[1] * scale],
-            compliance,
-            surface: surface.map_or_else(Point3::origin, |[_, to]| to),
-            drawn: [0.0; 2],
-            gives: None,
+        let damped = both < -0.5 * before && now > 0.25 * before;
+        if damped {
+            self.moved.iter_mut().for_each(|moved| *moved *= 0.5);
         }
-    }
-
-    /// Solves the linearised island: leaves the change of the iterate in `moved` and forces in the contacts.
-    fn answer(&mut self, around: &Surroundings, report: &mut ThreadReport) -> Result<(), Failure> {
-        let push = |active: &[Active], right: &mut [Cell]| {
-            for contact in active {
-                contact.rows.push(&contact.force, right);
-            }
-        };
-        // With the forces of the last time the rod moves nearly as it will; what it then stays away from is no contact.
-        self.moved.clone_from(&self.right);
-        push(&self.active, &mut self.moved);
-        self.matrix.solve(&mut self.moved);
-        let moved = &self.moved;
-        self.active.retain(|contact| {
-            contact.force[0] > 0.0 || contact.offset[0] + contact.rows.apart(moved)[0] < 3e-5
-        });
-        if self.active.is_empty() {
-            return Ok(());
-        }
-        if let Some(beyond) = self.active.get(CONTACTS_MAX) {
-            return Err(Failure { node: beyond.key.edge as usize, why: Trouble::TooManyContacts });
-        }
-        self.active.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
-        self.pose();
-        self.yield_to_each_other(around);
-        let sweeps = self.problem.solve(self.sweeps_max.max(1), TOLERANCE);
-        report.sweeps += sweeps;
-        for (place, contact) in self.active.iter_mut().enumerate() {
-            contact.force.copy_from_slice(&self.problem.force[3 * place..][..3]);
-            let gap = self.problem.gap(place);
-            let sticks =
-                contact.force[1].hypot(contact.force[2]) < contact.friction * contact.force[0] * (1.0 - 1e-9);
-            for k in 0..2 {
-                let yields = contact.compliance * contact.force[k + 1];
-                contact.drawn[k] = if sticks { gap[k + 1] - yields } else { -yields };
-            }
-        }
-        self.moved.clone_from(&self.right);
-        push(&self.active, &mut self.moved);
-        self.matrix.solve(&mut self.moved);
-        Ok(())
-    }
-
-    /// The contacts' problem: their compliance through the rod, column by column.
-    fn pose(&mut self) {
-        let places = self.active.len();
-        let rows = 3 * places;
-        self.problem.clear(places);
-        for (place, contact) in self.active.iter().enumerate() {
-            self.problem.frictions.push(contact.friction);
-            let apart = contact.rows.apart(&self.moved);
-            for k in 0..3 {
-                self.problem.force[3 * place + k] = contact.force[k];
-                self.problem.gap[3 * place + k] =
-                    contact.offset[k] + apart[k] + contact.compliance * contact.force[k];
-            }
-        }
-        let nodes = self.right.len();
-        for first in (0..rows).step_by(LANES) {
-            let columns = first..(first + LANES).min(rows);
-            // In their order along the thread, none of the places that are still to be read lies before the first.
-            let from = self.active[first / 3].rows.first();
-            self.lanes.clear();
-            self.lanes.resize(nodes, [[0.0; LANES]; 4]);
-            for column in columns.clone() {
-                let of = &self.active[column / 3].rows;
-                for k in 0..of.used {
-                    let cell = &mut self.lanes[of.nodes[k] as usize];
-                    for axis in 0..4 {
-                        cell[axis][column - first] += of.cells[column % 3][k][axis];
-                    }
-                }
-            }
-            self.matrix.solve_lanes(&mut self.lanes, from, from);
-            for (place, contact) in self.active.iter().enumerate().skip(first / 3) {
-                for k in 0..3 {
-                    let apart = contact.rows.apart_lanes(k, &self.lanes);
-                    let row = 3 * place + k;
-                    for column in columns.clone() {
-                        let value = apart[column - first];
-                        self.problem.compliance[column * rows + row] = value;
-                        self.problem.compliance[row * rows + column] = value;
-                    }
-                }
-            }
-        }
-        for (place, contact) in self.active.iter().enumerate() {
-            for k in 0..3 {
-                self.problem.compliance[(3 * place + k) * (rows + 1)] += contact.compliance;
-            }
-        }
+        self.last.clone_from(&self.moved);
+        damped
     }
 
     /// Moves the iterate; returns how far the furthest node moved \[m\].
@@ -495,10 +328,12 @@ impl Island {
         }
         at.follow(&self.trial);
         self.former.clear();
-        self.former.extend(self.active.iter().filter(|contact| contact.force[0] > 0.0).map(|contact| {
-            let drawn = contact.rows.vector(&[0.0, contact.drawn[0], contact.drawn[1]]);
-            ContactMemory { key: contact.key, force: contact.rows.vector(&contact.force), drawn }
-        }));
+        self.former.extend(
+            self.dense.iter().chain(&self.banded).filter(|contact| contact.force[0] > 0.0).map(|contact| {
+                let drawn = contact.rows.vector(&[0.0, contact.drawn[0], contact.drawn[1]]);
+                ContactMemory { key: contact.key, force: contact.rows.vector(&contact.force), drawn }
+            }),
+        );
         self.former.sort_unstable_by_key(|memory| memory.key);
         Ok(largest)
     }
@@ -537,28 +372,6 @@ impl Island {
             }
         }
         worst
-    }
-
-    /// How deep the contacts are where they ended \[m\].
-    fn penetration(&self, material: &ThreadMaterial, around: &Surroundings) -> f64 {
-        let of = |edge: u32| [self.at.positions[edge as usize], self.at.positions[edge as usize + 1]];
-        self.active.iter().fold(0.0, |most, contact| {
-            let key = &contact.key;
-            let gap = if contact.gives.is_some() {
-                // The surface has given way since it was measured: what is left is what the contact itself does.
-                -contact.compliance * contact.force[0]
-            } else if key.with == 0 {
-                let (first, second) = (of(key.edge), of(key.feature));
-                let [s, t] = nearest_segments(&first, &second);
-                (place(&first, s) - place(&second, t)).norm() - 2.0 * material.radius
-            } else {
-                let index = key.with as usize - 1;
-                let shape = &around.obstacles[index].shape;
-                nearest_on_obstacle(shape, &self.motions[index], key.feature, &of(key.edge))
-                    .map_or(0.0, |found| found.distance - material.radius)
-            };
-            f64::max(most, -gap)
-        })
     }
 
     /// Makes the iterate the state at the end of the part.

@@ -1,0 +1,241 @@
+//! Contact forces of the rod as it is linearised at an iterate.
+//!
+//! A contact with an obstacle touches two neighbouring nodes: what it answers is a spring within the band of the rod's
+//! matrix, once it is known whether it is open, sticks or slides. So these are found by Newton's method on the law
+//! itself (the active sets of Alart, Curnier 1991; Hintermüller, Ito, Kunisch 2002), each iteration one factorisation
+//! along the rod, however many they are. Contacts of strands with each other couple nodes that are far apart along the
+//! rod, and those with an elastic body are coupled through it: they are solved as one dense problem through the compliance of the rod with those springs, and in turn with
+//! them.
+
+use super::{Active, Failure, Island, TOLERANCE};
+use crate::thread::block_band::{Cell, LANES};
+use crate::thread::contact::{CONTACTS_MAX, Law, SOFTENING};
+use crate::thread::wide::wide;
+use crate::thread::{Surroundings, ThreadReport, Trouble};
+
+/// Factorisations in search of what the contacts with obstacles do at most.
+const ROUNDS_MAX: usize = 10;
+/// Where those go in circles, with each of [`SOFTENING`] at most.
+const SOFTENED_ROUNDS_MAX: usize = 8;
+/// Times that the contacts with obstacles and those of strands are solved in turn at most.
+const TURNS_MAX: usize = 8;
+/// A place does not change what it does for less \[N\]: `TOLERANCE` of a thread that gives way by a metre per newton, as
+/// one of 2-0 silk in steps of a millisecond does.
+const FORCE_TOLERANCE: f64 = 1e-9;
+/// What is further away from another strand than this once forces of the last time have moved it is no contact \[m\].
+const NEAR: f64 = 3e-5;
+
+impl Island {
+    /// Solves the linearised island: leaves the change of the iterate in `moved` and forces in the contacts.
+    pub(super) fn answer(&mut self, around: &Surroundings, report: &mut ThreadReport) -> Result<(), Failure> {
+        // With the forces of the last time the rod moves nearly as it will; what it then stays away from is no contact.
+        self.factorise(1.0)?;
+        self.settle(report)?;
+        let moved = &self.moved;
+        self.dense.retain(|contact| {
+            contact.force[0] > 0.0 || contact.offset[0] + contact.rows.apart(moved)[0] < NEAR
+        });
+        if let Some(beyond) = self.dense.get(CONTACTS_MAX) {
+            return Err(Failure { node: beyond.key.edge as usize, why: Trouble::TooManyContacts });
+        }
+        self.dense.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
+        self.find_giving(around);
+        for _ in 0..TURNS_MAX {
+            if self.dense.is_empty() {
+                break;
+            }
+            self.pose();
+            report.sweeps += self.problem.solve(self.sweeps_max.max(1), TOLERANCE);
+            for (place, contact) in self.dense.iter_mut().enumerate() {
+                contact.force.copy_from_slice(&self.problem.force[3 * place..][..3]);
+            }
+            if self.settle(report)? {
+                break;
+            }
+            self.measure();
+            if self.problem.error() <= TOLERANCE {
+                break;
+            }
+        }
+        for contact in self.dense.iter_mut().chain(&mut self.banded) {
+            // Drawn as far as it gives way, whether it sticks or slides.
+            contact.drawn = [-contact.compliance * contact.force[1], -contact.compliance * contact.force[2]];
+        }
+        Ok(())
+    }
+
+    /// The factors of the rod's matrix with the springs of the contacts with obstacles, so many times as soft.
+    fn factorise(&mut self, softness: f64) -> Result<(), Failure> {
+        self.added.clear(self.right.len());
+        for contact in &mut self.banded {
+            contact.law = contact.next;
+            let yields = softness * contact.compliance;
+            contact.law.add(&contact.rows, contact.friction, yields, &mut self.added);
+        }
+        let added = (!self.banded.is_empty()).then_some(&self.added);
+        self.factors.find(&self.matrix, added).map_err(|node| Failure {
+            node,
+            why: if self.at.positions[node].iter().all(|x| x.is_finite()) {
+                Trouble::NotPositive
+            } else {
+                Trouble::NotFinite
+            },
+        })
+    }
+
+    /// Moves the rod with the forces of the contacts of strands as they are until the contacts with obstacles obey their
+    /// law, beginning with the factors that there are. Whether those were the right ones.
+    fn settle(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
+        let mut first = true;
+        let plain = std::iter::once((1.0, ROUNDS_MAX));
+        for (softness, most) in plain.chain(SOFTENING.map(|softness| (softness, SOFTENED_ROUNDS_MAX))) {
+            for _ in 0..most {
+                if !first {
+                    report.sweeps += 1;
+                    self.factorise(softness)?;
+                }
+                self.moved.clone_from(&self.right);
+                for contact in &self.dense {
+                    contact.rows.push(&contact.force, &mut self.moved);
+                }
+                for contact in &self.banded {
+                    let yields = softness * contact.compliance;
+                    let force = contact.law.linear(contact.offset, contact.friction, yields);
+                    contact.rows.push(&force, &mut self.moved);
+                }
+                self.factors.solve(&mut self.moved);
+                let right = self.obeyed(softness);
+                if right && softness == 1.0 {
+                    return Ok(first);
+                }
+                first = false;
+                if right {
+                    break;
+                }
+            }
+        }
+        Ok(false)
+    }
+
+    /// Whether contacts with obstacles, so many times as soft, are as they were taken to be; and what they are taken to be
+    /// next.
+    fn obeyed(&mut self, softness: f64) -> bool {
+        let (mut changed, mut off) = (false, false);
+        self.rest.clear();
+        self.rest.resize(self.right.len(), Cell::zeros());
+        for contact in &mut self.banded {
+            let by = contact.rows.apart(&self.moved);
+            let apart: [f64; 3] = std::array::from_fn(|k| contact.offset[k] + by[k]);
+            let yields = softness * contact.compliance;
+            let linear = contact.law.linear(apart, contact.friction, yields);
+            let (force, law) = Law::of(apart, contact.friction, yields);
+            let lacking: [f64; 3] = std::array::from_fn(|k| force[k] - linear[k]);
+            contact.force = force;
+            if lacking != [0.0; 3] {
+                let size = lacking[0].abs().max(lacking[1].abs()).max(lacking[2].abs());
+                let same = std::mem::discriminant(&law) == std::mem::discriminant(&contact.law);
+                changed |= !same && size > FORCE_TOLERANCE;
+                off = true;
+                contact.rows.push(&lacking, &mut self.rest);
+            }
+            contact.next = contact.law.next(law, contact.friction);
+        }
+        if changed {
+            return false;
+        }
+        if !off {
+            return true;
+        }
+        // What is lacking moves the rod on, and the places by how much they are away from their law.
+        self.factors.solve(&mut self.rest);
+        let mut largest = 0.0_f64;
+        for contact in &self.banded {
+            if contact.next != Law::Open {
+                let by = contact.rows.apart(&self.rest);
+                largest = by.iter().fold(largest, |most, by| most.max(by.abs()));
+            }
+        }
+        if largest <= TOLERANCE {
+            for (moved, rest) in self.moved.iter_mut().zip(&self.rest) {
+                *moved += rest;
+            }
+            return true;
+        }
+        false
+    }
+
+    /// Where the contacts of strands are, with their forces.
+    fn measure(&mut self) {
+        for (place, contact) in self.dense.iter().enumerate() {
+            let apart = contact.rows.apart(&self.moved);
+            for k in 0..3 {
+                self.problem.force[3 * place + k] = contact.force[k];
+                self.problem.gap[3 * place + k] =
+                    contact.offset[k] + apart[k] + contact.compliance * contact.force[k];
+            }
+        }
+        self.give_way();
+    }
+
+    /// The problem of the contacts of strands: their compliance through the rod and its springs, column by column.
+    fn pose(&mut self) {
+        let places = self.dense.len();
+        let rows = 3 * places;
+        self.problem.clear(places);
+        for contact in &self.dense {
+            self.problem.frictions.push(contact.friction);
+            self.problem.yields.push(contact.compliance);
+        }
+        let slanted = self.added.slanted;
+        let nodes = self.right.len();
+        let begin = self.dense.first().map_or(0, |contact: &Active| contact.rows.first());
+        for first in (0..rows).step_by(LANES) {
+            let columns = first..(first + LANES).min(rows);
+            let from = self.dense[first / 3].rows.first();
+            self.lanes.clear();
+            self.lanes.resize(nodes, [[0.0; LANES]; 4]);
+            for column in columns.clone() {
+                let of = &self.dense[column / 3].rows;
+                for k in 0..of.used {
+                    let cell = &mut self.lanes[of.nodes[k] as usize];
+                    for axis in 0..4 {
+                        cell[axis][column - first] += of.cells[column % 3][k][axis];
+                    }
+                }
+            }
+            // In their order along the thread, none of the places that are still to be read lies before the first; what
+            // is not symmetric has to be read everywhere.
+            let (until, skipped) = if slanted { (begin, 0) } else { (from, first / 3) };
+            self.factors.solve_lanes(&mut self.lanes, from, until);
+            let (dense, lanes, compliance) = (&self.dense, &self.lanes, &mut self.problem.compliance);
+            wide(
+                #[inline(always)]
+                || {
+                    for (place, contact) in dense.iter().enumerate().skip(skipped) {
+                        for k in 0..3 {
+                            let apart = contact.rows.apart_lanes(k, lanes);
+                            for (column, value) in columns.clone().zip(apart) {
+                                compliance[column * rows + 3 * place + k] = value;
+                            }
+                        }
+                    }
+                },
+            );
+        }
+        if !slanted {
+            for column in 0..rows {
+                for row in column + 1..rows {
+                    self.problem.compliance[row * rows + column] =
+                        self.problem.compliance[column * rows + row];
+                }
+            }
+        }
+        for (place, contact) in self.dense.iter().enumerate() {
+            for k in 0..3 {
+                self.problem.compliance[(3 * place + k) * (rows + 1)] += contact.compliance;
+            }
+        }
+        self.add_giving();
+        self.measure();
+    }
+}
