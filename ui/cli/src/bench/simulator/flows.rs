@@ -96,6 +96,6 @@ pub fn liquid() -> Result<Vec<BenchResult>, Failure> {
     // operator about six times.
     let (particles, links) = (20_000.0, 32.0 * 20_000.0);
     let operations = 8.0 * 216.0 * particles + 25.0 * links + 6.0 * 25.0 * links;
-    let work = Work { operations, single: true, bytes: 6.0 * 2.0 * 8.0 * links };
+    let work = Work { operations, single: true, bytes: 6.0 * 2.0 * 20.0 * links };
     Ok(vec![at_least_hz("fluid_20000", figure, 60.0), share("fluid_20000", figure.0, work)])
 }
