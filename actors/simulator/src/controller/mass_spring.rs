@@ -17,7 +17,7 @@ use super::touch::{Skin, Touch};
 use crate::cutting::{Sheet, Sweep, TopologyChange};
 use crate::mass_spring::{
     Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, Prescribed, State,
-    SurfaceMaterial, TooLarge, Trend, VolumeMaterial,
+    SurfaceMaterial, TooLarge, VolumeMaterial,
 };
 
 /// Parts into which a step is divided at most.
@@ -271,21 +271,6 @@ impl MassSpringMethod {
     }
 }
 
-/// What an implicitly stepped body needs to go on bit for bit besides where it is and how it moves.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct MassSpringMemory {
-    /// Where its motion is going.
-    pub trend: Trend,
-}
-
-impl Component for MassSpringMemory {
-    const NAME: &'static str = "mass_spring_memory";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)
-    }
-}
-
 impl SoftMethod for MassSpringMethod {
     type Kind = MassSpringBody;
     const CONTROLLER: &'static str = "mass-spring";
@@ -293,11 +278,8 @@ impl SoftMethod for MassSpringMethod {
     fn build(kind: &MassSpringBody, body: &Deformable, scene: &Snapshot) -> Result<Self, String> {
         let network = kind.network(body)?;
         let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
-        let mut solver = MassSpring::restore(network, state, &body.pinned, kind.config())
+        let solver = MassSpring::restore(network, state, &body.pinned, kind.config())
             .map_err(|error| error.to_string())?;
-        if let Some(memory) = scene.get::<MassSpringMemory>(body.entity) {
-            solver.set_trend(&memory.trend);
-        }
         let surface = match kind.springs {
             Springs::Surface { .. } => Some(Surface::new(body, scene)?),
             _ => None,
@@ -307,11 +289,7 @@ impl SoftMethod for MassSpringMethod {
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
         let all = || EntitySet::Of(bodies.to_vec());
-        access
-            .writes::<MassSpringMemory>(all())
-            .writes::<SurfaceMesh>(all())
-            .writes::<Cuts>(all())
-            .writes::<TextureCoordinates>(all())
+        access.writes::<SurfaceMesh>(all()).writes::<Cuts>(all()).writes::<TextureCoordinates>(all())
     }
 
     fn positions(&self) -> &[Point3<f64>] {
@@ -385,9 +363,6 @@ impl SoftMethod for MassSpringMethod {
         if let Some(surface) = self.surface.as_mut().filter(|surface| surface.changed) {
             out.put(body.entity, surface.cuts.clone());
             surface.changed = false;
-        }
-        if let Some(trend) = self.solver.trend() {
-            out.put(body.entity, MassSpringMemory { trend: trend.clone() });
         }
     }
 

@@ -44,7 +44,7 @@ pub use electrosurgery::{
 pub use fluid::{FluidController, Liquid, LiquidState, LiquidWall};
 pub use instruments::{InstrumentsConfig, InstrumentsController};
 pub use linear_fem::{LinearFemBody, LinearFemController};
-pub use mass_spring::{MassSpringBody, MassSpringController, MassSpringMemory};
+pub use mass_spring::{MassSpringBody, MassSpringController};
 pub use rigid_bodies::RigidBodiesController;
 pub use smoke::{Plume, SmokeCloud, SmokeCloudState, SmokeController};
 pub use soft::{SoftController, SoftMethod};
@@ -63,7 +63,6 @@ pub use xpbd::{XpbdBody, XpbdController};
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<MechanismState>()?;
     builder.register::<MassSpringBody>()?;
-    builder.register::<MassSpringMemory>()?;
     builder.register::<cuts::Cuts>()?;
     builder.register::<grips::Grips>()?;
     builder.register::<DynamicFemBody>()?;

@@ -1,6 +1,5 @@
 //! Backward Euler: M Δv = h f at the end of the step, linearised where the iteration stands. The first iteration
-//! linearises at the beginning of the step (Baraff and Witkin 1998); further ones are Newton's. The iteration of the linear
-//! solver begins where the changes of the last two steps lead: a motion that goes on as it was is found at once.
+//! linearises at the beginning of the step (Baraff and Witkin 1998); further ones are Newton's.
 
 mod cholesky;
 mod conjugate_gradients;
@@ -11,7 +10,7 @@ mod warped;
 use nalgebra::Vector3;
 
 use super::matrix::StepMatrix;
-use super::{Config, Input, LinearSolver, MassSpring, Network, Report, State, StepError, Trend, forces};
+use super::{Config, Input, LinearSolver, MassSpring, Network, Report, StepError, forces};
 use cholesky::Cholesky;
 use conjugate_gradients::ConjugateGradients;
 use node_blocks::NodeBlocks;
@@ -30,7 +29,6 @@ pub(super) struct Implicit {
     change: Vec<Vector3<f64>>,
     /// How far the positions are from where the velocity leads.
     lead: Vec<Vector3<f64>>,
-    pub trend: Trend,
 }
 
 #[derive(Clone, Debug)]
@@ -60,32 +58,7 @@ impl Implicit {
             right: zeros.clone(),
             change: zeros.clone(),
             lead: zeros,
-            trend: Trend::default(),
         }
-    }
-}
-
-impl Trend {
-    /// How much each velocity will change if it goes on as it did; whether there is anything to go by.
-    fn foresee(&self, masses: &[f64], change: &mut [Vector3<f64>]) -> bool {
-        let [last, before] = &self.changes;
-        if last.len() != change.len() {
-            return false;
-        }
-        for (node, change) in change.iter_mut().enumerate() {
-            let ahead = before.get(node).map_or(last[node], |before| last[node] * 2.0 - before);
-            // A held node does as it is told.
-            *change = if masses[node] > 0.0 { ahead } else { Vector3::zeros() };
-        }
-        true
-    }
-
-    /// A step has led from one state to the next.
-    pub(super) fn follow(&mut self, from: &State, to: &State) {
-        let [last, before] = &mut self.changes;
-        std::mem::swap(last, before);
-        last.clear();
-        last.extend(to.velocities.iter().zip(&from.velocities).map(|(to, from)| to - from));
     }
 }
 
@@ -103,9 +76,7 @@ impl MassSpring {
         for iteration in 0..newton {
             self.linearise(&mut implicit, h, input);
             self.prepare_solver(&mut implicit, h, input);
-            let Implicit { matrix, change, trend, .. } = &mut *implicit;
-            let begins = iteration == 0 && trend.foresee(&matrix.masses, change);
-            result = self.solve(&mut implicit, input, begins, &mut report);
+            result = self.solve(&mut implicit, input, &mut report);
             if result.is_err() {
                 break;
             }
@@ -195,7 +166,6 @@ impl MassSpring {
         &mut self,
         implicit: &mut Implicit,
         input: &Input<'_>,
-        begins: bool,
         report: &mut Report,
     ) -> Result<(), StepError> {
         let Implicit { matrix, solver, right, change, .. } = implicit;
@@ -205,10 +175,10 @@ impl MassSpring {
                 return solver.solve(matrix, &self.network, input.contacts, right, change);
             }
             Solver::Warped(solver, warped, _) if warped.is_ready() => {
-                solver.solve(&mut **warped, system, right, change, begins)
+                solver.solve(&mut **warped, system, right, change)
             }
             Solver::NodeBlocks(solver, blocks) | Solver::Warped(solver, _, blocks) => {
-                solver.solve(blocks, system, right, change, begins)
+                solver.solve(blocks, system, right, change)
             }
         };
         report.iterations += iterations;

@@ -19,10 +19,6 @@ pub(super) struct Block {
 impl Block {
     #[inline]
     fn times(&self, vector: &Vector3<f64>) -> Vector3<f64> {
-        // As all hinges of a flat sheet are.
-        if self.along == 0.0 {
-            return vector * self.all;
-        }
         vector * self.all + self.axis * (self.along * self.axis.dot(vector))
     }
     pub(super) fn matrix(&self) -> Matrix3<f64> {

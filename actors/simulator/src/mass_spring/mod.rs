@@ -117,15 +117,6 @@ pub struct State {
     pub velocities: Vec<Vector3<f64>>,
 }
 
-/// By how much the velocities changed in the last implicit step and in the one before \[m/s\]; lists are empty where there
-/// was none. An implicit solver begins there, so that a state goes on bit for bit only with it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Trend {
-    /// The last one first.
-    pub changes: [Vec<Vector3<f64>>; 2],
-}
-
 /// A force on a node for one step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NodeForce {
@@ -312,9 +303,6 @@ impl MassSpring {
             Integrator::Implicit { newton, .. } => self.step_implicit(dt, input, newton)?,
         };
         self.check_result()?;
-        if let Some(implicit) = &mut self.implicit {
-            implicit.trend.follow(&self.state, &self.scratch.next);
-        }
         std::mem::swap(&mut self.state, &mut self.scratch.next);
         Ok(report)
     }
@@ -387,21 +375,6 @@ impl MassSpring {
     #[must_use]
     pub fn state(&self) -> &State {
         &self.state
-    }
-    /// Where its motion is going, if it is stepped implicitly.
-    #[must_use]
-    pub fn trend(&self) -> Option<&Trend> {
-        self.implicit.as_ref().map(|implicit| &implicit.trend)
-    }
-    /// Goes on from there. One that is of another number of nodes, or not finite, is no help and left out.
-    pub fn set_trend(&mut self, trend: &Trend) {
-        let nodes = self.network.masses.len();
-        let fits = |list: &Vec<Vector3<f64>>| {
-            list.is_empty() || (list.len() == nodes && list.iter().all(|x| x.iter().all(|x| x.is_finite())))
-        };
-        if let Some(implicit) = self.implicit.as_mut().filter(|_| trend.changes.iter().all(fits)) {
-            implicit.trend.clone_from(trend);
-        }
     }
     /// Masses, springs and hinges.
     #[must_use]

@@ -27,44 +27,35 @@ impl ConjugateGradients {
         Self { tolerance, iterations_max, residual, preconditioned, direction, product }
     }
 
-    /// From what `solution` is if it `begins` there, else from nothing. Iterations taken, and what remains of the right-hand
-    /// side, in the preconditioner's norm.
+    /// Iterations taken, and what remains of the right-hand side, in the preconditioner's norm.
     pub fn solve(
         &mut self,
         preconditioner: &mut impl Preconditioner,
         (matrix, network, contacts): (&StepMatrix, &Network, &[Contact]),
         right: &[Vector3<f64>],
         solution: &mut [Vector3<f64>],
-        begins: bool,
     ) -> (u32, f64) {
+        solution.fill(Vector3::zeros());
         self.residual.clear();
         self.residual.extend_from_slice(right);
         for vector in [&mut self.preconditioned, &mut self.product] {
             vector.resize(right.len(), Vector3::zeros());
         }
         preconditioner.apply(matrix, &self.residual, &mut self.preconditioned);
-        let mut size = dot(&self.residual, &self.preconditioned);
-        let begun = size;
-        if begins {
-            self.multiply((matrix, network, contacts), solution);
-            for ((residual, product), mass) in self.residual.iter_mut().zip(&self.product).zip(&matrix.masses)
-            {
-                *residual = if *mass > 0.0 { *residual - product } else { Vector3::zeros() };
-            }
-            preconditioner.apply(matrix, &self.residual, &mut self.preconditioned);
-            size = dot(&self.residual, &self.preconditioned);
-        } else {
-            solution.fill(Vector3::zeros());
-        }
         self.direction.clear();
         self.direction.extend_from_slice(&self.preconditioned);
+        let mut size = dot(&self.residual, &self.direction);
+        let begun = size;
         let wanted = self.tolerance * self.tolerance * begun;
         let mut iterations = 0;
         while iterations < self.iterations_max && size > wanted && size > 0.0 {
             iterations += 1;
-            let direction = std::mem::take(&mut self.direction);
-            self.multiply((matrix, network, contacts), &direction);
-            self.direction = direction;
+            for ((product, mass), direction) in
+                self.product.iter_mut().zip(&matrix.masses).zip(&self.direction)
+            {
+                *product = direction * *mass;
+            }
+            matrix.add_product(network, contacts, &self.direction, &mut self.product);
             let curvature = dot(&self.direction, &self.product);
             if curvature.is_nan() || curvature <= 0.0 {
                 break;
@@ -86,18 +77,6 @@ impl ConjugateGradients {
             }
         }
         (iterations, if begun > 0.0 { (size / begun).max(0.0).sqrt() } else { 0.0 })
-    }
-
-    /// The matrix times a vector.
-    fn multiply(
-        &mut self,
-        (matrix, network, contacts): (&StepMatrix, &Network, &[Contact]),
-        vector: &[Vector3<f64>],
-    ) {
-        for ((product, mass), value) in self.product.iter_mut().zip(&matrix.masses).zip(vector) {
-            *product = value * *mass;
-        }
-        matrix.add_product(network, contacts, vector, &mut self.product);
     }
 }
 
