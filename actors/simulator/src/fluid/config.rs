@@ -44,7 +44,7 @@ impl Default for FluidConfig {
             max: Point3::new(0.1, 0.1, 0.1),
             particles_max: 20_000,
             cfl: 0.4,
-            parts_max: 64,
+            parts_max: 128,
             compression: 1e-3,
             iterations_max: 100,
         }
