@@ -147,6 +147,35 @@ fn a_needle_goes_through_a_pad_and_draws_its_thread_after_it() {
 }
 
 #[test]
+fn three_throws_are_drawn_tight_and_hold_and_less_does_not() {
+    let tied = holds("knot");
+    assert!(outcome(&tied, "thread.slip_m") > 0.0, "what bears a load gives way");
+    // Without friction the knot is gone, and a single throw opens.
+    let smooth = run("knot", &[("friction = { value = 0.3", "friction = { value = 0.0")]);
+    assert_eq!(outcome(&smooth, "thread.knot"), 0.0);
+    let single = run("knot", &[("half_turns = [3, -3, 3]", "half_turns = [3]")]);
+    assert!(outcome(&single, "thread.slip_m") > 2e-3, "{} m", outcome(&single, "thread.slip_m"));
+    for control in [&smooth, &single] {
+        assert!(!control.summary.task.completed);
+        assert!(outcome(control, "thread.tension_n") < 0.2, "{} N", outcome(control, "thread.tension_n"));
+    }
+}
+
+#[test]
+fn a_loop_is_carried_to_the_line_on_a_tube_and_drawn_close() {
+    holds("tube-loop");
+    // Drawn where it was it is beside the line; laid on the line and not drawn it holds nothing.
+    let beside = run("tube-loop", &[("0.007000", "0.002000"), ("0.005000, 0.006975", "0.002000, 0.006975")]);
+    assert!(outcome(&beside, "tube.line_off_m") > 2e-3, "{} m", outcome(&beside, "tube.line_off_m"));
+    let loose = run("tube-loop", &[("0.020300", "0.011500")]);
+    assert!(outcome(&loose, "tube.loop_tension_n") < 0.05, "{} N", outcome(&loose, "tube.loop_tension_n"));
+    assert!(!beside.summary.task.completed && !loose.summary.task.completed);
+    // A softer tube gives way further to the same hands, beyond what it is told by.
+    let soft = run("tube-loop", &[("young_modulus = 3e6", "young_modulus = 3e5")]);
+    assert_eq!(outcome(&soft, "tube.beyond_linear"), 1.0);
+}
+
+#[test]
 fn a_probe_presses_on_a_liver_with_a_precomputed_inverse() {
     let pressed = holds("fem-liver");
     assert!(pressed.summary.force_newtons_max > 0.05, "{} N", pressed.summary.force_newtons_max);

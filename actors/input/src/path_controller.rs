@@ -38,7 +38,7 @@ fn wrong(what: impl std::fmt::Display) -> ControllerError {
 }
 
 impl PathController {
-    /// Finds the hand; its path starts where its instrument is in the scenario.
+    /// Finds the hand; its path starts where and as its instrument is in the scenario.
     ///
     /// # Errors
     /// Names what the scene lacks, or the step that cannot be taken.
@@ -56,7 +56,7 @@ impl PathController {
         let start = Moment {
             tip_in_world: home.translation.vector.into(),
             jaw_angle: config.jaws,
-            closing_in_world: nalgebra::Vector3::x(),
+            closing_in_world: home.rotation * nalgebra::Vector3::x(),
             level: 0.0,
         };
         let path = Path::new(start, &config.step).map_err(wrong)?;

@@ -35,7 +35,7 @@ anchors = { regions = [{ box = { min = [-0.0201, -1.0, -1.0], max = [-0.0185, 1.
 "#;
 
 fn build(context: &BuildContext<'_>) -> Result<ThreadController, ControllerError> {
-    ThreadController::new(Vector3::zeros(), context)
+    ThreadController::new(Vector3::zeros(), None, context)
 }
 
 /// Shaft along y, jaws closing along z, tip at a place.

@@ -155,6 +155,7 @@ fn tied(friction: f64) -> (f64, f64, bool) {
         half_turns: &[3, -3],
         around: &around,
         radius: material.radius,
+        apart: 0.0,
         arm: 2e-3,
         ear: 8e-3,
         edges: [4.5e-4, 8e-4],

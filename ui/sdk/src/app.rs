@@ -22,7 +22,7 @@ use crate::kinds;
 use crate::run::RunOptions;
 
 /// Scenarios that are part of the program: (name, text).
-pub const SCENARIOS: [(&str, &str); 10] = [
+pub const SCENARIOS: [(&str, &str); 12] = [
     ("peg-transfer", include_str!("../../../scenarios/peg-transfer.toml")),
     ("wall", include_str!("../../../scenarios/wall.toml")),
     ("collision-gallery", include_str!("../../../scenarios/collision-gallery.toml")),
@@ -30,8 +30,10 @@ pub const SCENARIOS: [(&str, &str); 10] = [
     ("bleeding", include_str!("../../../scenarios/bleeding.toml")),
     ("cloth-cut", include_str!("../../../scenarios/cloth-cut.toml")),
     ("fem-liver", include_str!("../../../scenarios/fem-liver.toml")),
+    ("knot", include_str!("../../../scenarios/knot.toml")),
     ("needle-tissue", include_str!("../../../scenarios/needle-tissue.toml")),
     ("soft-stomach", include_str!("../../../scenarios/soft-stomach.toml")),
+    ("tube-loop", include_str!("../../../scenarios/tube-loop.toml")),
     ("two-rates", include_str!("../../../scenarios/two-rates.toml")),
 ];
 

@@ -149,7 +149,7 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
         (
             "thread",
             KindInfo::new("moves suture threads: implicit rods that hold their knots by friction", 500.0),
-            under_gravity(ThreadController::new),
+            Arc::new(thread),
         ),
         (
             "vital-signs",
@@ -340,6 +340,12 @@ fn linear_fem(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     nothing(&context.entry.params)?;
     let cache = cache_folder();
     Ok(plain(RuntimeClass::Simulation, move |context| LinearFemController::new(cache.clone(), context)))
+}
+
+fn thread(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
+    nothing(&context.entry.params)?;
+    let (gravity, cache) = (context.scenario.gravity_in_world, cache_folder());
+    Ok(plain(RuntimeClass::Simulation, move |context| ThreadController::new(gravity, cache.clone(), context)))
 }
 
 /// Where what was computed once is kept for the next run: the user's folder for such things, by the XDG base directory

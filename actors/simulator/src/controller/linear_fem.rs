@@ -238,22 +238,13 @@ impl Body {
         if self.solver.is_some() {
             return Ok(());
         }
-        if let Some(output) = tick.jobs.take(key) {
-            let built =
-                output.downcast::<Built>().map_err(|_| "its job delivered something else".to_owned())?;
-            self.solver = Some(Box::new((*built)?));
+        if let Some(built) = built(tick, key)? {
+            self.solver = Some(Box::new(built));
         } else if !self.submitted {
-            let (mesh, kind, pinned) = (self.mesh.clone(), self.kind, self.body.pinned.clone());
-            let (cache, progress) = (cache.cloned(), self.progress.clone());
-            let work = move || {
-                let mut tell = |share: f64| {
-                    progress.store(share.to_bits(), Ordering::Relaxed);
-                    true
-                };
-                Box::new(built(mesh, &kind, &pinned, cache.as_ref(), &mut tell)) as trocar_scene::JobOutput
-            };
-            let takes = SimTime::from_secs_f64(JOB);
-            self.submitted = tick.jobs.submit(Job { key, takes, work: Box::new(work) });
+            let material = [self.kind.young_modulus, self.kind.poisson_ratio];
+            let job =
+                built_as_job(key, &self.mesh, material, &self.body.pinned, cache.cloned(), &self.progress);
+            self.submitted = tick.jobs.submit(job);
         }
         Ok(())
     }
@@ -446,18 +437,42 @@ impl Body {
     }
 }
 
-fn built(
-    mesh: TetMesh,
-    kind: &LinearFemBody,
+/// What the job of that number has delivered, if it has.
+///
+/// # Errors
+/// Why it could not.
+pub(super) fn built(tick: &Tick<'_>, key: u64) -> Result<Option<LinearFem>, String> {
+    let Some(output) = tick.jobs.take(key) else { return Ok(None) };
+    let built = output.downcast::<Built>().map_err(|_| "its job delivered something else".to_owned())?;
+    built.map(Some)
+}
+
+/// The job of that number: to read the inverse of a body from the cache or to compute it. Young's modulus \[Pa\], Poisson's
+/// ratio; `progress` is told the share that is done, as the bits of an f64.
+pub(super) fn built_as_job(
+    key: u64,
+    mesh: &TetMesh,
+    [young_modulus, poisson_ratio]: [f64; 2],
     pinned: &[u32],
-    cache: Option<&Cache>,
-    progress: &mut dyn FnMut(f64) -> bool,
-) -> Built {
-    let material = Elastic::new(kind.young_modulus, kind.poisson_ratio).map_err(|error| error.to_string())?;
-    let limits = Limits::default();
-    let body = match cache {
-        Some(cache) => cache.body(mesh, &material, pinned, &limits, progress).map(|(body, _)| body),
-        None => LinearFem::new(mesh, &material, pinned, &limits, progress),
+    cache: Option<Cache>,
+    progress: &Arc<AtomicU64>,
+) -> Job {
+    let (mesh, pinned, progress) = (mesh.clone(), pinned.to_vec(), progress.clone());
+    let work = move || {
+        let mut tell = |share: f64| {
+            progress.store(share.to_bits(), Ordering::Relaxed);
+            true
+        };
+        let built = Elastic::new(young_modulus, poisson_ratio).map_err(|error| error.to_string());
+        let built: Built = built.and_then(|material| {
+            let limits = Limits::default();
+            let body = match &cache {
+                Some(cache) => cache.body(mesh, &material, &pinned, &limits, &mut tell).map(|(body, _)| body),
+                None => LinearFem::new(mesh, &material, &pinned, &limits, &mut tell),
+            };
+            body.map_err(|error| error.to_string())
+        });
+        Box::new(built) as trocar_scene::JobOutput
     };
-    body.map_err(|error| error.to_string())
+    Job { key, takes: SimTime::from_secs_f64(JOB), work: Box::new(work) }
 }

@@ -25,6 +25,7 @@ pub mod thread_body;
 pub mod thread_grips;
 pub mod thread_memory;
 pub mod thread_obstacles;
+pub mod thread_tied;
 pub mod tools;
 pub mod touch;
 pub mod vital_signs;
@@ -53,6 +54,7 @@ pub use suture_body::{SewnTissue, SutureMemory, SutureNeedle};
 pub use thread::ThreadController;
 pub use thread_body::{Laid, Suture, ThreadBody};
 pub use thread_memory::ThreadMemory;
+pub use thread_tied::{Mark, TiedBody};
 pub use vital_signs::{Patient, PatientState, VitalSignsController};
 pub use xpbd::{XpbdBody, XpbdController};
 
@@ -86,6 +88,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<SutureMemory>()?;
     builder.register::<ThreadBody>()?;
     builder.register::<ThreadMemory>()?;
+    builder.register::<TiedBody>()?;
     builder.register::<Patient>()?;
     builder.register::<PatientState>()?;
     Ok(())

@@ -3,7 +3,10 @@
 //!
 //! Each tick: jaws take and let go; the tick is divided into steps of the length that the thread asks for, in each of which
 //! everything that it touches goes on by its share of the way since the last tick; nodes, memory, contacts and measures are
-//! told. Instruments feel what the thread exerts on their rods, and what it pulls at their jaws.
+//! told. Instruments feel what the thread exerts on their rods, and what it pulls at their jaws. An elastic body that a
+//! thread is tied around is stepped with it ([`Tied`]).
+
+use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::components::LineMesh;
@@ -17,10 +20,12 @@ use super::deformable::Deformable;
 use super::thread_body::ThreadBody;
 use super::thread_grips::{Leading, Pull, in_world, pulls, update};
 use super::thread_memory::{Met, ThreadMemory};
-use super::thread_obstacles::Parts;
+use super::thread_obstacles::{Form, Part, Parts};
+use super::thread_tied::{Tied, TiedBody};
 use super::touch::COLLISIONS_MAX;
+use crate::linear_fem::Cache;
 use crate::thread::knot::{KnotKind, identify};
-use crate::thread::{Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
+use crate::thread::{Elastic, Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
 
 /// Ticks from one look at its knot to the next.
 const KNOT_EVERY: u64 = 50;
@@ -50,6 +55,7 @@ struct Body {
     body: Deformable,
     kind: ThreadBody,
     thread: Thread,
+    tied: Option<Tied>,
     memory: ThreadMemory,
     parts: Parts,
     leading: Leading,
@@ -65,35 +71,49 @@ struct Body {
 /// Steps every thread that carries [`ThreadBody`].
 pub struct ThreadController {
     gravity_in_world: Vector3<f64>,
+    cache: Option<Cache>,
     bodies: Vec<Body>,
 }
 
 impl ThreadController {
-    /// Reads the threads, and goes on from where an earlier life left them.
+    /// Reads the threads, and goes on from where an earlier life left them. `cache` is the folder of inverses of what they
+    /// are tied around.
     ///
     /// # Errors
     /// Names the thread, and what is wrong with it.
-    pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
-        let mut bodies = Vec::new();
+    pub fn new(
+        gravity_in_world: Vector3<f64>,
+        cache: Option<PathBuf>,
+        context: &BuildContext<'_>,
+    ) -> Result<Self, ControllerError> {
+        let mut bodies: Vec<Body> = Vec::new();
         for entity in Deformable::carriers::<ThreadBody>(context.scene) {
             let Some(kind) = context.scene.get::<ThreadBody>(entity) else { continue };
             let body = Deformable::read(context.scene, entity)?;
             let name = body.name.clone();
-            let built = Body::new(kind.clone(), body, context.scene);
-            bodies.push(built.map_err(|why| ControllerError::Scene(format!("'{name}': {why}")))?);
+            let wrong = |why| ControllerError::Scene(format!("'{name}': {why}"));
+            let built = Body::new(kind.clone(), body, context.scene).map_err(wrong)?;
+            let around = |body: &Body| body.tied.as_ref().map(Tied::entity);
+            if around(&built).is_some() && bodies.iter().any(|other| around(other) == around(&built)) {
+                return Err(wrong("tied_around: another thread is tied around the same body".into()));
+            }
+            bodies.push(built);
         }
         if bodies.is_empty() {
             return Err(ControllerError::Scene("thread: no entity has a 'thread'".into()));
         }
-        Ok(Self { gravity_in_world, bodies })
+        Ok(Self { gravity_in_world, cache: cache.map(|folder| Cache::new(&folder)), bodies })
     }
 }
 
 impl Controller for ThreadController {
     fn access(&self) -> Access {
         let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
-        Deformable::access(&bodies)
+        let around = self.bodies.iter().filter_map(|body| body.tied.as_ref()).map(Tied::entity);
+        let moved: Vec<Entity> = bodies.iter().copied().chain(around).collect();
+        Deformable::access(&moved)
             .reads::<ThreadBody>()
+            .reads::<TiedBody>()
             .reads::<Pose>()
             .reads::<Instrument>()
             .reads::<JawState>()
@@ -110,18 +130,28 @@ impl Controller for ThreadController {
         let mut collisions = Vec::new();
         let mut measured = Measured::default();
         let mut depth_max = 0.0_f64;
-        for body in &mut self.bodies {
+        for (index, body) in self.bodies.iter_mut().enumerate() {
             let world_from_thread = scene.world_pose(body.body.entity);
             body.reactions.clear();
             body.pulls.clear();
             if !body.frozen {
                 let gravity = Deformable::gravity(&self.gravity_in_world, &world_from_thread);
-                if let Err(why) = body.step(scene, &world_from_thread, gravity, tick) {
-                    body.frozen = true;
-                    body.body.freeze(&why, tick, out);
-                } else {
-                    body.write(out);
-                    body.tell(&world_from_thread, tick, &mut collisions);
+                let ready = body.wait(index as u64, self.cache.as_ref(), tick);
+                let done = ready.and_then(|ready| {
+                    let step = || body.step(scene, &world_from_thread, gravity, tick, out);
+                    ready.then(step).transpose()
+                });
+                match done {
+                    Ok(Some(())) => {
+                        body.write(out);
+                        body.tell(&world_from_thread, tick, &mut collisions);
+                    }
+                    // It stands still as long as its surroundings are computed.
+                    Ok(None) => {}
+                    Err(why) => {
+                        body.frozen = true;
+                        body.body.freeze(&why, tick, out);
+                    }
                 }
             }
             depth_max = depth_max.max(body.memory.penetration_max);
@@ -157,14 +187,17 @@ impl Body {
                 Thread::new(material, &body.positions)
             }
         };
+        let tied = kind.tied_around.as_ref().map(|name| Tied::new(name, scene)).transpose()?;
+        let parts = Parts::around(tied.as_ref().map(|tied| (tied.entity(), tied.kind.friction)));
         Ok(Self {
             thread: thread.map_err(|error| error.to_string())?,
+            tied,
             memory: known
                 .cloned()
                 .unwrap_or_else(|| ThreadMemory { loop_min: -1.0, ..ThreadMemory::default() }),
             has_line: known.is_some(),
             frozen: scene.get::<Frozen>(body.entity).is_some(),
-            parts: Parts::default(),
+            parts,
             leading: Leading::default(),
             report: ThreadReport::default(),
             reactions: Vec::new(),
@@ -174,6 +207,12 @@ impl Body {
         })
     }
 
+    /// Whether everything is there that it takes to go on.
+    fn wait(&mut self, key: u64, cache: Option<&Cache>, tick: &Tick<'_>) -> Result<bool, String> {
+        let presses = &self.memory.presses;
+        self.tied.as_mut().map_or(Ok(true), |tied| tied.wait(key, cache, presses, tick))
+    }
+
     /// One tick.
     fn step(
         &mut self,
@@ -181,11 +220,18 @@ impl Body {
         world_from_thread: &Isometry3<f64>,
         gravity: Vector3<f64>,
         tick: &Tick<'_>,
+        out: &mut Commands,
     ) -> Result<(), String> {
         let period = tick.period.as_secs_f64();
         self.parts.read(scene, world_from_thread, self.kind.tool_friction, &self.memory.met);
         self.follow()?;
-        update(&mut self.memory.grips, &self.parts, scene, &self.thread, period);
+        let is_moved = |part: &Part| matches!(part.form, Form::Elastic) && part.met.at != part.to;
+        if self.parts.list.iter().any(is_moved) {
+            return Err("what it is tied around has been moved: it has to stay in its place".into());
+        }
+        if update(&mut self.memory.grips, &self.parts, scene, &self.thread, period) {
+            self.memory.loop_min = -1.0;
+        }
         self.leading.spare(&self.memory.grips, &self.parts, self.thread.state());
         let count = (period / self.kind.step - 1e-9).ceil().max(1.0);
         let dt = period / count;
@@ -193,8 +239,9 @@ impl Body {
         let mut report = ThreadReport::default();
         for step in 0..count as usize {
             let fractions = [step, step + 1].map(|step| step as f64 / count);
+            let elastic = self.tied.as_ref().and_then(Tied::elastic);
             let obstacles: Vec<Obstacle<'_>> =
-                self.parts.list.iter().map(|part| part.obstacle(fractions)).collect();
+                self.parts.list.iter().map(|part| part.obstacle(fractions, elastic)).collect();
             self.leading.holds.clear();
             self.leading.twist_holds.clear();
             self.leading.add(&self.memory.grips, &self.parts, scene, fractions[1]);
@@ -209,9 +256,12 @@ impl Body {
                 loads: &[],
                 obstacles: &obstacles,
                 spared: &self.leading.spared,
-                elastic: None,
+                elastic: elastic.map(|body| Elastic { obstacle: 0, body }),
             };
             let done = self.thread.step(dt, &around).map_err(|error| error.to_string())?;
+            if let Some(tied) = &mut self.tied {
+                tied.deform(self.thread.presses());
+            }
             report.parts += done.parts;
             report.iterations += done.iterations;
             report.sweeps += done.sweeps;
@@ -230,7 +280,12 @@ impl Body {
         self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
         self.memory.penetration_max = self.memory.penetration_max.max(report.penetration_max);
         self.look(tick.number);
-        self.memory.take(self.thread.state());
+        if let Some(tied) = &mut self.tied
+            && tied.settle(tick.number)?
+        {
+            out.event("beyond_linear", tied.entity(), None, tick.time.as_secs_f64());
+        }
+        self.memory.take(&self.thread);
         Ok(())
     }
 
@@ -282,6 +337,9 @@ impl Body {
         let state = self.thread.state();
         self.body.write(&state.positions, &state.velocities, out);
         out.put(self.body.entity, self.memory.clone());
+        if let Some(tied) = &mut self.tied {
+            tied.write(out);
+        }
     }
 
     /// What it exerts on whom.
@@ -318,13 +376,11 @@ impl Body {
                 None if part.rod.is_some() => Primitive::Shaft,
                 None => Primitive::Shape(0),
             };
-            add(
-                part.met.entity,
-                primitive,
-                place,
-                world_from_thread.rotation * -reaction.force,
-                size / ROD_STIFFNESS,
-            );
+            let depth = match (&part.form, &self.tied) {
+                (Form::Elastic, Some(tied)) => tied.displacement_max(),
+                _ => size / ROD_STIFFNESS,
+            };
+            add(part.met.entity, primitive, place, world_from_thread.rotation * -reaction.force, depth);
         }
         for (instrument, pull) in &self.pulls {
             let (place, force) = in_world(pull, world_from_thread);
@@ -351,5 +407,11 @@ impl Body {
         put("contacts", self.report.contacts as f64);
         put("iterations", self.report.iterations as f64);
         put("frozen", f64::from(u8::from(self.frozen)));
+        if let Some(tied) = &self.tied {
+            let pressing = state.contacts.iter().filter(|contact| contact.key.with == 1);
+            let tensions =
+                pressing.map(|contact| (state.tensions[contact.key.edge as usize], contact.force.norm()));
+            tied.measure(tensions, self.frozen, &mut measured.values);
+        }
     }
 }

@@ -91,6 +91,9 @@ pub enum Laid {
         half_turns: Vec<i32>,
         /// Places that the loop goes through, from the left (−x) to the right \[m\].
         around: Vec<[f64; 3]>,
+        /// From one throw to the next \[m\]; unless told as near as it can be.
+        #[serde(default)]
+        apart: f64,
         /// Between the knot and where the loop begins \[m\].
         arm: f64,
         /// Ends beyond the last throw \[m\].
@@ -118,6 +121,8 @@ pub struct ThreadBody {
     pub edges: [f64; 2],
     /// How it lies at the beginning.
     pub laid: Option<Laid>,
+    /// The name of the elastic body that it is drawn or tied around, which carries `tied`. It is stepped with the thread.
+    pub tied_around: Option<String>,
 }
 
 impl Default for ThreadBody {
@@ -131,6 +136,7 @@ impl Default for ThreadBody {
             step: 5e-4,
             edges: [1.5, 2e-3],
             laid: None,
+            tied_around: None,
         }
     }
 }
@@ -157,7 +163,8 @@ impl Component for ThreadBody {
             Some(Laid::Through { places }) => {
                 ComponentError::range("places", places.len() as f64, 2.0..=PLACES_MAX as f64, "2 to 1000")
             }
-            Some(Laid::Throws { half_turns, around, arm, ear }) => {
+            Some(Laid::Throws { half_turns, around, apart, arm, ear }) => {
+                ComponentError::range("apart", *apart, 0.0..=0.2, "0 to 0.2 m")?;
                 let count = half_turns.len() as f64;
                 ComponentError::range("half_turns", count, 1.0..=THROWS_MAX as f64, "1 to 8")?;
                 for turns in half_turns {
@@ -207,9 +214,15 @@ impl ThreadBody {
         let nodes = match &self.laid {
             None => return Ok(None),
             Some(Laid::Through { places }) => resampled(&points(places), edges[0]),
-            Some(Laid::Throws { half_turns, around, arm, ear }) => {
-                throws(&Throws { half_turns, around: &points(around), radius, arm: *arm, ear: *ear, edges })
-            }
+            Some(Laid::Throws { half_turns, around, apart, arm, ear }) => throws(&Throws {
+                half_turns,
+                around: &points(around),
+                radius,
+                apart: *apart,
+                arm: *arm,
+                ear: *ear,
+                edges,
+            }),
         };
         if !(3..=NODES_MAX).contains(&nodes.len()) {
             return Err(format!(

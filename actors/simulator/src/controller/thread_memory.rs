@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError, Entity};
 
 use super::thread_grips::Grip;
-use crate::thread::{ContactMemory, ThreadState};
+use crate::thread::elastic::Press;
+use crate::thread::{ContactMemory, Thread, ThreadState};
 
 /// A part of what a thread can touch, and where it was in the thread's frame at the last tick.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,9 +39,12 @@ pub struct ThreadMemory {
     pub met: Vec<Met>,
     /// What instruments hold of it.
     pub grips: Vec<Grip>,
+    /// What presses the elastic body that it is tied around.
+    pub presses: Vec<Press>,
     /// Which knot it was found to be, as [`super::thread::knot_code`] tells.
     pub knot: f64,
-    /// The shortest that its loop has been since then \[m\]; below 0 as long as there is none.
+    /// The shortest that its loop has been since then and since anybody has taken hold of the thread or let it
+    /// go \[m\]; below 0 as long as there is none.
     pub loop_min: f64,
     /// How deep a contact has been at most since the beginning \[m\].
     pub penetration_max: f64,
@@ -54,14 +58,17 @@ impl Component for ThreadMemory {
 }
 
 impl ThreadMemory {
-    /// Takes over a state.
-    pub fn take(&mut self, state: &ThreadState) {
+    /// Takes over where a thread is.
+    pub fn take(&mut self, thread: &Thread) {
+        let state = thread.state();
         self.rest_lengths.clone_from(&state.rest_lengths);
         self.directors.clone_from(&state.directors);
         self.twists.clone_from(&state.twists);
         self.spins.clone_from(&state.spins);
         self.tensions.clone_from(&state.tensions);
         self.contacts.clone_from(&state.contacts);
+        self.presses.clear();
+        self.presses.extend_from_slice(thread.presses());
     }
 
     /// The state, with positions \[m\] and velocities \[m/s\] of the scene.

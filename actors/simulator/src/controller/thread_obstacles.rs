@@ -12,6 +12,7 @@ use trocar_scene::{
 
 use super::thread_memory::Met;
 use super::tools::{Rod, rods_of_all};
+use crate::thread::elastic::ElasticBody;
 use crate::thread::{Obstacle, Shape};
 
 /// Where a frame was at the last tick, and where it is.
@@ -31,6 +32,8 @@ pub enum Form {
     Capsule([Point3<f64>; 2], f64),
     /// A surface that keeps its form.
     Mesh(Arc<Vec<Point3<f64>>>, Arc<Vec<[u32; 3]>>),
+    /// The elastic body that the thread is tied around.
+    Elastic,
 }
 
 /// A part of something that a thread can touch.
@@ -51,13 +54,20 @@ pub struct Part {
 }
 
 impl Part {
-    /// As the solver wants it, for a part of the tick.
+    /// As the solver wants it, for a part of the tick; the elastic body as it is now.
     #[must_use]
-    pub fn obstacle(&self, fractions: [f64; 2]) -> Obstacle<'_> {
+    pub fn obstacle<'a>(&'a self, fractions: [f64; 2], elastic: Option<&'a ElasticBody>) -> Obstacle<'a> {
         let shape = match &self.form {
             Form::Sphere(radius) => Shape::Sphere { radius: *radius },
             Form::Capsule(ends, radius) => Shape::Capsule { ends: *ends, radius: *radius },
             Form::Mesh(points, triangles) => Shape::Mesh { from: points, to: points, triangles, radius: 0.0 },
+            Form::Elastic => {
+                let (points, triangles) =
+                    elastic.map_or((&[][..], &[][..]), |body| (body.positions(), body.triangles()));
+                let shape = Shape::Mesh { from: points, to: points, triangles, radius: 0.0 };
+                // In its place to the bit.
+                return Obstacle::fixed(shape, self.to, self.friction);
+            }
         };
         let [from, to] = fractions.map(|fraction| between(&self.met.at, &self.to, fraction));
         Obstacle { shape, from, to, friction: self.friction }
@@ -78,14 +88,22 @@ pub fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, fraction: f64) -> Iso
 /// Everything that a thread can touch.
 #[derive(Clone, Debug, Default)]
 pub struct Parts {
-    /// In the same order for the same scene.
+    /// In the same order for the same scene; the elastic body is the first.
     pub list: Vec<Part>,
+    /// What the thread is tied around, and Coulomb's coefficient on it.
+    tied: Option<(Entity, f64)>,
     /// What analytic shapes look like, as long as they are the same.
     forms: BTreeMap<Entity, (SceneShape, Form)>,
     rods: Vec<Rod>,
 }
 
 impl Parts {
+    /// None yet, of a thread that is tied around an entity, with Coulomb's coefficient on it, or around none.
+    #[must_use]
+    pub fn around(tied: Option<(Entity, f64)>) -> Self {
+        Self { tied, ..Self::default() }
+    }
+
     /// Lists all parts as the scene has them. `known` are those of the last tick.
     pub fn read(
         &mut self,
@@ -97,6 +115,11 @@ impl Parts {
         self.list.clear();
         rods_of_all(scene, world_from_thread, &mut self.rods);
         let thread_from_world = world_from_thread.inverse();
+        if let Some((entity, friction)) = self.tied {
+            let to = thread_from_world * scene.world_pose(entity);
+            let met = Met { entity, part: 0, at: to };
+            self.list.push(Part { met, to, form: Form::Elastic, friction, rod: None, jaw: None });
+        }
         let mut count = 0;
         for (index, rod) in self.rods.iter().enumerate() {
             let entity = rod.instrument;

@@ -1,5 +1,7 @@
 //! The run-time side: constraints come and go, and every cycle answers with the forces that hold them.
 
+use std::sync::Arc;
+
 use nalgebra::Vector3;
 
 use super::active::{ActiveSet, Packed};
@@ -82,7 +84,7 @@ pub struct LinearFem {
     pub(super) boundary: Boundary,
     pub(super) material: Elastic,
     pub(super) factor: SparseCholesky,
-    pub(super) compliance: Compliance,
+    pub(super) compliance: Arc<Compliance>,
     pub(super) removal: Removal,
     pub(super) held: Vec<Held>,
     pub(super) next: u64,
@@ -154,7 +156,7 @@ impl LinearFem {
             boundary,
             material,
             factor,
-            compliance,
+            compliance: Arc::new(compliance),
             removal: Removal::default(),
             held: Vec::new(),
             next: 0,
@@ -186,6 +188,12 @@ impl LinearFem {
     #[must_use]
     pub fn compliance(&self) -> &Compliance {
         &self.compliance
+    }
+
+    /// The same, for somebody else who answers by it.
+    #[must_use]
+    pub fn shared_compliance(&self) -> Arc<Compliance> {
+        self.compliance.clone()
     }
 
     /// Constraints, in the order in which they came.

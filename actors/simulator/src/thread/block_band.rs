@@ -77,8 +77,8 @@ pub(crate) struct Factors {
 }
 
 impl Factors {
-    /// Finds the factors of a matrix and what is added to it, or names the block row at which there are none: where it is
-    /// not positive definite.
+    /// Finds the factors of a matrix and what is added to it, or names the block row at which there are none: where a
+    /// symmetric one is not positive definite, or another one has no pivot.
     pub fn find(&mut self, matrix: &BlockBand, added: Option<&Added>) -> Result<(), usize> {
         let rows = matrix.diagonal.len();
         let slanted = added.is_some_and(|added| added.slanted);
@@ -323,14 +323,17 @@ fn inverse_symmetric(of: &Columns) -> Option<Columns> {
     Some(inverse)
 }
 
-/// By elimination in order: of rows of different units none is to be preferred for its size.
+/// By elimination in order: of rows of different units none is to be preferred for its size. A pivot may be negative: where
+/// sliding on presses harder than what yields takes back, friction jams (Klarbring, *Examples of non-uniqueness and
+/// non-existence of solutions to quasistatic contact problems with friction*, 1990). Newton's method then finds that such a
+/// place sticks; were it refused instead, steps would be divided for nothing.
 #[inline]
 fn inverse_slanted(of: &Columns) -> Option<Columns> {
     let mut left = *of;
     let mut right: Columns = std::array::from_fn(|j| std::array::from_fn(|i| f64::from(u8::from(i == j))));
     for k in 0..4 {
         let pivot = left[k][k];
-        if pivot.is_nan() || pivot <= 0.0 || pivot.is_infinite() {
+        if pivot == 0.0 || !pivot.is_finite() {
             return None;
         }
         let share = 1.0 / pivot;
@@ -464,6 +467,45 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn friction_that_jams_has_factors_all_the_same() {
+        let (band, dense) = random(6, 3);
+        let mut added = Added::default();
+        added.clear(6);
+        // What presses harder the further it slides, at one node: a pivot is negative.
+        added.diagonal[2][(0, 0)] = -4.0 * dense[(8, 8)];
+        added.diagonal[2][(1, 0)] = 0.3;
+        added.slanted = true;
+        let mut whole = dense.clone();
+        whole[(8, 8)] -= 4.0 * dense[(8, 8)];
+        whole[(9, 8)] += 0.3;
+        let mut factors = Factors::default();
+        factors.find(&band, Some(&added)).expect("factors");
+        let right = nalgebra::DVector::from_fn(24, |i, _| 1.0 + i as f64);
+        let mut found: Vec<Cell> = (0..6).map(|i| Cell::from_fn(|k, _| right[4 * i + k])).collect();
+        factors.solve(&mut found);
+        let expected = whole.lu().solve(&right).expect("regular");
+        for (i, cell) in found.iter().enumerate() {
+            for k in 0..4 {
+                assert!((cell[k] - expected[4 * i + k]).abs() < 1e-9 * expected.amax());
+            }
+        }
+        // Without a pivot there are none.
+        let mut none = BlockBand::default();
+        none.clear(3);
+        assert_eq!(
+            Factors::default().find(
+                &none,
+                Some(&{
+                    added.clear(3);
+                    added.slanted = true;
+                    added
+                })
+            ),
+            Err(0)
+        );
     }
 
     #[test]

@@ -3,6 +3,8 @@
 //! in one problem per step: nothing is exchanged between two solvers, so nothing can build up between them however stiff
 //! either is.
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -35,7 +37,7 @@ const FIXED: u32 = u32::MAX;
 pub struct ElasticBody {
     rest: Vec<Point3<f64>>,
     triangles: Vec<[u32; 3]>,
-    compliance: Compliance,
+    compliance: Arc<Compliance>,
     /// Where each node stands in the compliance.
     row: Vec<u32>,
     positions: Vec<Point3<f64>>,
@@ -48,7 +50,8 @@ pub struct ElasticBody {
 impl ElasticBody {
     /// One at rest.
     #[must_use]
-    pub fn new(mesh: &TetMesh, compliance: Compliance) -> Self {
+    pub fn new(mesh: &TetMesh, compliance: impl Into<Arc<Compliance>>) -> Self {
+        let compliance = compliance.into();
         let mut row = vec![FIXED; mesh.rest().len()];
         for (index, &node) in compliance.nodes().iter().enumerate() {
             if let Some(row) = row.get_mut(node as usize) {
@@ -117,9 +120,10 @@ impl ElasticBody {
         }
     }
 
-    /// How a place moves for a force at another one \[m/N\]; the transpose is the same the other way round.
+    /// How a place moves for a force at another one \[m/N\]; the transpose is the same the other way round. Of its own nodes
+    /// only.
     #[must_use]
-    pub fn between(&self, place: &SurfacePlace, by: &SurfacePlace) -> Matrix3<f64> {
+    pub(crate) fn between(&self, place: &SurfacePlace, by: &SurfacePlace) -> Matrix3<f64> {
         let mut sum = Matrix3::zeros();
         for (node, weight) in by.nodes.iter().zip(by.weights) {
             let index = self.row[*node as usize];

@@ -18,6 +18,8 @@ pub struct Throws<'a> {
     pub around: &'a [Point3<f64>],
     /// Of the thread \[m\].
     pub radius: f64,
+    /// From one throw to the next \[m\]: what is not far lies as near as it can.
+    pub apart: f64,
     /// From the knot to where the loop begins, on either side \[m\].
     pub arm: f64,
     /// Ends beyond the last throw \[m\].
@@ -54,7 +56,7 @@ pub fn resampled(points: &[Point3<f64>], spacing: f64) -> Vec<Point3<f64>> {
 pub fn throws(tied: &Throws<'_>) -> Vec<Point3<f64>> {
     let circle = LOOSE * tied.radius;
     let half = 4.0 * circle;
-    let level_height = 6.0 * circle;
+    let level_height = tied.apart.max(6.0 * circle);
     let begin = |side: f64| Point3::new(side * (half + tied.arm), 0.0, -circle);
     let mut strands = [vec![begin(-1.0)], vec![begin(1.0)]];
     let mut top = 0.0;
@@ -75,7 +77,7 @@ pub fn throws(tied: &Throws<'_>) -> Vec<Point3<f64>> {
                 ));
             }
             if level + 1 < tied.half_turns.len() {
-                let outwards = (half + 1.5 * circle) * if left { 1.0 } else { -1.0 };
+                let outwards = (half + 0.25 * level_height) * if left { 1.0 } else { -1.0 };
                 strand.push(Point3::new(outwards, 0.0, z + 0.5 * level_height));
             }
         }
