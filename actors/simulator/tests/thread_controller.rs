@@ -183,3 +183,25 @@ fn a_mesh_that_is_no_thread_is_refused_by_name() {
     let told = build(&context).err().expect("refused").to_string();
     assert!(told.contains("'pad'") && told.contains("line"), "{told}");
 }
+
+#[test]
+fn edges_that_adapt_keep_what_is_held_and_another_life_goes_on_to_the_bit() {
+    let laid = "thread = { suture = \"silk2_0\", adaptive = true, edges = [1.5, 3e-3] }";
+    let text = format!("{GRASPER}{}", THREAD.replace("thread = { suture = \"silk2_0\" }", laid));
+    let go = |between: fn(&mut Stage<ThreadController>)| {
+        let mut stage = Stage::new(scene(&text), HZ, build);
+        pull(&mut stage, 0.002, 100, between);
+        stage
+    };
+    let (whole, one) = (go(|_| {}), go(|stage| stage.rebuild(build)));
+    // Straight, it needs a third of its edges; the pull is what it is with all of them.
+    let points = whole.get::<VertexPositions>("thread").positions.len();
+    assert!((10..25).contains(&points), "{points} nodes");
+    assert!(whole.measured("thread.held_nodes") >= 2.0);
+    let tension = whole.measured("thread.tension_n");
+    assert!((tension / 2.0 - 1.0).abs() < 0.05, "{tension} N");
+    let line = whole.get::<trocar_scene::LineMesh>("thread");
+    assert_eq!(line.segments.len() + 1, points);
+    assert_eq!(whole.get::<VertexPositions>("thread"), one.get::<VertexPositions>("thread"));
+    assert_eq!(whole.get::<ThreadMemory>("thread"), one.get::<ThreadMemory>("thread"));
+}

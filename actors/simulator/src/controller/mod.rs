@@ -22,6 +22,7 @@ pub mod suture;
 pub mod suture_body;
 pub mod thread;
 pub mod thread_body;
+pub mod thread_edges;
 pub mod thread_grips;
 pub mod thread_memory;
 pub mod thread_obstacles;

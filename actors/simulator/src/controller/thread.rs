@@ -18,6 +18,7 @@ use trocar_scene::{
 
 use super::deformable::Deformable;
 use super::thread_body::ThreadBody;
+use super::thread_edges::{EDGES_EVERY, adapt};
 use super::thread_grips::{Leading, Pull, in_world, pulls, update};
 use super::thread_memory::{Met, ThreadMemory};
 use super::thread_obstacles::{Form, Part, Parts};
@@ -231,6 +232,10 @@ impl Body {
         }
         if update(&mut self.memory.grips, &self.parts, scene, &self.thread, period) {
             self.memory.loop_min = -1.0;
+        }
+        if self.kind.adaptive && tick.number.is_multiple_of(EDGES_EVERY) {
+            let changed = adapt(&self.kind, &mut self.thread, &mut self.body, &mut self.memory.grips)?;
+            self.has_line &= !changed;
         }
         self.leading.spare(&self.memory.grips, &self.parts, self.thread.state());
         let count = (period / self.kind.step - 1e-9).ceil().max(1.0);

@@ -117,8 +117,10 @@ pub struct ThreadBody {
     pub tool_friction: f64,
     /// Longest step of the solver \[s\]: a tick is divided into such.
     pub step: f64,
-    /// Length of edges where it is tied, in diameters, and elsewhere \[m\]; of a thread that is laid.
+    /// Length of edges where it is tied, in diameters, and elsewhere \[m\]; of a thread that is laid or adapts.
     pub edges: [f64; 2],
+    /// Its edges become short wherever strands come near to each other or it bends sharply, and long elsewhere.
+    pub adaptive: bool,
     /// How it lies at the beginning.
     pub laid: Option<Laid>,
     /// The name of the elastic body that it is drawn or tied around, which carries `tied`. It is stepped with the thread.
@@ -135,6 +137,7 @@ impl Default for ThreadBody {
             tool_friction: 0.2,
             step: 5e-4,
             edges: [1.5, 2e-3],
+            adaptive: false,
             laid: None,
             tied_around: None,
         }

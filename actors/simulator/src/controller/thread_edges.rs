@@ -1,0 +1,66 @@
+//! Edges of a thread on a scene that are as short as its knots need and no shorter: what is held, anchored and remembered
+//! goes with the nodes.
+
+use nalgebra::Point3;
+
+use super::deformable::Deformable;
+use super::thread_body::ThreadBody;
+use super::thread_grips::Grip;
+use crate::thread::{Fineness, Renumbered, Thread};
+
+/// Ticks from one look at the edges to the next.
+pub const EDGES_EVERY: u64 = 10;
+/// Strands whose surfaces are not further apart are near \[m\]: no strand goes further in those ticks.
+const REACH: f64 = 2e-3;
+/// Edges may be longer than they are told to be by this factor before they are divided.
+const TOLERATED: f64 = 1.15;
+/// Nodes at most.
+const NODES_MAX: usize = 1024;
+
+/// Divides and joins edges where they have to be. Whether any was.
+///
+/// # Errors
+/// Why they could not be.
+pub fn adapt(
+    kind: &ThreadBody,
+    thread: &mut Thread,
+    body: &mut Deformable,
+    grips: &mut [Grip],
+) -> Result<bool, String> {
+    let fine = kind.edges[0] * thread.material().diameter() / TOLERATED;
+    let coarse = kind.edges[1].max(fine);
+    let fineness = Fineness { fine, coarse, reach: REACH, nodes_max: NODES_MAX };
+    let held = grips.iter().flat_map(|grip| &grip.nodes).map(|held| held.node);
+    let keep: Vec<usize> = held.chain(body.pinned.iter().copied()).map(|node| node as usize).collect();
+    let Some(now) = thread.adapt(&fineness, &keep).map_err(|error| error.to_string())? else {
+        return Ok(false);
+    };
+    for grip in grips {
+        grip.nodes.retain_mut(|held| match now.nodes.get(held.node as usize) {
+            Some(Some(node)) => {
+                held.node = *node;
+                true
+            }
+            _ => false,
+        });
+        for held in &mut grip.edges {
+            held.edge = now.edges.get(held.edge as usize).map_or(held.edge, |[first, _]| *first);
+        }
+    }
+    body.lie(rest(&body.rest, &now));
+    Ok(true)
+}
+
+/// Where the nodes lie at rest, of those that did before: new ones evenly between them.
+fn rest(before: &[Point3<f64>], now: &Renumbered) -> Vec<Point3<f64>> {
+    let mut nodes: Vec<Point3<f64>> = before.first().copied().into_iter().collect();
+    for (edge, [first, last]) in now.edges.iter().enumerate() {
+        let (Some(from), Some(to)) = (before.get(edge), before.get(edge + 1)) else { continue };
+        let parts = 1 + last - first;
+        nodes.extend((1..parts).map(|part| from.lerp(to, f64::from(part) / f64::from(parts))));
+        if now.nodes.get(edge + 1).is_some_and(Option::is_some) {
+            nodes.push(*to);
+        }
+    }
+    nodes
+}
