@@ -2,10 +2,11 @@
 //! let go of, bear 2 N by friction alone at every friction from 0.1 to 0.3.
 //!
 //! Throws of one turn are a chain of nips, each of which has to lock by itself (Maddocks, Keller, *Ropes in Equilibrium*,
-//! 1987: a square knot above 0.24). With too little friction the last one, whose ears are free, springs open, and then the
-//! next: five to seven slip at 0.1, however they are tied. Drawing each throw tight before the next one is laid changes
-//! little: then three slip and five hold at 0.2, and seven slip at 0.15. In throws of more turns the strands are wound about
-//! each other, and what the bending of the last throw holds is multiplied by `exp(μθ)` of the turns from there to the loop.
+//! 1987: a square knot above 0.24). With too little friction the last one, whose ears are free, opens, and then the next:
+//! at 0.1 five and seven slip, tightened with 8 N or 20 N. Drawing each throw tight before the next one is laid does not
+//! mend that: then at 0.2 three hold or slip by how fast the ears are let go and five hold, and at 0.15 seven slip. In
+//! throws of more turns strands are wound about each other, and friction multiplies by `exp(μθ)` of all of these turns;
+//! that this is why they hold is read off from which of them do.
 //!
 //! Slip of the loop in silk 2-0 within 0.4 s \[mm\], steps of 1 ms, by the length of edges in diameters; negative where the
 //! loop became smaller:
