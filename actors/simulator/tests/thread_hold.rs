@@ -12,8 +12,9 @@
 //!
 //! Steps of 1 ms, 0.5 ms and 0.25 ms agree on it. In a minute at 0.3 with steps of 1 ms the two throws slip by 0.046 mm, of
 //! which 0.01 mm after the first second. The throws are laid loosely and then pulled tight all at once, so that more of
-//! them do not always hold better: at 0.2 six hold with some steps and come loose with others, and seven come loose. Nothing
-//! holds at 0.1, with up to seven throws. Longer runs: `examples/thread_trial.rs`.
+//! them do not always hold better: at 0.2 six hold with some steps and come loose with others, and seven come loose. No
+//! throws of one turn hold at 0.1, with up to seven of them; what does is in `thread_turns.rs`. Longer runs:
+//! `examples/thread_trial.rs`.
 
 mod thread_support;
 
