@@ -166,6 +166,18 @@ fn a_thread_is_laid_tied_and_told_which_knot_it_is() {
         assert_eq!(stage.measured("thread.knot"), code, "{half_turns}");
         assert!(stage.get::<VertexPositions>("thread").positions.len() > 50);
     }
+    // Throws that are far from each other are the same knot, as high.
+    let apart = format!(
+        "{THREAD}[entity.thread.laid.throws]\nhalf_turns = [5, -3]\napart = 0.02\narm = 0.005\near = 0.01\n\
+         around = [[-0.004, 0.0, -0.006], [0.004, 0.0, -0.006]]\n"
+    )
+    .replace("thread = { suture = \"silk2_0\" }\n", "");
+    let mut stage = Stage::new(scene(&apart), HZ, build);
+    stage.tick();
+    assert_eq!(stage.measured("thread.knot"), 5.0);
+    let points = stage.get::<VertexPositions>("thread").positions;
+    let top = points.iter().map(|point| point.z).fold(0.0, f64::max);
+    assert!((top - 0.02).abs() < 1e-3, "{top} m");
 }
 
 #[test]

@@ -414,8 +414,8 @@ impl Body {
         put("frozen", f64::from(u8::from(self.frozen)));
         if let Some(tied) = &self.tied {
             let pressing = state.contacts.iter().filter(|contact| contact.key.with == 1);
-            let tensions =
-                pressing.map(|contact| (state.tensions[contact.key.edge as usize], contact.force.norm()));
+            let tension = |edge: u32| state.tensions.get(edge as usize).copied().unwrap_or(0.0);
+            let tensions = pressing.map(|contact| (tension(contact.key.edge), contact.force.norm()));
             tied.measure(tensions, self.frozen, &mut measured.values);
         }
     }
