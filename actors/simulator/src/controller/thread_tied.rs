@@ -175,13 +175,13 @@ impl Tied {
                 }
             }
             let is_free = |node: &u32| fem.compliance().nodes().binary_search(node).is_ok();
-            let loads: Vec<([(u32, f64); 1], Vector3<f64>)> = on_nodes
-                .into_iter()
-                .filter(|(node, _)| is_free(node))
-                .map(|(node, force)| ([(node, 1.0)], force))
+            on_nodes.retain(|node, _| is_free(node));
+            let whole: Vec<[(u32, f64); 1]> = on_nodes.keys().map(|&node| [(node, 1.0)]).collect();
+            let loads: Vec<Load<'_>> = whole
+                .iter()
+                .zip(on_nodes.values())
+                .map(|(weights, &force)| Load { weights, force })
                 .collect();
-            let loads: Vec<Load<'_>> =
-                loads.iter().map(|(weights, force)| Load { weights, force: *force }).collect();
             fem.solve(&loads).map_err(|error| error.to_string())?;
             let mut moved = Vec::new();
             fem.displacements(&mut moved);
