@@ -41,7 +41,7 @@ anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -
 [[entity]]
 name = "needle"
 mesh = {{ line = {{ length = 0.03, segments = 3, radius = 0.0003 }} }}
-needle = {{ tip = [{}, 0.0003, 0.0001], ahead = [{sin}, 0.0, {}], planned_exit = [{exit}, 0.0003, 0.0], thread_length = 0.03 }}
+needle = {{ tip = [{}, 0.0003, 0.0001], ahead = [{sin}, 0.0, {}], planned_exit = [{exit}, 0.0003, 0.0], thread_length = 0.03, thread_to = [-1.0, 0.0, 0.3] }}
 "#,
         radius * cos,
         -cos,
@@ -169,6 +169,29 @@ fn open_jaws_and_a_skin_that_does_not_give_let_nothing_in() {
     drive(&mut hard, "driver", &hold, 0.0, 100);
     assert_eq!((hard.measured("needle.entries"), hard.measured("needle.held_by")), (0.0, 1.0));
     assert!(felt(&hard, "driver") > 0.3, "{} N", felt(&hard, "driver"));
+}
+
+#[test]
+fn a_shaft_that_is_moved_against_the_thread_takes_it_along_and_feels_it() {
+    let (mut stage, _) = set(SEWN, 0.0);
+    let beside = |y: f64| Pose::from(Isometry3::translation(-0.02, y, 0.03));
+    stage.put("grasper", beside(0.008));
+    stage.tick();
+    let nearest = |stage: &Stage<SutureController>| {
+        let line = stage.get::<VertexPositions>("needle");
+        let off = |point: &&Point3<f64>| (point.x + 0.02).abs();
+        *line.positions.iter().min_by(|a, b| off(a).total_cmp(&off(b))).expect("a line")
+    };
+    let (begin, mut most) = (nearest(&stage).y, 0.0_f64);
+    for tick in 1..=500 {
+        stage.put("grasper", beside(0.008 - 2.5e-5 * f64::from(tick)));
+        stage.tick();
+        most = most.max(felt(&stage, "grasper"));
+    }
+    let end = nearest(&stage).y;
+    assert!(!stage.has::<Frozen>("needle"));
+    assert!(begin.abs() < 3e-3 && end < -4e-3, "the thread went from {begin} to {end} m");
+    assert!(most > 1e-4, "{most} N");
 }
 
 #[test]

@@ -27,6 +27,7 @@ pub mod thread_grips;
 pub mod thread_memory;
 pub mod thread_obstacles;
 pub mod thread_tied;
+pub mod thread_told;
 pub mod tools;
 pub mod touch;
 pub mod vital_signs;

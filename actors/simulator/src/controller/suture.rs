@@ -2,24 +2,30 @@
 //! tissue is stepped, and where they are goes back.
 //!
 //! Jaws take what lies between them when they close: the needle rather than the thread. What they hold is coupled to the
-//! instrument by its compliance, and slips beyond what the jaws can hold; instruments are told the force.
+//! instrument by its compliance, and slips beyond what the jaws can hold; instruments are told the force. The thread touches
+//! itself, the tissue, instruments and rigid bodies.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
-    Access, BuildContext, Collision, CollisionList, Commands, Controller, ControllerError, Detection, Entity,
-    EntitySet, Frozen, Instrument, JawState, Measured, Pose, Primitive, Snapshot, Tick,
+    Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Entity, EntitySet, Frozen,
+    Instrument, JawState, Measured, Pose, Primitive, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
 };
 
 use super::deformable::Deformable;
 use super::grips::{CLOSED, holds};
-use super::suture_body::{HeldPart, HeldWhat, SewnTissue, SutureMemory, SutureNeedle};
+use super::suture_body::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};
 use super::thread_body::ThreadBody;
+use super::thread_grips::{Leading, Pull, SPARED, pulls, update};
+use super::thread_memory::Met;
+use super::thread_obstacles::Parts;
+use super::thread_told::{Told, collision};
+use super::touch::COLLISIONS_MAX;
 use crate::elasticity::Elastic;
 use crate::needle::NeedleState;
 use crate::suture::{Around, Grip, Suture, SutureReport, SutureState, Tissue};
 use crate::tet_mesh::{MeshRules, TetMesh};
-use crate::thread::{Hold, ThreadState};
+use crate::thread::{Obstacle, Reaction, ThreadState};
 
 /// Longest step of the island \[s\].
 const STEP: f64 = 1e-3;
@@ -30,8 +36,6 @@ const PIECES: usize = 24;
 /// Of a held needle against its instrument \[N/m\], \[N·m/rad\]: steel jaws.
 const STIFFNESS: f64 = 2e4;
 const TURNING_STIFFNESS: f64 = 5.0;
-/// Of a held node of the thread \[N/m\].
-const THREAD_STIFFNESS: f64 = 2e4;
 
 /// Sews with the needle that carries [`SutureNeedle`], in the tissue that carries [`SewnTissue`].
 pub struct SutureController {
@@ -43,8 +47,12 @@ pub struct SutureController {
     memory: SutureMemory,
     report: SutureReport,
     grips: Vec<Grip>,
-    holds: Vec<Hold>,
-    forces: Vec<(Entity, Point3<f64>, Vector3<f64>, f64)>,
+    parts: Parts,
+    leading: Leading,
+    /// On each part, the mean over the last tick.
+    reactions: Vec<Reaction>,
+    pulls: Vec<(Entity, Pull)>,
+    forces: Vec<(Entity, Point3<f64>, Vector3<f64>)>,
     has_line: bool,
     frozen: bool,
 }
@@ -105,16 +113,19 @@ impl SutureController {
             memory,
             report: SutureReport::default(),
             grips: Vec::new(),
-            holds: Vec::new(),
+            parts: Parts::default(),
+            leading: Leading::default(),
+            reactions: Vec::new(),
+            pulls: Vec::new(),
             forces: Vec::new(),
             has_line: false,
         })
     }
 
     /// Takes and lets go.
-    fn update(&mut self, scene: &Snapshot) {
+    fn update(&mut self, scene: &Snapshot, period: f64) {
         let angle = |entity| scene.get::<JawState>(entity).map(|jaws| jaws.angle);
-        let stays = |held: &HeldPart| angle(held.instrument).is_some_and(|angle| angle <= CLOSED + OPENING);
+        let stays = |held: &HeldNeedle| angle(held.instrument).is_some_and(|angle| angle <= CLOSED + OPENING);
         self.memory.held.retain(stays);
         let mut closed = Vec::new();
         for (entity, instrument) in scene.iter::<Instrument>() {
@@ -122,20 +133,32 @@ impl SutureController {
                 continue;
             }
             closed.push(entity);
-            let holds_already = self.memory.held.iter().any(|held| held.instrument == entity);
+            let holds_already = self.memory.held.iter().any(|held| held.instrument == entity)
+                || self.memory.grips.iter().any(|grip| grip.instrument == entity);
             if self.memory.closed.contains(&entity) || holds_already {
                 continue;
             }
             let at = scene.world_pose(entity);
-            if let Some(what) = self.between(instrument, &at) {
-                self.memory.held.push(HeldPart { instrument: entity, at, what });
+            if let Some(along) = self.between(instrument, &at) {
+                let instrument_from_needle = at.inverse() * self.suture.state().needle.pose();
+                self.memory.held.push(HeldNeedle { instrument: entity, at, along, instrument_from_needle });
             }
         }
         self.memory.closed = closed;
+        let busy: Vec<Entity> = self.memory.held.iter().map(|held| held.instrument).collect();
+        if let Some(thread) = &self.suture.state().thread {
+            let radius = self.suture.thread_radius();
+            update(&mut self.memory.grips, &self.parts, scene, thread, radius, period, &busy);
+            self.leading.spare(&self.memory.grips, &self.parts, thread);
+            for held in &self.memory.held {
+                // The thread behind the tail lies in jaws that hold the needle there.
+                self.leading.spare_beginning(held.instrument, SPARED - held.along, &self.parts, thread);
+            }
+        }
     }
 
-    /// What lies between the jaws of an instrument that is at `world_from_instrument`.
-    fn between(&self, instrument: &Instrument, world_from_instrument: &Isometry3<f64>) -> Option<HeldWhat> {
+    /// Where the needle lies between the jaws of an instrument that is at `world_from_instrument`: arc length from its tail.
+    fn between(&self, instrument: &Instrument, world_from_instrument: &Isometry3<f64>) -> Option<f64> {
         let reach = instrument.jaw_thickness.max(1e-3) + self.kind.wire_radius;
         let inside = |point: &Point3<f64>| {
             let own = world_from_instrument.inverse_transform_point(point);
@@ -143,103 +166,112 @@ impl SutureController {
             let off = (own - Point3::new(0.0, 0.0, along)).norm();
             (off <= reach).then_some(off)
         };
-        let state = self.suture.state();
-        let pose = state.needle.pose();
-        let solid = self.suture.solid();
+        let (solid, pose) = (self.suture.solid(), self.suture.state().needle.pose());
         let length = solid.shape().length();
-        let on_needle = (0..=4 * PIECES)
-            .filter_map(|piece| {
-                let along = length * piece as f64 / (4 * PIECES) as f64;
-                Some((along, inside(&(pose * solid.point(along)))?))
-            })
-            .min_by(|a, b| a.1.total_cmp(&b.1));
-        if let Some((along, _)) = on_needle {
-            let instrument_from_needle = world_from_instrument.inverse() * pose;
-            return Some(HeldWhat::Needle { along, instrument_from_needle });
-        }
-        let positions = &state.thread.as_ref()?.positions;
-        let nodes = positions.iter().enumerate().filter_map(|(node, at)| Some((node, inside(at)?)));
-        let (node, _) = nodes.min_by(|a, b| a.1.total_cmp(&b.1))?;
-        let in_instrument = world_from_instrument.inverse_transform_point(&positions[node]);
-        Some(HeldWhat::Thread { node: node as u32, in_instrument })
+        let places = (0..=4 * PIECES).filter_map(|piece| {
+            let along = length * piece as f64 / (4 * PIECES) as f64;
+            Some((along, inside(&(pose * solid.point(along)))?))
+        });
+        places.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(along, _)| along)
     }
 
-    /// One tick; what instruments are told is left in `forces`.
+    /// One tick; what instruments are told is left in `forces`, `reactions` and `pulls`.
     fn step(&mut self, scene: &Snapshot, period: f64) -> Result<(), String> {
-        self.update(scene);
+        self.parts.read(scene, &Isometry3::identity(), self.kind.tool_friction, &self.memory.met);
+        if !self.parts.are(&self.memory.met)
+            && let Some(contacts) = self.suture.contacts_mut()
+        {
+            self.parts.renumber(&self.memory.met, contacts);
+        }
+        self.update(scene, period);
         let count = (period / STEP - 1e-9).ceil().max(1.0);
         self.forces.clear();
+        self.reactions.clear();
+        self.reactions.resize(self.parts.list.len(), Reaction::default());
         for step in 0..count as usize {
-            let [begin, end] = [step, step + 1].map(|step| step as f64 / count);
+            let fractions = [step, step + 1].map(|step| step as f64 / count);
             self.grips.clear();
-            self.holds.clear();
             for held in &self.memory.held {
                 let now = scene.world_pose(held.instrument);
-                let at = |share: f64| held.at.try_lerp_slerp(&now, share, 1e-12).unwrap_or(now);
-                match held.what {
-                    HeldWhat::Needle { along, instrument_from_needle } => self.grips.push(Grip {
-                        point: self.suture.solid().point(along),
-                        from: at(begin) * instrument_from_needle,
-                        to: at(end) * instrument_from_needle,
-                        stiffness: STIFFNESS,
-                        turning_stiffness: TURNING_STIFFNESS,
-                        force_max: self.kind.jaw_force,
-                        torque_max: self.kind.jaw_torque,
-                    }),
-                    HeldWhat::Thread { node, in_instrument } => self.holds.push(Hold {
-                        node: node as usize,
-                        to: at(end) * in_instrument,
-                        stiffness: THREAD_STIFFNESS,
-                        force_max: self.kind.jaw_force,
-                    }),
-                }
+                let [from, to] = fractions
+                    .map(|share| held.at.try_lerp_slerp(&now, share, 1e-12).unwrap_or(now))
+                    .map(|at| at * held.instrument_from_needle);
+                self.grips.push(Grip {
+                    point: self.suture.solid().point(held.along),
+                    from,
+                    to,
+                    stiffness: STIFFNESS,
+                    turning_stiffness: TURNING_STIFFNESS,
+                    force_max: self.kind.jaw_force,
+                    torque_max: self.kind.jaw_torque,
+                });
             }
-            let around = Around { gravity: self.gravity, grips: &self.grips, holds: &self.holds, loads: &[] };
+            self.leading.holds.clear();
+            self.leading.twist_holds.clear();
+            self.leading.add(&self.memory.grips, &self.parts, scene, fractions[1]);
+            let obstacles: Vec<Obstacle<'_>> =
+                self.parts.list.iter().map(|part| part.obstacle(fractions, None)).collect();
+            let around = Around {
+                gravity: self.gravity,
+                grips: &self.grips,
+                holds: &self.leading.holds,
+                twist_holds: &self.leading.twist_holds,
+                loads: &[],
+                obstacles: &obstacles,
+                spared: &self.leading.spared,
+            };
             self.report = self.suture.step(period / count, &around).map_err(|error| error.to_string())?;
+            for (sum, reaction) in self.reactions.iter_mut().zip(self.suture.reactions()) {
+                sum.force += reaction.force / count;
+                sum.torque += reaction.torque / count;
+            }
             // What slipped is held otherwise from now on.
-            let slipped = self.suture.gripped().iter().map(|gripped| gripped.slipped);
-            let needles = self.memory.held.iter_mut().filter_map(|held| match &mut held.what {
-                HeldWhat::Needle { instrument_from_needle, .. } => {
-                    Some((held.instrument, held.at, instrument_from_needle))
-                }
-                HeldWhat::Thread { .. } => None,
-            });
-            for ((instrument, before, pose), slipped) in needles.zip(slipped) {
-                if let Some(wanted) = slipped {
-                    let now = scene.world_pose(instrument);
-                    let at = before.try_lerp_slerp(&now, end, 1e-12).unwrap_or(now);
-                    *pose = at.inverse() * wanted;
+            for (held, gripped) in self.memory.held.iter_mut().zip(self.suture.gripped()) {
+                if let Some(wanted) = gripped.slipped {
+                    let now = scene.world_pose(held.instrument);
+                    let at = held.at.try_lerp_slerp(&now, fractions[1], 1e-12).unwrap_or(now);
+                    held.instrument_from_needle = at.inverse() * wanted;
                 }
             }
         }
-        self.told();
-        for held in &mut self.memory.held {
+        let pose = self.suture.state().needle.pose();
+        for (held, gripped) in self.memory.held.iter_mut().zip(self.suture.gripped()) {
+            let place = pose * self.suture.solid().point(held.along);
+            self.forces.push((held.instrument, place, gripped.force));
             held.at = scene.world_pose(held.instrument);
         }
+        if let Some(thread) = &self.suture.state().thread {
+            let forces = self.suture.hold_forces();
+            self.pulls = pulls(&mut self.memory.grips, &self.parts, scene, thread, forces);
+        }
+        self.memory.met.clear();
+        self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
+        self.memory.penetration_max = self.memory.penetration_max.max(self.report.penetration_max);
         self.memory.state = Some(self.suture.state().clone());
         Ok(())
     }
 
-    /// What instruments feel: where, the force on what they hold, and how far they are from it.
-    fn told(&mut self) {
-        let pose = self.suture.state().needle.pose();
-        let mut gripped = self.suture.gripped().iter();
-        let mut nodes = self.suture.hold_forces().iter();
-        for held in &self.memory.held {
-            let (place, force, stiffness) = match held.what {
-                HeldWhat::Needle { along, .. } => {
-                    let Some(gripped) = gripped.next() else { continue };
-                    (pose * self.suture.solid().point(along), gripped.force, STIFFNESS)
-                }
-                HeldWhat::Thread { node, .. } => {
-                    let (Some(force), Some(thread)) = (nodes.next(), &self.suture.state().thread) else {
-                        continue;
-                    };
-                    (thread.positions[node as usize], *force, THREAD_STIFFNESS)
-                }
-            };
-            self.forces.push((held.instrument, place, force, force.norm() / stiffness));
+    /// What instruments feel: the force on what they hold, and how far they are from it.
+    fn tell(&self, tick: &Tick<'_>) -> CollisionList {
+        let mut collisions = Vec::new();
+        let needle = self.needle.entity;
+        for (instrument, place, force) in &self.forces {
+            let depth = force.norm() / STIFFNESS;
+            let jaw = Primitive::Jaw(0);
+            collisions.push(collision(*instrument, jaw, needle, *place, *force, depth, tick.time));
         }
+        let told = Told {
+            thread: needle,
+            world_from_thread: Isometry3::identity(),
+            parts: &self.parts,
+            reactions: &self.reactions,
+            pulls: &self.pulls,
+            displacement_max: 0.0,
+        };
+        told.tell(tick.time, &mut collisions);
+        collisions.sort_by(|a, b| b.force_in_world.norm().total_cmp(&a.force_in_world.norm()));
+        collisions.truncate(COLLISIONS_MAX);
+        CollisionList { collisions, penetration_max: self.memory.penetration_max }
     }
 
     fn write(&mut self, scene: &Snapshot, out: &mut Commands) {
@@ -279,7 +311,14 @@ impl SutureController {
         put("tissue_force_n", self.report.force_on_tissue.norm());
         put("tissue_energy_j", tissue.energy());
         put("needle_energy_j", state.needle.kinetic_energy(self.suture.solid()));
-        put("held_by", self.memory.held.len() as f64);
+        put("held_by", (self.memory.held.len() + self.memory.grips.len()) as f64);
+        let tensions = state.thread.iter().flat_map(|thread| thread.tensions.iter().copied());
+        put("thread_tension_n", tensions.fold(0.0, f64::max));
+        put("contacts", self.report.contacts as f64);
+        put("contact_force_n", self.reactions.iter().map(|reaction| reaction.force.norm()).sum());
+        put("surface_force_n", state.presses.iter().map(|press| press.force.norm()).sum());
+        put("penetration_m", self.memory.penetration_max);
+        put("iterations", self.report.iterations as f64);
         // How much of the thread is past the place in the tissue that it reached first.
         put("thread_through_m", state.channel.last().map_or(0.0, |point| (-point.along).max(0.0)));
         if let Some(plan) = self.kind.planned_exit {
@@ -300,6 +339,9 @@ impl Controller for SutureController {
             .reads::<Pose>()
             .reads::<Instrument>()
             .reads::<JawState>()
+            .reads::<RigidBody>()
+            .reads::<Shape>()
+            .reads::<SurfaceMesh>()
             .writes::<LineMesh>(needle.clone())
             .writes::<SutureMemory>(needle)
             .writes::<Measured>(EntitySet::Own)
@@ -312,21 +354,7 @@ impl Controller for SutureController {
             match self.step(scene, tick.period.as_secs_f64()) {
                 Ok(()) => {
                     self.write(scene, out);
-                    for (instrument, place, force, depth) in &self.forces {
-                        list.collisions.push(Collision {
-                            a: *instrument,
-                            primitive_a: Primitive::Jaw(0),
-                            b: self.needle.entity,
-                            primitive_b: Primitive::Shape(0),
-                            points_in_world: [*place; 2],
-                            normal_in_world: force.try_normalize(1e-12).unwrap_or_else(Vector3::z),
-                            depth: *depth,
-                            force_in_world: *force,
-                            velocity_constraint: 0.0,
-                            method: Detection::Simulator,
-                            detected_at: tick.time,
-                        });
-                    }
+                    list = self.tell(tick);
                 }
                 Err(why) => {
                     self.frozen = true;
@@ -347,9 +375,7 @@ fn begin(kind: &SutureNeedle, world_from_entity: &Isometry3<f64>) -> Result<Sutu
     let solid = kind.shape().solid().map_err(|error| error.to_string())?;
     let pose = world_from_entity * kind.pose()?;
     let (tail, back) = (pose * solid.point(0.0), pose * -solid.tangent(0.0));
-    let edges = (kind.thread_length / kind.thread_edge).round().max(2.0);
-    let edge = kind.thread_length / edges;
-    let nodes: Vec<_> = (0..=edges as usize).map(|node| tail + back * (node as f64 * edge)).collect();
+    let nodes = kind.thread_nodes(tail, back, world_from_entity)?;
     Ok(SutureState::new(NeedleState::at_rest(&pose), Some(ThreadState::at_rest(&nodes))))
 }
 

@@ -1,14 +1,17 @@
 //! What a scene says of a needle with its thread, and of tissue that is sewn; and what they need to go on.
 
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError, Entity};
 
 use super::thread_body::Suture;
+use super::thread_grips::Grip;
+use super::thread_memory::Met;
 use crate::elasticity::POISSON_MAX;
 use crate::needle::NeedleShape;
 use crate::suture::{Resistance, SutureState};
+use crate::thread::frame::perpendicular;
 
 /// Tissue that a needle goes through: it needs a mesh of tetrahedra, and `anchors` where it is held. See [`Resistance`] for
 /// what the numbers are of.
@@ -95,6 +98,9 @@ impl Component for SewnTissue {
     }
 }
 
+/// Radius of the bend in which the thread leaves the tail \[m\].
+const BEND: f64 = 4e-3;
+
 /// A needle with a thread swaged to it. It needs a mesh of a line, which then follows needle and thread; places are in the
 /// frame of the entity, which stays where it is.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -116,8 +122,12 @@ pub struct SutureNeedle {
     pub side: [f64; 3],
     /// Which thread.
     pub suture: Suture,
-    /// How much of it \[m\]; it lies straight behind the tail at the beginning.
+    /// How much of it \[m\]; it lies straight behind the tail at the beginning, or as far as `thread_to` says.
     pub thread_length: f64,
+    /// Where it leads to at the beginning, once it has left the tail in a bend.
+    pub thread_to: Option<[f64; 3]>,
+    /// Coulomb's coefficient of the thread on instruments.
+    pub tool_friction: f64,
     /// Of the thread's edges \[m\].
     pub thread_edge: f64,
     /// That jaws can hold the needle with, along each axis \[N\].
@@ -143,6 +153,8 @@ impl Default for SutureNeedle {
             side: [0.0, 1.0, 0.0],
             suture: Suture::default(),
             thread_length: 0.06,
+            thread_to: None,
+            tool_friction: 0.2,
             thread_edge: 1.5e-3,
             jaw_force: 10.0,
             jaw_torque: 0.05,
@@ -162,6 +174,36 @@ impl SutureNeedle {
             taper: self.taper,
             ..NeedleShape::half_circle_26()
         }
+    }
+
+    /// Nodes of its thread at the beginning, behind a tail that points `back`, in the world \[m\].
+    ///
+    /// # Errors
+    /// A direction that is none.
+    pub fn thread_nodes(
+        &self,
+        tail: Point3<f64>,
+        back: Vector3<f64>,
+        world_from_entity: &Isometry3<f64>,
+    ) -> Result<Vec<Point3<f64>>, String> {
+        let edges = (self.thread_length / self.thread_edge).round().max(2.0);
+        let edge = self.thread_length / edges;
+        let to = self
+            .thread_to
+            .map_or(Some(back), |to| (world_from_entity.rotation * Vector3::from(to)).try_normalize(1e-9));
+        let to = to.ok_or("thread_to is no direction")?;
+        // About which it bends, and how far.
+        let axis = Unit::try_new(back.cross(&to), 1e-9)
+            .unwrap_or_else(|| Unit::new_normalize(perpendicular(&Vector3::z(), &back)));
+        let angle = back.angle(&to);
+        let (mut nodes, mut at) = (vec![tail], tail);
+        for step in 0..edges as usize {
+            // The first edge goes straight on, in the line of the tail.
+            let turned = (step as f64 * edge / BEND).min(angle);
+            at += UnitQuaternion::from_axis_angle(&axis, turned) * back * edge;
+            nodes.push(at);
+        }
+        Ok(nodes)
     }
 
     /// Its pose at the beginning, in the frame of the entity.
@@ -195,6 +237,7 @@ impl Component for SutureNeedle {
         ComponentError::range("wire_radius", self.wire_radius, 2e-5..=5e-3, "20 µm to 5 mm")?;
         ComponentError::range("thread_length", self.thread_length, 5e-3..=0.5, "5 mm to 0.5 m")?;
         ComponentError::range("thread_edge", self.thread_edge, 2e-4..=0.02, "0.2 to 20 mm")?;
+        ComponentError::range("tool_friction", self.tool_friction, 0.0..=10.0, "0 to 10")?;
         ComponentError::range("jaw_force", self.jaw_force, 0.0..=1e3, "0 to 1000 N")?;
         ComponentError::range("jaw_torque", self.jaw_torque, 0.0..=10.0, "0 to 10 N·m")
     }
@@ -203,35 +246,17 @@ impl Component for SutureNeedle {
     }
 }
 
-/// What an instrument holds of needle or thread.
+/// How an instrument holds the needle.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct HeldPart {
+pub struct HeldNeedle {
     /// Which instrument.
     pub instrument: Entity,
     /// Its pose at the last tick, in the world.
     pub at: Isometry3<f64>,
-    /// What of it.
-    pub what: HeldWhat,
-}
-
-/// Needle or thread.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum HeldWhat {
-    /// The needle, at an arc length from its tail \[m\]; `instrument_from_needle` as the jaws have it.
-    Needle {
-        /// Where they hold it.
-        along: f64,
-        /// How.
-        instrument_from_needle: Isometry3<f64>,
-    },
-    /// A node of the thread, and where the jaws have it \[m\].
-    Thread {
-        /// Which.
-        node: u32,
-        /// In the frame of the instrument.
-        in_instrument: Point3<f64>,
-    },
+    /// Where it holds it: arc length from the tail \[m\].
+    pub along: f64,
+    /// As the jaws have it.
+    pub instrument_from_needle: Isometry3<f64>,
 }
 
 /// Where the last tick ended.
@@ -240,10 +265,16 @@ pub enum HeldWhat {
 pub struct SutureMemory {
     /// Of needle, thread and channels, in the world; none before the first tick.
     pub state: Option<SutureState>,
-    /// What instruments hold.
-    pub held: Vec<HeldPart>,
+    /// What instruments hold of the needle.
+    pub held: Vec<HeldNeedle>,
+    /// And of its thread.
+    pub grips: Vec<Grip>,
     /// Instruments that were closed.
     pub closed: Vec<Entity>,
+    /// What the thread could touch besides the tissue, in the order that contacts count them in.
+    pub met: Vec<Met>,
+    /// How deep a contact of the thread has been at most since the beginning \[m\].
+    pub penetration_max: f64,
 }
 
 impl Component for SutureMemory {

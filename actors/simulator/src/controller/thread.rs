@@ -8,21 +8,21 @@
 
 use std::path::PathBuf;
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Vector3};
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
-    Access, BuildContext, Collision, CollisionList, Commands, Controller, ControllerError, Detection, Entity,
-    EntitySet, Frozen, Instrument, JawState, Measured, Pose, Primitive, RigidBody, Shape, Snapshot,
-    SurfaceMesh, Tick,
+    Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Entity, EntitySet, Frozen,
+    Instrument, JawState, Measured, Pose, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
 };
 
 use super::deformable::Deformable;
 use super::thread_body::ThreadBody;
 use super::thread_edges::{EDGES_EVERY, adapt};
-use super::thread_grips::{Leading, Pull, in_world, pulls, update};
+use super::thread_grips::{Leading, Pull, pulls, update};
 use super::thread_memory::{Met, ThreadMemory};
 use super::thread_obstacles::{Form, Part, Parts};
 use super::thread_tied::{Tied, TiedBody};
+use super::thread_told::Told;
 use super::touch::COLLISIONS_MAX;
 use crate::linear_fem::Cache;
 use crate::thread::knot::{KnotKind, identify};
@@ -30,10 +30,6 @@ use crate::thread::{Elastic, Hold, Obstacle, Reaction, Surroundings, Thread, Thr
 
 /// Ticks from one look at its knot to the next.
 const KNOT_EVERY: u64 = 50;
-/// Forces below this are none \[N\].
-const FORCE_MIN: f64 = 1e-6;
-/// How stiff the contact of an instrument's rod with a thread feels \[N/m\]: what gives way is the shaft.
-const ROD_STIFFNESS: f64 = 1000.0;
 
 /// The knot as a measure: 0 none, 1 a single throw, 2 a figure-eight, 3 square, 4 granny, 5 surgeon's, 6 other throws one
 /// after the other, 7 one without a name, −1 one that cannot be told.
@@ -145,7 +141,15 @@ impl Controller for ThreadController {
                 match done {
                     Ok(Some(())) => {
                         body.write(out);
-                        body.tell(&world_from_thread, tick, &mut collisions);
+                        let told = Told {
+                            thread: body.body.entity,
+                            world_from_thread,
+                            parts: &body.parts,
+                            reactions: &body.reactions,
+                            pulls: &body.pulls,
+                            displacement_max: body.tied.as_ref().map_or(0.0, Tied::displacement_max),
+                        };
+                        told.tell(tick.time, &mut collisions);
                     }
                     // It stands still as long as its surroundings are computed.
                     Ok(None) => {}
@@ -230,7 +234,8 @@ impl Body {
         if self.parts.list.iter().any(is_moved) {
             return Err("what it is tied around has been moved: it has to stay in its place".into());
         }
-        if update(&mut self.memory.grips, &self.parts, scene, &self.thread, period) {
+        let (state, radius) = (self.thread.state(), self.thread.material().radius);
+        if update(&mut self.memory.grips, &self.parts, scene, state, radius, period, &[]) {
             self.memory.loop_min = -1.0;
         }
         if self.kind.adaptive && tick.number.is_multiple_of(EDGES_EVERY) {
@@ -297,20 +302,11 @@ impl Body {
     /// When the scene has other things to touch than at the last tick, contacts with those that are left keep what they
     /// remember.
     fn follow(&mut self) -> Result<(), String> {
-        let known = &self.memory.met;
-        let same = |met: &Met, part: &Met| met.entity == part.entity && met.part == part.part;
-        let list = &self.parts.list;
-        if known.len() == list.len() && known.iter().zip(list).all(|(met, part)| same(met, &part.met)) {
+        if self.parts.are(&self.memory.met) {
             return Ok(());
         }
         let mut state = self.thread.state().clone();
-        state.contacts.retain_mut(|contact| {
-            let Some(index) = (contact.key.with as usize).checked_sub(1) else { return true };
-            let now = known.get(index).and_then(|met| list.iter().position(|part| same(met, &part.met)));
-            contact.key.with = now.map_or(0, |now| 1 + now as u32);
-            now.is_some()
-        });
-        state.contacts.sort_unstable_by_key(|contact| contact.key);
+        self.parts.renumber(&self.memory.met, &mut state.contacts);
         self.thread = Thread::restore(*self.thread.material(), state).map_err(|error| error.to_string())?;
         Ok(())
     }
@@ -344,53 +340,6 @@ impl Body {
         out.put(self.body.entity, self.memory.clone());
         if let Some(tied) = &mut self.tied {
             tied.write(out);
-        }
-    }
-
-    /// What it exerts on whom.
-    fn tell(&self, world_from_thread: &Isometry3<f64>, tick: &Tick<'_>, collisions: &mut Vec<Collision>) {
-        let mut add = |a: Entity,
-                       primitive_a: Primitive,
-                       place: Point3<f64>,
-                       force_on_thread: Vector3<f64>,
-                       depth: f64| {
-            collisions.push(Collision {
-                a,
-                primitive_a,
-                b: self.body.entity,
-                primitive_b: Primitive::Shape(0),
-                points_in_world: [place; 2],
-                normal_in_world: force_on_thread.try_normalize(1e-12).unwrap_or_else(Vector3::z),
-                depth,
-                force_in_world: force_on_thread,
-                velocity_constraint: 0.0,
-                method: Detection::Simulator,
-                detected_at: tick.time,
-            });
-        };
-        for (part, reaction) in self.parts.list.iter().zip(&self.reactions) {
-            let size = reaction.force.norm();
-            if size < FORCE_MIN {
-                continue;
-            }
-            // The point nearest to the part's origin about which the forces turn nothing across them.
-            let arm = reaction.force.cross(&reaction.torque) / (size * size);
-            let place = world_from_thread * Point3::from(part.to.translation.vector + arm);
-            let primitive = match part.jaw {
-                Some(jaw) => Primitive::Jaw(jaw as u8),
-                None if part.rod.is_some() => Primitive::Shaft,
-                None => Primitive::Shape(0),
-            };
-            let depth = match (&part.form, &self.tied) {
-                (Form::Elastic, Some(tied)) => tied.displacement_max(),
-                _ => size / ROD_STIFFNESS,
-            };
-            add(part.met.entity, primitive, place, world_from_thread.rotation * -reaction.force, depth);
-        }
-        for (instrument, pull) in &self.pulls {
-            let (place, force) = in_world(pull, world_from_thread);
-            // How far the instrument is from what it holds: force over depth is how stiff it feels.
-            add(*instrument, Primitive::Jaw(0), place, force, (pull.places[1] - pull.places[0]).norm());
         }
     }
 

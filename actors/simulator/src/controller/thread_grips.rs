@@ -9,12 +9,12 @@ use trocar_scene::{Entity, Instrument, JawState, Snapshot};
 
 use super::grips::{CLOSED, holds};
 use super::thread_obstacles::{Parts, between};
-use crate::thread::{Hold, Spared, Thread, ThreadState, TwistHold};
+use crate::thread::{Hold, Spared, ThreadState, TwistHold};
 
 /// Jaws that open by more than this beyond where they took hold, or beyond closed, let go \[rad\].
 const OPENING: f64 = 0.05;
 /// How far along the thread from what they hold jaws do not stop it \[m\].
-const SPARED: f64 = 8e-3;
+pub(super) const SPARED: f64 = 8e-3;
 /// Edges of the thread between those that one jaw touches and those that the other does, at most.
 const BESIDE: usize = 2;
 
@@ -56,8 +56,17 @@ impl Grip {
     }
 }
 
-/// Lets go what jaws let go, and takes what they take in this tick of `period` \[s\]. Whether anything has changed.
-pub fn update(grips: &mut Vec<Grip>, parts: &Parts, scene: &Snapshot, thread: &Thread, period: f64) -> bool {
+/// Lets go what jaws let go, and takes what they take of a thread of `radius` \[m\] in this tick of `period` \[s\]; `busy`
+/// ones take nothing. Whether anything has changed.
+pub fn update(
+    grips: &mut Vec<Grip>,
+    parts: &Parts,
+    scene: &Snapshot,
+    state: &ThreadState,
+    radius: f64,
+    period: f64,
+    busy: &[Entity],
+) -> bool {
     let before = grips.len();
     let angle = |entity| scene.get::<JawState>(entity).map(|jaws| (jaws.angle, jaws.rate));
     grips.retain(|grip| {
@@ -65,7 +74,8 @@ pub fn update(grips: &mut Vec<Grip>, parts: &Parts, scene: &Snapshot, thread: &T
     });
     let mut changed = before != grips.len();
     for (entity, instrument) in scene.iter::<Instrument>() {
-        if !holds(instrument.kind) || grips.iter().any(|grip| grip.instrument == entity) {
+        let is_full = busy.contains(&entity) || grips.iter().any(|grip| grip.instrument == entity);
+        if !holds(instrument.kind) || is_full {
             continue;
         }
         let Some((angle, rate)) = angle(entity) else { continue };
@@ -74,7 +84,7 @@ pub fn update(grips: &mut Vec<Grip>, parts: &Parts, scene: &Snapshot, thread: &T
         }
         // What the jaws come to within this tick is between them already.
         let way = rate.abs() * instrument.jaw_length * period;
-        if let Some(grip) = taken(grips, parts, entity, angle, thread, way) {
+        if let Some(grip) = taken(grips, parts, entity, angle, (state, radius), way) {
             grips.push(grip);
             changed = true;
         }
@@ -88,12 +98,10 @@ fn taken(
     parts: &Parts,
     entity: Entity,
     angle: f64,
-    thread: &Thread,
+    (state, radius): (&ThreadState, f64),
     way: f64,
 ) -> Option<Grip> {
     let ([_, pose], [Some(a), Some(b)]) = parts.instrument(entity)? else { return None };
-    let state = thread.state();
-    let radius = thread.material().radius;
     let edges = state.positions.len() - 1;
     let touched = [(a, -1.0), (b, 1.0)].map(|(jaw, inwards)| {
         let Some(rod) = parts.list[jaw].rod else { return Vec::new() };
@@ -178,6 +186,18 @@ impl Leading {
                 director: pose.rotation * held.in_instrument,
             }));
         }
+    }
+
+    /// Says that an instrument does not stop the first `length` of the thread \[m\].
+    pub fn spare_beginning(&mut self, instrument: Entity, length: f64, parts: &Parts, state: &ThreadState) {
+        let mut arc = 0.0;
+        let edges = state.rest_lengths.iter().take_while(|rest| {
+            arc += **rest;
+            arc < length
+        });
+        let Some(last) = edges.count().checked_sub(1) else { return };
+        let own = parts.list.iter().enumerate().filter(|(_, part)| part.met.entity == instrument);
+        self.spared.extend(own.map(|(obstacle, _)| Spared { obstacle, edges: [0, last] }));
     }
 
     /// Says what the jaws of the grips do not stop.

@@ -13,7 +13,7 @@ use trocar_scene::{
 use super::thread_memory::Met;
 use super::tools::{Rod, rods_of_all};
 use crate::thread::elastic::ElasticBody;
-use crate::thread::{Obstacle, Shape};
+use crate::thread::{ContactMemory, Obstacle, Shape};
 
 /// Where a frame was at the last tick, and where it is.
 pub type FrameFromTo = [Isometry3<f64>; 2];
@@ -85,6 +85,11 @@ pub fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, fraction: f64) -> Iso
     Isometry3::from_parts(place.into(), rotation)
 }
 
+/// Whether they are the same part of the same entity.
+fn is_same(met: &Met, other: &Met) -> bool {
+    met.entity == other.entity && met.part == other.part
+}
+
 /// Everything that a thread can touch.
 #[derive(Clone, Debug, Default)]
 pub struct Parts {
@@ -152,8 +157,7 @@ impl Parts {
             }
         }
         for part in &mut self.list {
-            let same = |met: &&Met| met.entity == part.met.entity && met.part == part.met.part;
-            if let Some(before) = known.iter().find(same) {
+            if let Some(before) = known.iter().find(|met| is_same(met, &part.met)) {
                 part.met.at = before.at;
             }
         }
@@ -179,6 +183,28 @@ impl Parts {
         };
         self.forms.insert(entity, (shape.clone(), form.clone()));
         Some(form)
+    }
+
+    /// Whether they are those of the last tick.
+    #[must_use]
+    pub fn are(&self, known: &[Met]) -> bool {
+        known.len() == self.list.len()
+            && known.iter().zip(&self.list).all(|(met, part)| is_same(met, &part.met))
+    }
+
+    /// Numbers contacts with those of the last tick as these are, and drops those with what is gone. What comes after all
+    /// parts still does.
+    pub fn renumber(&self, known: &[Met], contacts: &mut Vec<ContactMemory>) {
+        contacts.retain_mut(|contact| {
+            let Some(index) = (contact.key.with as usize).checked_sub(1) else { return true };
+            let now = match known.get(index) {
+                Some(met) => self.list.iter().position(|part| is_same(met, &part.met)),
+                None => Some(index - known.len() + self.list.len()),
+            };
+            contact.key.with = now.map_or(0, |now| 1 + now as u32);
+            now.is_some()
+        });
+        contacts.sort_unstable_by_key(|contact| contact.key);
     }
 
     /// The parts of an instrument: where its tip's frame was and is, and the places of its jaws in the list.

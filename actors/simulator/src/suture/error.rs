@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use crate::linear_fem::PrecomputeError;
 use crate::needle::NeedleError;
-use crate::thread::ThreadError;
+use crate::thread::{ThreadError, Trouble};
 
 /// Why there is no suture, or why a step was not made; what was before, still is.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -39,7 +39,7 @@ pub enum SutureError {
         /// Its place in the list.
         index: usize,
         /// What is wrong with it.
-        why: &'static str,
+        why: String,
     },
     /// Too much is followed at once.
     #[error(
@@ -54,6 +54,6 @@ pub enum SutureError {
         /// That was tried \[s\].
         shortest: f64,
         /// What went wrong.
-        why: &'static str,
+        why: Trouble,
     },
 }

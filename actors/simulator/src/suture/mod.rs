@@ -5,8 +5,8 @@
 //! | Tissue that answers inside, and the way through its elements | `tissue.rs` |
 //! | Forces of going in, through and out | `material.rs` |
 //! | What holds, presses and rubs, as rows | `rows.rs` |
-//! | Forces that obey the laws of all rows | `solve.rs` |
-//! | Newton iterations on all bodies together | `island.rs` |
+//! | Needle and tissue as companions in the thread's island | `sewing.rs` |
+//! | The needle's side and the thread on the surface | `surface.rs` |
 //! | The tip at and in the tissue: in, on, out, back | `tip.rs` |
 //! | What is kept from step to step | `state.rs` |
 //!
@@ -20,34 +20,43 @@
 //! Elements are larger than a wire is thick: what a line gives way about itself within one of them
 //! ([`Tissue::gives_way_about`]) is added to what the elements show, else places in one element pinch the needle.
 //!
+//! Needle and tissue are companions of the thread in its island ([`thread`](crate::thread)): what holds all three together is
+//! solved for in the problem of the thread's own contacts. So a sewn thread touches itself, the surface of the tissue and what
+//! is around it as any thread does, and is tied as one. The needle's side stays out of the surface as well.
+//!
 //! # Limits
-//! Tissue is stiffer by nothing where it has been cut, and the channel is as wide as what is in it. Thread does not touch
-//! itself, instruments or the outside of the tissue here: that is in [`Thread::step`](crate::thread::Thread::step), which
-//! knows no needle. The shaft of the needle is not kept out of the surface, only its tip is. Small displacements of the
-//! tissue only: see [`ROTATION_LIMIT`](crate::linear_fem::ROTATION_LIMIT).
+//! Tissue is stiffer by nothing where it has been cut, and the channel is as wide as what is in it. The needle does not touch
+//! its own thread, nor anything but tissue and the jaws that hold it. Next to a hole, as far as one place of the channel from
+//! the next, thread and needle do not touch the surface. Small displacements of the tissue only: see
+//! [`ROTATION_LIMIT`](crate::linear_fem::ROTATION_LIMIT).
 
 mod error;
-mod island;
 mod material;
 mod rows;
-mod solve;
+mod sewing;
 mod state;
+mod surface;
 mod tip;
 mod tissue;
 
 pub use error::SutureError;
 pub use material::Resistance;
-pub use state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, SutureState, Tip};
+pub use state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, NeedleContact, SutureState, Tip};
 pub use tissue::{NODES_MAX, Place, Tissue, Way};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
 use crate::needle::{NeedleShape, Solid};
-use crate::thread::{Hold, Load, STEP_MAX, ThreadMaterial};
-use island::{Bodies, Island};
+use crate::thread::island::Island;
+use crate::thread::island::companion::Tied;
+use crate::thread::{
+    ContactMemory, Hold, Load, Obstacle, Reaction, SWEEPS, Shape, Spared, Surroundings, ThreadMaterial,
+    ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
+};
+use sewing::{Room, Sewing};
 
 /// A step is divided into this many parts at most.
-const PARTS_MAX: u32 = 64;
+const PARTS_MAX: u32 = 256;
 /// Events that one step tells of at most.
 const EVENTS_MAX: usize = 16;
 
@@ -90,8 +99,14 @@ pub struct Around<'a> {
     pub grips: &'a [Grip],
     /// Nodes of the thread that are led; a hold's largest force is along each axis of the world.
     pub holds: &'a [Hold],
+    /// Edges of the thread that are kept from turning.
+    pub twist_holds: &'a [TwistHold],
     /// Forces on nodes of the thread.
     pub loads: &'a [Load],
+    /// What the thread can touch besides itself and the tissue; an obstacle keeps its place in the list from step to step.
+    pub obstacles: &'a [Obstacle<'a>],
+    /// What of the thread does not touch which of them.
+    pub spared: &'a [Spared],
 }
 
 /// How a step went. Forces are those at its end.
@@ -101,10 +116,14 @@ pub struct SutureReport {
     pub parts: u32,
     /// Linearised solutions, over all parts.
     pub iterations: usize,
-    /// Factorisations of the forces' problem.
-    pub rounds: usize,
-    /// Rows of the last problem.
-    pub rows: usize,
+    /// Newton steps on the rules of all places and on the laws of the thread's contacts with obstacles.
+    pub sweeps: usize,
+    /// Places at which needle, thread and tissue are tied to each other.
+    pub ties: usize,
+    /// Contacts of the thread that push: with itself, with the tissue's surface, with obstacles.
+    pub contacts: usize,
+    /// How deep one of these is at most \[m\].
+    pub penetration_max: f64,
     /// Of the tissue on the tip \[N\].
     pub tip_force: f64,
     /// Of the tissue along needle and thread, the tip left out: the sum of friction's sizes \[N\].
@@ -126,9 +145,15 @@ pub struct Suture {
     state: SutureState,
     trial: SutureState,
     island: Island,
+    room: Room,
+    /// Nodes of the tissue when the step began.
+    began: Vec<Point3<f64>>,
+    spared: Vec<Spared>,
+    /// Empty between steps.
+    obstacles: Vec<Obstacle<'static>>,
+    nothing: ThreadState,
     events: Vec<Event>,
     gripped: Vec<Gripped>,
-    hold_forces: Vec<Vector3<f64>>,
     on_tissue: Vector3<f64>,
 }
 
@@ -150,9 +175,8 @@ impl Suture {
             material.check()?;
         }
         state.check(&tissue, material.as_ref().map(|material| material.radius))?;
-        let places = state.channel.iter().map(|point| &point.place).chain(state.tip.place());
-        for place in places {
-            if !tissue.name(place) {
+        for (spot, _) in state.forces_on_tissue() {
+            if !tissue.name_spot(&spot) {
                 return Err(SutureError::Full);
             }
         }
@@ -164,10 +188,14 @@ impl Suture {
             tissue,
             trial: state.clone(),
             state,
-            island: Island::default(),
+            island: Island::new(SWEEPS),
+            room: Room::default(),
+            began: Vec::new(),
+            spared: Vec::new(),
+            obstacles: Vec::new(),
+            nothing: ThreadState::default(),
             events: Vec::with_capacity(EVENTS_MAX),
             gripped: Vec::new(),
-            hold_forces: Vec::new(),
             on_tissue: Vector3::zeros(),
         })
     }
@@ -186,6 +214,18 @@ impl Suture {
     #[must_use]
     pub fn state(&self) -> &SutureState {
         &self.state
+    }
+
+    /// What the thread's contacts remember, to be numbered anew when obstacles come and go. Contacts with the tissue count it
+    /// after all obstacles.
+    pub fn contacts_mut(&mut self) -> Option<&mut Vec<ContactMemory>> {
+        self.state.thread.as_mut().map(|thread| &mut thread.contacts)
+    }
+
+    /// Of the thread \[m\]; 0 where there is none.
+    #[must_use]
+    pub fn thread_radius(&self) -> f64 {
+        self.material.map_or(0.0, |material| material.radius)
     }
 
     /// The needle's shape and mass.
@@ -215,7 +255,15 @@ impl Suture {
     /// Forces of the holds on the thread in the last step, in their order, mean over it \[N\].
     #[must_use]
     pub fn hold_forces(&self) -> &[Vector3<f64>] {
-        &self.hold_forces
+        self.island.hold_forces()
+    }
+
+    /// What the thread did to the obstacles in the last step, in their order.
+    #[must_use]
+    pub fn reactions(&self) -> &[Reaction] {
+        let all = self.island.reactions();
+        // The last is the tissue.
+        &all[..all.len().saturating_sub(1)]
     }
 
     /// Where the tip is, in the world \[m\].
@@ -236,16 +284,46 @@ impl Suture {
         self.gripped.clear();
         let nothing = Gripped { force: Vector3::zeros(), torque: Vector3::zeros(), slipped: None };
         self.gripped.resize(around.grips.len(), nothing);
-        self.hold_forces.clear();
-        self.hold_forces.resize(around.holds.len(), Vector3::zeros());
-        (self.island.iterations, self.island.rounds) = (0, 0);
+        self.began.clear();
+        self.began.extend_from_slice(self.tissue.positions());
         let mut report = SutureReport::default();
+        let mut of_thread = ThreadReport::default();
+        // The thread meets the surface as it was when the step began.
+        let began = std::mem::take(&mut self.began);
+        let triangles = self.tissue.triangles();
+        let shape = Shape::Mesh { from: &began, to: &began, triangles: &triangles, radius: 0.0 };
+        let friction = self.resistance.thread_friction;
+        let mut obstacles = emptied(std::mem::take(&mut self.obstacles));
+        obstacles.extend_from_slice(around.obstacles);
+        obstacles.push(Obstacle::fixed(shape, Isometry3::identity(), friction));
+        let here = Here { around, obstacles: &obstacles, began: &began };
+        self.island.begin(self.trial.thread.as_ref().unwrap_or(&self.nothing), &here.surroundings(&[]));
+        let done = self.parts(dt, &here, &mut report, &mut of_thread);
+        if let (Ok(()), Some(material)) = (&done, &self.material) {
+            self.island.tell(material, &here.surroundings(&[]), &mut of_thread);
+        }
+        self.obstacles = emptied(obstacles);
+        self.began = began;
+        done?;
+        std::mem::swap(&mut self.state, &mut self.trial);
+        self.tell(&mut report, &of_thread);
+        Ok(report)
+    }
+
+    /// All parts of the step.
+    fn parts(
+        &mut self,
+        dt: f64,
+        here: &Here<'_>,
+        report: &mut SutureReport,
+        of_thread: &mut ThreadReport,
+    ) -> Result<(), SutureError> {
         // Time in units of the shortest part, so that the parts add up exactly.
         let (mut done, mut part) = (0, PARTS_MAX);
         while done < PARTS_MAX {
             part = part.min(PARTS_MAX - done);
             let fractions = [done, done + part].map(|time| f64::from(time) / f64::from(PARTS_MAX));
-            match self.part(dt * (fractions[1] - fractions[0]), fractions, around) {
+            match self.part(dt * (fractions[1] - fractions[0]), fractions, part > 1, here, of_thread) {
                 Ok(()) => {
                     done += part;
                     report.parts += 1;
@@ -271,72 +349,108 @@ impl Suture {
                 }
             }
         }
-        std::mem::swap(&mut self.state, &mut self.trial);
-        self.tell(&mut report);
-        Ok(report)
+        Ok(())
     }
 
     /// One part of the step, from `trial` to `trial`.
-    fn part(&mut self, dt: f64, fractions: [f64; 2], around: &Around<'_>) -> Result<(), SutureError> {
+    fn part(
+        &mut self,
+        dt: f64,
+        fractions: [f64; 2],
+        divisible: bool,
+        here: &Here<'_>,
+        of_thread: &mut ThreadReport,
+    ) -> Result<(), SutureError> {
         self.tissue.begin();
         let before = self.trial.tip;
-        for round in 0.. {
-            let of =
-                Bodies { solid: &self.solid, thread: self.material.as_ref(), resistance: &self.resistance };
-            let found = self.island.find(&of, &self.trial, &mut self.tissue, dt, fractions, around);
-            if let Err(why) = found {
+        let surface = here.obstacles.len() - 1;
+        self.spared.clear();
+        self.spared.extend_from_slice(here.around.spared);
+        let length = self.solid.shape().length();
+        surface::in_tissue(&self.trial, length, &self.resistance, surface, &mut self.spared);
+        let spared = std::mem::take(&mut self.spared);
+        let surroundings = here.surroundings(&spared);
+        let material = self.material.unwrap_or(ThreadMaterial::silk_2_0());
+        let mut round = 0;
+        let found = loop {
+            let mut sewing = Sewing {
+                solid: &self.solid,
+                thread: self.material.as_ref(),
+                resistance: &self.resistance,
+                start: &self.trial,
+                tissue: &mut self.tissue,
+                room: &mut self.room,
+                around: here.around,
+                dt,
+                fractions,
+                surface,
+                step_began: here.began,
+            };
+            sewing.begin();
+            let found =
+                self.island.part(&material, dt, fractions, &surroundings, divisible, of_thread, &mut sewing);
+            if let Err(failure) = found {
                 self.trial.tip = before;
-                return Err(SutureError::Diverged { time: 0.0, shortest: 0.0, why });
+                let why = failure.why;
+                break Err(SutureError::Diverged { time: 0.0, shortest: 0.0, why });
             }
             // A tip that has come in on the way is stopped there, and the part is made again.
-            if round > 0 || !self.meets()? {
-                break;
+            match if round > 0 { Ok(false) } else { self.meets() } {
+                Err(why) => break Err(why),
+                Ok(true) => self.tissue.deform(self.trial.forces_on_tissue()),
+                Ok(false) => {
+                    let (links, forces) = self.island.links();
+                    self.room.press(links, forces);
+                    self.island.finish(&material, dt, fractions, &surroundings);
+                    break Ok(());
+                }
             }
-            self.tissue.deform(self.trial.forces_on_tissue());
-        }
-        self.feel(fractions, around);
-        self.commit(dt, &around.gravity)
+            round += 1;
+        };
+        self.spared = spared;
+        found?;
+        self.feel(fractions, here.around);
+        self.commit(dt, &here.around.gravity)
     }
 
-    /// Adds the forces of this part to what grips, holds and tissue feel, by its share of the step.
+    /// Adds the forces of this part to what grips and tissue feel, by its share of the step.
     fn feel(&mut self, fractions: [f64; 2], around: &Around<'_>) {
         let weight = fractions[1] - fractions[0];
-        let (layout, problem) = (self.island.layout, &self.island.problem);
+        let (layout, tied) = (self.room.layout, self.island.tied());
         for (index, gripped) in self.gripped.iter_mut().enumerate() {
-            let first = layout.grips + 6 * index;
-            let of = |k: usize| Vector3::from_column_slice(&problem.force[first + k..first + k + 3]);
-            gripped.force += of(0) * weight;
-            gripped.torque += of(3) * weight;
+            let first = layout.grips + 2 * index;
+            let [place, turn] = [tied[first], tied[first + 1]];
+            gripped.force += Vector3::from(place.force) * weight;
+            gripped.torque += Vector3::from(turn.force) * weight;
             let grip = &around.grips[index];
             // What gives way stays where its spring is stretched by what it can hold.
-            let given = |k: usize| if problem.gives_way(first + k) { problem.gap_of(first + k) } else { 0.0 };
-            let (by, turn) = (Vector3::from_fn(|k, _| given(k)), Vector3::from_fn(|k, _| given(k + 3)));
+            let given = |of: &Tied| Vector3::from_fn(|k, _| if of.gives_way[k] { of.gap[k] } else { 0.0 });
+            let (by, turn) = (given(&place), given(&turn));
             gripped.slipped = (by != Vector3::zeros() || turn != Vector3::zeros()).then(|| {
                 let rotation = nalgebra::UnitQuaternion::from_scaled_axis(turn) * grip.to.rotation;
                 let translation = grip.to * grip.point + by - rotation * grip.point;
                 Isometry3::from_parts(translation.into(), rotation)
             });
         }
-        for (index, felt) in self.hold_forces.iter_mut().enumerate() {
-            let first = layout.holds + 3 * index;
-            *felt += Vector3::from_column_slice(&problem.force[first..first + 3]) * weight;
+        for tie in layout.channel..layout.sides {
+            self.on_tissue -= self.room.force(tied, tie) * weight;
         }
-        for first in (layout.channel..self.island.rows.len()).step_by(3) {
-            self.on_tissue -= self.island.force(first) * weight;
-        }
+        self.on_tissue += self.room.presses.iter().map(|press| press.force).sum::<Vector3<f64>>() * weight;
     }
 
-    fn tell(&self, report: &mut SutureReport) {
-        report.iterations = self.island.iterations;
-        report.rounds = self.island.rounds;
-        report.rows = self.island.rows.len();
+    fn tell(&self, report: &mut SutureReport, of_thread: &ThreadReport) {
+        report.iterations = of_thread.iterations;
+        report.sweeps = of_thread.sweeps;
+        report.ties = self.island.tied().len();
+        report.contacts = of_thread.contacts;
+        report.penetration_max = of_thread.penetration_max;
         report.force_on_tissue = self.on_tissue;
         report.tip_force = self.state.tip_force.norm();
         let (state, length) = (&self.state, self.solid.shape().length());
         for (index, point) in state.channel.iter().enumerate() {
-            let share = island::share_of_channel(state, index, length);
+            let share = sewing::share_of_channel(state, index, length);
             report.length_inside += share;
-            let Some(site) = self.island.sites.get(index) else { continue };
+            let Some(site) = self.room.sites.get(index) else { continue };
             let along = point.force.dot(&site.tangent);
             report.drag += along.abs();
             if share > 0.25 * self.resistance.spacing {
@@ -347,20 +461,20 @@ impl Suture {
     }
 
     fn check(&self, dt: f64, around: &Around<'_>) -> Result<(), SutureError> {
-        if dt.is_nan() || dt <= 0.0 || dt > STEP_MAX {
-            return Err(SutureError::Number { what: "the step", value: dt, valid: "above 0, at most 2 ms" });
-        }
-        let given = |what, index, why| Err(SutureError::Given { what, index, why });
-        if !around.gravity.iter().all(|x| x.is_finite()) {
-            return given("gravity", 0, "not finite");
-        }
         let nodes = self.state.thread.as_ref().map_or(0, |thread| thread.positions.len());
+        let whole = Here { around, obstacles: around.obstacles, began: &[] };
+        let sound = check_step(dt).and_then(|()| whole.surroundings(&[]).check(nodes));
+        sound.map_err(|error| match error {
+            ThreadStepError::Given { what, index, why } => SutureError::Given { what, index, why },
+            _ => SutureError::Number { what: "the step", value: dt, valid: "above 0, at most 2 ms" },
+        })?;
         let is_pose = |pose: &Isometry3<f64>| {
             pose.translation.vector.iter().all(|x| x.is_finite()) && (pose.rotation.norm() - 1.0).abs() < 1e-6
         };
         for (index, grip) in around.grips.iter().enumerate() {
+            let given = |why: &str| Err(SutureError::Given { what: "grip", index, why: why.to_owned() });
             if !is_pose(&grip.from) || !is_pose(&grip.to) || !grip.point.iter().all(|x| x.is_finite()) {
-                return given("grip", index, "its pose or point is not finite");
+                return given("its pose or point is not finite");
             }
             let stiff = |x: f64| x > 0.0 && x <= 1e9;
             let most = |x: f64| x >= 0.0;
@@ -369,30 +483,38 @@ impl Suture {
                 && most(grip.force_max)
                 && most(grip.torque_max))
             {
-                return given(
-                    "grip",
-                    index,
-                    "valid: stiffness above 0, at most 1e9; force and torque 0 or more",
-                );
-            }
-        }
-        for (index, hold) in around.holds.iter().enumerate() {
-            if hold.node >= nodes || !hold.to.iter().all(|x| x.is_finite()) {
-                return given("hold", index, "there is no such node, or its place is not finite");
-            }
-            if !(hold.stiffness > 0.0 && hold.stiffness <= 1e9 && hold.force_max >= 0.0) {
-                return given(
-                    "hold",
-                    index,
-                    "valid: stiffness above 0, at most 1e9 N/m; force_max 0 or more",
-                );
-            }
-        }
-        for (index, load) in around.loads.iter().enumerate() {
-            if load.node >= nodes || !load.force.iter().all(|x| x.is_finite()) {
-                return given("load", index, "there is no such node, or its force is not finite");
+                return given("valid: stiffness above 0, at most 1e9; force and torque 0 or more");
             }
         }
         Ok(())
+    }
+}
+
+/// The room of a list for another one, of what lives at another time.
+fn emptied<'b>(mut list: Vec<Obstacle<'_>>) -> Vec<Obstacle<'b>> {
+    list.clear();
+    // Collected in place.
+    list.into_iter().map_while(|_| None).collect()
+}
+
+/// What is around needle and thread in a step: what was given, and the tissue as the last obstacle.
+struct Here<'a> {
+    around: &'a Around<'a>,
+    obstacles: &'a [Obstacle<'a>],
+    /// Nodes of the tissue when the step began.
+    began: &'a [Point3<f64>],
+}
+
+impl Here<'_> {
+    fn surroundings<'b>(&'b self, spared: &'b [Spared]) -> Surroundings<'b> {
+        Surroundings {
+            gravity: self.around.gravity,
+            holds: self.around.holds,
+            twist_holds: self.around.twist_holds,
+            loads: self.around.loads,
+            obstacles: self.obstacles,
+            spared,
+            ..Surroundings::default()
+        }
     }
 }

@@ -1,58 +1,36 @@
-//! What holds needle, thread and tissue together, as rows: directions at places of them, how far they are from where they
-//! should be, and what they may do about it.
+//! What holds needle, thread and tissue together, as joints of three rows: directions at places of them, how far they are
+//! from where they should be, and what they may do about it.
 
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3, Vector6};
 
-use super::solve::Law;
+use super::tissue::Spot;
 use crate::needle::{NeedleState, Solid};
 use crate::thread::block_band::Cell;
+use crate::thread::contact::{Rows, Rule};
 use crate::thread::frame::{angle_about, perpendicular};
+use crate::thread::island::companion::Tie;
 use crate::thread::rod::Iterate;
 
 /// How much a row gives way \[m/N\]: some micrometres under the forces of sewing, far less than the tissue does about one
 /// wire, and enough that two rows at one place are not one too many.
 pub(super) const COMPLIANCE: f64 = 1e-6;
 
-/// One row.
+/// What a joint does to needle and tissue; its tie is what it does to the thread.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Row {
-    /// On the needle: force, and torque about its centre, per force of the row.
-    pub needle: Vector6<f64>,
-    /// On the thread: block rows, and weights on them.
-    pub thread: [(u32, Cell); 2],
-    /// How many of these are in use.
-    pub used: usize,
-    /// Against the tissue: which place, and the direction.
-    pub tissue: Option<(u32, Vector3<f64>)>,
-    /// At the iterate \[m\].
-    pub gap: f64,
-    /// \[m/N\].
-    pub compliance: f64,
-    pub law: Law,
-    /// To begin with \[N\].
-    pub force: f64,
+pub(super) struct Joint {
+    /// On the needle: force, and torque about its centre, per force of each row.
+    pub needle: [Vector6<f64>; 3],
+    /// Against the tissue: where. The directions are those of the tie's rows.
+    pub tissue: Option<Spot>,
 }
 
-impl Row {
-    fn new(gap: f64, law: Law) -> Self {
-        Self {
-            needle: Vector6::zeros(),
-            thread: [(0, Cell::zeros()); 2],
-            used: 0,
-            tissue: None,
-            gap,
-            compliance: COMPLIANCE,
-            law,
-            force: 0.0,
-        }
-    }
+/// A joint and its tie.
+pub(super) type Pair = (Joint, Tie);
 
-    /// How much it moves with a motion of the needle and of the thread.
-    pub fn moved(&self, needle: &Vector6<f64>, thread: &[Cell]) -> f64 {
-        let of_thread: f64 =
-            self.thread[..self.used].iter().map(|(node, cell)| cell.dot(&thread[*node as usize])).sum();
-        self.needle.dot(needle) + of_thread
-    }
+fn pair(directions: [Vector3<f64>; 3], gap: [f64; 3], rule: Rule) -> Pair {
+    let rows = Rows { nodes: [0; 4], cells: [[Cell::zeros(); 4]; 3], used: 0, directions };
+    let tie = Tie { rows, rule, gap, yields: [COMPLIANCE; 3], force: [0.0; 3] };
+    (Joint { needle: [Vector6::zeros(); 3], tissue: None }, tie)
 }
 
 fn cell(direction: &Vector3<f64>, weight: f64) -> Cell {
@@ -63,6 +41,8 @@ fn on_needle(direction: &Vector3<f64>, arm: &Vector3<f64>) -> Vector6<f64> {
     let turn = arm.cross(direction);
     Vector6::new(direction.x, direction.y, direction.z, turn.x, turn.y, turn.z)
 }
+
+const AXES: fn() -> [Vector3<f64>; 3] = || [Vector3::x(), Vector3::y(), Vector3::z()];
 
 /// A place on needle or thread.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,93 +63,96 @@ pub(super) fn across(tangent: &Vector3<f64>, near: &Vector3<f64>) -> [Vector3<f6
     [first, tangent.cross(&first)]
 }
 
-/// Directions of a site against a place in the tissue: how far the site is ahead of it in each.
+/// A site against a place in the tissue that is at `now`: how far the site is ahead of it in each direction.
 pub(super) fn passage(
     site: &Site,
     center: &Point3<f64>,
-    place: (u32, &Point3<f64>),
-    directions: &[Vector3<f64>; 3],
-) -> [Row; 3] {
-    directions.map(|direction| {
-        let mut row = Row::new(direction.dot(&(site.point - place.1)), Law::Held);
-        row.tissue = Some((place.0, direction));
-        match site.edge {
-            Some((edge, share)) => {
-                row.thread = [
-                    (edge as u32, cell(&direction, 1.0 - share)),
-                    (edge as u32 + 1, cell(&direction, share)),
-                ];
-                row.used = 2;
+    spot: Spot,
+    now: &Point3<f64>,
+    directions: [Vector3<f64>; 3],
+) -> Pair {
+    let gap = directions.map(|direction| direction.dot(&(site.point - now)));
+    let (mut joint, mut tie) = pair(directions, gap, Rule::HELD);
+    joint.tissue = Some(spot);
+    match site.edge {
+        Some((edge, share)) => {
+            (tie.rows.nodes[0], tie.rows.nodes[1], tie.rows.used) = (edge as u32, edge as u32 + 1, 2);
+            for (cells, direction) in tie.rows.cells.iter_mut().zip(&directions) {
+                (cells[0], cells[1]) = (cell(direction, 1.0 - share), cell(direction, share));
             }
-            None => row.needle = on_needle(&direction, &(site.point - center)),
         }
-        row
-    })
+        None => joint.needle = directions.map(|direction| on_needle(&direction, &(site.point - center))),
+    }
+    (joint, tie)
 }
 
 /// The thread's first node in the tail, its second in the line of the tail, and its turn that of the needle.
-pub(super) fn swage(solid: &Solid, needle: &NeedleState, at: &Iterate, turn: f64) -> [Row; 6] {
+pub(super) fn swage(solid: &Solid, needle: &NeedleState, at: &Iterate, turn: f64) -> [Pair; 2] {
     let pose = needle.pose();
     let tail = pose * solid.point(0.0);
     let tangent = pose * solid.tangent(0.0);
-    let blank = Row::new(0.0, Law::Held);
-    let mut rows = [blank; 6];
-    for (row, direction) in rows.iter_mut().zip([Vector3::x(), Vector3::y(), Vector3::z()]) {
-        row.gap = direction.dot(&(at.positions[0] - tail));
-        row.needle = -on_needle(&direction, &(at.positions[0] - needle.center));
-        (row.thread[0], row.used) = ((0, cell(&direction, 1.0)), 1);
+    let axes = AXES();
+    let gap = axes.map(|axis| axis.dot(&(at.positions[0] - tail)));
+    let mut first = pair(axes, gap, Rule::HELD);
+    first.0.needle = axes.map(|axis| -on_needle(&axis, &(at.positions[0] - needle.center)));
+    first.1.rows.used = 2;
+    first.1.rows.nodes = [0, 1, 0, 0];
+    for (cells, axis) in first.1.rows.cells.iter_mut().zip(&axes) {
+        cells[0] = cell(axis, 1.0);
     }
     let second = at.positions[1];
-    for (row, direction) in rows[3..].iter_mut().zip(across(&tangent, &(pose * Vector3::z()))) {
-        row.gap = direction.dot(&(second - tail));
-        // The line turns with the needle: so the force acts where the node is.
-        row.needle = -on_needle(&direction, &(second - needle.center));
-        (row.thread[0], row.used) = ((1, cell(&direction, 1.0)), 1);
-    }
+    let [n1, n2] = across(&tangent, &(pose * Vector3::z()));
     let axis = at.tangents[0];
     let wanted = perpendicular(&(pose * Vector3::z()), &axis);
-    let row = &mut rows[5];
-    row.gap = angle_about(&wanted, &at.directors[0], &axis) - turn;
-    row.gap -= (row.gap / std::f64::consts::TAU).round() * std::f64::consts::TAU;
-    row.needle = Vector6::new(0.0, 0.0, 0.0, -axis.x, -axis.y, -axis.z);
-    (row.thread[0], row.used) = ((0, Cell::new(0.0, 0.0, 0.0, 1.0)), 1);
-    rows
+    let mut turned = angle_about(&wanted, &at.directors[0], &axis) - turn;
+    turned -= (turned / std::f64::consts::TAU).round() * std::f64::consts::TAU;
+    let gap = [n1.dot(&(second - tail)), n2.dot(&(second - tail)), turned];
+    let mut line = pair([n1, n2, axis], gap, Rule::HELD);
+    // The line turns with the needle: so the force acts where the node is.
+    let arm = second - needle.center;
+    line.0.needle = [
+        -on_needle(&n1, &arm),
+        -on_needle(&n2, &arm),
+        Vector6::new(0.0, 0.0, 0.0, -axis.x, -axis.y, -axis.z),
+    ];
+    line.1.rows.used = 2;
+    line.1.rows.nodes = [0, 1, 0, 0];
+    line.1.rows.cells[0][1] = cell(&n1, 1.0);
+    line.1.rows.cells[1][1] = cell(&n2, 1.0);
+    line.1.rows.cells[2][0] = Cell::new(0.0, 0.0, 0.0, 1.0);
+    [first, line]
 }
 
 /// A jaw on the needle, at a point of it: as far as it is from where the jaw wants it, and turned from that.
-pub(super) fn grip(needle: &NeedleState, wanted: &nalgebra::Isometry3<f64>, grip: &super::Grip) -> [Row; 6] {
+pub(super) fn grip(needle: &NeedleState, wanted: &nalgebra::Isometry3<f64>, grip: &super::Grip) -> [Pair; 2] {
     let pose = needle.pose();
     let point = pose * grip.point;
     let off = point - wanted * grip.point;
     let turned = (pose.rotation * wanted.rotation.inverse()).scaled_axis();
-    std::array::from_fn(|k| {
-        let axis = Vector3::ith(k % 3, 1.0);
-        let (most, stiffness, gap) = if k < 3 {
-            (grip.force_max, grip.stiffness, off[k])
-        } else {
-            (grip.torque_max, grip.turning_stiffness, turned[k - 3])
-        };
-        let mut row = Row::new(gap, Law::Within { least: -most, most });
-        row.compliance = 1.0 / stiffness;
-        row.needle = if k < 3 {
-            on_needle(&axis, &(point - needle.center))
-        } else {
-            Vector6::new(0.0, 0.0, 0.0, axis.x, axis.y, axis.z)
-        };
-        row
-    })
+    let within = |most: f64| Rule::Within { least: [-most; 3], most: [most; 3] };
+    let axes = AXES();
+    let mut place = pair(axes, off.into(), within(grip.force_max));
+    place.0.needle = axes.map(|axis| on_needle(&axis, &(point - needle.center)));
+    place.1.yields = [1.0 / grip.stiffness; 3];
+    let mut turn = pair(axes, turned.into(), within(grip.torque_max));
+    turn.0.needle = axes.map(|axis| Vector6::new(0.0, 0.0, 0.0, axis.x, axis.y, axis.z));
+    turn.1.yields = [1.0 / grip.turning_stiffness; 3];
+    [place, turn]
 }
 
-/// A node of the thread that is led.
-pub(super) fn hold(at: &Iterate, hold: &crate::thread::Hold, to: &Point3<f64>) -> [Row; 3] {
-    std::array::from_fn(|k| {
-        let axis = Vector3::ith(k, 1.0);
-        let law = Law::Within { least: -hold.force_max, most: hold.force_max };
-        let mut row = Row::new((at.positions[hold.node] - to)[k], law);
-        row.compliance = 1.0 / hold.stiffness;
-        (row.thread[0], row.used) = ((hold.node as u32, cell(&axis, 1.0)), 1);
-        row
-    })
+/// The needle's side on the surface at a spot: `gap` along the first direction, drawn along the others.
+pub(super) fn side(
+    needle: &NeedleState,
+    touching: &Point3<f64>,
+    spot: Spot,
+    directions: [Vector3<f64>; 3],
+    gap: [f64; 3],
+    friction: f64,
+) -> Pair {
+    let (mut joint, tie) = pair(directions, gap, Rule::Contact { friction });
+    joint.needle = directions.map(|direction| on_needle(&direction, &(touching - needle.center)));
+    joint.tissue = Some(spot);
+    (joint, tie)
 }
 
 /// What a force and a torque do to the needle in a step.

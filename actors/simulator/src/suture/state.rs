@@ -5,10 +5,12 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::SutureError;
-use super::tissue::{Place, Tissue};
+use super::surface::SAMPLES_MAX;
+use super::tissue::{Place, Spot, Tissue};
 use crate::clone_in_place::clones_in_place;
 use crate::needle::NeedleState;
-use crate::thread::ThreadState;
+use crate::thread::elastic::Press;
+use crate::thread::{NODES_MAX, ThreadState};
 
 /// Places of all channels together that are followed at most.
 pub const CHANNEL_MAX: usize = 120;
@@ -71,6 +73,17 @@ pub struct Bite {
     pub exit_force: f64,
 }
 
+/// A place of the needle's side that touches the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NeedleContact {
+    /// Which place, counted from the tail.
+    pub sample: u32,
+    /// Of the tissue on the needle, in the world \[N\].
+    pub force: Vector3<f64>,
+    /// How far it has been drawn from where it sticks, in the world \[m\].
+    pub drawn: Vector3<f64>,
+}
+
 /// Needle, thread and channel.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub struct SutureState {
@@ -90,9 +103,24 @@ pub struct SutureState {
     pub bites: Vec<Bite>,
     /// Bites so far.
     pub bites_so_far: u32,
+    /// Where the needle's side touches the surface.
+    pub needle_contacts: Vec<NeedleContact>,
+    /// What presses the surface, needle and thread, in the world.
+    pub presses: Vec<Press>,
 }
 
-clones_in_place!(SutureState { needle, thread, swage_turn, tip, tip_force, channel, bites, bites_so_far });
+clones_in_place!(SutureState {
+    needle,
+    thread,
+    swage_turn,
+    tip,
+    tip_force,
+    channel,
+    bites,
+    bites_so_far,
+    needle_contacts,
+    presses,
+});
 
 impl SutureState {
     /// A needle at rest that is in nothing, with its thread.
@@ -107,6 +135,8 @@ impl SutureState {
             channel: Vec::new(),
             bites: Vec::new(),
             bites_so_far: 0,
+            needle_contacts: Vec::new(),
+            presses: Vec::new(),
         }
     }
 
@@ -155,13 +185,30 @@ impl SutureState {
         if !self.bites.iter().all(|bite| surface(&bite.entry) && bite.exit.as_ref().is_none_or(surface)) {
             return Err(SutureError::State("a bite begins or ends at no place of the surface"));
         }
+        let nodes = tissue.mesh().rest().len();
+        let pressed = |press: &Press| {
+            press.at.nodes.iter().all(|node| (*node as usize) < nodes)
+                && press.at.weights.iter().all(|weight| (-0.01..=1.01).contains(weight))
+                && finite(&press.force)
+        };
+        let touching = |contact: &NeedleContact| {
+            contact.sample < SAMPLES_MAX && finite(&contact.force) && finite(&contact.drawn)
+        };
+        if self.presses.len() > 4 * NODES_MAX || !self.presses.iter().all(pressed) {
+            return Err(SutureError::State("something presses at no place of the surface"));
+        }
+        if self.needle_contacts.len() > SAMPLES_MAX as usize || !self.needle_contacts.iter().all(touching) {
+            return Err(SutureError::State("the needle touches the surface with no place of it"));
+        }
         Ok(())
     }
 
     /// Forces of needle and thread on the tissue.
-    pub(super) fn forces_on_tissue(&self) -> impl Iterator<Item = (Place, Vector3<f64>)> {
-        let tip = self.tip.place().map(|place| (*place, -self.tip_force));
-        self.channel.iter().map(|point| (point.place, -point.force)).chain(tip)
+    pub(super) fn forces_on_tissue(&self) -> impl Iterator<Item = (Spot, Vector3<f64>)> {
+        let tip = self.tip.place().map(|place| (Spot::Inside(*place), -self.tip_force));
+        let channel = self.channel.iter().map(|point| (Spot::Inside(point.place), -point.force));
+        let surface = self.presses.iter().map(|press| (Spot::Surface(press.at), press.force));
+        channel.chain(tip).chain(surface)
     }
 }
 

@@ -4,6 +4,7 @@
 use nalgebra::{Point3, Vector3};
 
 use super::rows::COMPLIANCE;
+use super::sewing::touched;
 use super::state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, Tip};
 use super::tissue::{Place, Way};
 use super::{EVENTS_MAX, Suture, SutureError};
@@ -33,16 +34,16 @@ impl Suture {
     }
 
     fn tip_at_iterate(&self) -> Option<Point3<f64>> {
-        Some(self.island.needle?.pose() * self.solid.point(self.solid.shape().length()))
+        Some(self.room.needle?.pose() * self.solid.point(self.solid.shape().length()))
     }
 
     /// Whether the free tip has gone back into the hole that it came out of.
     fn would_go_back(&self) -> bool {
-        let (Some(point), Some(site)) = (self.trial.channel.last(), self.island.sites.last()) else {
+        let (Some(point), Some(site)) = (self.trial.channel.last(), self.room.sites.last()) else {
             return false;
         };
         self.bite(point.bite).is_some_and(|bite| bite.exit.is_some())
-            && self.trial.channel.len() == self.island.sites.len()
+            && self.trial.channel.len() == self.room.sites.len()
             && site.edge.is_none()
             && site.along > self.solid.shape().length()
     }
@@ -59,30 +60,23 @@ impl Suture {
 
     /// Makes what the island has found the state at the end of the part.
     pub(super) fn commit(&mut self, dt: f64, gravity: &Vector3<f64>) -> Result<(), SutureError> {
-        let Some(needle) = self.island.needle else { return Ok(()) };
+        let Some(needle) = self.room.needle else { return Ok(()) };
         // Momenta by the forces, so that what they are is what was given; places as the island found them.
-        let problem = &self.island.problem;
         let mut impulse = nalgebra::Vector6::zeros();
-        for (row, force) in self.island.rows.iter().zip(&problem.force) {
-            impulse += row.needle * (*force * dt);
+        for (joint, tied) in self.room.joints.iter().zip(self.island.tied()) {
+            for (row, force) in joint.needle.iter().zip(tied.force) {
+                impulse += row * (force * dt);
+            }
         }
         let weight = gravity * (self.solid.mass() * dt);
         self.trial.needle.momentum += impulse.fixed_rows::<3>(0) + weight;
         self.trial.needle.angular_momentum += impulse.fixed_rows::<3>(3);
         (self.trial.needle.center, self.trial.needle.rotation) = (needle.center, needle.rotation);
         if let Some(thread) = &mut self.trial.thread {
-            let at = &self.island.at;
-            for node in 0..thread.positions.len() {
-                thread.velocities[node] = (at.positions[node] - thread.positions[node]) / dt;
-            }
-            for edge in 0..thread.spins.len() {
-                thread.spins[edge] = at.turns[edge] / dt;
-            }
-            thread.positions.clone_from(&at.positions);
-            thread.directors.clone_from(&at.directors);
-            thread.twists.clone_from(&at.twists);
-            thread.tensions.clone_from(&at.tensions);
+            thread.clone_from(self.island.trial());
         }
+        touched(&self.room, self.island.tied(), &mut self.trial.needle_contacts);
+        self.trial.presses.clone_from(&self.room.presses);
         self.slide();
         self.tip_goes_on()?;
         self.go_back()?;
@@ -95,31 +89,31 @@ impl Suture {
 
     /// Takes over what slides past the places of the channel, and their forces.
     fn slide(&mut self) {
-        let first = self.island.layout.channel;
+        let first = self.room.layout.channel;
         for index in 0..self.trial.channel.len() {
-            let row = first + 3 * index;
-            let force = self.island.force(row);
-            let site = self.island.sites[index];
+            let tied = self.island.tied()[first + index];
+            let force = self.room.force(self.island.tied(), first + index);
+            let site = self.room.sites[index];
             let point = &mut self.trial.channel[index];
             (point.along, point.force) = (site.along, force);
             // What sticks stays where it stuck; what slides is where it would stick with the force that it has.
-            if self.island.problem.gives_way(row) {
-                point.stuck = site.along - COMPLIANCE * self.island.problem.force[row];
+            if tied.gives_way[0] {
+                point.stuck = site.along - COMPLIANCE * tied.force[0];
             }
         }
     }
 
     fn tip_goes_on(&mut self) -> Result<(), SutureError> {
-        let Some(row) = self.island.layout.tip else {
+        let Some(tie) = self.room.layout.tip else {
             self.trial.tip_force = Vector3::zeros();
             return Ok(());
         };
         let Some(place) = self.trial.tip.place().copied() else { return Ok(()) };
-        self.trial.tip_force = self.island.force(row);
-        let problem = &self.island.problem;
-        let (force, off) = (problem.force[row], problem.gap_of(row) - COMPLIANCE * problem.force[row]);
-        let gives_way = problem.gives_way(row);
-        let slides = problem.gives_way(row + 1) || problem.gives_way(row + 2);
+        self.trial.tip_force = self.room.force(self.island.tied(), tie);
+        let tied = self.island.tied()[tie];
+        let (force, off) = (tied.force[0], tied.gap[0] - COMPLIANCE * tied.force[0]);
+        let gives_way = tied.gives_way[0];
+        let slides = tied.gives_way[1] || tied.gives_way[2];
         let tip = self.trial.needle.pose() * self.solid.point(self.solid.shape().length());
         let length = self.solid.shape().length();
         match self.trial.tip {

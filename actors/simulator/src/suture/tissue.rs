@@ -1,6 +1,9 @@
 //! Tissue that is sewn: a linear elastic body that answers at any point of its inside, its surface, and the way from one
 //! element to the next.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
 use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -8,11 +11,14 @@ use super::SutureError;
 use crate::elasticity::Elastic;
 use crate::linear_fem::Columns;
 use crate::tet_mesh::TetMesh;
+use crate::thread::elastic::SurfacePlace;
 
 /// Nodes about which the tissue can be asked at most: about as many as 150 places in a channel touch.
 pub const NODES_MAX: usize = 1200;
 /// Elements that one way can lead through at most.
 const WALK_MAX: usize = 4096;
+/// Triangles whose normals have a smaller cosine between them meet in a ridge: 40°.
+const SHARP: f64 = 0.77;
 /// A point is in an element when no weight is further below zero.
 const INSIDE: f64 = -1e-9;
 /// Corners of the face opposite to each corner, counter-clockwise seen from outside.
@@ -25,6 +31,13 @@ pub struct Place {
     pub tet: u32,
     /// Of its corners; they add up to 1.
     pub weights: [f64; 4],
+}
+
+/// A place of the inside, or of the surface by its triangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Spot {
+    Inside(Place),
+    Surface(SurfacePlace),
 }
 
 /// Where a straight way through the tissue ends.
@@ -51,10 +64,14 @@ pub struct Crossing {
 pub struct Tissue {
     mesh: TetMesh,
     columns: Columns,
+    /// Of the surface; shared with a step, during which the body changes.
+    triangles: Arc<Vec<[u32; 3]>>,
     /// Across the face opposite to each corner: another element, or a triangle of the surface.
     beyond: Vec<[Beyond; 4]>,
     /// The element of each triangle of the surface.
     behind: Vec<u32>,
+    /// Which rims of each triangle of the surface are ridges: from each corner to the next.
+    sharp: Vec<[bool; 3]>,
     material: Elastic,
     /// Of an element \[m\].
     size: f64,
@@ -106,13 +123,34 @@ impl Tissue {
         let (forces, full, moved) = Default::default();
         let size = (6.0 * mesh.volume() / mesh.tets().len().max(1) as f64).cbrt();
         let material = *material;
-        Ok(Self { mesh, columns, beyond, behind, material, size, positions, before, forces, full, moved })
+        let triangles = Arc::new(mesh.surface().to_vec());
+        let sharp = ridges(&mesh);
+        Ok(Self {
+            mesh,
+            columns,
+            triangles,
+            sharp,
+            beyond,
+            behind,
+            material,
+            size,
+            positions,
+            before,
+            forces,
+            full,
+            moved,
+        })
     }
 
     /// The body at rest.
     #[must_use]
     pub fn mesh(&self) -> &TetMesh {
         &self.mesh
+    }
+
+    /// Corners of the triangles of its surface.
+    pub(super) fn triangles(&self) -> Arc<Vec<[u32; 3]>> {
+        self.triangles.clone()
     }
 
     /// Of the nodes, in the world \[m\].
@@ -162,25 +200,60 @@ impl Tissue {
             && (place.weights.iter().sum::<f64>() - 1.0).abs() < 1e-6
     }
 
-    /// The nodes of a place and their weights, those that matter first brought to the knowledge of the inverse; `false`
-    /// when there is no room for more.
+    /// The nodes of a spot and their weights.
+    fn nodes_of(&self, spot: &Spot) -> ([u32; 4], [f64; 4]) {
+        match spot {
+            Spot::Inside(place) => (self.mesh.tets()[place.tet as usize], place.weights),
+            Spot::Surface(SurfacePlace { nodes: [a, b, c], weights: [u, v, w] }) => {
+                ([*a, *b, *c, *a], [*u, *v, *w, 0.0])
+            }
+        }
+    }
+
+    /// Brings what the inverse knows to the nodes of a place; `false` when there is no room for more.
     pub(super) fn name(&mut self, place: &Place) -> bool {
-        let nodes = self.mesh.tets()[place.tet as usize];
-        nodes.iter().zip(place.weights).all(|(node, weight)| weight == 0.0 || self.columns.name(*node))
+        self.name_spot(&Spot::Inside(*place))
+    }
+
+    /// The same of a spot.
+    pub(super) fn name_spot(&mut self, spot: &Spot) -> bool {
+        let (nodes, weights) = self.nodes_of(spot);
+        nodes.iter().zip(weights).all(|(node, weight)| weight == 0.0 || self.columns.name(*node))
     }
 
     /// Displacement at `a` per force at `b`, which have been named \[m/N\].
-    pub(super) fn between(&self, a: &Place, b: &Place) -> Matrix3<f64> {
+    pub(super) fn between(&self, a: &Spot, b: &Spot) -> Matrix3<f64> {
         let mut sum = Matrix3::zeros();
-        let (of_a, of_b) = (self.mesh.tets()[a.tet as usize], self.mesh.tets()[b.tet as usize]);
-        for (m, u) in of_a.iter().zip(a.weights) {
-            for (n, v) in of_b.iter().zip(b.weights) {
+        let ((of_a, us), (of_b, vs)) = (self.nodes_of(a), self.nodes_of(b));
+        for (m, u) in of_a.iter().zip(us) {
+            for (n, v) in of_b.iter().zip(vs) {
                 if u != 0.0 && v != 0.0 {
                     sum += self.columns.between(*m, *n) * (u * v);
                 }
             }
         }
         sum
+    }
+
+    /// How far a spot is from rest when the nodes are at these positions \[m\].
+    pub(super) fn displaced_when(&self, spot: &Spot, positions: &[Point3<f64>]) -> Vector3<f64> {
+        let (nodes, weights) = self.nodes_of(spot);
+        mean(positions, &nodes, &weights) - mean(self.mesh.rest(), &nodes, &weights)
+    }
+
+    /// How far a spot is from rest now \[m\].
+    pub(super) fn displaced(&self, spot: &Spot) -> Vector3<f64> {
+        self.displaced_when(spot, &self.positions)
+    }
+
+    /// And was when the part of the step began \[m\].
+    pub(super) fn displaced_before(&self, spot: &Spot) -> Vector3<f64> {
+        self.displaced_when(spot, &self.before)
+    }
+
+    /// Where the nodes were when the part of the step began \[m\].
+    pub(super) fn before(&self) -> &[Point3<f64>] {
+        &self.before
     }
 
     /// Where a place is when nothing pulls \[m\].
@@ -311,6 +384,11 @@ impl Tissue {
         (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vector3::z)
     }
 
+    /// Whether a triangle of the surface meets its neighbour in a ridge, along the rim from its corner of this number.
+    pub(super) fn is_sharp(&self, triangle: u32, rim: usize) -> bool {
+        self.sharp[triangle as usize][rim]
+    }
+
     /// The place of the surface that is nearest to a point of the world now, and its triangle.
     #[must_use]
     pub fn nearest(&self, point: &Point3<f64>) -> (Place, u32) {
@@ -331,16 +409,19 @@ impl Tissue {
         self.before.clone_from(&self.positions);
     }
 
-    /// Deforms it by these forces at places that have been named.
-    pub(super) fn deform(&mut self, forces: impl Iterator<Item = (Place, Vector3<f64>)>) {
-        self.forces.clear();
-        for (place, force) in forces {
-            for (node, weight) in self.mesh.tets()[place.tet as usize].into_iter().zip(place.weights) {
+    /// Deforms it by these forces at spots that have been named.
+    pub(super) fn deform(&mut self, forces: impl Iterator<Item = (Spot, Vector3<f64>)>) {
+        let mut on_nodes = std::mem::take(&mut self.forces);
+        on_nodes.clear();
+        for (spot, force) in forces {
+            let (nodes, weights) = self.nodes_of(&spot);
+            for (node, weight) in nodes.into_iter().zip(weights) {
                 if weight != 0.0 {
-                    self.forces.push((node, force * weight));
+                    on_nodes.push((node, force * weight));
                 }
             }
         }
+        self.forces = on_nodes;
         self.forces.sort_by_key(|(node, _)| *node);
         self.forces.dedup_by(|next, sum| {
             let same = next.0 == sum.0;
@@ -354,6 +435,28 @@ impl Tissue {
             *now = rest + by;
         }
     }
+}
+
+/// Of each triangle of the surface, from which of its corners to the next it meets its neighbour in a ridge at rest.
+fn ridges(mesh: &TetMesh) -> Vec<[bool; 3]> {
+    let normal = |triangle: &[u32; 3]| {
+        let [a, b, c] = triangle.map(|node| mesh.rest()[node as usize]);
+        (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vector3::zeros)
+    };
+    // Neighbours run along a rim in opposite directions.
+    let mut across = BTreeMap::new();
+    for triangle in mesh.surface() {
+        for k in 0..3 {
+            across.insert((triangle[(k + 1) % 3], triangle[k]), normal(triangle));
+        }
+    }
+    let sharp = |triangle: &[u32; 3]| {
+        [0, 1, 2].map(|k| {
+            let other = across.get(&(triangle[k], triangle[(k + 1) % 3]));
+            other.is_none_or(|other| other.dot(&normal(triangle)) < SHARP)
+        })
+    };
+    mesh.surface().iter().map(sharp).collect()
 }
 
 /// Weights that add up to 1.

@@ -84,6 +84,21 @@ pub enum Trouble {
     /// Two strands, or a strand and an obstacle, would pass through each other.
     #[error("a contact would be passed through")]
     PassedThrough,
+    /// Iterations that do not come to an end.
+    #[error("the iterations do not end")]
+    Wanders,
+    /// No forces were found that obey the rules of what it is tied to.
+    #[error("the forces of what it is tied to were not found")]
+    Unsettled,
+    /// A needle at its end would go further in a step than it can be followed.
+    #[error("the needle would go too far")]
+    TooFar,
+    /// A needle that cannot be moved.
+    #[error("the needle has no inertia")]
+    NoInertia,
+    /// More of a tissue is touched than can be followed.
+    #[error("more of the tissue is touched than can be followed")]
+    Full,
     /// More contacts than are handled.
     #[error("more than {max} contacts", max = super::CONTACTS_MAX)]
     TooManyContacts,

@@ -6,7 +6,7 @@
 //! | Discrete elastic rod, implicit | `rod.rs` |
 //! | Direct solver along the rod | `block_band.rs` |
 //! | Contact with static friction | `contact/` |
-//! | One step of rod and contacts together | `island/` |
+//! | One step of rod and contacts together, and of companions: a needle, a tissue | `island/` |
 //! | Elastic bodies that it is tied around | [`elastic`] |
 //! | Short edges where they are needed | `adapt.rs` |
 //! | Which knot it is | [`knot`] |
@@ -25,11 +25,11 @@
 mod adapt;
 pub(crate) mod block_band;
 mod boundary;
-mod contact;
+pub(crate) mod contact;
 pub mod elastic;
 mod error;
 pub(crate) mod frame;
-mod island;
+pub(crate) mod island;
 pub mod knot;
 pub mod laid;
 mod material;
@@ -118,6 +118,7 @@ pub struct Thread {
     material: ThreadMaterial,
     state: ThreadState,
     island: island::Island,
+    presses: Vec<Press>,
 }
 
 impl Thread {
@@ -136,7 +137,7 @@ impl Thread {
     pub fn restore(material: ThreadMaterial, state: ThreadState) -> Result<Self, ThreadError> {
         material.check()?;
         state.check(material.radius)?;
-        Ok(Self { material, state, island: island::Island::new(SWEEPS) })
+        Ok(Self { material, state, island: island::Island::new(SWEEPS), presses: Vec::new() })
     }
 
     /// How many Newton steps on the contacts of strands a linearised solution may take; [`SWEEPS`] unless told, 1 to
@@ -168,8 +169,24 @@ impl Thread {
     /// # Errors
     /// Input that makes no sense, by name; or the node at which no step could be found. The state is then what it was.
     pub fn step(&mut self, dt: f64, around: &Surroundings) -> Result<ThreadReport, ThreadStepError> {
-        self.check(dt, around)?;
-        self.island.step(&self.material, &mut self.state, dt, around)
+        check_step(dt)?;
+        around.check(self.state.positions.len())?;
+        let Self { material, state, island, presses } = self;
+        let Some(elastic) = &around.elastic else {
+            presses.clear();
+            return island.step(material, state, dt, around, &mut island::companion::Alone);
+        };
+        let mut tied = island::TiedAround {
+            body: elastic.body,
+            obstacle: elastic.obstacle,
+            world_from_body: around.obstacles[elastic.obstacle].to,
+            presses: std::mem::take(presses),
+        };
+        tied.presses.clear();
+        tied.presses.extend_from_slice(elastic.body.presses());
+        let done = island.step(material, state, dt, around, &mut tied);
+        *presses = tied.presses;
+        done
     }
 
     /// Forces of the holds on the thread in the last step, in their order \[N\].
@@ -193,18 +210,31 @@ impl Thread {
     /// What the thread did to the elastic body at the end of the last step.
     #[must_use]
     pub fn presses(&self) -> &[Press] {
-        self.island.presses()
+        &self.presses
+    }
+}
+
+/// Refuses a step that is none.
+pub(crate) fn check_step(dt: f64) -> Result<(), ThreadStepError> {
+    if dt.is_nan() || dt <= 0.0 || dt > STEP_MAX { Err(ThreadStepError::Step(dt)) } else { Ok(()) }
+}
+
+impl Surroundings<'_> {
+    /// Corners of the triangle of a surface that a contact is with.
+    pub(crate) fn face(&self, key: &ContactKey) -> Option<[u32; 3]> {
+        match self.obstacles.get((key.with as usize).checked_sub(1)?)?.shape {
+            Shape::Mesh { triangles, .. } => triangles.get(key.feature as usize).copied(),
+            _ => None,
+        }
     }
 
-    fn check(&self, dt: f64, around: &Surroundings) -> Result<(), ThreadStepError> {
-        if dt.is_nan() || dt <= 0.0 || dt > STEP_MAX {
-            return Err(ThreadStepError::Step(dt));
-        }
+    /// Refuses what makes no sense for a thread of so many nodes.
+    pub(crate) fn check(&self, nodes: usize) -> Result<(), ThreadStepError> {
+        let around = self;
         let given = |what, index, why: &str| Err(ThreadStepError::Given { what, index, why: why.to_owned() });
         if !around.gravity.iter().all(|x| x.is_finite()) {
             return given("gravity", 0, "not finite");
         }
-        let nodes = self.state.positions.len();
         for (index, hold) in around.holds.iter().enumerate() {
             if hold.node >= nodes {
                 return given(

@@ -275,3 +275,15 @@ pub(crate) fn passed_through(
         }
     }
 }
+
+/// The same of a triangle of a surface that gives way, by its corners before and after.
+pub(crate) fn passed_through_face(
+    edge: usize,
+    [from, to]: [&[Point3<f64>]; 2],
+    radius: f64,
+    corners: [[Point3<f64>; 3]; 2],
+) -> bool {
+    let own = Sweep { from: [from[edge], from[edge + 1]], to: [to[edge], to[edge + 1]] };
+    let other = Sweep { from: corners[0], to: corners[1] };
+    segment_face(&own, &other, CORE * radius).is_some_and(|at| at.time > 0.0)
+}

@@ -7,13 +7,15 @@ mod law;
 mod nearest;
 mod obstacle;
 mod rows;
+pub(crate) mod rule;
 mod solve;
 
-pub(crate) use candidates::{Candidates, passed_through};
+pub(crate) use candidates::{Candidates, passed_through, passed_through_face};
 pub(crate) use law::Law;
 pub(crate) use obstacle::Motion;
 pub use obstacle::{Obstacle, Shape};
 pub(crate) use rows::{Rows, Side, place, tangents};
+pub(crate) use rule::Rule;
 pub(crate) use solve::{Complementarity, SOFTENING};
 
 pub(crate) use nearest::{nearest_on_obstacle, nearest_segments};

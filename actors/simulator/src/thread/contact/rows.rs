@@ -10,7 +10,7 @@ pub(crate) struct Rows {
     pub nodes: [u32; 4],
     /// Of each direction, on each block row.
     pub cells: [[Cell; 4]; 3],
-    /// Block rows in use: two for an obstacle, four for another strand.
+    /// Block rows in use: two for an obstacle, four for another strand, none where the rod is not touched.
     pub used: usize,
     /// Unit, in the world: the normal, from the other to the edge, and two tangents.
     pub directions: [Vector3<f64>; 3],
@@ -63,9 +63,9 @@ impl Rows {
         rows
     }
 
-    /// The first block row that is touched.
+    /// The first block row that is touched; beyond all of them where none is.
     pub fn first(&self) -> usize {
-        self.nodes[..self.used].iter().copied().min().unwrap_or(0) as usize
+        self.nodes[..self.used].iter().copied().min().unwrap_or(u32::MAX) as usize
     }
 
     /// How far the surfaces come apart along the three directions.

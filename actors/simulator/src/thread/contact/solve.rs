@@ -1,7 +1,7 @@
-//! Forces of many contacts that act on each other through one elastic body: Newton's method on Coulomb's law for places
-//! that give way (Alart, Curnier 1991), on the assembled compliance.
+//! Forces of many places that act on each other through the bodies that they are between: Newton's method on the rules of
+//! places that give way (Alart, Curnier 1991, for Coulomb's), on the assembled compliance.
 
-use super::Law;
+use super::rule::{Doing, Equation, Rule};
 use crate::thread::wide::wide;
 
 /// Newton steps from where the forces of the last time are, at most.
@@ -9,22 +9,21 @@ const STEPS_MAX: usize = 24;
 /// Where those go in circles: how many times more the places give way at first, and then less and less. What is soft is
 /// soon found, and each solution is a good beginning for the next (numerical continuation: Allgower, Georg 1990).
 pub(crate) const SOFTENING: [f64; 5] = [1e4, 1e3, 1e2, 1e1, 1.0];
-/// Newton steps with each of these at most.
+/// Where places with bounds go in circles, they are exchanged one by one (Murty 1974), so many times at most.
+const EXCHANGES_MAX: usize = 400;
+/// By a smaller share of its force, or of a newton, no place is beyond its bounds then.
+const ROUNDING: f64 = 1e-10;
+/// Newton steps with each of [`SOFTENING`] at most.
 const SOFTENED_STEPS_MAX: usize = 20;
 
-/// One equation of a Newton step.
+/// One unknown of a Newton step.
 #[derive(Clone, Copy, Debug)]
 struct Unknown {
     place: usize,
-    /// The three rows of the place for one unit of it \[N\].
-    force: [f64; 3],
-    /// Weights of the three rows of the place in its equation.
-    along: [f64; 3],
-    /// How far it gives way in addition \[m/N\].
-    yields: f64,
+    equation: Equation,
 }
 
-/// The problem `gap = offset + (W + C) force`, where every place obeys Coulomb's law, and its solution.
+/// The problem `gap = offset + (W + C) force`, where every place obeys its rule, and its solution.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Complementarity {
     /// `W`, column by column, with `C` on its diagonal \[m/N\].
@@ -33,13 +32,14 @@ pub(crate) struct Complementarity {
     pub gap: Vec<f64>,
     /// Where to begin, then the solution \[N\].
     pub force: Vec<f64>,
-    /// Of each place: the first row pushes only, the other two hold up to this times that push.
-    pub frictions: Vec<f64>,
+    /// Of each place.
+    pub rules: Vec<Rule>,
     /// `C` of each place \[m/N\].
-    pub yields: Vec<f64>,
+    pub yields: Vec<[f64; 3]>,
     offset: Vec<f64>,
-    laws: Vec<Law>,
+    doing: Vec<Doing>,
     unknowns: Vec<Unknown>,
+    known: Vec<f64>,
     /// The forces that were nearest to the law.
     nearest: Vec<f64>,
     /// Row by row, the right-hand side last.
@@ -57,11 +57,11 @@ impl Complementarity {
             list.clear();
             list.resize(length, 0.0);
         }
-        self.frictions.clear();
+        self.rules.clear();
         self.yields.clear();
     }
 
-    /// Finds forces with which no place is further than `tolerance` \[m\] from obeying its law, in at most so many
+    /// Finds forces with which no place is further than `tolerance` \[m\] from obeying its rule, in at most so many
     /// `steps`. Says how many; more than that many mean that there are none that were found, and that those that came
     /// nearest are left.
     pub fn solve(&mut self, steps: usize, tolerance: f64) -> usize {
@@ -76,66 +76,63 @@ impl Complementarity {
                 add(&mut self.offset, column, -self.force[row]);
             }
         }
-        self.laws.clear();
-        for place in 0..self.frictions.len() {
+        self.doing.clear();
+        for place in 0..self.rules.len() {
             let (force, apart, yields) = (self.force(place), self.apart(place), self.yields[place]);
-            self.laws.push(Law::begin(force, apart, self.frictions[place], yields));
+            self.doing.push(self.rules[place].begin(force, apart, yields));
         }
         self.nearest.clone_from(&self.force);
         let mut least = f64::INFINITY;
-        let mut done = 0;
-        let plain = std::iter::once((1.0, STEPS_MAX));
-        for (softness, most) in plain.chain(SOFTENING.map(|softness| (softness, SOFTENED_STEPS_MAX))) {
+        let (mut done, mut exchanges) = (0, 0);
+        let has_ties = self.rules.iter().any(Rule::is_bounded);
+        let plain = std::iter::once((1.0, STEPS_MAX, false));
+        let one_by_one = has_ties.then_some((1.0, EXCHANGES_MAX, true));
+        let soft = SOFTENING.map(|softness| (softness, SOFTENED_STEPS_MAX, false));
+        for (softness, most, one_by_one) in plain.chain(one_by_one).chain(soft) {
             for _ in 0..most {
-                if done == steps || !self.newton(softness) {
+                if (done >= steps && !one_by_one) || !self.newton(softness) {
                     break;
                 }
-                done += 1;
+                done += usize::from(!one_by_one);
+                exchanges += usize::from(one_by_one);
                 let error = self.error();
                 if softness == 1.0 && error < least {
                     least = error;
                     self.nearest.clone_from(&self.force);
                     if error <= tolerance {
                         self.confine();
-                        return done;
+                        return done + exchanges;
                     }
                 }
-                if !self.next(softness) {
+                if !self.next(softness, one_by_one) {
                     break;
                 }
             }
         }
         self.force.clone_from(&self.nearest);
         self.confine();
-        steps + 1
+        steps + exchanges + 1
     }
 
-    /// How far the place that is furthest from its law would have to move for it \[m\].
+    /// How far the place that is furthest from its rule would have to move for it \[m\].
     pub fn error(&self) -> f64 {
-        let mut largest = 0.0_f64;
-        for place in 0..self.frictions.len() {
-            let (force, most, w) = self.wanted(place);
-            let now = &self.force[3 * place..][..3];
-            let normal = (force[0].max(0.0) - now[0]) * w[0];
-            let size = (force[1] * force[1] + force[2] * force[2]).sqrt();
-            let scale = if size > most { most / size } else { 1.0 };
-            let off = [force[1] * scale - now[1], force[2] * scale - now[2]];
-            let across = (off[0] * off[0] + off[1] * off[1]).sqrt() * w[1];
-            // Not a number is the furthest of all.
-            let error = normal.abs().max(across);
-            largest = if error.is_nan() { f64::INFINITY } else { largest.max(error) };
-        }
-        largest
+        (0..self.rules.len()).map(|place| self.error_of(place)).fold(0.0, f64::max)
     }
 
-    /// What a place would answer if nothing but itself gave way and it stuck, what friction allows of that \[N\], and how
-    /// far it gives way, along and across its normal \[m/N\].
-    fn wanted(&self, place: usize) -> ([f64; 3], f64, [f64; 2]) {
+    /// How far a place would have to move for its rule \[m\].
+    pub fn error_of(&self, place: usize) -> f64 {
         let (rows, at) = (self.force.len(), 3 * place);
-        let own = |k: usize| self.compliance[(at + k) * (rows + 1)];
-        let w = [own(0), own(1).max(own(2))];
-        let force = std::array::from_fn(|k| self.force[at + k] - self.gap[at + k] / w[k.min(1)]);
-        (force, self.frictions[place] * force[0].max(0.0), w)
+        let mut own: [f64; 3] = std::array::from_fn(|k| self.compliance[(at + k) * (rows + 1)]);
+        if matches!(self.rules[place], Rule::Contact { .. } | Rule::Skin { .. }) {
+            own[1] = own[1].max(own[2]);
+            own[2] = own[1];
+        }
+        let force = self.force(place);
+        let wanted = self.rules[place].wanted(force, self.gap(place), own);
+        let off: [f64; 3] = std::array::from_fn(|k| (wanted[k] - force[k]) * own[k]);
+        let across = (off[1] * off[1] + off[2] * off[2]).sqrt();
+        // Not a number is the furthest of all.
+        if off[0].is_nan() || across.is_nan() { f64::INFINITY } else { off[0].abs().max(across) }
     }
 
     /// The forces that obey the laws as they are linearised, of places that give way so many times as much; and the gaps.
@@ -143,32 +140,18 @@ impl Complementarity {
     fn newton(&mut self, softness: f64) -> bool {
         let rows = self.force.len();
         self.unknowns.clear();
-        for (place, law) in self.laws.iter().enumerate() {
-            let yields = self.yields[place];
-            let more = (softness - 1.0) * yields;
-            match *law {
-                Law::Open => {}
-                Law::Sticks => {
-                    for k in 0..3 {
-                        let one = std::array::from_fn(|row| if row == k { 1.0 } else { 0.0 });
-                        self.unknowns.push(Unknown { place, force: one, along: one, yields: more });
-                    }
-                }
-                Law::Slides { along: [x, y], share } => {
-                    let friction = self.frictions[place];
-                    self.unknowns.push(Unknown {
-                        place,
-                        force: [1.0, -friction * x, -friction * y],
-                        along: [1.0, 0.0, 0.0],
-                        yields: more,
-                    });
-                    // Across its slide a place is held the more the less it slides.
-                    if friction > 0.0 && share > 1e-9 {
-                        let across = [0.0, -y, x];
-                        let yields = (softness / share - 1.0) * yields;
-                        self.unknowns.push(Unknown { place, force: across, along: across, yields });
-                    }
-                }
+        self.known.clear();
+        for (place, doing) in self.doing.iter().enumerate() {
+            let unknowns = &mut self.unknowns;
+            let push = |equation| unknowns.push(Unknown { place, equation });
+            let known = self.rules[place].linearise(*doing, self.yields[place], softness, push);
+            self.known.extend(known);
+        }
+        // How every row moves with the part of the forces that is known.
+        self.gap.clone_from(&self.offset);
+        for (row, known) in self.known.iter().enumerate() {
+            if *known != 0.0 {
+                add(&mut self.gap, &self.compliance[row * rows..][..rows], *known);
             }
         }
         let count = self.unknowns.len();
@@ -176,31 +159,31 @@ impl Complementarity {
         self.system.clear();
         self.system.resize(count * width, 0.0);
         for column in 0..count {
-            let of = self.unknowns[column];
+            let Unknown { place, equation } = self.unknowns[column];
             // How far every row moves for it.
             self.column.clear();
             self.column.resize(rows, 0.0);
-            for (k, force) in of.force.into_iter().enumerate() {
+            for (k, force) in equation.force.into_iter().enumerate() {
                 if force != 0.0 {
-                    add(&mut self.column, &self.compliance[(3 * of.place + k) * rows..][..rows], force);
+                    add(&mut self.column, &self.compliance[(3 * place + k) * rows..][..rows], force);
                 }
             }
             for (row, unknown) in self.unknowns.iter().enumerate() {
                 self.system[row * width + column] = unknown.of(&self.column);
             }
-            self.system[column * width + column] += of.yields;
+            self.system[column * width + column] += equation.yields;
         }
         for (row, unknown) in self.unknowns.iter().enumerate() {
-            self.system[row * width + count] = -unknown.of(&self.offset);
+            self.system[row * width + count] = -unknown.of(&self.gap);
         }
         if !eliminate(&mut self.system, count) {
             return false;
         }
-        self.force.fill(0.0);
+        self.force.clone_from(&self.known);
         for (row, unknown) in self.unknowns.iter().enumerate() {
             let size = self.system[row * width + count];
             for k in 0..3 {
-                self.force[3 * unknown.place + k] += unknown.force[k] * size;
+                self.force[3 * unknown.place + k] += unknown.equation.force[k] * size;
             }
         }
         self.gap.clone_from(&self.offset);
@@ -212,34 +195,38 @@ impl Complementarity {
         true
     }
 
-    /// What the places are taken to do next. Whether that is anything else than before.
-    fn next(&mut self, softness: f64) -> bool {
-        let mut changed = false;
-        for place in 0..self.laws.len() {
-            let (apart, yields) = (self.apart(place), softness * self.yields[place]);
-            let friction = self.frictions[place];
-            let (force, found) = Law::of(apart, friction, yields);
-            let next = self.laws[place].next(found, friction);
-            let now = self.force(place);
+    /// What the places are taken to do next; of those that have bounds only one is taken to do anything else when it is
+    /// `one_by_one`. Whether that is anything else than before.
+    fn next(&mut self, softness: f64, one_by_one: bool) -> bool {
+        let (mut changed, mut exchanged) = (false, false);
+        for place in 0..self.doing.len() {
+            let (rule, now, before) = (self.rules[place], self.force(place), self.doing[place]);
+            let (force, found) =
+                rule.of(self.apart(place), self.yields[place].map(|yields| softness * yields));
+            let mut next = rule.next(before, found);
             let lacking = (0..3).fold(0.0, |most, k| f64::max(most, (force[k] - now[k]).abs()));
-            changed |= next != self.laws[place] && lacking * yields > 0.0;
-            self.laws[place] = next;
+            if one_by_one && rule.is_bounded() && !before.is_like(&next) {
+                let size = force.iter().fold(1.0, |most, force| f64::max(most, force.abs()));
+                if exchanged || lacking < ROUNDING * size {
+                    continue;
+                }
+                next = before.exchanged(&next);
+                exchanged = true;
+            }
+            changed |= next != before && lacking > 0.0;
+            self.doing[place] = next;
         }
         changed
     }
 
-    /// Leaves no force that the law forbids for being within the tolerance of one that it allows.
+    /// Leaves no force that a rule forbids for being within the tolerance of one that it allows.
     fn confine(&mut self) {
-        for (force, friction) in self.force.chunks_exact_mut(3).zip(&self.frictions) {
-            let most = friction * force[0].max(0.0);
-            let size = force[1].hypot(force[2]);
-            let scale = if size > most { most / size } else { 1.0 };
-            force.copy_from_slice(&[force[0].max(0.0), force[1] * scale, force[2] * scale]);
+        for (force, rule) in self.force.chunks_exact_mut(3).zip(&self.rules) {
+            force.copy_from_slice(&rule.confined([force[0], force[1], force[2]]));
         }
     }
 
     /// The three rows of a place \[m\].
-    #[cfg(test)]
     pub fn gap(&self, place: usize) -> [f64; 3] {
         std::array::from_fn(|k| self.gap[3 * place + k])
     }
@@ -252,7 +239,7 @@ impl Complementarity {
     /// Where the surfaces of a place are, without its yielding \[m\].
     fn apart(&self, place: usize) -> [f64; 3] {
         let yields = self.yields[place];
-        std::array::from_fn(|k| self.gap[3 * place + k] - yields * self.force[3 * place + k])
+        std::array::from_fn(|k| self.gap[3 * place + k] - yields[k] * self.force[3 * place + k])
     }
 }
 
@@ -261,7 +248,8 @@ impl Unknown {
     #[inline]
     fn of(&self, rows: &[f64]) -> f64 {
         let at = &rows[3 * self.place..][..3];
-        self.along[0] * at[0] + self.along[1] * at[1] + self.along[2] * at[2]
+        let along = &self.equation.along;
+        along[0] * at[0] + along[1] * at[1] + along[2] * at[2]
     }
 }
 
@@ -346,8 +334,8 @@ mod tests {
     fn single(offset: [f64; 3], friction: f64) -> Complementarity {
         let mut problem = Complementarity::default();
         problem.clear(1);
-        problem.frictions.push(friction);
-        problem.yields.push(1e-6);
+        problem.rules.push(Rule::Contact { friction });
+        problem.yields.push([1e-6; 3]);
         for k in 0..3 {
             problem.compliance[4 * k] = 1e-3;
         }
@@ -384,8 +372,8 @@ mod tests {
             }
             problem.gap[r] = ((r * 7 % 11) as f64 - 5.5) * 0.1;
         }
-        problem.frictions = vec![0.3; places];
-        problem.yields = vec![1e-3; places];
+        problem.rules = vec![Rule::Contact { friction: 0.3 }; places];
+        problem.yields = vec![[1e-3; 3]; places];
         problem.solve(300, 1e-12);
         for place in 0..places {
             let (force, gap) = (&problem.force[3 * place..][..3], problem.gap(place));
@@ -394,6 +382,45 @@ mod tests {
             assert!(held <= 0.3 * force[0] + 1e-12);
             if held < 0.3 * force[0] - 1e-9 {
                 assert!(gap[1].hypot(gap[2]) < 1e-8, "sticks without holding still");
+            }
+        }
+    }
+
+    #[test]
+    fn places_with_bounds_end_at_them_or_hold() {
+        use nalgebra::DMatrix;
+        use rand::{Rng, SeedableRng};
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(11);
+        let places = 9;
+        let rows = 3 * places;
+        for case in 0..40 {
+            let mut problem = Complementarity::default();
+            problem.clear(places);
+            let any = DMatrix::from_fn(rows, rows, |_, _| random.random_range(-1.0..1.0));
+            let whole = &any * any.transpose() + DMatrix::identity(rows, rows) * 0.01;
+            problem.compliance.copy_from_slice(whole.as_slice());
+            problem.gap.iter_mut().for_each(|gap| *gap = random.random_range(-1.0..1.0));
+            problem.yields = vec![[1e-6; 3]; places];
+            problem.rules = (0..places)
+                .map(|place| match place % 3 {
+                    0 => Rule::Within { least: [-0.1, -1.0, 0.0], most: [0.0, 1.0, 0.2] },
+                    1 => Rule::Passes { base: 0.05, friction: 0.1 },
+                    _ => Rule::HELD,
+                })
+                .collect();
+            problem.solve(200, 1e-10);
+            assert!(problem.error() < 1e-9, "case {case}: {}", problem.error());
+            for place in 0..places {
+                let (force, gap) = (problem.force(place), problem.gap(place));
+                if let Rule::Within { least, most } = problem.rules[place] {
+                    for k in 0..3 {
+                        // At a bound it is pushed on, in between it holds.
+                        let holds = gap[k].abs() < 1e-9;
+                        let pushed =
+                            (force[k] == least[k] && gap[k] > 0.0) || (force[k] == most[k] && gap[k] < 0.0);
+                        assert!(holds || pushed, "case {case}: {} N, {} m", force[k], gap[k]);
+                    }
+                }
             }
         }
     }

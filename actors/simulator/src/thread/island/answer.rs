@@ -4,14 +4,15 @@
 //! matrix, once it is known whether it is open, sticks or slides. So these are found by Newton's method on the law
 //! itself (the active sets of Alart, Curnier 1991; Hintermüller, Ito, Kunisch 2002), each iteration one factorisation
 //! along the rod, however many they are. Contacts of strands with each other couple nodes that are far apart along the
-//! rod, and those with an elastic body are coupled through it: they are solved as one dense problem through the compliance of the rod with those springs, and in turn with
-//! them.
+//! rod, those with what gives way are coupled through that, and so are ties with companions: they are solved as one dense
+//! problem through the compliance of all of these, and in turn with those springs.
 
+use super::companion::{Companion, Tied};
 use super::{Active, Failure, Island, TOLERANCE};
 use crate::thread::block_band::{Cell, LANES};
-use crate::thread::contact::{CONTACTS_MAX, Law, SOFTENING};
+use crate::thread::contact::{CONTACTS_MAX, Law, Rule, SOFTENING};
 use crate::thread::wide::wide;
-use crate::thread::{Surroundings, ThreadReport, Trouble};
+use crate::thread::{ThreadReport, Trouble};
 
 /// Factorisations in search of what the contacts with obstacles do at most.
 const ROUNDS_MAX: usize = 10;
@@ -22,24 +23,33 @@ const TURNS_MAX: usize = 8;
 /// A place does not change what it does for less \[N\]: `TOLERANCE` of a thread that gives way by a metre per newton, as
 /// one of 2-0 silk in steps of a millisecond does.
 const FORCE_TOLERANCE: f64 = 1e-9;
+/// Ties that are further from obeying their rules ask for shorter steps \[m\].
+const TIE_ERROR_MAX: f64 = 1e-7;
 /// What is further away from another strand than this once forces of the last time have moved it is no contact \[m\].
 const NEAR: f64 = 3e-5;
 
 impl Island {
     /// Solves the linearised island: leaves the change of the iterate in `moved` and forces in the contacts.
-    pub(super) fn answer(&mut self, around: &Surroundings, report: &mut ThreadReport) -> Result<(), Failure> {
+    pub(super) fn answer(
+        &mut self,
+        companion: &mut impl Companion,
+        report: &mut ThreadReport,
+    ) -> Result<(), Failure> {
         // With the forces of the last time the rod moves nearly as it will; what it then stays away from is no contact.
         self.factorise(1.0)?;
         self.settle(report)?;
         let moved = &self.moved;
         self.dense.retain(|contact| {
-            contact.force[0] > 0.0 || contact.offset[0] + contact.rows.apart(moved)[0] < NEAR
+            contact.tie.is_some()
+                || contact.force[0] > 0.0
+                || contact.offset[0] + contact.rows.apart(moved)[0] < NEAR
         });
-        if let Some(beyond) = self.dense.get(CONTACTS_MAX) {
+        let mut contacts = self.dense.iter().filter(|contact| contact.tie.is_none());
+        if let Some(beyond) = contacts.nth(CONTACTS_MAX) {
             return Err(Failure { node: beyond.key.edge as usize, why: Trouble::TooManyContacts });
         }
         self.dense.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
-        self.find_giving(around);
+        self.join(companion)?;
         for _ in 0..TURNS_MAX {
             if self.dense.is_empty() {
                 break;
@@ -57,6 +67,7 @@ impl Island {
                 break;
             }
         }
+        self.take_ties()?;
         for contact in self.dense.iter_mut().chain(&mut self.banded) {
             // Drawn as far as it gives way, whether it sticks or slides.
             contact.drawn = [-contact.compliance * contact.force[1], -contact.compliance * contact.force[2]];
@@ -171,7 +182,7 @@ impl Island {
             for k in 0..3 {
                 self.problem.force[3 * place + k] = contact.force[k];
                 self.problem.gap[3 * place + k] =
-                    contact.offset[k] + apart[k] + contact.compliance * contact.force[k];
+                    contact.offset[k] + apart[k] + contact.yields()[k] * contact.force[k];
             }
         }
         self.give_way();
@@ -183,15 +194,16 @@ impl Island {
         let rows = 3 * places;
         self.problem.clear(places);
         for contact in &self.dense {
-            self.problem.frictions.push(contact.friction);
-            self.problem.yields.push(contact.compliance);
+            self.problem.rules.push(contact.rule());
+            self.problem.yields.push(contact.yields());
         }
         let slanted = self.added.slanted;
         let nodes = self.right.len();
         let begin = self.dense.first().map_or(0, |contact: &Active| contact.rows.first());
-        for first in (0..rows).step_by(LANES) {
+        let begin = begin.min(nodes.saturating_sub(1));
+        for first in (0..rows).step_by(LANES).take_while(|_| nodes > 0) {
             let columns = first..(first + LANES).min(rows);
-            let from = self.dense[first / 3].rows.first();
+            let from = self.dense[first / 3].rows.first().min(nodes - 1);
             self.lanes.clear();
             self.lanes.resize(nodes, [[0.0; LANES]; 4]);
             for column in columns.clone() {
@@ -232,10 +244,39 @@ impl Island {
         }
         for (place, contact) in self.dense.iter().enumerate() {
             for k in 0..3 {
-                self.problem.compliance[(3 * place + k) * (rows + 1)] += contact.compliance;
+                self.problem.compliance[(3 * place + k) * (rows + 1)] += contact.yields()[k];
             }
         }
         self.add_giving();
         self.measure();
+    }
+    /// What the ties came to; refused where they do not obey their rules.
+    fn take_ties(&mut self) -> Result<(), Failure> {
+        if self.ties.is_empty() {
+            self.tied.clear();
+            return Ok(());
+        }
+        self.tied.resize(self.ties.len(), Tied::default());
+        for (place, contact) in self.dense.iter().enumerate() {
+            let Some(tie) = &contact.tie else { continue };
+            if self.problem.error_of(place) > TIE_ERROR_MAX {
+                return Err(Failure { node: 0, why: Trouble::Unsettled });
+            }
+            let gap = self.problem.gap(place);
+            let apart = std::array::from_fn(|k| gap[k] - tie.yields[k] * contact.force[k]);
+            let gives_way = tie.rule.of(apart, tie.yields).1.gives_way();
+            self.tied[tie.number] = Tied { force: contact.force, gap, gives_way };
+        }
+        Ok(())
+    }
+}
+
+impl Active {
+    fn rule(&self) -> Rule {
+        self.tie.map_or(Rule::Contact { friction: self.friction }, |tie| tie.rule)
+    }
+
+    fn yields(&self) -> [f64; 3] {
+        self.tie.map_or([self.compliance; 3], |tie| tie.yields)
     }
 }

@@ -2,7 +2,8 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::{Active, Island};
+use super::companion::Companion;
+use super::{Active, Failure, Island, TieOf};
 use crate::thread::block_band::Cell;
 use crate::thread::contact::{Law, Rows, Side, nearest_on_obstacle, nearest_segments, place, tangents};
 use crate::thread::state::{ContactKey, ContactMemory};
@@ -14,7 +15,13 @@ const DEPTH_MAX: f64 = 0.15;
 impl Island {
     /// The candidates that are near, as rows, with the forces of the last time: those with other strands and with the elastic
     /// body in `dense`, those with obstacles in `banded`. `ahead` is for how long it is expected to go on as it does \[s\].
-    pub(super) fn gather(&mut self, material: &ThreadMaterial, around: &Surroundings, ahead: f64) {
+    pub(super) fn gather(
+        &mut self,
+        material: &ThreadMaterial,
+        around: &Surroundings,
+        ahead: f64,
+        companion: &mut impl Companion,
+    ) -> Result<(), Failure> {
         self.moved.clear();
         self.moved.extend((0..self.at.positions.len()).map(|node| {
             let by = self.at.positions[node] - self.trial.positions[node];
@@ -28,16 +35,38 @@ impl Island {
         self.dense.clear();
         self.banded.clear();
         self.near.clear();
+        let surface = companion.surface();
         for index in 0..self.candidates.found.len() {
             let key = self.candidates.found[index].key;
-            if around.elastic.is_some_and(|elastic| key.with as usize == elastic.obstacle + 1) {
-                self.note_near(material, around, key);
+            if surface.is_some_and(|surface| key.with as usize == surface + 1) {
+                self.note_near(material, around, key, companion);
             } else if let Some(active) = self.contact(material, around, key) {
                 let list = if key.with == 0 { &mut self.dense } else { &mut self.banded };
                 list.push(active);
             }
         }
-        self.touch_elastic(material, around);
+        if let Some(surface) = surface {
+            self.touch_elastic(material, around.obstacles[surface].friction);
+        }
+        self.ties.clear();
+        companion.tie(&self.at, &mut self.ties).map_err(|why| Failure { node: 0, why })?;
+        let Self { ties, dense, .. } = self;
+        dense.extend(ties.iter().enumerate().map(|(number, tie)| Active {
+            key: ContactKey { with: u32::MAX, edge: 0, feature: number as u32 },
+            rows: tie.rows,
+            friction: 0.0,
+            // What the rod has moved already is in the gap.
+            offset: tie.gap,
+            force: tie.force,
+            compliance: 0.0,
+            law: Law::Open,
+            next: Law::Open,
+            surface: Point3::origin(),
+            drawn: [0.0; 2],
+            gives: None,
+            tie: Some(TieOf { number, rule: tie.rule, yields: tie.yields }),
+        }));
+        Ok(())
     }
 
     fn contact(&self, material: &ThreadMaterial, around: &Surroundings, key: ContactKey) -> Option<Active> {
@@ -131,6 +160,7 @@ impl Island {
             surface: surface.map_or_else(Point3::origin, |[_, to]| to),
             drawn: [0.0; 2],
             gives: None,
+            tie: None,
         }
     }
 
@@ -147,11 +177,15 @@ impl Island {
     }
 
     /// An edge that has come deep into something, whether that was taken for a contact or not, and deeper than it was.
-    pub(super) fn sunk(&self, material: &ThreadMaterial, around: &Surroundings) -> Option<usize> {
+    pub(super) fn sunk(
+        &self,
+        material: &ThreadMaterial,
+        around: &Surroundings,
+        companion: &impl Companion,
+    ) -> Option<usize> {
         let deep = -DEPTH_MAX * material.diameter();
-        let gives = |key: &ContactKey| {
-            around.elastic.is_some_and(|elastic| key.with as usize == elastic.obstacle + 1)
-        };
+        let surface = companion.surface();
+        let gives = |key: &ContactKey| surface.is_some_and(|surface| key.with as usize == surface + 1);
         let sunk = |key: &ContactKey| {
             if gives(key) {
                 return false;

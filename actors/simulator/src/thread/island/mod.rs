@@ -5,14 +5,20 @@
 
 mod answer;
 mod boundary;
+pub(crate) mod companion;
 mod elastic;
 mod gather;
 
 use nalgebra::{Point3, Vector3};
 
+use companion::{Companion, Link, Tie, Tied, Tolerance};
+pub(crate) use elastic::TiedAround;
+
 use crate::thread::block_band::{Added, BlockBand, Cell, Factors, LaneCell};
-use crate::thread::contact::{Candidates, Complementarity, Law, Motion, Rows, passed_through};
-use crate::thread::elastic::{Press, SurfacePlace};
+use crate::thread::contact::{
+    Candidates, Complementarity, Law, Motion, Rows, Rule, passed_through, passed_through_face,
+};
+use crate::thread::elastic::SurfacePlace;
 use crate::thread::rod::{Iterate, assemble};
 use crate::thread::state::{ContactKey, ContactMemory, ThreadState};
 use crate::thread::{Reaction, Surroundings, ThreadMaterial, ThreadReport, ThreadStepError, Trouble};
@@ -46,8 +52,19 @@ struct Active {
     /// On the obstacle \[m\].
     surface: Point3<f64>,
     drawn: [f64; 2],
-    /// On the elastic body.
+    /// On a surface that gives way.
     gives: Option<SurfacePlace>,
+    /// Of what it is a place, when it is no contact.
+    tie: Option<TieOf>,
+}
+
+/// What a place of a companion is that is no contact of the rod.
+#[derive(Clone, Copy, Debug)]
+struct TieOf {
+    /// In the companion's list.
+    number: usize,
+    rule: Rule,
+    yields: [f64; 3],
 }
 
 /// Room for a step.
@@ -69,7 +86,7 @@ pub(crate) struct Island {
     reach: Vec<f64>,
     motions: Vec<Motion>,
     candidates: Candidates,
-    /// Contacts of strands with each other, and with the elastic body.
+    /// Contacts of strands with each other and with what gives way, and ties.
     dense: Vec<Active>,
     /// Contacts with obstacles.
     banded: Vec<Active>,
@@ -78,17 +95,17 @@ pub(crate) struct Island {
     hold_forces: Vec<Vector3<f64>>,
     hold_torques: Vec<f64>,
     reactions: Vec<Reaction>,
-    /// On the elastic body, at the end of the last part.
-    presses: Vec<Press>,
-    /// Triangles of the elastic body that are near to edges.
+    /// Triangles of what gives way that are near to edges.
     near: Vec<elastic::Near>,
-    giving: elastic::Giving,
+    joined: elastic::Joined,
+    ties: Vec<Tie>,
+    tied: Vec<Tied>,
 }
 
 /// What went wrong in a part of the step, and where.
-struct Failure {
-    node: usize,
-    why: Trouble,
+pub(crate) struct Failure {
+    pub node: usize,
+    pub why: Trouble,
 }
 
 impl Island {
@@ -108,8 +125,30 @@ impl Island {
         &self.reactions
     }
 
-    pub fn presses(&self) -> &[Press] {
-        &self.presses
+    /// What the ties of the last iteration came to, in the order in which the companion gave them.
+    pub fn tied(&self) -> &[Tied] {
+        &self.tied
+    }
+
+    /// Where companions move and the forces there, of the last iteration.
+    pub fn links(&self) -> (&[Link], &[[f64; 3]]) {
+        (&self.joined.links, &self.joined.forces)
+    }
+
+    /// The rod at the end of the parts so far.
+    pub fn trial(&self) -> &ThreadState {
+        &self.trial
+    }
+
+    /// Begins a step of a rod that is as `state` says.
+    pub fn begin(&mut self, state: &ThreadState, around: &Surroundings) {
+        self.trial.clone_from(state);
+        self.hold_forces.clear();
+        self.hold_forces.resize(around.holds.len(), Vector3::zeros());
+        self.hold_torques.clear();
+        self.hold_torques.resize(around.twist_holds.len(), 0.0);
+        self.reactions.clear();
+        self.reactions.resize(around.obstacles.len(), Reaction::default());
     }
 
     /// Takes the state on by `dt`, or leaves it as it is.
@@ -119,18 +158,9 @@ impl Island {
         state: &mut ThreadState,
         dt: f64,
         around: &Surroundings,
+        companion: &mut impl Companion,
     ) -> Result<ThreadReport, ThreadStepError> {
-        self.trial.clone_from(state);
-        self.hold_forces.clear();
-        self.hold_forces.resize(around.holds.len(), Vector3::zeros());
-        self.hold_torques.clear();
-        self.hold_torques.resize(around.twist_holds.len(), 0.0);
-        self.reactions.clear();
-        self.reactions.resize(around.obstacles.len(), Reaction::default());
-        self.presses.clear();
-        if let Some(elastic) = &around.elastic {
-            self.presses.extend_from_slice(elastic.body.presses());
-        }
+        self.begin(state, around);
         let mut report = ThreadReport::default();
         // Time in units of the shortest part, so that the parts add up exactly.
         let whole = 1_u32 << HALVINGS_MAX;
@@ -140,11 +170,10 @@ impl Island {
             let fractions = [f64::from(done) / f64::from(whole), f64::from(done + part) / f64::from(whole)];
             let divisible = part > 1 && report.parts < PARTS_MAX;
             let length = dt * (fractions[1] - fractions[0]);
-            match self.part(material, length, fractions, around, divisible, &mut report) {
+            match self.part(material, length, fractions, around, divisible, &mut report, companion) {
                 Ok(()) => {
-                    self.feel(material, fractions, around);
-                    self.press(around);
-                    self.finish(length);
+                    companion.finish(&self.joined.links, &self.joined.forces);
+                    self.finish(material, length, fractions, around);
                     done += part;
                     report.parts += 1;
                     // A part is as long as the place it begins at allows: 1, 2, 4 … of the shortest.
@@ -163,20 +192,23 @@ impl Island {
                 Err(_) => part /= 2,
             }
         }
-        report.contacts = self.contacts().filter(|contact| contact.force[0] > 0.0).count();
-        report.strain_max = self
-            .at
-            .lengths
-            .iter()
-            .zip(&self.trial.rest_lengths)
-            .fold(0.0, |most, (length, rest)| f64::max(most, (length / rest - 1.0).abs()));
-        report.penetration_max = self.penetration(material, around);
+        self.tell(material, around, &mut report);
         std::mem::swap(&mut self.trial, state);
         Ok(report)
     }
 
+    /// What is to be said of the rod at the end of a step.
+    pub fn tell(&self, material: &ThreadMaterial, around: &Surroundings, report: &mut ThreadReport) {
+        report.contacts = self.contacts().filter(|contact| contact.force[0] > 0.0).count();
+        let strains = self.at.lengths.iter().zip(&self.trial.rest_lengths);
+        report.strain_max =
+            strains.fold(0.0, |most, (length, rest)| f64::max(most, (length / rest - 1.0).abs()));
+        report.penetration_max = self.penetration(material, around);
+    }
+
     /// Finds the end of one part of the step; `divisible` says whether it might be shorter.
-    fn part(
+    #[expect(clippy::too_many_arguments, reason = "a step, a part of it and what is around it")]
+    pub fn part(
         &mut self,
         material: &ThreadMaterial,
         dt: f64,
@@ -184,8 +216,15 @@ impl Island {
         around: &Surroundings,
         divisible: bool,
         report: &mut ThreadReport,
+        companion: &mut impl Companion,
     ) -> Result<(), Failure> {
         let diameter = material.diameter();
+        let tolerance = companion.tolerance().unwrap_or(Tolerance {
+            free: (0.1 * diameter, LENGTH_TOLERANCE),
+            touching: (0.1 * diameter, LENGTH_TOLERANCE),
+            moved_at_most: f64::INFINITY,
+            iterations: ITERATIONS_MAX,
+        });
         self.at.begin(&self.trial);
         self.motions.clear();
         self.motions.extend(around.obstacles.iter().map(|obstacle| Motion::of(obstacle, fractions)));
@@ -200,33 +239,52 @@ impl Island {
         }
         self.seek(material, around);
         self.former.clone_from(&self.trial.contacts);
-        for iteration in 0..ITERATIONS_MAX {
+        self.tied.clear();
+        for iteration in 0..tolerance.iterations {
             report.iterations += 1;
             self.linearise(material, dt, fractions, around);
-            self.gather(material, around, if iteration == 0 { dt } else { 0.0 });
-            self.answer(around, report)?;
+            self.gather(material, around, if iteration == 0 { dt } else { 0.0 }, companion)?;
+            self.answer(companion, report)?;
             let damped = self.damp(iteration);
-            let largest = self.advance(material)?;
-            self.guard(material, around)?;
+            let of_rod = self.advance(material)?;
+            let of_companion = self.advance_companion(companion)?;
+            let largest = of_rod.max(of_companion);
+            self.guard(material, around, companion)?;
             let error = self.length_error(material);
-            if error.1 < LENGTH_TOLERANCE && largest < 0.1 * diameter && !damped {
+            let touches = self.contacts().any(|contact| contact.force[0] > 0.0);
+            let (moved, length) = if touches { tolerance.touching } else { tolerance.free };
+            if error.1 < length && largest < moved && !damped {
                 break;
             }
-            if iteration + 1 < ITERATIONS_MAX {
+            if iteration + 1 < tolerance.iterations {
                 continue;
             }
             if error.1 > LENGTH_ERROR_MAX {
                 return Err(Failure { node: error.0, why: Trouble::Strain });
             }
+            // A rod whose contacts come and go ends where it is.
+            if (if touches { of_companion } else { largest }) > tolerance.moved_at_most {
+                return Err(Failure { node: error.0, why: Trouble::Wanders });
+            }
             // What came near in the last iterate only has not been solved for.
-            if let Some(node) = self.sunk(material, around).filter(|_| divisible) {
+            if let Some(node) = self.sunk(material, around, companion).filter(|_| divisible) {
                 return Err(Failure { node, why: Trouble::PassedThrough });
             }
         }
         Ok(())
     }
 
+    /// Moves the companion by the forces that were found.
+    fn advance_companion(&mut self, companion: &mut impl Companion) -> Result<f64, Failure> {
+        self.link_forces();
+        companion.advance(&self.joined.links, &self.joined.forces).map_err(|why| Failure { node: 0, why })
+    }
+
     fn seek(&mut self, material: &ThreadMaterial, around: &Surroundings) {
+        if self.trial.positions.is_empty() {
+            self.candidates.found.clear();
+            return;
+        }
         self.candidates.find(
             &self.trial.positions,
             &self.reach,
@@ -276,9 +334,9 @@ impl Island {
         }
     }
 
-    /// All that are solved for.
+    /// All contacts that are solved for.
     fn contacts(&self) -> impl Iterator<Item = &Active> {
-        self.dense.iter().chain(&self.banded)
+        self.dense.iter().chain(&self.banded).filter(|contact| contact.tie.is_none())
     }
 
     /// Halves a change of the iterate that takes back the one before: contacts whose places jump between two edges, or turn
@@ -328,18 +386,22 @@ impl Island {
         }
         at.follow(&self.trial);
         self.former.clear();
-        self.former.extend(
-            self.dense.iter().chain(&self.banded).filter(|contact| contact.force[0] > 0.0).map(|contact| {
-                let drawn = contact.rows.vector(&[0.0, contact.drawn[0], contact.drawn[1]]);
-                ContactMemory { key: contact.key, force: contact.rows.vector(&contact.force), drawn }
-            }),
-        );
+        let contacts = self.dense.iter().chain(&self.banded).filter(|contact| contact.tie.is_none());
+        self.former.extend(contacts.filter(|contact| contact.force[0] > 0.0).map(|contact| {
+            let drawn = contact.rows.vector(&[0.0, contact.drawn[0], contact.drawn[1]]);
+            ContactMemory { key: contact.key, force: contact.rows.vector(&contact.force), drawn }
+        }));
         self.former.sort_unstable_by_key(|memory| memory.key);
         Ok(largest)
     }
 
     /// Refuses an iterate that has passed through something; looks further where it moved further than foreseen.
-    fn guard(&mut self, material: &ThreadMaterial, around: &Surroundings) -> Result<(), Failure> {
+    fn guard(
+        &mut self,
+        material: &ThreadMaterial,
+        around: &Surroundings,
+        companion: &impl Companion,
+    ) -> Result<(), Failure> {
         let mut further = false;
         for node in 0..self.at.positions.len() {
             let way = (self.at.positions[node] - self.trial.positions[node]).norm();
@@ -352,8 +414,28 @@ impl Island {
             self.seek(material, around);
         }
         let (from, to) = (&self.trial.positions, &self.at.positions);
-        for candidate in &self.candidates.found {
-            if passed_through(&candidate.key, from, to, material.radius, around.obstacles, &self.motions) {
+        // An edge next to one that is spared reaches with its end into what that one is in.
+        let beside_spared = |key: &ContactKey| {
+            around.spared.iter().any(|spared| {
+                let edge = key.edge as usize;
+                key.with as usize == spared.obstacle + 1
+                    && (edge + 1 == spared.edges[0] || edge == spared.edges[1] + 1)
+            })
+        };
+        for candidate in self.candidates.found.iter().filter(|candidate| !beside_spared(&candidate.key)) {
+            let key = &candidate.key;
+            let face = companion
+                .swept()
+                .filter(|_| companion.surface().is_some_and(|surface| key.with as usize == surface + 1))
+                .zip(around.face(key));
+            let passed = match face {
+                Some((swept, nodes)) => {
+                    let corners = swept.map(|nodes_at| nodes.map(|node| nodes_at[node as usize]));
+                    passed_through_face(key.edge as usize, [from, to], material.radius, corners)
+                }
+                None => passed_through(key, from, to, material.radius, around.obstacles, &self.motions),
+            };
+            if passed {
                 return Err(Failure { node: candidate.key.edge as usize, why: Trouble::PassedThrough });
             }
         }
@@ -374,8 +456,9 @@ impl Island {
         worst
     }
 
-    /// Makes the iterate the state at the end of the part.
-    fn finish(&mut self, dt: f64) {
+    /// Makes the iterate the state at the end of the part, and adds what holds and obstacles feel.
+    pub fn finish(&mut self, material: &ThreadMaterial, dt: f64, fractions: [f64; 2], around: &Surroundings) {
+        self.feel(material, fractions, around);
         let state = &mut self.trial;
         for node in 0..state.positions.len() {
             state.velocities[node] = (self.at.positions[node] - state.positions[node]) / dt;
