@@ -126,6 +126,7 @@ fn a_needle_is_driven_through_and_its_thread_drawn_after_it() {
     }
     assert!(!stage.has::<Frozen>("needle"));
     assert_eq!((stage.measured("needle.entries"), stage.measured("needle.exits")), (1.0, 1.0));
+    assert_eq!(stage.measured("needle.knot"), 0.0);
     assert!((stage.measured("needle.punctured_at_n") - 0.3).abs() < 1e-9);
     let off = stage.measured("needle.exit_off_plan_m");
     assert!(off < 1.5e-3, "comes out {off} m from where it was to");

@@ -212,7 +212,7 @@ fn a_thread_pulled_with_two_newtons_draws_the_wound_together() {
     let (mut exchanged, mut largest, mut earlier) = (0.0, 0.0_f64, 0.0);
     let begin = momentum(&suture);
     let mut weight = Vector3::zeros();
-    for step in 0..800 {
+    for step in 0..1600 {
         let force = Vector3::new(-0.1, 0.0, 1.0).normalize() * (2.0 * ((step + 1) as f64 / 300.0).min(1.0));
         let loads = [Load { node: last, force }];
         let around = Around { grips: &grips, loads: &loads, ..Around::default() };
@@ -222,7 +222,7 @@ fn a_thread_pulled_with_two_newtons_draws_the_wound_together() {
         exchanged += report.force_on_tissue.norm() * DT;
         weight += dragged(&suture) * DT;
         largest = largest.max(suture.tissue().displacement_max());
-        if step == 600 {
+        if step == 1200 {
             earlier = gap(&suture);
         }
     }
@@ -236,7 +236,7 @@ fn a_thread_pulled_with_two_newtons_draws_the_wound_together() {
     assert!(largest < 5e-3, "{largest} m");
     let after = gap(&suture);
     assert!(after > 0.0 && after < before - 5e-4, "{after} m after {before} m");
-    // It stands: hardly closer than a fifth of a second before.
+    // It stands: what was at its limit when the load came to its end has given way here and there, and by now holds.
     assert!((after - earlier).abs() < 0.02 * (before - after), "{after} m after {earlier} m");
 }
 

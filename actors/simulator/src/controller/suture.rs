@@ -15,6 +15,7 @@ use trocar_scene::{
 use super::deformable::Deformable;
 use super::grips::{CLOSED, holds};
 use super::suture_body::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};
+use super::thread::{KNOT_EVERY, knot_code};
 use super::thread_body::ThreadBody;
 use super::thread_grips::{Leading, Pull, SPARED, pulls, update};
 use super::thread_memory::Met;
@@ -25,6 +26,7 @@ use crate::elasticity::Elastic;
 use crate::needle::NeedleState;
 use crate::suture::{Around, Grip, Suture, SutureReport, SutureState, Tissue};
 use crate::tet_mesh::{MeshRules, TetMesh};
+use crate::thread::knot::identify;
 use crate::thread::{Obstacle, Reaction, ThreadState};
 
 /// Longest step of the island \[s\].
@@ -176,7 +178,8 @@ impl SutureController {
     }
 
     /// One tick; what instruments are told is left in `forces`, `reactions` and `pulls`.
-    fn step(&mut self, scene: &Snapshot, period: f64) -> Result<(), String> {
+    fn step(&mut self, scene: &Snapshot, tick: &Tick<'_>) -> Result<(), String> {
+        let period = tick.period.as_secs_f64();
         self.parts.read(scene, &Isometry3::identity(), self.kind.tool_friction, &self.memory.met);
         if !self.parts.are(&self.memory.met)
             && let Some(contacts) = self.suture.contacts_mut()
@@ -243,6 +246,10 @@ impl SutureController {
         if let Some(thread) = &self.suture.state().thread {
             let forces = self.suture.hold_forces();
             self.pulls = pulls(&mut self.memory.grips, &self.parts, scene, thread, forces);
+            if tick.number % KNOT_EVERY == 1 {
+                let found = identify(&thread.positions).ok();
+                self.memory.knot = knot_code(found.as_ref().map(|knot| &knot.kind));
+            }
         }
         self.memory.met.clear();
         self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
@@ -314,6 +321,7 @@ impl SutureController {
         put("held_by", (self.memory.held.len() + self.memory.grips.len()) as f64);
         let tensions = state.thread.iter().flat_map(|thread| thread.tensions.iter().copied());
         put("thread_tension_n", tensions.fold(0.0, f64::max));
+        put("knot", self.memory.knot);
         put("contacts", self.report.contacts as f64);
         put("contact_force_n", self.reactions.iter().map(|reaction| reaction.force.norm()).sum());
         put("surface_force_n", state.presses.iter().map(|press| press.force.norm()).sum());
@@ -351,7 +359,7 @@ impl Controller for SutureController {
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         let mut list = CollisionList { collisions: Vec::new(), penetration_max: 0.0 };
         if !self.frozen {
-            match self.step(scene, tick.period.as_secs_f64()) {
+            match self.step(scene, tick) {
                 Ok(()) => {
                     self.write(scene, out);
                     list = self.tell(tick);

@@ -275,6 +275,8 @@ pub struct SutureMemory {
     pub met: Vec<Met>,
     /// How deep a contact of the thread has been at most since the beginning \[m\].
     pub penetration_max: f64,
+    /// Which knot the thread was found to be, as [`super::thread::knot_code`] tells.
+    pub knot: f64,
 }
 
 impl Component for SutureMemory {

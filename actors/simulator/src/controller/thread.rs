@@ -29,7 +29,7 @@ use crate::thread::knot::{KnotKind, identify};
 use crate::thread::{Elastic, Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
 
 /// Ticks from one look at its knot to the next.
-const KNOT_EVERY: u64 = 50;
+pub(super) const KNOT_EVERY: u64 = 50;
 
 /// The knot as a measure: 0 none, 1 a single throw, 2 a figure-eight, 3 square, 4 granny, 5 surgeon's, 6 other throws one
 /// after the other, 7 one without a name, −1 one that cannot be told.
