@@ -41,4 +41,5 @@ pub mod sparse;
 pub mod suture;
 pub mod tet_mesh;
 pub mod thread;
+mod wide;
 pub mod xpbd;

@@ -1,6 +1,7 @@
 //! In which order the nodes of a mesh are eliminated, from where they are: nested dissection (George 1973) by planes
 //! across the longest side. Of meshes that fill space it leaves less to fill than the order of minimum degree, and
-//! separators that hang together, which is what dense blocks are made of.
+//! separators that hang together, which is what dense blocks are made of. What is not joined to each other at all stands
+//! apart, so that its columns do too.
 
 use nalgebra::Point3;
 
@@ -23,9 +24,16 @@ pub fn nested_dissection(places: &[Point3<f64>], edges: impl Iterator<Item = (u3
         starts[node + 1] += starts[node];
     }
     let graph = Graph { places, starts, neighbours: both.into_iter().map(|(_, other)| other).collect() };
+    let pieces = graph.pieces();
     let mut order: Vec<u32> = (0..places.len() as u32).collect();
+    order.sort_by_key(|&node| pieces[node as usize]);
     // Parts by their place in the order; the separator of a part stands at its end.
-    let mut parts = vec![(0, places.len())];
+    let mut parts = Vec::new();
+    let mut start = 0;
+    for piece in order.chunk_by(|&a, &b| pieces[a as usize] == pieces[b as usize]) {
+        parts.push((start, start + piece.len()));
+        start += piece.len();
+    }
     let mut side = vec![Side::Out; places.len()];
     while let Some((start, end)) = parts.pop() {
         let own = &mut order[start..end];
@@ -56,6 +64,33 @@ enum Side {
 }
 
 impl Graph<'_> {
+    fn neighbours(&self, node: u32) -> &[u32] {
+        &self.neighbours[self.starts[node as usize]..self.starts[node as usize + 1]]
+    }
+
+    /// Of each node, the first node that it is joined to, over however many edges.
+    fn pieces(&self) -> Vec<u32> {
+        let none = u32::MAX;
+        let mut piece = vec![none; self.places.len()];
+        let mut reached = Vec::new();
+        for first in 0..self.places.len() as u32 {
+            if piece[first as usize] != none {
+                continue;
+            }
+            piece[first as usize] = first;
+            reached.push(first);
+            while let Some(node) = reached.pop() {
+                for &next in self.neighbours(node) {
+                    if piece[next as usize] == none {
+                        piece[next as usize] = first;
+                        reached.push(next);
+                    }
+                }
+            }
+        }
+        piece
+    }
+
     /// Sorts a part into what is below a plane, what is above it, and what separates them; `None` where no plane does.
     fn split(&self, part: &mut [u32], side: &mut [Side]) -> Option<[usize; 2]> {
         let at = |node: u32| self.places[node as usize];
@@ -76,10 +111,8 @@ impl Graph<'_> {
         part[..first].iter().for_each(|&node| side[node as usize] = Side::Below);
         part[first..].iter().for_each(|&node| side[node as usize] = Side::Above);
         let beside = |nodes: &[u32], other: Side| -> Vec<u32> {
-            let touches = |node: &u32| {
-                let range = self.starts[*node as usize]..self.starts[*node as usize + 1];
-                self.neighbours[range].iter().any(|&next| side[next as usize] == other)
-            };
+            let touches =
+                |node: &u32| self.neighbours(*node).iter().any(|&next| side[next as usize] == other);
             nodes.iter().copied().filter(touches).collect()
         };
         let (below, above) = (beside(&part[..first], Side::Above), beside(&part[first..], Side::Below));
@@ -146,6 +179,19 @@ mod tests {
         let natural: Vec<u32> = (0..places.len() as u32).collect();
         let (found, natural) = (fill(&order, &edges), fill(&natural, &edges));
         assert!(3 * found < 2 * natural, "{found} entries, row by row {natural}");
+    }
+
+    #[test]
+    fn what_is_not_joined_stands_apart() {
+        // Two grids in one another, their nodes in turns.
+        let (places, edges) = grid(6);
+        let both: Vec<_> = places.iter().flat_map(|place| [*place; 2]).collect();
+        let joined = edges.iter().flat_map(|&(a, b)| [(2 * a, 2 * b), (2 * a + 1, 2 * b + 1)]);
+        let order = nested_dissection(&both, joined);
+        let (first, second) = order.split_at(places.len());
+        let alone = nested_dissection(&places, edges.iter().copied());
+        assert!(first.iter().zip(&alone).all(|(node, alone)| *node == 2 * alone));
+        assert!(second.iter().zip(&alone).all(|(node, alone)| *node == 2 * alone + 1));
     }
 
     #[test]

@@ -7,7 +7,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::wide::wide;
+use crate::wide::wide;
 
 /// One block: the position of a node and the turn of the edge that begins in it.
 pub(crate) type Block = SMatrix<f64, 4, 4>;

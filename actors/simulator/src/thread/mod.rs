@@ -36,7 +36,6 @@ mod material;
 mod measure;
 pub(crate) mod rod;
 mod state;
-mod wide;
 
 pub use adapt::{Fineness, Renumbered};
 pub use boundary::{HOLD_STIFFNESS, Hold, Load, Spared, TwistHold};

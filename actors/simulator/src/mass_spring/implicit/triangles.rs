@@ -3,6 +3,7 @@
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
+use faer::perm::PermRef;
 use faer::sparse::linalg::SupernodalThreshold;
 use faer::sparse::linalg::cholesky::supernodal::SupernodalLltRef;
 use faer::sparse::linalg::cholesky::{
@@ -10,10 +11,14 @@ use faer::sparse::linalg::cholesky::{
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Par, Side, Spec};
+use nalgebra::Point3;
+
+use crate::sparse::nested_dissection;
+use crate::wide::wide;
 
 /// Columns that are taken at once, and lanes of a sum; rows are filled up to a multiple of these.
 const WIDE: usize = 4;
-const LANES: usize = 4;
+const LANES: usize = 8;
 
 /// Columns with the same rows below them.
 #[derive(Clone, Debug)]
@@ -41,9 +46,16 @@ pub(super) struct Triangles {
 }
 
 impl Triangles {
-    /// Factors a symmetric matrix of `size` rows, given by the entries (row, column, value) of its lower triangle, each at most once.
-    /// `None` where it is not definite or there is no room.
-    pub fn factor(size: usize, mut entries: Vec<(u32, u32, f64)>) -> Option<Self> {
+    /// Factors a symmetric matrix with a row for each of these `places`, given by the entries (row, column, value) of its lower
+    /// triangle, each at most once. `None` where it is not definite or there is no room.
+    pub fn factor(places: &[Point3<f64>], mut entries: Vec<(u32, u32, f64)>) -> Option<Self> {
+        let size = places.len();
+        let edges = entries.iter().map(|&(row, column, _)| (row, column));
+        let order: Vec<usize> =
+            nested_dissection(places, edges).into_iter().map(|row| row as usize).collect();
+        let mut inverse = vec![0; size];
+        order.iter().enumerate().for_each(|(place, &row)| inverse[row] = place);
+        let ordering = SymmetricOrdering::Custom(PermRef::new_checked(&order, &inverse, size));
         entries.sort_unstable_by_key(|&(row, column, _)| (column, row));
         let mut starts = vec![0; size + 1];
         entries.iter().for_each(|&(_, column, _)| starts[column as usize + 1] += 1);
@@ -55,9 +67,7 @@ impl Triangles {
             supernodal_flop_ratio_threshold: SupernodalThreshold::FORCE_SUPERNODAL,
             ..Default::default()
         };
-        let symbolic =
-            factorize_symbolic_cholesky(pattern.as_ref(), Side::Lower, SymmetricOrdering::Amd, params)
-                .ok()?;
+        let symbolic = factorize_symbolic_cholesky(pattern.as_ref(), Side::Lower, ordering, params).ok()?;
         let mut memory =
             MemBuffer::try_new(symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Spec::default()))
                 .ok()?;
@@ -76,10 +86,7 @@ impl Triangles {
                 Spec::default(),
             )
             .ok()?;
-        let order = match symbolic.perm() {
-            Some(order) => order.arrays().0.iter().map(|&row| row as u32).collect(),
-            None => (0..size as u32).collect(),
-        };
+        let order = order.into_iter().map(|row| row as u32).collect();
         let SymbolicCholeskyRaw::Supernodal(raw) = symbolic.raw() else { return None };
         let factor = SupernodalLltRef::new(raw, &numbers);
         let mut triangles = Self { order, solved: vec![0.0; size + 1], ..Self::default() };
@@ -119,6 +126,14 @@ impl Triangles {
 
     /// Solves L Lᵀ x = b in place.
     pub fn solve(&mut self, vector: &mut [f32]) {
+        wide(
+            #[inline(always)]
+            || self.solve_here(vector),
+        );
+    }
+
+    #[inline(always)]
+    fn solve_here(&mut self, vector: &mut [f32]) {
         let Self { panels, rows, values, order, solved, below } = self;
         for (slot, &row) in solved.iter_mut().zip(order.iter()) {
             *slot = vector[row as usize];
@@ -135,6 +150,7 @@ impl Triangles {
     }
 }
 
+#[inline(always)]
 fn forward(panel: &Panel, rows: &[u32], values: &[f32], solved: &mut [f32], below: &mut [f32]) {
     let count = panel.columns;
     let (square, rest) = values[panel.values_from..].split_at(count * count);
@@ -173,6 +189,7 @@ fn forward(panel: &Panel, rows: &[u32], values: &[f32], solved: &mut [f32], belo
     }
 }
 
+#[inline(always)]
 fn backward(panel: &Panel, rows: &[u32], values: &[f32], solved: &mut [f32], below: &mut [f32]) {
     let count = panel.columns;
     let (square, rest) = values[panel.values_from..].split_at(count * count);
@@ -203,7 +220,7 @@ fn backward(panel: &Panel, rows: &[u32], values: &[f32], solved: &mut [f32], bel
 }
 
 /// Of four columns with one vector whose length is a multiple of the lanes.
-#[inline]
+#[inline(always)]
 fn dots(columns: &[f32], vector: &[f32]) -> [f32; WIDE] {
     let (first, rest) = columns.split_at(vector.len());
     let (second, rest) = rest.split_at(vector.len());
@@ -219,12 +236,11 @@ fn dots(columns: &[f32], vector: &[f32]) -> [f32; WIDE] {
             lanes[3][lane] += d[lane] * v[lane];
         }
     }
-    let sum = |of: [f32; LANES]| (of[0] + of[1]) + (of[2] + of[3]);
-    [sum(lanes[0]), sum(lanes[1]), sum(lanes[2]), sum(lanes[3])]
+    lanes.map(sum)
 }
 
 /// In lanes: a sum in one order would run one number at a time.
-#[inline]
+#[inline(always)]
 fn dot(first: &[f32], second: &[f32]) -> f32 {
     let mut lanes = [0.0_f32; LANES];
     let (first_lanes, second_lanes) = (first.chunks_exact(LANES), second.chunks_exact(LANES));
@@ -234,8 +250,13 @@ fn dot(first: &[f32], second: &[f32]) -> f32 {
             lanes[lane] += a[lane] * b[lane];
         }
     }
-    let [a, b, c, d] = lanes;
-    rest + ((a + b) + (c + d))
+    rest + sum(lanes)
+}
+
+#[inline(always)]
+fn sum(lanes: [f32; LANES]) -> f32 {
+    let [a, b, c, d, e, f, g, h] = lanes;
+    ((a + b) + (c + d)) + ((e + f) + (g + h))
 }
 
 #[cfg(test)]
@@ -270,12 +291,15 @@ mod tests {
                 right[column as usize] += value as f32 * wanted[row as usize];
             }
         }
-        let mut factor = Triangles::factor(wanted.len(), entries.clone()).expect("definite");
+        let places: Vec<_> = (0..side * side)
+            .map(|row| Point3::new(f64::from(row % side), f64::from(row / side), 0.0))
+            .collect();
+        let mut factor = Triangles::factor(&places, entries.clone()).expect("definite");
         factor.solve(&mut right);
         for (found, wanted) in right.iter().zip(&wanted) {
             assert!((found - wanted).abs() < 2e-4, "{found}, not {wanted}");
         }
         entries[0].2 = -100.0;
-        assert!(Triangles::factor(wanted.len(), entries).is_none());
+        assert!(Triangles::factor(&places, entries).is_none());
     }
 }

@@ -168,7 +168,8 @@ impl Warped {
             }
         }
         entries.extend(diagonal.into_iter().enumerate().map(|(at, value)| (at as u32, at as u32, value)));
-        Triangles::factor(3 * nodes, entries)
+        let places: Vec<_> = network.rest.iter().flat_map(|place| [*place; 3]).collect();
+        Triangles::factor(&places, entries)
     }
 }
 

@@ -2,7 +2,7 @@
 //! places that give way (Alart, Curnier 1991, for Coulomb's), on the assembled compliance.
 
 use super::rule::{Doing, Equation, Rule};
-use crate::thread::wide::wide;
+use crate::wide::wide;
 
 /// Newton steps from where the forces of the last time are, at most.
 const STEPS_MAX: usize = 24;

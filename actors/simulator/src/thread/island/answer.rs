@@ -11,8 +11,8 @@ use super::companion::{Companion, Tied};
 use super::{Active, Failure, Island, TOLERANCE};
 use crate::thread::block_band::{Cell, LANES};
 use crate::thread::contact::{CONTACTS_MAX, Law, Rule, SOFTENING};
-use crate::thread::wide::wide;
 use crate::thread::{ThreadReport, Trouble};
+use crate::wide::wide;
 
 /// Factorisations in search of what the contacts with obstacles do at most.
 const ROUNDS_MAX: usize = 10;
