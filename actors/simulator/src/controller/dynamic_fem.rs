@@ -11,7 +11,7 @@ use super::soft::{Measures, Site, SoftController, SoftMethod};
 use super::tools::Rod;
 use super::touch::{Skin, Touch};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs};
-use crate::elasticity::Elastic;
+use crate::elasticity::{Elastic, POISSON_MAX};
 use crate::tet_mesh::{MeshRules, TetMesh};
 
 /// A soft volume: it needs a mesh of tetrahedra, and `anchors` where it is to be held.
@@ -55,7 +55,7 @@ impl Component for DynamicFemBody {
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)?;
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
-        ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=0.499, "0 to 0.499")?;
+        ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
         ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
         ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")
     }

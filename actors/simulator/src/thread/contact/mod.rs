@@ -21,4 +21,4 @@ pub(crate) use solve::{Complementarity, SOFTENING};
 pub(crate) use nearest::{nearest_on_obstacle, nearest_segments};
 
 /// Contacts of strands with each other that are solved for at most; of those with obstacles any number is.
-pub const CONTACTS_MAX: usize = 400;
+pub const CONTACTS_MAX: usize = 1000;
