@@ -101,7 +101,7 @@ fn holds(what: &str, trial: &Trial) {
 /// Under load, its ears free, for a minute.
 const MINUTE: Trial = Trial { seconds: 60.0, loaded_dt: 2e-3, ..TRIAL };
 /// At a friction of a tenth.
-const SLIPPERY: Trial = Trial { turns: &TRIPLE, friction: 0.1, seconds: 1.5, ..TRIAL };
+const SLIPPERY: Trial = Trial { turns: &TRIPLE, friction: 0.1, seconds: 0.6, ..TRIAL };
 
 #[test]
 fn six_throws_of_three_turns_hold_for_a_minute_at_a_friction_of_a_tenth() {

@@ -47,6 +47,8 @@ pub struct VolumeChange {
     pub renamed: Vec<u32>,
     /// Faces that are of the boundary now and were not.
     pub uncovered: Vec<FaceOf>,
+    /// Nodes of elements that were taken out.
+    pub loosened: BTreeSet<u32>,
 }
 
 /// Elements that may come apart. They keep their numbers; so do nodes.
@@ -190,17 +192,27 @@ impl Volume {
         pieces
     }
 
-    /// Takes elements out.
+    /// Takes elements out; what hangs by nothing but a node or an edge then, gets nodes of its own.
     ///
     /// # Errors
     /// One of them is not there; then nothing has changed.
     pub fn remove(&mut self, tets: &[u32]) -> Result<VolumeChange, VolumeError> {
+        let mut change = self.take_out(tets)?;
+        self.split(change.loosened.clone(), &mut change);
+        Ok(change)
+    }
+
+    /// Takes elements out and leaves all nodes as they are, those that nothing uses any longer too: a solver need not be
+    /// told of new ones.
+    ///
+    /// # Errors
+    /// One of them is not there; then nothing has changed.
+    pub fn take_out(&mut self, tets: &[u32]) -> Result<VolumeChange, VolumeError> {
         let mut going = tets.to_vec();
         going.sort_unstable();
         going.dedup();
         going.iter().try_for_each(|&tet| self.check(tet))?;
         let mut change = VolumeChange::default();
-        let mut touched = BTreeSet::new();
         for &tet in &going {
             for corner in 0..4_u8 {
                 self.boundary.remove(&(tet, corner));
@@ -212,14 +224,13 @@ impl Volume {
             for node in nodes {
                 self.around[node as usize].retain(|&other| other != tet);
                 self.shares[node as usize] -= 0.25 * self.volumes[tet as usize];
-                touched.insert(node);
+                change.loosened.insert(node);
             }
         }
         self.left -= going.len();
         // Of those that went together, faces between them are of nothing.
         change.uncovered.retain(|(tet, _)| self.tets[*tet as usize].is_some());
         change.removed = going;
-        self.split(touched, &mut change);
         Ok(change)
     }
 
