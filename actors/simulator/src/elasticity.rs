@@ -84,6 +84,16 @@ pub fn stiffness_block(material: &Elastic, volume: f64, a: &Vector3<f64>, b: &Ve
     (a * b.transpose() * lambda + b * a.transpose() * mu + shear) * volume
 }
 
+/// Cauchy's stress \[Pa\] of a neo-Hookean material with Lamé's constants λ and μ \[Pa\] under a deformation gradient
+/// (Bonet, Wood 1997): that of linear elasticity for small strains, whatever the rotation. Of what is turned inside out it is
+/// that of what is pressed flat.
+#[must_use]
+pub fn cauchy_stress([lambda, mu]: [f64; 2], gradient: &Matrix3<f64>) -> Matrix3<f64> {
+    let jacobian = gradient.determinant().max(1e-3);
+    let left = gradient * gradient.transpose() - Matrix3::identity();
+    (left * mu + Matrix3::from_diagonal_element(lambda * jacobian.ln())) / jacobian
+}
+
 /// The pattern of matrices over the nodes of a mesh for which `number` has one, and where they stand.
 #[must_use]
 pub fn pattern(mesh: &TetMesh, numbers: &[Option<u32>], count: usize) -> BlockPattern {

@@ -175,6 +175,16 @@ impl Picks {
         led
     }
 
+    /// Triangles have other numbers now, or are gone; who holds none any longer holds nothing.
+    pub fn renumber(&mut self, kept: &[Option<u32>]) {
+        for pick in &mut self.picks {
+            let now = pick.triangles.iter().filter_map(|&triangle| *kept.get(triangle as usize)?);
+            pick.triangles = now.collect();
+            pick.triangles.sort_unstable();
+        }
+        self.picks.retain(|pick| !pick.triangles.is_empty());
+    }
+
     /// Brings the flags up to date after a change of topology: new triangles are held as those that they are a part of,
     /// new vertices with them, and what a pick's triangles no longer have it lets go. `positions` are the new ones, at the
     /// poses of `jaws`.

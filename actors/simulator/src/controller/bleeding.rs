@@ -11,8 +11,9 @@ use trocar_scene::{
 };
 
 use super::cuts::swept;
-use super::electrosurgery::{HeatState, RemovedElements};
+use super::electrosurgery::HeatState;
 use super::grips::holds;
+use super::heat::RemovedElements;
 use super::vital_signs::PatientState;
 use crate::electrosurgery::BODY;
 use crate::fluid::bleeding::{Bleeding, BleedingState, Vessel as Pipe};

@@ -33,6 +33,10 @@ pub struct Deformable {
     pub pinned: Vec<u32>,
     /// Where that is.
     pub anchors: Anchors,
+    /// Vertices that no element uses any longer, ascending: nothing touches them.
+    pub loose: Vec<u32>,
+    /// Whether vertices have come apart: then some are where others are.
+    pub is_parted: bool,
     /// Whether the scene has its shape at rest already.
     has_rest: bool,
 }
@@ -68,12 +72,10 @@ impl Deformable {
             return Err(wrong("has other numbers of vertices, of vertices at rest and of velocities"));
         }
         let anchors = scene.get::<Anchors>(entity).cloned().unwrap_or_default();
-        let held = rest.iter().enumerate().filter(|(_, point)| anchors.hold(point));
-        let pinned = held.map(|(vertex, _)| vertex as u32).collect();
         let line = scene.get::<LineMesh>(entity);
         let triangles = scene.get::<SurfaceMesh>(entity).map(|surface| surface.triangles.clone());
         let tets = scene.get::<TetMesh>(entity).map(|volume| volume.tets.clone());
-        Ok(Self {
+        let mut body = Self {
             entity,
             rest,
             positions,
@@ -82,11 +84,21 @@ impl Deformable {
             tets: tets.unwrap_or_default(),
             segments: line.map(|line| line.segments.clone()).unwrap_or_default(),
             radius: line.map_or(0.0, |line| line.radius),
-            pinned,
+            pinned: Vec::new(),
             anchors,
+            loose: Vec::new(),
+            is_parted: false,
             has_rest,
             name,
-        })
+        };
+        body.anchor();
+        Ok(body)
+    }
+
+    /// Finds anew which of its vertices are held where they are.
+    pub fn anchor(&mut self) {
+        let held = self.rest.iter().enumerate().filter(|(_, point)| self.anchors.hold(point));
+        self.pinned = held.map(|(vertex, _)| vertex as u32).collect();
     }
 
     /// What a controller of deforming bodies reads and writes of them.
@@ -131,9 +143,8 @@ impl Deformable {
     pub fn lie(&mut self, nodes: Vec<Point3<f64>>) {
         self.segments = Arc::new((1..nodes.len() as u32).map(|end| [end - 1, end]).collect());
         self.velocities = Arc::new(vec![Vector3::zeros(); nodes.len()]);
-        let held = nodes.iter().enumerate().filter(|(_, point)| self.anchors.hold(point));
-        self.pinned = held.map(|(vertex, _)| vertex as u32).collect();
         self.rest = Arc::new(nodes);
+        self.anchor();
         self.positions = self.rest.clone();
         self.has_rest = false;
     }

@@ -7,7 +7,9 @@ use trocar_scene::{Access, Commands, Component, ComponentError, Entity, EntitySe
 
 use super::deformable::Deformable;
 use super::dynamic_fem_memory::DynamicFemMemory;
-use super::soft::{Measures, Site, SoftController, SoftMethod};
+use super::heat::{Coagulated, Heated};
+use super::parting::{Elements, Parting, Weakness};
+use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
 use super::tools::Rod;
 use super::touch::{Skin, Touch};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs};
@@ -32,6 +34,10 @@ pub struct DynamicFemBody {
     pub stiffness_damping: f64,
     /// Force per depth of a contact \[N/m\].
     pub contact_stiffness: f64,
+    /// Whether blades cut it; then they do not push it.
+    pub cut: bool,
+    /// Tension that tears it \[Pa\]; without one nothing does.
+    pub strength: Option<f64>,
 }
 
 impl Default for DynamicFemBody {
@@ -46,6 +52,8 @@ impl Default for DynamicFemBody {
             mass_damping: 1.0,
             stiffness_damping: 0.005,
             contact_stiffness: 300.0,
+            cut: false,
+            strength: None,
         }
     }
 }
@@ -57,7 +65,8 @@ impl Component for DynamicFemBody {
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
         ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
         ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
-        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")
+        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
     }
     fn schema() -> Option<serde_json::Value> {
         Some(schemars::schema_for!(Self).to_value())
@@ -65,8 +74,23 @@ impl Component for DynamicFemBody {
 }
 
 impl DynamicFemBody {
-    fn solver(&self, body: &Deformable, memory: &DynamicFemMemory) -> Result<DynamicFem, String> {
-        let mesh = TetMesh::new(&body.rest, &body.tets, &MeshRules::default()).map_err(|e| e.to_string())?;
+    fn weakness(&self) -> Result<Weakness, String> {
+        let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
+        let lame = [elastic.lambda(), elastic.mu()];
+        Ok(Weakness { cut: self.cut, tears: self.strength.map(|strength| (strength, lame)) })
+    }
+
+    /// Of a body to whose elements that has happened.
+    fn solver(
+        &self,
+        body: &Deformable,
+        memory: &DynamicFemMemory,
+        heated: &Heated,
+    ) -> Result<DynamicFem, String> {
+        // Where it has come apart, nodes are at the same place by right.
+        let coincident_within = if body.is_parted { None } else { Some(0.0) };
+        let rules = MeshRules { coincident_within, ..MeshRules::default() };
+        let mesh = TetMesh::new(&body.rest, &body.tets, &rules).map_err(|e| e.to_string())?;
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let constitution =
             if self.neo_hookean { Constitution::NeoHookean } else { Constitution::Corotational };
@@ -78,17 +102,47 @@ impl DynamicFemBody {
             ..Config::default()
         };
         let mut solver = DynamicFem::new(mesh, &elastic, &config, &body.pinned).map_err(|e| e.to_string())?;
+        heated.coagulated.iter().for_each(|of| solver.alter(of.element, of.stiffness, of.length));
+        solver.remove(&heated.removed);
         let state = memory.state(&body.positions, &body.velocities);
         solver.restore(&state).map_err(|e| e.to_string())?;
         Ok(solver)
     }
 }
 
-/// Finite elements of one body.
-pub struct DynamicFemMethod {
+/// A solver of one body, whose elements may go.
+struct Solver {
     kind: DynamicFemBody,
     solver: DynamicFem,
     memory: DynamicFemMemory,
+}
+
+impl Elements for Solver {
+    fn positions(&self) -> &[Point3<f64>] {
+        self.solver.positions()
+    }
+
+    fn remove(&mut self, elements: &[u32]) {
+        self.solver.remove(elements);
+    }
+
+    fn alter(&mut self, elements: &[Coagulated]) {
+        elements.iter().for_each(|of| self.solver.alter(of.element, of.stiffness, of.length));
+    }
+
+    fn split(&mut self, body: &Deformable, split: &[(u32, u32)], heated: &Heated) -> Result<(), String> {
+        self.memory.take(&self.solver);
+        self.memory.split(split);
+        self.solver = self.kind.solver(body, &self.memory, heated)?;
+        Ok(())
+    }
+}
+
+/// Finite elements of one body.
+pub struct DynamicFemMethod {
+    kind: DynamicFemBody,
+    of: Solver,
+    parting: Option<Parting>,
     contacts: Vec<Contact>,
     prescribed: Vec<(u32, Point3<f64>)>,
 }
@@ -97,27 +151,45 @@ impl SoftMethod for DynamicFemMethod {
     type Kind = DynamicFemBody;
     const CONTROLLER: &'static str = "dynamic-fem";
 
-    fn build(kind: &DynamicFemBody, body: &Deformable, scene: &Snapshot) -> Result<Self, String> {
+    fn build(kind: &DynamicFemBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
         let memory = scene.get::<DynamicFemMemory>(body.entity).cloned().unwrap_or_default();
-        let solver = kind.solver(body, &memory)?;
-        Ok(Self { kind: *kind, solver, memory, contacts: Vec::new(), prescribed: Vec::new() })
+        let parting = Parting::new(body, kind.weakness()?, scene)?;
+        let heated = parting.as_ref().map(|parting| parting.heated().clone()).unwrap_or_default();
+        let solver = kind.solver(body, &memory, &heated)?;
+        let of = Solver { kind: *kind, solver, memory };
+        Ok(Self { kind: *kind, of, parting, contacts: Vec::new(), prescribed: Vec::new() })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        access.writes::<DynamicFemMemory>(EntitySet::Of(bodies.to_vec()))
+        Parting::access(access, bodies).writes::<DynamicFemMemory>(EntitySet::Of(bodies.to_vec()))
+    }
+
+    fn is_cut_by_blades(&self) -> bool {
+        self.parting.as_ref().is_some_and(Parting::is_cut)
+    }
+
+    fn reshape(
+        &mut self,
+        body: &mut Deformable,
+        site: &Site<'_>,
+        out: &mut Commands,
+    ) -> Result<Option<Reshaped>, String> {
+        let Some(parting) = &mut self.parting else { return Ok(None) };
+        parting.reshape(&mut self.of, body, site, out)
     }
 
     fn publish(&mut self, body: &Deformable, out: &mut Commands) {
-        self.memory.take(&self.solver);
-        out.put(body.entity, self.memory.clone());
+        let Solver { solver, memory, .. } = &mut self.of;
+        memory.take(solver);
+        out.put(body.entity, memory.clone());
     }
 
     fn positions(&self) -> &[Point3<f64>] {
-        self.solver.positions()
+        self.of.solver.positions()
     }
 
     fn velocities(&self) -> &[Vector3<f64>] {
-        self.solver.velocities()
+        self.of.solver.velocities()
     }
 
     fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
@@ -146,14 +218,14 @@ impl SoftMethod for DynamicFemMethod {
             prescribed: &self.prescribed,
             ..Inputs::default()
         };
-        self.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())?;
+        self.of.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())?;
         forces.clear();
-        forces.extend(self.contacts.iter().map(|contact| force_of(contact, self.solver.positions())));
+        forces.extend(self.contacts.iter().map(|contact| force_of(contact, self.of.solver.positions())));
         Ok(())
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
-        let reactions = self.solver.reactions().iter();
+        let reactions = self.of.solver.reactions().iter();
         -reactions
             .filter(|(node, _)| held.binary_search(node).is_ok())
             .map(|(_, force)| force)
@@ -161,9 +233,10 @@ impl SoftMethod for DynamicFemMethod {
     }
 
     fn measure(&self, body: &Deformable, measures: &mut Measures<'_>) {
-        let energies = self.solver.energies();
+        let energies = self.of.solver.energies();
         measures.put("kinetic_energy_j", energies.kinetic);
         measures.put("elastic_energy_j", energies.elastic);
+        self.parting.iter().for_each(|parting| parting.measure(measures));
         let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         measures.put("displacement_max_m", moved.fold(0.0, f64::max));
     }

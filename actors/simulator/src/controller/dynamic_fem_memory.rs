@@ -46,6 +46,13 @@ impl DynamicFemMemory {
         self.factor_couplings = factor_couplings;
     }
 
+    /// Vertices have come apart, pairs of a new one and its parent: the factor is none of this body any longer.
+    pub fn split(&mut self, split: &[(u32, u32)]) {
+        let accelerations = Arc::make_mut(&mut self.accelerations);
+        split.iter().for_each(|&(_, parent)| accelerations.push(accelerations[parent as usize]));
+        *self = Self { accelerations: self.accelerations.clone(), ..Self::default() };
+    }
+
     /// The state of a solver, with positions \[m\] and velocities \[m/s\] of the scene. A memory of another number of
     /// vertices is none.
     #[must_use]

@@ -12,18 +12,27 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::mesh::TetData;
 use trocar_scene::{
     Access, Activation, BuildContext, Burn, Commands, Component, ComponentError, Controller, ControllerError,
-    Entity, EntitySet, Frozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy, Snapshot,
-    SurfaceMesh, Temperature, Tick,
+    Entity, EntitySet, Frozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy, RestPositions,
+    Snapshot, SurfaceMesh, Temperature, Tick, VertexPositions,
 };
 
 use super::deformable::Deformable;
+use super::dynamic_fem::DynamicFemBody;
+use super::heat::{Coagulated, CoagulatedElements, RemovedElements};
+use super::linear_fem::LinearFemBody;
+use super::mass_spring::MassSpringBody;
+use super::parting::VolumeCuts;
+use super::rest_place::rest_place;
 use super::smoke::Plume;
+use super::xpbd::XpbdBody;
 use crate::electrosurgery::{
-    Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, ThermalMaterial, Tissue,
+    BODY, Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, ThermalMaterial, Tissue,
 };
 
 /// Ticks between two states that a later life goes on from; whatever removes tissue is kept at once.
 const STATE_EVERY: u64 = 10;
+/// Change of an element's stiffness, relative to what it was at first, that is worth a new factor.
+const COAGULATED_CHANGE: f64 = 0.05;
 
 /// Tissue that electrodes burn: a volume, or, with a thickness, a membrane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -89,17 +98,6 @@ impl Component for ElectrodeTip {
     }
 }
 
-/// Elements of a body's mesh at rest that are gone: tetrahedra of a volume, triangles of a membrane.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct RemovedElements {
-    /// In the order in which they went.
-    pub elements: Arc<Vec<u32>>,
-}
-impl Component for RemovedElements {
-    const NAME: &'static str = "removed_elements";
-}
-
 /// What a later life goes on from. Too large to be recorded; what comes of it is.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct HeatState {
@@ -119,6 +117,9 @@ struct Body {
     tissue: Electrosurgery,
     triangles: Arc<Vec<[u32; 3]>>,
     removed: Vec<u32>,
+    coagulated: Arc<Vec<Coagulated>>,
+    /// Whether somebody moves it: then its surface is theirs, and so is whether it stands still.
+    is_moved: bool,
     plume: Plume,
     volume_removed: f64,
     hottest: f64,
@@ -130,7 +131,18 @@ struct Body {
 
 impl Body {
     fn read(scene: &Snapshot, entity: Entity, kind: CauterisedBody) -> Result<Self, ControllerError> {
-        let body = Deformable::read(scene, entity)?;
+        let mut body = Deformable::read(scene, entity)?;
+        // The first mesh, whatever has come apart since.
+        if let Some(cuts) = scene.get::<VolumeCuts>(entity) {
+            let count = body.rest.len().saturating_sub(cuts.origins.len());
+            let first = |node: u32| match (node as usize).checked_sub(count) {
+                Some(at) => cuts.origins.get(at).copied().unwrap_or(node),
+                None => node,
+            };
+            body.rest = Arc::new(body.rest[..count].to_vec());
+            body.tets = Arc::new(body.tets.iter().map(|tet| tet.map(first)).collect());
+        }
+        let body = body;
         let wrong = |what: String| ControllerError::Scene(format!("'{}': {what}", body.name));
         let known = scene.get::<HeatState>(entity);
         let triangles = known.map_or_else(|| body.triangles.clone(), |known| known.triangles.clone());
@@ -155,8 +167,10 @@ impl Body {
         };
         let tissue = heated.map_err(|error| wrong(error.to_string()))?;
         let removed = known.map(|known| known.state.removed.clone()).unwrap_or_default();
-        let frozen = scene.get::<Frozen>(entity).is_some();
+        let is_moved = moved_by(scene, entity).is_some();
+        let frozen = !is_moved && scene.get::<Frozen>(entity).is_some();
         let plume = scene.get::<Plume>(entity).copied().unwrap_or_default();
+        let coagulated = scene.get::<CoagulatedElements>(entity).cloned().unwrap_or_default().elements;
         let area_before = pieces(&triangles, &body.rest).iter().sum();
         let (volume_removed, hottest, areas) = (0.0, 0.0, Vec::new());
         let mut this = Self {
@@ -165,6 +179,8 @@ impl Body {
             tissue,
             triangles,
             removed,
+            coagulated,
+            is_moved,
             plume,
             volume_removed,
             hottest,
@@ -188,22 +204,71 @@ impl Body {
         TetData { positions: Vec::new(), tets, tags: Vec::new() }.boundary_triangles()
     }
 
-    fn write(&mut self, tick: &Tick<'_>, out: &mut Commands) {
+    fn write(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
         let vertices = 0..self.tissue.vertex_count() as u32;
-        let (celsius, omega) = vertices.filter_map(|vertex| self.tissue.vertex(vertex)).unzip();
+        let (mut celsius, mut omega): (Vec<f64>, Vec<f64>) =
+            vertices.filter_map(|vertex| self.tissue.vertex(vertex)).unzip();
+        // What a vertex came apart into is as warm as it.
+        let parted = scene.get::<VolumeCuts>(self.body.entity);
+        for &origin in parted.iter().flat_map(|cuts| cuts.origins.iter()) {
+            celsius.push(celsius.get(origin as usize).copied().unwrap_or(BODY));
+            omega.push(omega.get(origin as usize).copied().unwrap_or_default());
+        }
         out.put(self.body.entity, Temperature { celsius: Arc::new(celsius) });
         out.put(self.body.entity, Burn { omega: Arc::new(omega) });
         let went = !self.tissue.removed_in_step().is_empty();
         if went {
             let surface = self.surface();
             self.areas = pieces(&surface, &self.body.rest);
-            out.put(self.body.entity, SurfaceMesh { triangles: Arc::new(surface) });
+            if !self.is_moved {
+                out.put(self.body.entity, SurfaceMesh { triangles: Arc::new(surface) });
+            }
             out.put(self.body.entity, RemovedElements { elements: Arc::new(self.removed.clone()) });
+        }
+        if self.is_moved && (went || tick.number.is_multiple_of(STATE_EVERY)) && self.coagulates() {
+            out.put(self.body.entity, CoagulatedElements { elements: self.coagulated.clone() });
         }
         if went || tick.number.is_multiple_of(STATE_EVERY) {
             let state = Arc::new(self.tissue.state());
             out.put(self.body.entity, HeatState { triangles: self.triangles.clone(), state });
         }
+    }
+
+    /// Finds what is coagulated; whether that is worth telling.
+    fn coagulates(&mut self) -> bool {
+        let elements = 0..self.tissue.removed().len() as u32;
+        let now: Vec<Coagulated> = elements
+            .filter_map(|element| {
+                let factors = self.tissue.factors(element);
+                let is_changed = factors.stiffness > 1.0 + COAGULATED_CHANGE && !factors.is_removed;
+                is_changed.then_some(Coagulated {
+                    element,
+                    stiffness: factors.stiffness,
+                    length: factors.length,
+                })
+            })
+            .collect();
+        let same = now.len() == self.coagulated.len()
+            && now.iter().zip(self.coagulated.iter()).all(|(now, before)| {
+                now.element == before.element && (now.stiffness - before.stiffness).abs() < COAGULATED_CHANGE
+            });
+        if !same {
+            self.coagulated = Arc::new(now);
+        }
+        !same
+    }
+
+    /// Where a place in the body's frame is when the body is at rest.
+    fn at_rest(&self, place: &Point3<f64>, scene: &Snapshot) -> Point3<f64> {
+        let entity = self.body.entity;
+        let (Some(now), Some(rest), Some(surface)) = (
+            scene.get::<VertexPositions>(entity),
+            scene.get::<RestPositions>(entity),
+            scene.get::<SurfaceMesh>(entity),
+        ) else {
+            return *place;
+        };
+        rest_place(place, &surface.triangles, &now.positions, &rest.positions)
     }
 
     fn measure(&self, values: &mut BTreeMap<String, f64>) {
@@ -216,9 +281,22 @@ impl Body {
         put("removed_elements", self.removed.len() as f64);
         put("hottest_celsius", self.hottest);
         put("smoke_kg", self.plume.emitted);
+        put("heat_frozen", f64::from(u8::from(self.frozen)));
+        put("coagulated_elements", self.coagulated.len() as f64);
         put("pieces", self.areas.len() as f64);
         put("largest_piece_share", self.areas.first().unwrap_or(&0.0) / self.area_before.max(1e-12));
     }
+}
+
+/// The kind of component by which somebody moves a body, if anybody does.
+fn moved_by(scene: &Snapshot, entity: Entity) -> Option<&'static str> {
+    let kinds = [
+        scene.get::<DynamicFemBody>(entity).map(|_| DynamicFemBody::NAME),
+        scene.get::<XpbdBody>(entity).map(|_| XpbdBody::NAME),
+        scene.get::<LinearFemBody>(entity).map(|_| LinearFemBody::NAME),
+        scene.get::<MassSpringBody>(entity).map(|_| MassSpringBody::NAME),
+    ];
+    kinds.into_iter().flatten().next()
 }
 
 /// Areas of the parts of a surface that share no vertex, the largest first \[m²\].
@@ -283,6 +361,8 @@ impl Controller for ElectrosurgeryController {
     fn access(&self) -> Access {
         let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
         let all = || EntitySet::Of(bodies.clone());
+        let still = self.bodies.iter().filter(|body| !body.is_moved).map(|body| body.body.entity);
+        let still: Vec<Entity> = still.collect();
         Access::new()
             .reads::<CauterisedBody>()
             .reads::<ElectrodeTip>()
@@ -291,11 +371,16 @@ impl Controller for ElectrosurgeryController {
             .reads::<Pose>()
             .writes::<Temperature>(all())
             .writes::<Burn>(all())
-            .writes::<SurfaceMesh>(all())
+            .reads::<VertexPositions>()
+            .reads::<RestPositions>()
+            .reads::<VolumeCuts>()
+            .reads::<SurfaceMesh>()
+            .writes::<SurfaceMesh>(EntitySet::Of(still.clone()))
+            .writes::<Frozen>(EntitySet::Of(still))
+            .writes::<CoagulatedElements>(all())
             .writes::<RemovedElements>(all())
             .writes::<HeatState>(all())
             .writes::<Plume>(all())
-            .writes::<Frozen>(all())
             .writes::<Measured>(EntitySet::Own)
     }
 
@@ -312,7 +397,7 @@ impl Controller for ElectrosurgeryController {
                 if level > 0.0 && burns {
                     let tip_in_world = Point3::from(scene.world_pose(entity).translation.vector);
                     self.electrodes.push(Electrode {
-                        tip_in_rest: body_from_world * tip_in_world,
+                        tip_in_rest: body.at_rest(&(body_from_world * tip_in_world), scene),
                         power: tip.power * level,
                         mode: if tip.coagulates { Mode::Coagulate } else { Mode::Cut },
                         contact_area: tip.contact_area,
@@ -330,11 +415,16 @@ impl Controller for ElectrosurgeryController {
                             body.plume = Plume { emitted: body.plume.emitted + more, place };
                             out.put(body.body.entity, body.plume);
                         }
-                        body.write(tick, out);
+                        body.write(tick, scene, out);
                     }
                     Err(error) => {
                         body.frozen = true;
-                        body.body.freeze(&error, tick, out);
+                        if body.is_moved {
+                            // Whoever moves it says whether it stands still: it only heats no further.
+                            out.event("heat_frozen", body.body.entity, None, tick.time.as_secs_f64());
+                        } else {
+                            body.body.freeze(&error, tick, out);
+                        }
                     }
                 }
             }

@@ -275,7 +275,7 @@ impl SoftMethod for MassSpringMethod {
     type Kind = MassSpringBody;
     const CONTROLLER: &'static str = "mass-spring";
 
-    fn build(kind: &MassSpringBody, body: &Deformable, scene: &Snapshot) -> Result<Self, String> {
+    fn build(kind: &MassSpringBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
         let network = kind.network(body)?;
         let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
         let solver = MassSpring::restore(network, state, &body.pinned, kind.config())
@@ -327,7 +327,7 @@ impl SoftMethod for MassSpringMethod {
         }
         body.changed_topology();
         out.put(body.entity, SurfaceMesh { triangles: body.triangles.clone() });
-        Ok(Some(Reshaped { parents: change.triangles }))
+        Ok(Some(Reshaped { kept: None, parents: change.triangles }))
     }
 
     fn step(

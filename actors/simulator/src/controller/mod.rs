@@ -12,9 +12,12 @@ pub mod dynamic_fem_memory;
 pub mod electrosurgery;
 pub mod fluid;
 pub mod grips;
+pub mod heat;
 pub mod instruments;
 pub mod linear_fem;
 pub mod mass_spring;
+pub mod parting;
+pub mod rest_place;
 pub mod rigid_bodies;
 pub mod smoke;
 pub mod soft;
@@ -41,13 +44,13 @@ pub use bleeding::{BleedingController, Vessel, VesselState};
 pub use deformable::Deformable;
 pub use dynamic_fem::{DynamicFemBody, DynamicFemController};
 pub use dynamic_fem_memory::DynamicFemMemory;
-pub use electrosurgery::{
-    CauterisedBody, ElectrodeTip, ElectrosurgeryController, HeatState, RemovedElements,
-};
+pub use electrosurgery::{CauterisedBody, ElectrodeTip, ElectrosurgeryController, HeatState};
 pub use fluid::{FluidController, Liquid, LiquidState, LiquidWall};
+pub use heat::{Coagulated, CoagulatedElements, RemovedElements};
 pub use instruments::{InstrumentsConfig, InstrumentsController};
 pub use linear_fem::{LinearFemBody, LinearFemController};
 pub use mass_spring::{MassSpringBody, MassSpringController};
+pub use parting::VolumeCuts;
 pub use rigid_bodies::RigidBodiesController;
 pub use smoke::{Plume, SmokeCloud, SmokeCloudState, SmokeController};
 pub use soft::{SoftController, SoftMethod};
@@ -76,6 +79,8 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<CauterisedBody>()?;
     builder.register::<ElectrodeTip>()?;
     builder.register::<RemovedElements>()?;
+    builder.register::<CoagulatedElements>()?;
+    builder.register::<VolumeCuts>()?;
     builder.register::<HeatState>()?;
     builder.register::<Plume>()?;
     builder.register::<SmokeCloud>()?;

@@ -46,9 +46,11 @@ impl Site<'_> {
     }
 }
 
-/// What a change of shape did to the triangles of a body: parents of those that are new, which have the highest numbers.
+/// What a change of shape did to the triangles of a body. Those that are new have the highest numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Reshaped {
+    /// The new number of each old triangle, where it is still there; `None` when all have the numbers they had.
+    pub kept: Option<Vec<Option<u32>>>,
     /// For each new triangle the one that it is a part of.
     pub parents: Vec<u32>,
 }
@@ -64,7 +66,7 @@ pub trait SoftMethod: Send + Sized + 'static {
     ///
     /// # Errors
     /// What is wrong with the body.
-    fn build(kind: &Self::Kind, body: &Deformable, scene: &Snapshot) -> Result<Self, String>;
+    fn build(kind: &Self::Kind, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String>;
 
     /// What it reads and writes besides what every soft body does.
     fn access(access: Access, _bodies: &[Entity]) -> Access {
@@ -163,10 +165,10 @@ impl<M: SoftMethod> SoftController<M> {
         let mut bodies = Vec::new();
         for entity in Deformable::carriers::<M::Kind>(context.scene) {
             let Some(kind) = context.scene.get::<M::Kind>(entity) else { continue };
-            let body = Deformable::read(context.scene, entity)?;
-            let method = M::build(kind, &body, context.scene)
+            let mut body = Deformable::read(context.scene, entity)?;
+            let method = M::build(kind, &mut body, context.scene)
                 .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
-            let is_pinned = flags(&body.pinned, body.rest.len());
+            let is_pinned = stays(&body);
             let grips = context.scene.get::<Grips>(entity).cloned().unwrap_or_default();
             let frozen = context.scene.get::<Frozen>(entity).is_some();
             bodies.push(Body { body, method, is_pinned, grips, frozen });
@@ -256,7 +258,10 @@ impl<M: SoftMethod> Body<M> {
         let site = Site { rods, ..*nothing };
         let entity = self.body.entity;
         if let Some(reshaped) = self.method.reshape(&mut self.body, &site, out)? {
-            self.is_pinned = flags(&self.body.pinned, self.body.rest.len());
+            self.is_pinned = stays(&self.body);
+            if let Some(kept) = &reshaped.kept {
+                self.grips.picks.renumber(kept);
+            }
             let holders = Holder::all(&site, &[], &self.body.triangles);
             let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
             self.grips.picks.follow(&reshaped.parents, &self.body.triangles, self.method.positions(), &jaws);
@@ -350,10 +355,11 @@ impl<M: SoftMethod> Body<M> {
     }
 }
 
-fn flags(ascending: &[u32], count: usize) -> Vec<bool> {
-    let mut flags = vec![false; count];
-    ascending.iter().for_each(|&at| flags[at as usize] = true);
-    flags
+/// Vertices that nothing moves.
+fn stays(body: &Deformable) -> Vec<bool> {
+    let mut stays = vec![false; body.rest.len()];
+    body.pinned.iter().chain(&body.loose).for_each(|&at| stays[at as usize] = true);
+    stays
 }
 
 /// Whether an instrument has blades.

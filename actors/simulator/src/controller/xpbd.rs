@@ -7,10 +7,12 @@
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError, Snapshot};
+use trocar_scene::{Access, Commands, Component, ComponentError, Entity, Snapshot};
 
 use super::deformable::Deformable;
-use super::soft::{Measures, Site, SoftController, SoftMethod};
+use super::heat::{Coagulated, Heated};
+use super::parting::{Elements, Parting, Weakness};
+use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
 use super::touch::{Skin, Touch};
 use crate::mass_spring::{Contact, LineMaterial, Network, Prescribed, State, SurfaceMaterial};
 use crate::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
@@ -73,6 +75,10 @@ pub struct XpbdBody {
     pub contact_stiffness: f64,
     /// Coulomb friction against instruments.
     pub friction: f64,
+    /// Of a volume: whether blades cut it; then they do not push it.
+    pub cut: bool,
+    /// Of a volume: tension that tears it \[Pa\]; without one nothing does.
+    pub strength: Option<f64>,
 }
 
 impl Default for XpbdBody {
@@ -85,6 +91,8 @@ impl Default for XpbdBody {
             thickness: 0.0,
             contact_stiffness: 300.0,
             friction: 0.3,
+            cut: false,
+            strength: None,
         }
     }
 }
@@ -98,7 +106,8 @@ impl Component for XpbdBody {
         ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
         ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
         ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
-        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
     }
     fn schema() -> Option<serde_json::Value> {
         Some(schemars::schema_for!(Self).to_value())
@@ -106,6 +115,16 @@ impl Component for XpbdBody {
 }
 
 impl XpbdBody {
+    /// By what a volume comes apart.
+    fn weakness(&self) -> Weakness {
+        let Matter::Volume { young_modulus, poisson_ratio, .. } = self.matter else {
+            return Weakness::default();
+        };
+        let mu = 0.5 * young_modulus / (1.0 + poisson_ratio);
+        let lambda = 2.0 * mu * poisson_ratio / (1.0 - 2.0 * poisson_ratio);
+        Weakness { cut: self.cut, tears: self.strength.map(|strength| (strength, [lambda, mu])) }
+    }
+
     fn solver(&self, body: &Deformable) -> Result<Xpbd, String> {
         let XpbdBody { parts, iterations, damping, .. } = *self;
         let config = XpbdConfig { parts, iterations, damping, ..XpbdConfig::default() };
@@ -149,10 +168,38 @@ fn of_network(
     Xpbd::new(&made, &body.pinned, config)
 }
 
+/// A solver of one body, whose elements may go.
+struct Solver {
+    kind: XpbdBody,
+    solver: Xpbd,
+}
+
+impl Elements for Solver {
+    fn positions(&self) -> &[Point3<f64>] {
+        &self.solver.state().positions
+    }
+
+    fn remove(&mut self, elements: &[u32]) {
+        self.solver.remove(elements);
+    }
+
+    fn alter(&mut self, elements: &[Coagulated]) {
+        elements.iter().for_each(|of| self.solver.alter(of.element, of.stiffness, of.length));
+    }
+
+    fn split(&mut self, body: &Deformable, _split: &[(u32, u32)], heated: &Heated) -> Result<(), String> {
+        self.solver = self.kind.solver(body)?;
+        self.alter(&heated.coagulated);
+        self.remove(&heated.removed);
+        Ok(())
+    }
+}
+
 /// Position-based dynamics of one body.
 pub struct XpbdMethod {
     kind: XpbdBody,
-    solver: Xpbd,
+    of: Solver,
+    parting: Option<Parting>,
     contacts: Vec<Contact>,
     prescribed: Vec<Prescribed>,
 }
@@ -176,17 +223,43 @@ impl SoftMethod for XpbdMethod {
     type Kind = XpbdBody;
     const CONTROLLER: &'static str = "xpbd";
 
-    fn build(kind: &XpbdBody, body: &Deformable, _scene: &Snapshot) -> Result<Self, String> {
-        let solver = kind.solver(body)?;
-        Ok(Self { kind: *kind, solver, contacts: Vec::new(), prescribed: Vec::new() })
+    fn build(kind: &XpbdBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let parting = match kind.matter {
+            Matter::Volume { .. } => Parting::new(body, kind.weakness(), scene)?,
+            _ => None,
+        };
+        let mut of = Solver { kind: *kind, solver: kind.solver(body)? };
+        if let Some(parting) = &parting {
+            of.alter(&parting.heated().coagulated);
+            of.remove(&parting.heated().removed);
+        }
+        Ok(Self { kind: *kind, of, parting, contacts: Vec::new(), prescribed: Vec::new() })
+    }
+
+    fn access(access: Access, bodies: &[Entity]) -> Access {
+        Parting::access(access, bodies)
+    }
+
+    fn is_cut_by_blades(&self) -> bool {
+        self.parting.as_ref().is_some_and(Parting::is_cut)
+    }
+
+    fn reshape(
+        &mut self,
+        body: &mut Deformable,
+        site: &Site<'_>,
+        out: &mut Commands,
+    ) -> Result<Option<Reshaped>, String> {
+        let Some(parting) = &mut self.parting else { return Ok(None) };
+        parting.reshape(&mut self.of, body, site, out)
     }
 
     fn positions(&self) -> &[Point3<f64>] {
-        &self.solver.state().positions
+        &self.of.solver.state().positions
     }
 
     fn velocities(&self) -> &[Vector3<f64>] {
-        &self.solver.state().velocities
+        &self.of.solver.state().velocities
     }
 
     fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
@@ -218,22 +291,23 @@ impl SoftMethod for XpbdMethod {
             prescribed: &self.prescribed,
             ..XpbdInput::default()
         };
-        self.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
+        self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
         forces.clear();
-        forces.extend_from_slice(self.solver.contact_forces());
+        forces.extend_from_slice(self.of.solver.contact_forces());
         Ok(())
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
-        self.solver.pull_on(held)
+        self.of.solver.pull_on(held)
     }
 
     fn measure(&self, body: &Deformable, measures: &mut Measures<'_>) {
-        measures.put("elastic_energy_j", self.solver.elastic_energy());
-        measures.put("kinetic_energy_j", self.solver.kinetic_energy());
+        measures.put("elastic_energy_j", self.of.solver.elastic_energy());
+        measures.put("kinetic_energy_j", self.of.solver.kinetic_energy());
         let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         measures.put("displacement_max_m", moved.fold(0.0, f64::max));
         let heights = || self.positions().iter().map(|position| position.z);
+        self.parting.iter().for_each(|parting| parting.measure(measures));
         measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
         measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));
     }

@@ -10,6 +10,7 @@
 
 #![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
 
+mod change;
 mod config;
 mod lbfgs;
 mod material;

@@ -51,7 +51,14 @@ pub struct Inputs<'a> {
 pub(super) struct Element {
     pub nodes: [u32; 4],
     pub inverse_shape: Matrix3<f64>,
+    /// At rest \[m³\], times how much stiffer it is than at first; 0 when it is gone.
     pub volume: f64,
+}
+
+impl Element {
+    pub fn is_gone(&self) -> bool {
+        self.volume == 0.0
+    }
 }
 
 pub(super) fn elements(mesh: &TetMesh) -> Vec<Element> {
@@ -107,7 +114,7 @@ impl Matter<'_> {
     pub fn add(&self, positions: &[Point3<f64>], gradient: &mut [Vector3<f64>]) -> f64 {
         let mut energy = 0.0;
         let viscous = self.damping.stiffness / self.dt;
-        for (index, element) in self.elements.iter().enumerate() {
+        for (index, element) in self.elements.iter().enumerate().filter(|(_, element)| !element.is_gone()) {
             let f = shape(positions, &element.nodes) * element.inverse_shape;
             let (mut density, mut stress) = self.material.energy_and_stress(&f);
             if let Some((from, turn)) = self.before.get(index) {
@@ -224,7 +231,7 @@ pub(super) fn add_hessian(
     }
     // Damping is elastic stiffness once more, up to the change within a step.
     let factor = 1.0 + matter.damping.stiffness / dt;
-    for element in matter.elements {
+    for element in matter.elements.iter().filter(|element| !element.is_gone()) {
         let f = shape(positions, &element.nodes) * element.inverse_shape;
         let stiffness = matter.material.stiffness(&f);
         let turned = gradients(&element.inverse_shape).map(|gradient| stiffness.v.tr_mul(&gradient));

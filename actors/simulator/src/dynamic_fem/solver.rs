@@ -36,10 +36,12 @@ const HALVINGS_MAX: u32 = 40;
 pub struct DynamicFem {
     pub(super) mesh: TetMesh,
     pub(super) config: Config,
-    elements: Vec<Element>,
+    pub(super) elements: Vec<Element>,
     material: Material,
     lame: [f64; 2],
-    mass: Mass,
+    pub(super) mass: Mass,
+    /// Elements that each node has; one without stays where it is.
+    pub(super) around: Vec<u32>,
     /// Row of each node in the order of elimination; `None` for fixed ones.
     numbers: Vec<Option<u32>>,
     pub(super) positions: Vec<Point3<f64>>,
@@ -143,8 +145,11 @@ impl DynamicFem {
         let springs = mesh.inverse_shapes().iter().zip(mesh.volumes());
         let squares: f64 =
             springs.map(|(shape, volume)| (shape.norm_squared() * volume * stiff).powi(2)).sum();
+        let mut around = vec![0; nodes];
+        mesh.tets().iter().flatten().for_each(|&node| around[node as usize] += 1);
         Ok(Self {
             elements: elements(&mesh),
+            around,
             material: Material::new(config.constitution, elastic),
             lame: [elastic.lambda(), elastic.mu()],
             mass: Mass { lumped: mesh.lumped_masses(density), consistent },
@@ -204,6 +209,11 @@ impl DynamicFem {
         Matter { elements: &self.elements, material: self.material, lame: self.lame, damping, before, dt }
     }
 
+    /// Whether a node is neither fixed nor left behind.
+    fn moves(&self, node: usize) -> bool {
+        self.numbers[node].is_some() && self.around[node] > 0
+    }
+
     /// One step of `dt` \[s\].
     ///
     /// # Errors
@@ -253,7 +263,7 @@ impl DynamicFem {
             self.velocities[node] = velocity;
         }
         self.positions.clone_from(&work.now);
-        for (index, element) in self.elements.iter().enumerate() {
+        for (index, element) in self.elements.iter().enumerate().filter(|(_, element)| !element.is_gone()) {
             if crate::tet_mesh::shape(&self.positions, &element.nodes).determinant() <= 0.0 {
                 report.inverted += 1;
                 report.first_inverted.get_or_insert(index as u32);
@@ -294,7 +304,7 @@ impl DynamicFem {
             number("contact", index, stiff && unit && contact.point.iter().all(|x| x.is_finite()))?;
         }
         work.held.clear();
-        work.held.extend(self.numbers.iter().map(Option::is_none));
+        work.held.extend((0..nodes).map(|node| !self.moves(node)));
         for (index, (node, place)) in inputs.prescribed.iter().enumerate() {
             match work.held.get_mut(*node as usize) {
                 Some(held) if !*held => *held = true,
@@ -313,7 +323,7 @@ impl DynamicFem {
         for node in 0..nodes {
             let aim = self.positions[node] + self.velocities[node] * dt;
             work.aim.push(aim);
-            let free = self.numbers[node].is_some();
+            let free = self.moves(node);
             work.now.push(if free {
                 aim + self.accelerations[node] * (dt * dt)
             } else {
@@ -473,7 +483,7 @@ impl DynamicFem {
         let mut best = value;
         for moving in [true, false] {
             for node in 0..work.trial.len() {
-                let free = self.numbers[node].is_some() && moving;
+                let free = self.moves(node) && moving;
                 work.trial[node] = if free { work.aim[node] } else { self.positions[node] };
             }
             inputs.prescribed.iter().for_each(|(node, place)| work.trial[*node as usize] = *place);

@@ -138,12 +138,27 @@ impl Volume {
         &self.shares
     }
 
+    /// Elements that are there.
+    #[must_use]
+    pub fn left(&self) -> usize {
+        self.left
+    }
+
+    /// Faces of the boundary, by element.
+    pub fn boundary(&self) -> impl Iterator<Item = FaceOf> {
+        self.boundary.iter().copied()
+    }
+
+    /// Corners of a face, counter-clockwise seen from outside its element; `None` where there is none.
+    #[must_use]
+    pub fn face(&self, (tet, corner): FaceOf) -> Option<[u32; 3]> {
+        let nodes = self.tet(tet)?;
+        Some(OPPOSITE.get(corner as usize)?.map(|at| nodes[at]))
+    }
+
     /// Triangles of the boundary, counter-clockwise seen from outside, by element.
     pub fn surface(&self) -> impl Iterator<Item = [u32; 3]> {
-        self.boundary.iter().filter_map(|&(tet, corner)| {
-            let nodes = self.tet(tet)?;
-            Some(OPPOSITE[corner as usize].map(|at| nodes[at]))
-        })
+        self.boundary().filter_map(|face| self.face(face))
     }
 
     /// Nodes that no element uses any longer.
@@ -172,24 +187,40 @@ impl Volume {
     /// How many parts it is in, of elements that hang together by faces.
     #[must_use]
     pub fn pieces(&self) -> usize {
-        let mut seen = vec![false; self.tets.len()];
-        let mut pieces = 0;
+        self.parts().1
+    }
+
+    /// The part of each element that is there, and how many there are.
+    fn parts(&self) -> (Vec<Option<u32>>, usize) {
+        let mut part = vec![None; self.tets.len()];
+        let mut count = 0;
         for (first, _) in self.tets() {
-            if seen[first as usize] {
+            if part[first as usize].is_some() {
                 continue;
             }
-            pieces += 1;
             let mut open = vec![first];
-            seen[first as usize] = true;
+            part[first as usize] = Some(count);
             while let Some(tet) = open.pop() {
                 for next in self.neighbours[tet as usize].into_iter().flatten() {
-                    if !std::mem::replace(&mut seen[next as usize], true) {
+                    if part[next as usize].is_none() {
+                        part[next as usize] = Some(count);
                         open.push(next);
                     }
                 }
             }
+            count += 1;
         }
-        pieces
+        (part, count as usize)
+    }
+
+    /// Gives parts that hang together by no face but by nodes, nodes of their own; adds that to a change.
+    pub fn separate(&mut self, change: &mut VolumeChange) {
+        let (part, _) = self.parts();
+        let between =
+            |star: &Vec<u32>| star.windows(2).any(|two| part[two[0] as usize] != part[two[1] as usize]);
+        let nodes = (0..self.around.len() as u32).filter(|&node| between(&self.around[node as usize]));
+        let nodes = nodes.collect();
+        self.split(nodes, change);
     }
 
     /// Takes elements out; what hangs by nothing but a node or an edge then, gets nodes of its own.

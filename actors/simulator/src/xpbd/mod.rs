@@ -91,6 +91,10 @@ pub struct Xpbd {
     distances: Coloured<Distance>,
     bends: Coloured<Bend>,
     tets: Tets,
+    /// Of the tetrahedra \[kg/m³\].
+    density: f64,
+    /// Tetrahedra of each node.
+    around: Vec<u32>,
     scratch: Scratch,
 }
 
@@ -206,6 +210,8 @@ impl Xpbd {
             .refuse(NetworkError::Masses)?;
         Faulty::among(pinned.len(), |index| pinned[index] as usize >= nodes)
             .refuse(|faulty| NetworkError::Nodes { kind: "pin", nodes, faulty })?;
+        let mut around = vec![0; nodes];
+        body.tets.iter().flatten().for_each(|&node| around[node as usize] += 1);
         let mut mobility: Vec<f64> = masses.iter().map(|mass| 1.0 / mass).collect();
         pinned.iter().for_each(|&node| mobility[node as usize] = 0.0);
         let state = State { positions: body.rest.to_vec(), velocities: vec![Vector3::zeros(); nodes] };
@@ -218,8 +224,37 @@ impl Xpbd {
             // On a line the middle stands twice: a group only needs to know that it is there.
             bends: Coloured::new(nodes, body.bends, |of| of.nodes),
             tets,
+            density: body.elasticity.map_or(0.0, |elasticity| elasticity.density),
+            around,
             scratch: Scratch::default(),
         })
+    }
+
+    /// Takes tetrahedra out, and their masses; those that are out already stay so. A node of which nothing is left stays
+    /// where it is.
+    pub fn remove(&mut self, tets: &[u32]) {
+        for &number in tets {
+            let Some((corners, volume)) = self.tets.remove(number) else { continue };
+            for node in corners.map(|node| node as usize) {
+                self.around[node] -= 1;
+                let share = 0.25 * self.density * volume;
+                // Of a node that has nothing else, what rounding leaves is no mass.
+                if self.around[node] == 0 && self.masses[node] < 1.5 * share {
+                    self.mobility[node] = 0.0;
+                    self.state.velocities[node] = Vector3::zeros();
+                    continue;
+                }
+                self.masses[node] -= share;
+                if self.mobility[node] > 0.0 {
+                    self.mobility[node] = 1.0 / self.masses[node];
+                }
+            }
+        }
+    }
+
+    /// Makes a tetrahedron so many times as stiff, and so many times as long at rest, as it was at first, as heat does.
+    pub fn alter(&mut self, tet: u32, stiffness: f64, length: f64) {
+        self.tets.alter(tet, stiffness, length);
     }
 
     /// Continues from a state, bit for bit.

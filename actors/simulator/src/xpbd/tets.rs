@@ -39,25 +39,49 @@ pub(super) struct Tets {
     pub count: usize,
     /// Number of each lane's tetrahedron.
     numbers: Vec<[u32; LANES]>,
+    /// Where each tetrahedron is: its pack and lane; `None` when it is gone.
+    lanes: Vec<Option<(u32, u8)>>,
+    /// Corners, and edges from the first one at rest \[m\], of each.
+    matter: Vec<([u32; 4], Matrix3<f64>)>,
+    /// Of shape and of volume \[Pa\].
+    moduli: [f64; 2],
+    /// The node that lanes without a tetrahedron have.
+    spare: u32,
 }
 
 impl Tets {
     /// All positively oriented.
     pub fn new(rest: &[Point3<f64>], tets: &[[u32; 4]], elasticity: &Elasticity) -> Self {
         let colouring = Colouring::new(rest.len(), tets);
-        let mut all = Self { count: tets.len(), ..Self::default() };
+        let Elasticity { young_modulus, poisson_ratio, .. } = *elasticity;
+        let shear = 0.5 * young_modulus / (1.0 + poisson_ratio);
+        let bulk = young_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio));
+        let edges = |tet: &[u32; 4]| {
+            let [a, b, c, d] = tet.map(|node| rest[node as usize]);
+            Matrix3::from_columns(&[b - a, c - a, d - a])
+        };
+        let mut all = Self {
+            count: tets.len(),
+            lanes: vec![None; tets.len()],
+            matter: tets.iter().map(|tet| (*tet, edges(tet))).collect(),
+            moduli: [2.0 * shear, bulk],
+            spare: rest.len() as u32,
+            ..Self::default()
+        };
         let mut from = 0;
         for &end in &colouring.ends {
             for four in colouring.order[from..end].chunks(LANES) {
                 let mut pack = Pack {
-                    nodes: [[rest.len() as u32; LANES]; 4],
+                    nodes: [[all.spare; LANES]; 4],
                     inverse: [[Wide::default(); 3]; 3],
                     compliance: [Wide::all(1.0); 2],
                 };
                 let mut numbers = [u32::MAX; LANES];
                 for (lane, &number) in four.iter().enumerate() {
-                    pack.fill(lane, &tets[number as usize], rest, elasticity);
+                    let (tet, edges) = &all.matter[number as usize];
+                    pack.fill(lane, tet, edges, all.moduli);
                     numbers[lane] = number;
+                    all.lanes[number as usize] = Some((all.packs.len() as u32, lane as u8));
                 }
                 all.packs.push(pack);
                 all.numbers.push(numbers);
@@ -66,6 +90,24 @@ impl Tets {
             all.ends.push(all.packs.len());
         }
         all
+    }
+
+    /// Takes one out; its corners and its volume at rest \[m³\], or nothing when there is none.
+    pub fn remove(&mut self, number: u32) -> Option<([u32; 4], f64)> {
+        let (pack, lane) = self.lanes.get_mut(number as usize)?.take()?;
+        let (tet, edges) = &self.matter[number as usize];
+        self.packs[pack as usize].clear(lane as usize, self.spare);
+        self.numbers[pack as usize][lane as usize] = u32::MAX;
+        self.count -= 1;
+        Some((*tet, edges.determinant() / 6.0))
+    }
+
+    /// Makes one so many times as stiff, and so many times as long, as it was at first.
+    pub fn alter(&mut self, number: u32, stiffness: f64, length: f64) {
+        let Some(Some((pack, lane))) = self.lanes.get(number as usize) else { return };
+        let (tet, edges) = &self.matter[number as usize];
+        let moduli = self.moduli.map(|modulus| modulus * stiffness);
+        self.packs[*pack as usize].fill(*lane as usize, tet, &(edges * length), moduli);
     }
 
     /// Tetrahedra whose volume has turned, ascending.
@@ -136,14 +178,9 @@ fn volume(f: &[Vectors; 3]) -> Strain {
 }
 
 impl Pack {
-    fn fill(&mut self, lane: usize, tet: &[u32; 4], rest: &[Point3<f64>], elasticity: &Elasticity) {
-        let [a, b, c, d] = tet.map(|node| rest[node as usize]);
-        let edges = Matrix3::from_columns(&[b - a, c - a, d - a]);
+    fn fill(&mut self, lane: usize, tet: &[u32; 4], edges: &Matrix3<f64>, moduli: [f64; 2]) {
         let volume = edges.determinant() / 6.0;
         let inverse = edges.try_inverse().unwrap_or_else(Matrix3::zeros);
-        let Elasticity { young_modulus, poisson_ratio, .. } = *elasticity;
-        let shear = 0.5 * young_modulus / (1.0 + poisson_ratio);
-        let bulk = young_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio));
         for (corner, &node) in tet.iter().enumerate() {
             self.nodes[corner][lane] = node;
         }
@@ -152,8 +189,15 @@ impl Pack {
                 self.inverse[row][column].0[lane] = inverse[(row, column)] as f32;
             }
         }
-        self.compliance[0].0[lane] = (1.0 / (2.0 * shear * volume)) as f32;
-        self.compliance[1].0[lane] = (1.0 / (bulk * volume)) as f32;
+        for (compliance, modulus) in self.compliance.iter_mut().zip(moduli) {
+            compliance.0[lane] = (1.0 / (modulus * volume)) as f32;
+        }
+    }
+
+    fn clear(&mut self, lane: usize, spare: u32) {
+        self.nodes.iter_mut().for_each(|nodes| nodes[lane] = spare);
+        self.inverse.iter_mut().flatten().for_each(|of| of.0[lane] = 0.0);
+        self.compliance.iter_mut().for_each(|of| of.0[lane] = 1.0);
     }
 
     /// The edges from the first corner.

@@ -1,0 +1,222 @@
+//! Volumes that come apart on a scene: burned through, cut, torn, by every method that moves volumes of elements.
+
+mod stage;
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use stage::{Stage, scene};
+use trocar_scene::{
+    BuildContext, Controller, ControllerError, Frozen, JawState, Pose, RestPositions, SurfaceMesh, TetMesh,
+    VertexPositions, VertexVelocities,
+};
+use trocar_simulator::controller::{
+    Coagulated, CoagulatedElements, DynamicFemController, RemovedElements, VolumeCuts, XpbdController,
+};
+
+const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
+const XPBD: &str = "xpbd = { matter = { volume = { young_modulus = 2e4, poisson_ratio = 0.3, \
+                    density = 1000.0 } }, parts = 30, damping = 5.0";
+const FEM: &str =
+    "dynamic_fem = { young_modulus = 2e4, poisson_ratio = 0.3, density = 1000.0, mass_damping = 5.0";
+
+fn xpbd(context: &BuildContext<'_>) -> Result<XpbdController, ControllerError> {
+    XpbdController::new(GRAVITY, context)
+}
+
+fn fem(context: &BuildContext<'_>) -> Result<DynamicFemController, ControllerError> {
+    DynamicFemController::new(GRAVITY, context)
+}
+
+/// A column of 2 cm by 2 cm by 6 cm that hangs from its upper end, and an instrument.
+fn column(body: &str, more: &str, instrument: &str) -> String {
+    format!(
+        "[[entity]]\nname = \"tool\"\npose = {{ translation = [0.2, 0.0, 0.0] }}\n\
+         instrument = {{ kind = \"{instrument}\", shaft_length = 0.1, shaft_radius = 0.002, jaw_length = 0.04, \
+         jaws = 2 }}\n\
+         [[entity]]\nname = \"column\"\ncauterised = {{}}\n\
+         mesh = {{ block = {{ size = [0.02, 0.02, 0.06], cells = [3, 3, 9] }} }}\n{body}{more} }}\n\
+         anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, 0.0299], max = [1.0, 1.0, 1.0] }} }}] }}\n"
+    )
+}
+
+fn lowest<C: Controller>(stage: &Stage<C>) -> f64 {
+    stage.get::<VertexPositions>("column").positions.iter().map(|p| p.z).fold(f64::INFINITY, f64::min)
+}
+
+fn run<C: Controller>(stage: &mut Stage<C>, ticks: u32) {
+    (0..ticks).for_each(|_| stage.tick());
+    assert!(!stage.has::<Frozen>("column"), "{}", stage.get::<Frozen>("column").reason);
+}
+
+/// Elements whose middle is in a layer.
+fn within<C: Controller>(stage: &Stage<C>, low: f64, high: f64) -> Vec<u32> {
+    let (mesh, rest) = (stage.get::<TetMesh>("column"), stage.get::<VertexPositions>("column"));
+    let middle = |tet: &[u32; 4]| tet.iter().map(|&n| rest.positions[n as usize].z).sum::<f64>() / 4.0;
+    (0..mesh.tets.len() as u32)
+        .filter(|&tet| (low..high).contains(&middle(&mesh.tets[tet as usize])))
+        .collect()
+}
+
+fn removed(elements: &[u32]) -> RemovedElements {
+    RemovedElements { elements: Arc::new(elements.to_vec()) }
+}
+
+type State = (Arc<Vec<Point3<f64>>>, Arc<Vec<Vector3<f64>>>, Arc<Vec<[u32; 3]>>);
+
+fn state<C: Controller>(stage: &Stage<C>) -> State {
+    (
+        stage.get::<VertexPositions>("column").positions,
+        stage.get::<VertexVelocities>("column").velocities,
+        stage.get::<SurfaceMesh>("column").triangles,
+    )
+}
+
+fn burns_through<C: Controller>(
+    body: &str,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    let run_it = |kill: bool| {
+        let mut stage = Stage::new(scene(&column(body, "", "probe")), 200.0, build);
+        let layer = within(&stage, -0.003, 0.003);
+        let all = stage.get::<TetMesh>("column").tets.len();
+        run(&mut stage, 20);
+        let before = lowest(&stage);
+        let triangles = stage.get::<SurfaceMesh>("column").triangles.len();
+        // Half of the layer: it holds, and what was inside is outside.
+        let half = &layer[..layer.len() / 2];
+        stage.put("column", removed(half));
+        run(&mut stage, 10);
+        assert_eq!(stage.measured("column.elements_left"), (all - half.len()) as f64);
+        assert!(stage.get::<SurfaceMesh>("column").triangles.len() > triangles);
+        if kill {
+            stage.rebuild(build);
+        }
+        run(&mut stage, 10);
+        assert!(lowest(&stage) > before - 0.006, "it hangs by the rest: {}", lowest(&stage));
+        stage.put("column", removed(&layer));
+        run(&mut stage, 30);
+        assert_eq!(stage.measured("column.pieces"), 2.0);
+        // It falls freely: half of g t² in 30 ticks.
+        let fallen = before - lowest(&stage);
+        assert!((0.05..0.16).contains(&fallen), "{fallen} m");
+        // What nothing uses any longer stays where it was, and the surface is closed.
+        let edges = |corners: &[u32; 3]| [0, 1, 2].map(|k| [corners[k], corners[(k + 1) % 3]]);
+        let mut open: Vec<[u32; 2]> =
+            stage.get::<SurfaceMesh>("column").triangles.iter().flat_map(edges).collect();
+        open.sort_unstable();
+        for edge in &open {
+            assert!(open.binary_search(&[edge[1], edge[0]]).is_ok(), "{edge:?} has one side");
+        }
+        state(&stage)
+    };
+    assert_eq!(run_it(true), run_it(false), "another life goes on to the bit");
+}
+
+#[test]
+fn a_column_that_is_burned_through_comes_down() {
+    burns_through(XPBD, xpbd);
+    burns_through(FEM, fem);
+}
+
+fn coagulates<C: Controller>(
+    body: &str,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    // Where it hangs, by how stiff and how long its elements are.
+    let hangs = |stiffness: f64, length: f64, kill: bool| {
+        let mut stage = Stage::new(scene(&column(body, "", "probe")), 200.0, build);
+        let all = 0..stage.get::<TetMesh>("column").tets.len() as u32;
+        stage.tick();
+        let elements = all.map(|element| Coagulated { element, stiffness, length }).collect();
+        stage.put("column", CoagulatedElements { elements: Arc::new(elements) });
+        run(&mut stage, 300);
+        if kill {
+            stage.rebuild(build);
+        }
+        run(&mut stage, 300);
+        (lowest(&stage), state(&stage))
+    };
+    let sag = |low: f64| -0.03 - low;
+    let (soft, stiff) = (sag(hangs(1.0, 1.0, false).0), sag(hangs(4.0, 1.0, false).0));
+    assert!(soft > 3e-4, "{soft} m");
+    assert!((soft / stiff - 4.0).abs() < 0.2, "{soft} m against {stiff} m");
+    // The upper end is held, so that it does not become narrower there: but below it does, and shorter.
+    let (low, whole) = hangs(4.0, 0.9, false);
+    let shrunk = low + 0.03;
+    assert!((shrunk - 0.1 * 0.06).abs() < 6e-4, "{shrunk} m");
+    assert_eq!(hangs(4.0, 0.9, true).1, whole, "another life goes on to the bit");
+}
+
+#[test]
+fn coagulated_elements_are_stiffer_and_shorter() {
+    coagulates(XPBD, xpbd);
+    coagulates(FEM, fem);
+}
+
+fn is_cut<C: Controller>(body: &str, build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy) {
+    // Closed blades of 4 cm that point along y, from beside the column through it within 40 ticks.
+    let sweep = |more: &str, angle: f64, kill: bool| {
+        let mut stage = Stage::new(scene(&column(body, more, "scissors")), 200.0, build);
+        let turned = nalgebra::UnitQuaternion::rotation_between(&Vector3::z(), &Vector3::y())
+            .expect("a quarter of a turn");
+        let tool = |x: f64| Pose::from(Isometry3::from_parts(Vector3::new(x, 0.02, -0.0041).into(), turned));
+        stage.put("tool", JawState { angle, rate: 0.0, pad_force: [0.0; 2] });
+        // It has come to rest.
+        run(&mut stage, 300);
+        for tick in 0..40_u32 {
+            if kill && tick == 17 {
+                stage.rebuild(build);
+            }
+            stage.put("tool", tool(-0.015 + 0.03 * f64::from(tick) / 39.0));
+            run(&mut stage, 1);
+        }
+        run(&mut stage, 30);
+        (stage.get::<VertexPositions>("column").positions.len(), lowest(&stage), state(&stage), stage)
+    };
+    let nodes = 4 * 4 * 10;
+    let (count, low, whole, stage) = sweep(", cut = true", 0.0, false);
+    assert_eq!(stage.measured("column.pieces"), 2.0);
+    assert!(count > nodes && low < -0.06, "{count} vertices, down to {low} m");
+    // Volume and mass are those of before: every element is there.
+    assert_eq!(stage.measured("column.elements_left"), stage.get::<TetMesh>("column").tets.len() as f64);
+    let cuts = stage.get::<VolumeCuts>("column");
+    assert_eq!(cuts.origins.len(), count - nodes);
+    let rest = stage.get::<RestPositions>("column").positions;
+    for (node, &origin) in cuts.origins.iter().enumerate() {
+        assert_eq!(rest[nodes + node], rest[origin as usize], "a new vertex is where it was at rest");
+    }
+    assert_eq!(sweep(", cut = true", 0.0, true).2, whole, "another life goes on to the bit");
+    // The controls: open blades, and what blades do not cut.
+    for (more, angle) in [(", cut = true", 0.6), ("", 0.0)] {
+        let (count, low, ..) = sweep(more, angle, false);
+        assert!(count == nodes && low > -0.04, "{more} {angle}: {count} vertices, down to {low} m");
+    }
+}
+
+#[test]
+fn closed_blades_that_pass_through_a_column_cut_it_through() {
+    is_cut(XPBD, xpbd);
+    is_cut(FEM, fem);
+}
+
+fn tears<C: Controller>(body: &str, build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy) {
+    // Its own weight pulls with 590 Pa at the top; on the way to rest with some more, and about corners.
+    let hangs = |strength: f64| {
+        let mut stage =
+            Stage::new(scene(&column(body, &format!(", strength = {strength:e}"), "probe")), 200.0, build);
+        run(&mut stage, 120);
+        (stage.measured("column.pieces"), stage.measured("column.torn_faces"), lowest(&stage))
+    };
+    let (pieces, torn, low) = hangs(300.0);
+    assert!(pieces >= 2.0 && torn >= 18.0 && low < -0.1, "{pieces} pieces, {torn} faces, {low} m");
+    let (pieces, torn, low) = hangs(5e3);
+    assert_eq!((pieces, torn), (1.0, 0.0));
+    assert!(low > -0.04, "{low} m");
+}
+
+#[test]
+fn what_is_weaker_than_its_weight_tears() {
+    tears(XPBD, xpbd);
+    tears(FEM, fem);
+}
