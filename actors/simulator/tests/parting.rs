@@ -162,6 +162,7 @@ fn is_cut<C: Controller>(body: &str, build: impl Fn(&BuildContext<'_>) -> Result
             .expect("a quarter of a turn");
         let tool = |x: f64| Pose::from(Isometry3::from_parts(Vector3::new(x, 0.02, -0.0041).into(), turned));
         stage.put("tool", JawState { angle, rate: 0.0, pad_force: [0.0; 2] });
+        stage.put("tool", tool(-0.015));
         // It has come to rest.
         run(&mut stage, 300);
         for tick in 0..40_u32 {
