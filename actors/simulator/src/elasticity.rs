@@ -107,10 +107,22 @@ pub fn pattern(mesh: &TetMesh, numbers: &[Option<u32>], count: usize) -> BlockPa
 /// The stiffness matrix over the nodes that have a number; the others are held.
 #[must_use]
 pub fn stiffness(mesh: &TetMesh, material: &Elastic, numbers: &[Option<u32>], count: usize) -> BlockMatrix {
+    weighted_stiffness(mesh, material, &[], numbers, count)
+}
+
+/// The same where each element has so many times the stiffness of its material; an empty slice for once.
+#[must_use]
+pub fn weighted_stiffness(
+    mesh: &TetMesh,
+    material: &Elastic,
+    weights: &[f64],
+    numbers: &[Option<u32>],
+    count: usize,
+) -> BlockMatrix {
     let mut matrix = BlockMatrix::zeros(pattern(mesh, numbers, count));
     for (index, tet) in mesh.tets().iter().enumerate() {
         let gradients = mesh.gradients(index);
-        let volume = mesh.volumes()[index];
+        let volume = mesh.volumes()[index] * weights.get(index).copied().unwrap_or(1.0);
         each_block(tet, numbers, |(row, i), (column, j)| {
             matrix.add(row, column, &stiffness_block(material, volume, &gradients[i], &gradients[j]));
         });

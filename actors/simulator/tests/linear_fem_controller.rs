@@ -5,7 +5,7 @@ mod stage;
 use nalgebra::{Point3, Vector3};
 use stage::{Stage, scene};
 use trocar_scene::{BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, VertexPositions};
-use trocar_simulator::controller::LinearFemController;
+use trocar_simulator::controller::{LinearFemController, RemovedElements};
 
 const HZ: f64 = 60.0;
 
@@ -138,4 +138,69 @@ anchors = { regions = [{ box = { min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0
     let (held, pulled, moved) = act(0.05, 0.9, 12);
     assert_eq!((held, pulled), (0.0, Vector3::zeros()));
     assert!(moved < 1e-12);
+}
+
+#[test]
+fn elements_that_burn_are_gone_at_once_and_the_next_inverse_takes_over_unfelt() {
+    let text = format!("{}cauterised = {{}}\n", block(5000.0));
+    let mut stage = Stage::new(scene(&text), HZ, build);
+    press(&mut stage, 30);
+    let whole = force_on_body(&stage).norm();
+    // A crater beside the rod.
+    let mesh = stage.get::<trocar_scene::TetMesh>("pad").tets;
+    let rest = stage.get::<trocar_scene::RestPositions>("pad").positions;
+    let middle = |tet: &[u32; 4]| tet.iter().map(|&n| rest[n as usize].coords).sum::<Vector3<f64>>() / 4.0;
+    let crater = |tet: &[u32; 4]| {
+        let at = middle(tet);
+        (0.003..0.012).contains(&at.x) && at.y.abs() < 0.006 && at.z > 0.004
+    };
+    let gone: Vec<u32> = (0..mesh.len() as u32).filter(|&tet| crater(&mesh[tet as usize])).collect();
+    assert!((10..60).contains(&gone.len()), "{}", gone.len());
+    let triangles = stage.get::<trocar_scene::SurfaceMesh>("pad").triangles;
+    stage.put("pad", RemovedElements { elements: std::sync::Arc::new(gone.clone()) });
+    at(&mut stage, -0.0015);
+    let served = force_on_body(&stage).norm();
+    assert!(served < 0.95 * whole, "{served} N with a crater, {whole} N without");
+    assert_eq!(stage.measured("pad.elements_left"), (mesh.len() - gone.len()) as f64);
+    assert_ne!(stage.get::<trocar_scene::SurfaceMesh>("pad").triangles, triangles);
+    // The new inverse comes with the next tick.
+    let mut forces = Vec::new();
+    for _ in 0..4 {
+        at(&mut stage, -0.0015);
+        forces.push(force_on_body(&stage).norm());
+    }
+    let jump = forces.iter().map(|force| (force - served).abs() / served).fold(0.0, f64::max);
+    assert!(jump < 0.05, "{forces:?} N after {served} N");
+    // More than can be corrected for goes in two parts, and another life finds the same.
+    let layer: Vec<u32> =
+        (0..mesh.len() as u32).filter(|&tet| middle(&mesh[tet as usize]).z > 0.006).collect();
+    let more = layer.iter().filter(|tet| !gone.contains(tet));
+    let all: Vec<u32> = gone.iter().chain(more).copied().take(200).collect();
+    assert!(all.len() == 200);
+    stage.put("pad", RemovedElements { elements: std::sync::Arc::new(all) });
+    at(&mut stage, -0.0015);
+    assert!(stage.measured("pad.elements_waiting") > 0.0);
+    (0..20).for_each(|_| at(&mut stage, -0.0015));
+    assert_eq!(stage.measured("pad.elements_waiting"), 0.0);
+    // On the broken edge two ways to bear the rod take turns: both are compared.
+    let two = |stage: &mut Stage<LinearFemController>| {
+        let mut two = [0, 1].map(|_| {
+            at(stage, -0.0015);
+            (force_on_body(stage).norm(), stage.get::<VertexPositions>("pad").positions)
+        });
+        two.sort_by(|a, b| a.0.total_cmp(&b.0));
+        two
+    };
+    let before = two(&mut stage);
+    stage.rebuild(build);
+    (0..20).for_each(|_| at(&mut stage, -0.0015));
+    for ((force, now), (again, then)) in before.iter().zip(two(&mut stage)) {
+        assert!((force - again).abs() < 1e-6 * force, "{force} N and {again} N");
+        // Of the surface; the inside is looked at now and then.
+        let corners = stage.get::<trocar_scene::SurfaceMesh>("pad").triangles;
+        let nodes = corners.iter().flatten().map(|&node| node as usize);
+        let apart = nodes.map(|node| (now[node] - then[node]).norm()).fold(0.0, f64::max);
+        assert!(apart < 1e-8, "another life finds the same to {apart} m");
+    }
+    assert!(!stage.has::<Frozen>("pad"));
 }

@@ -6,7 +6,7 @@ mod beam;
 
 use nalgebra::{Point3, Vector3};
 use trocar_simulator::linear_fem::{
-    Attachment, Cache, Hold, Limits, LinearFem, LinearFemError, Load, Origin, REMOVED_MAX, patch,
+    Alteration, Attachment, Cache, Hold, Limits, LinearFem, LinearFemError, Load, Origin, REMOVED_MAX, patch,
 };
 use trocar_simulator::tet_mesh::{TetMesh, Volume};
 
@@ -137,4 +137,78 @@ fn an_inverse_is_computed_once_and_a_damaged_one_again() {
     assert!(matches!(origin, Origin::NotKept(_)));
     assert_eq!(body.compliance(), &first);
     std::fs::remove_file(&folder).expect("its own file");
+}
+
+#[test]
+fn the_inverse_of_what_it_has_become_takes_over_without_a_jump() {
+    let mesh = beam::mesh([20, 4, 4]);
+    let wall = beam::nodes_at(&mesh, 0.0);
+    let gone = notch(&mesh);
+    let grasp = patch(&mesh, &Point3::new(0.09, 0.01, 0.02), 0.006).expect("a patch");
+    let felt = |fem: &mut LinearFem| {
+        let handle = fem.hold(Attachment { weights: grasp.clone(), hold: Hold::Point }).expect("held");
+        fem.set_target(handle, Vector3::new(0.0, 0.0004, 0.002)).expect("held");
+        let force = fem.solve(&[]).expect("solved").reactions[0].force;
+        fem.release(handle).expect("held");
+        force
+    };
+    let altered = |alterations: &[Alteration]| {
+        let limits = Limits::default();
+        LinearFem::altered(mesh.clone(), &beam::material(), alterations, &wall, &limits, &mut |_| true)
+    };
+    let mut serving = body(mesh.clone(), &wall);
+    let whole = felt(&mut serving);
+    serving.remove(&gone).expect("they are there");
+    let served = felt(&mut serving);
+    let mut alterations = vec![Alteration::NONE; mesh.tets().len()];
+    gone.iter().for_each(|&tet| alterations[tet as usize] = Alteration::GONE);
+    let mut new = altered(&alterations).expect("a body");
+    let taken_over = felt(&mut new);
+    let jump = (taken_over - served).norm() / served.norm();
+    assert!(jump < 1e-4, "a jump of {jump} of the force");
+    // The control: the notch is felt.
+    assert!((served - whole).norm() > 100.0 * (taken_over - served).norm(), "{whole} {served}");
+    // The bottom of the notch can be touched now, and what is gone cannot go again.
+    assert!(new.compliance().nodes().iter().any(|node| !mesh.surface_nodes().contains(node)));
+    assert!(matches!(new.remove(&gone[..1]), Err(LinearFemError::NoElement { .. })));
+    // What goes later is taken out of the new one, too.
+    let (first, second) = gone.split_at(gone.len() / 2);
+    let mut half = vec![Alteration::NONE; mesh.tets().len()];
+    first.iter().for_each(|&tet| half[tet as usize] = Alteration::GONE);
+    let mut half = altered(&half).expect("a body");
+    half.remove(second).expect("they are there");
+    assert!((felt(&mut half) - served).norm() < 1e-4 * served.norm());
+    assert!(altered(&alterations[1..]).is_err());
+    alterations[3].length = f64::NAN;
+    assert!(matches!(altered(&alterations), Err(LinearFemError::Alteration { tet: 3 })));
+}
+
+#[test]
+fn what_is_coagulated_is_stiffer_and_draws_together() {
+    let mesh = beam::mesh([20, 4, 4]);
+    let wall = beam::nodes_at(&mesh, 0.0);
+    let altered = |stiffness: f64, length: f64| {
+        let all = vec![Alteration { stiffness, length }; mesh.tets().len()];
+        let limits = Limits::default();
+        LinearFem::altered(mesh.clone(), &beam::material(), &all, &wall, &limits, &mut |_| true)
+            .expect("a body")
+    };
+    // Shorter by a tenth, however stiff; where it is held it cannot be.
+    for stiffness in [1.0, 5.0] {
+        let mut moved = Vec::new();
+        altered(stiffness, 0.9).displacements(&mut moved);
+        let free: Vec<_> = (0..mesh.rest().len()).filter(|&node| mesh.rest()[node].x > 0.04).collect();
+        let (near, far) = (beam::nodes_at(&mesh, 0.05)[0] as usize, beam::nodes_at(&mesh, 0.1)[0] as usize);
+        let strain = (moved[far].x - moved[near].x) / 0.05;
+        assert!((strain + 0.1).abs() < 1e-4, "{strain}");
+        assert!(free.iter().all(|&node| moved[node].norm() < 0.012));
+    }
+    let (mut soft, mut stiff) = (altered(1.0, 1.0), altered(5.0, 1.0));
+    let felt = |fem: &mut LinearFem| {
+        let handle = fem.hold(Attachment::node(beam::nodes_at(&mesh, 0.1)[0], Hold::Point)).expect("held");
+        fem.set_target(handle, Vector3::new(0.0, 0.0, 0.001)).expect("held");
+        fem.solve(&[]).expect("solved").reactions[0].force
+    };
+    let (soft, stiff) = (felt(&mut soft), felt(&mut stiff));
+    assert!((stiff - soft * 5.0).norm() < 1e-4 * stiff.norm(), "{stiff} {soft}");
 }

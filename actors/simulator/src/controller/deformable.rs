@@ -101,6 +101,14 @@ impl Deformable {
         self.pinned = held.map(|(vertex, _)| vertex as u32).collect();
     }
 
+    /// Of each vertex whether nothing moves it: it is held, or nothing uses it.
+    #[must_use]
+    pub fn stays(&self) -> Vec<bool> {
+        let mut stays = vec![false; self.rest.len()];
+        self.pinned.iter().chain(&self.loose).for_each(|&at| stays[at as usize] = true);
+        stays
+    }
+
     /// What a controller of deforming bodies reads and writes of them.
     pub fn access(bodies: &[Entity]) -> Access {
         let all = || EntitySet::Of(bodies.to_vec());

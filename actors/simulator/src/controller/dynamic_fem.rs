@@ -77,7 +77,7 @@ impl DynamicFemBody {
     fn weakness(&self) -> Result<Weakness, String> {
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let lame = [elastic.lambda(), elastic.mu()];
-        Ok(Weakness { cut: self.cut, tears: self.strength.map(|strength| (strength, lame)) })
+        Ok(Weakness { cut: self.cut, hangs_on: false, tears: self.strength.map(|strength| (strength, lame)) })
     }
 
     /// Of a body to whose elements that has happened.

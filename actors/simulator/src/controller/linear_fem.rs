@@ -16,17 +16,20 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,
-    ControllerError, Detection, Entity, EntitySet, Frozen, Instrument, JawState, Job, Measured, Pose,
-    Primitive, SimTime, Snapshot, Tick, Velocity,
+    ControllerError, Detection, Entity, EntitySet, Frozen, Instrument, JawState, Measured, Pose, Primitive,
+    SimTime, Snapshot, Tick, Velocity,
 };
 
 use super::deformable::Deformable;
 use super::grips::{Grips, Holder};
-use super::soft::Site;
+use super::linear_fem_altered::{Altered, AlteredAt};
+use super::linear_fem_jobs::{altered_as_job, built, built_as_job};
+use super::parting::{Parting, Weakness};
+use super::soft::{Measures, Site};
 use super::tools::{Rod, rods_of_all};
 use super::touch::{COLLISIONS_MAX, Skin, Touch, collision, touches};
-use crate::elasticity::{Elastic, POISSON_MAX};
-use crate::linear_fem::{Attachment, Cache, Deformation, Hold, Limits, LinearFem, LinearFemError};
+use crate::elasticity::POISSON_MAX;
+use crate::linear_fem::{Attachment, Cache, Deformation, Hold, LinearFem, LinearFemError};
 use crate::picking::Jaws;
 use crate::tet_mesh::{MeshRules, TetMesh};
 
@@ -39,9 +42,6 @@ const PENETRATION_MAX: f64 = 1e-5;
 const ROUNDS_MAX: usize = 8;
 /// Ticks from one look at the inside to the next: rotations and strains of all elements.
 const INSIDE_EVERY: u64 = 10;
-/// What a computation of the inverse takes in lock-step, however long it takes.
-const JOB: f64 = 0.5;
-
 /// An organ that answers at once to being touched, for small displacements: it needs a mesh of tetrahedra, and `anchors`
 /// where it is held.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -72,15 +72,14 @@ impl Component for LinearFemBody {
     }
 }
 
-/// What a job delivers.
-type Built = Result<LinearFem, String>;
-
 struct Body {
     body: Deformable,
     kind: LinearFemBody,
     mesh: TetMesh,
     solver: Option<Box<LinearFem>>,
     submitted: bool,
+    /// Of a body that heat changes.
+    parting: Option<(Parting, Altered)>,
     /// Share of the inverse that is computed, as the bits of an f64.
     progress: Arc<AtomicU64>,
     positions: Vec<Point3<f64>>,
@@ -125,16 +124,24 @@ impl LinearFemController {
         let mut bodies = Vec::new();
         for entity in Deformable::carriers::<LinearFemBody>(context.scene) {
             let Some(kind) = context.scene.get::<LinearFemBody>(entity).copied() else { continue };
-            let body = Deformable::read(context.scene, entity)?;
+            let mut body = Deformable::read(context.scene, entity)?;
+            let wrong = |name: &str, why: String| ControllerError::Scene(format!("'{name}': {why}"));
             let mesh = TetMesh::new(&body.rest, &body.tets, &MeshRules::default())
-                .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
-            let mut is_pinned = vec![false; body.rest.len()];
-            body.pinned.iter().for_each(|&node| is_pinned[node as usize] = true);
+                .map_err(|why| wrong(&body.name, why.to_string()))?;
+            let weakness = Weakness { hangs_on: true, ..Weakness::default() };
+            let parting = Parting::new(&mut body, weakness, context.scene)
+                .map_err(|why| wrong(&body.name, why))?
+                .map(|parting| {
+                    let altered = Altered::new(mesh.tets().len(), parting.heated());
+                    (parting, altered)
+                });
+            let is_pinned = body.stays();
             bodies.push(Body {
                 kind,
                 mesh,
                 solver: None,
                 submitted: false,
+                parting,
                 progress: Arc::default(),
                 positions: body.positions.to_vec(),
                 grips: context.scene.get::<Grips>(entity).cloned().unwrap_or_default(),
@@ -156,7 +163,7 @@ impl LinearFemController {
 impl Controller for LinearFemController {
     fn access(&self) -> Access {
         let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
-        Deformable::access(&bodies)
+        Parting::access(Deformable::access(&bodies), &bodies)
             .reads::<LinearFemBody>()
             .reads::<Pose>()
             .reads::<Velocity>()
@@ -175,7 +182,16 @@ impl Controller for LinearFemController {
             let mut force = 0.0;
             if !body.frozen {
                 rods_of_all(scene, &world_from_body, &mut self.rods);
-                let done = body.step(index, self.cache.as_ref(), scene, &world_from_body, &self.rods, tick);
+                let site = Site {
+                    scene,
+                    tick,
+                    world_from_body: &world_from_body,
+                    gravity: Vector3::zeros(),
+                    rods: &self.rods,
+                    touches: &[],
+                    led: &[],
+                };
+                let done = body.step(index, self.cache.as_ref(), &site, out);
                 match done {
                     Ok(answers) => {
                         for answer in &answers {
@@ -211,16 +227,17 @@ impl Body {
         &mut self,
         index: usize,
         cache: Option<&Cache>,
-        scene: &Snapshot,
-        world_from_body: &Isometry3<f64>,
-        rods: &[Rod],
-        tick: &Tick<'_>,
+        site: &Site<'_>,
+        out: &mut Commands,
     ) -> Result<Vec<Answer>, String> {
-        self.wait(index as u64, cache, tick)?;
+        let keys = [2 * index as u64, 2 * index as u64 + 1];
+        self.wait(keys[0], cache, site.tick)?;
+        self.burn(keys[1], site, out)?;
         if self.solver.is_none() {
             return Ok(Vec::new());
         }
-        let mut answers = self.ask(scene, world_from_body, rods, tick)?;
+        let (rods, tick) = (site.rods, site.tick);
+        let mut answers = self.ask(site)?;
         self.answer(&mut answers, tick).map_err(|error| error.to_string())?;
         for _ in 1..ROUNDS_MAX {
             let before = answers.len();
@@ -233,6 +250,25 @@ impl Body {
         Ok(answers)
     }
 
+    /// Lets it follow what heat does to its elements.
+    fn burn(&mut self, key: u64, site: &Site<'_>, out: &mut Commands) -> Result<(), String> {
+        let Some((parting, altered)) = &mut self.parting else { return Ok(()) };
+        let positions = &self.positions;
+        let mut elements = AlteredAt { altered, positions };
+        if let Some(reshaped) = parting.reshape(&mut elements, &mut self.body, site, out)? {
+            self.is_pinned = self.body.stays();
+            reshaped.followed_by(&mut self.grips, site, &self.body.triangles, positions);
+        }
+        let Some(solver) = &mut self.solver else { return Ok(()) };
+        if let Some(alterations) = altered.follow(key, solver, site.tick)? {
+            let material = [self.kind.young_modulus, self.kind.poisson_ratio];
+            let job =
+                altered_as_job(key, &self.mesh, material, &self.body.pinned, alterations, &self.progress);
+            altered.begun(site.tick.jobs.submit(job));
+        }
+        Ok(())
+    }
+
     /// Has the inverse computed, once, and takes it when it comes.
     fn wait(&mut self, key: u64, cache: Option<&Cache>, tick: &Tick<'_>) -> Result<(), String> {
         if self.solver.is_some() {
@@ -242,21 +278,20 @@ impl Body {
             self.solver = Some(Box::new(built));
         } else if !self.submitted {
             let material = [self.kind.young_modulus, self.kind.poisson_ratio];
-            let job =
-                built_as_job(key, &self.mesh, material, &self.body.pinned, cache.cloned(), &self.progress);
+            let (pinned, progress) = (&self.body.pinned, &self.progress);
+            let altered = self.parting.as_ref().and_then(|(_, altered)| altered.alterations());
+            let job = match altered {
+                Some(altered) => altered_as_job(key, &self.mesh, material, pinned, altered, progress),
+                None => built_as_job(key, &self.mesh, material, pinned, cache.cloned(), progress),
+            };
             self.submitted = tick.jobs.submit(job);
         }
         Ok(())
     }
 
     /// What holds the surface now: jaws what they have picked, rods what they touch.
-    fn ask(
-        &mut self,
-        scene: &Snapshot,
-        world_from_body: &Isometry3<f64>,
-        rods: &[Rod],
-        tick: &Tick<'_>,
-    ) -> Result<Vec<Answer>, String> {
+    fn ask(&mut self, site: &Site<'_>) -> Result<Vec<Answer>, String> {
+        let rods = site.rods;
         let triangles = self.body.triangles.clone();
         let mut touched = Vec::new();
         let skin = Skin {
@@ -267,9 +302,7 @@ impl Body {
             closed: true,
         };
         touches(rods, &skin, &mut touched);
-        let gravity = Vector3::zeros();
-        let site = Site { scene, tick, world_from_body, gravity, rods, touches: &[], led: &[] };
-        let holders = Holder::all(&site, &touched, &triangles);
+        let holders = Holder::all(site, &touched, &triangles);
         let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
         self.grips.picks.update(&triangles, &self.positions, &jaws).map_err(|error| error.to_string())?;
         let mut answers = Vec::new();
@@ -348,9 +381,11 @@ impl Body {
             answers[*index].force = reaction.force;
         }
         let mut moved = Vec::new();
-        if tick.number.is_multiple_of(INSIDE_EVERY) {
+        // What an element has uncovered that has just gone, is of the inside for the inverse.
+        if tick.number.is_multiple_of(INSIDE_EVERY) || !solver.removed().is_empty() {
             solver.displacements(&mut moved);
-            self.deformation = Deformation::of(&self.mesh, &moved);
+            let gone = self.parting.as_ref().map_or(&[][..], |(parting, _)| &parting.heated().removed);
+            self.deformation = Deformation::without(&self.mesh, &moved, gone);
             for (node, displacement) in moved.iter().enumerate() {
                 self.positions[node] = self.body.rest[node] + displacement;
             }
@@ -434,45 +469,10 @@ impl Body {
         let share = f64::from_bits(self.progress.load(Ordering::Relaxed));
         values.insert(format!("{name}.precomputed_share"), if self.solver.is_some() { 1.0 } else { share });
         values.insert(format!("{name}.frozen"), flag(self.frozen));
+        if let Some((parting, altered)) = &self.parting {
+            let mut measures = Measures::new(name, values);
+            parting.measure(&mut measures);
+            measures.put("elements_waiting", altered.waiting() as f64);
+        }
     }
-}
-
-/// What the job of that number has delivered, if it has.
-///
-/// # Errors
-/// Why it could not.
-pub(super) fn built(tick: &Tick<'_>, key: u64) -> Result<Option<LinearFem>, String> {
-    let Some(output) = tick.jobs.take(key) else { return Ok(None) };
-    let built = output.downcast::<Built>().map_err(|_| "its job delivered something else".to_owned())?;
-    built.map(Some)
-}
-
-/// The job of that number: to read the inverse of a body from the cache or to compute it. Young's modulus \[Pa\], Poisson's
-/// ratio; `progress` is told the share that is done, as the bits of an f64.
-pub(super) fn built_as_job(
-    key: u64,
-    mesh: &TetMesh,
-    [young_modulus, poisson_ratio]: [f64; 2],
-    pinned: &[u32],
-    cache: Option<Cache>,
-    progress: &Arc<AtomicU64>,
-) -> Job {
-    let (mesh, pinned, progress) = (mesh.clone(), pinned.to_vec(), progress.clone());
-    let work = move || {
-        let mut tell = |share: f64| {
-            progress.store(share.to_bits(), Ordering::Relaxed);
-            true
-        };
-        let built = Elastic::new(young_modulus, poisson_ratio).map_err(|error| error.to_string());
-        let built: Built = built.and_then(|material| {
-            let limits = Limits::default();
-            let body = match &cache {
-                Some(cache) => cache.body(mesh, &material, &pinned, &limits, &mut tell).map(|(body, _)| body),
-                None => LinearFem::new(mesh, &material, &pinned, &limits, &mut tell),
-            };
-            body.map_err(|error| error.to_string())
-        });
-        Box::new(built) as trocar_scene::JobOutput
-    };
-    Job { key, takes: SimTime::from_secs_f64(JOB), work: Box::new(work) }
 }

@@ -15,6 +15,8 @@ pub mod grips;
 pub mod heat;
 pub mod instruments;
 pub mod linear_fem;
+mod linear_fem_altered;
+mod linear_fem_jobs;
 pub mod mass_spring;
 pub mod parting;
 pub mod rest_place;

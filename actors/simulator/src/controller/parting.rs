@@ -62,6 +62,8 @@ pub trait Elements {
 pub struct Weakness {
     /// Whether blades open it.
     pub cut: bool,
+    /// Whether pieces that hang by nothing but nodes stay there: who moves them cannot let them fall.
+    pub hangs_on: bool,
     /// Tension that tears it \[Pa\], and Lamé's constants \[Pa\] by which the tension is known.
     pub tears: Option<(f64, [f64; 2])>,
 }
@@ -157,7 +159,7 @@ impl Parting {
             change = self.volume.take_out(&gone).map_err(|error| error.to_string())?;
             // What hangs by a node or an edge goes on to, so that its solver need not be made anew with every element
             // that burns; but not what hangs by nothing else.
-            if self.volume.pieces() > self.pieces {
+            if !self.weakness.hangs_on && self.volume.pieces() > self.pieces {
                 self.volume.separate(&mut change);
             }
         }

@@ -55,6 +55,24 @@ pub struct Reshaped {
     pub parents: Vec<u32>,
 }
 
+impl Reshaped {
+    /// What jaws hold of the body follows.
+    pub(super) fn followed_by(
+        &self,
+        grips: &mut Grips,
+        site: &Site<'_>,
+        triangles: &[[u32; 3]],
+        positions: &[Point3<f64>],
+    ) {
+        if let Some(kept) = &self.kept {
+            grips.picks.renumber(kept);
+        }
+        let holders = Holder::all(site, &[], triangles);
+        let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
+        grips.picks.follow(&self.parents, triangles, positions, &jaws);
+    }
+}
+
 /// A method that moves the vertices of bodies.
 pub trait SoftMethod: Send + Sized + 'static {
     /// The component by which a scene says that a body is moved by it.
@@ -126,7 +144,11 @@ pub struct Measures<'a> {
     values: &'a mut BTreeMap<String, f64>,
 }
 
-impl Measures<'_> {
+impl<'a> Measures<'a> {
+    pub(super) fn new(name: &'a str, values: &'a mut BTreeMap<String, f64>) -> Self {
+        Self { name, values }
+    }
+
     /// Tells one; the unit is the end of its name.
     pub fn put(&mut self, what: &str, value: f64) {
         self.values.insert(format!("{}.{what}", self.name), value);
@@ -168,7 +190,7 @@ impl<M: SoftMethod> SoftController<M> {
             let mut body = Deformable::read(context.scene, entity)?;
             let method = M::build(kind, &mut body, context.scene)
                 .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
-            let is_pinned = stays(&body);
+            let is_pinned = body.stays();
             let grips = context.scene.get::<Grips>(entity).cloned().unwrap_or_default();
             let frozen = context.scene.get::<Frozen>(entity).is_some();
             bodies.push(Body { body, method, is_pinned, grips, frozen });
@@ -219,7 +241,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
                     body.body.freeze(&reason, tick, out);
                 }
             }
-            let mut measures = Measures { name: &body.body.name, values: &mut measured.values };
+            let mut measures = Measures::new(&body.body.name, &mut measured.values);
             measures.put("contact_force_n", found.pushed);
             measures.put("held_force_n", found.pulled);
             measures.put("held_vertices", body.grips.vertices() as f64);
@@ -258,13 +280,8 @@ impl<M: SoftMethod> Body<M> {
         let site = Site { rods, ..*nothing };
         let entity = self.body.entity;
         if let Some(reshaped) = self.method.reshape(&mut self.body, &site, out)? {
-            self.is_pinned = stays(&self.body);
-            if let Some(kept) = &reshaped.kept {
-                self.grips.picks.renumber(kept);
-            }
-            let holders = Holder::all(&site, &[], &self.body.triangles);
-            let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
-            self.grips.picks.follow(&reshaped.parents, &self.body.triangles, self.method.positions(), &jaws);
+            self.is_pinned = self.body.stays();
+            reshaped.followed_by(&mut self.grips, &site, &self.body.triangles, self.method.positions());
             out.put(entity, self.grips.clone());
         }
 
@@ -353,13 +370,6 @@ impl<M: SoftMethod> Body<M> {
             detected_at: site.tick.time,
         })
     }
-}
-
-/// Vertices that nothing moves.
-fn stays(body: &Deformable) -> Vec<bool> {
-    let mut stays = vec![false; body.rest.len()];
-    body.pinned.iter().chain(&body.loose).for_each(|&at| stays[at as usize] = true);
-    stays
 }
 
 /// Whether an instrument has blades.

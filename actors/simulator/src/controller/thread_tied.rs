@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::{Commands, Component, ComponentError, Entity, Snapshot, Tick};
 
 use super::deformable::Deformable;
-use super::linear_fem::{built, built_as_job};
+use super::linear_fem_jobs::{built, built_as_job};
 use crate::elasticity::POISSON_MAX;
 use crate::linear_fem::{Cache, Deformation, LinearFem, Load};
 use crate::tet_mesh::{MeshRules, TetMesh};

@@ -122,7 +122,11 @@ impl XpbdBody {
         };
         let mu = 0.5 * young_modulus / (1.0 + poisson_ratio);
         let lambda = 2.0 * mu * poisson_ratio / (1.0 - 2.0 * poisson_ratio);
-        Weakness { cut: self.cut, tears: self.strength.map(|strength| (strength, [lambda, mu])) }
+        Weakness {
+            cut: self.cut,
+            hangs_on: false,
+            tears: self.strength.map(|strength| (strength, [lambda, mu])),
+        }
     }
 
     fn solver(&self, body: &Deformable) -> Result<Xpbd, String> {

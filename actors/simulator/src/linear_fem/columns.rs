@@ -35,7 +35,7 @@ impl Columns {
         let boundary = Boundary::new(mesh, fixed)?;
         // Of the surface nothing dense is kept.
         let limits = Limits { bytes_max: u64::MAX, ..Limits::default() };
-        let factor = factor(mesh, material, &boundary, &limits)?;
+        let factor = factor(mesh, material, &[], &boundary, &limits)?;
         Ok(Self { of: vec![None; mesh.rest().len()], values: Vec::new(), boundary, factor, nodes_max })
     }
 

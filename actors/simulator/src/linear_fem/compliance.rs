@@ -6,7 +6,7 @@
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use crate::elasticity::{Elastic, stiffness};
+use crate::elasticity::{Elastic, weighted_stiffness};
 use crate::sparse::{FactorError, SparseCholesky, nested_dissection};
 use crate::tet_mesh::TetMesh;
 
@@ -100,13 +100,17 @@ impl Boundary {
     /// # Errors
     /// A node that does not exist; nothing left free on the surface.
     pub fn new(mesh: &TetMesh, fixed: &[u32]) -> Result<Self, PrecomputeError> {
+        Self::touched(mesh, fixed, mesh.surface_nodes())
+    }
+
+    /// The same where another surface is touched than that of the whole mesh: nodes of it, ascending.
+    pub(super) fn touched(mesh: &TetMesh, fixed: &[u32], outside: &[u32]) -> Result<Self, PrecomputeError> {
         let nodes = mesh.rest().len();
         let mut free = vec![true; nodes];
         for &node in fixed {
             *free.get_mut(node as usize).ok_or(PrecomputeError::NoNode { node, nodes })? = false;
         }
-        let surface: Vec<u32> =
-            mesh.surface_nodes().iter().copied().filter(|&node| free[node as usize]).collect();
+        let surface: Vec<u32> = outside.iter().copied().filter(|&node| free[node as usize]).collect();
         if surface.is_empty() {
             return Err(PrecomputeError::NothingFree);
         }
@@ -214,14 +218,12 @@ impl Compliance {
         progress: &mut dyn FnMut(f64) -> bool,
     ) -> Result<Self, PrecomputeError> {
         let boundary = Boundary::new(mesh, fixed)?;
-        let factor = factor(mesh, material, &boundary, limits)?;
-        Self::from_factor(mesh, material, fixed, &boundary, &factor, progress)
+        let factor = factor(mesh, material, &[], &boundary, limits)?;
+        Self::from_factor(super::bytes::fingerprint(mesh, material, fixed), &boundary, &factor, progress)
     }
 
     pub(super) fn from_factor(
-        mesh: &TetMesh,
-        material: &Elastic,
-        fixed: &[u32],
+        fingerprint: u64,
         boundary: &Boundary,
         factor: &SparseCholesky,
         progress: &mut dyn FnMut(f64) -> bool,
@@ -240,7 +242,7 @@ impl Compliance {
             return Err(PrecomputeError::Cancelled);
         }
         let nodes = boundary.surface.clone();
-        Ok(Self { entries, nodes, fingerprint: super::bytes::fingerprint(mesh, material, fixed) })
+        Ok(Self { entries, nodes, fingerprint })
     }
 
     /// The free surface nodes that it is between, ascending.
@@ -264,10 +266,12 @@ impl Compliance {
     }
 }
 
-/// The sparse factor of the whole, free nodes in the order of the boundary.
+/// The sparse factor of the whole, free nodes in the order of the boundary; weights of elements as
+/// [`weighted_stiffness`] takes them.
 pub(super) fn factor(
     mesh: &TetMesh,
     material: &Elastic,
+    weights: &[f64],
     boundary: &Boundary,
     limits: &Limits,
 ) -> Result<SparseCholesky, PrecomputeError> {
@@ -280,7 +284,7 @@ pub(super) fn factor(
     if bytes > limits.bytes_max {
         return Err(PrecomputeError::TooLarge { surface_nodes, bytes, bytes_max: limits.bytes_max });
     }
-    let matrix = stiffness(mesh, material, &boundary.numbers, boundary.free());
+    let matrix = weighted_stiffness(mesh, material, weights, &boundary.numbers, boundary.free());
     let mut factor = SparseCholesky::new(matrix.pattern(), 3)?;
     factor.factor(matrix.pattern(), matrix.values())?;
     Ok(factor)

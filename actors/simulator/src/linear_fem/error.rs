@@ -59,6 +59,22 @@ pub enum LinearFemError {
         /// Elements of the mesh.
         tets: usize,
     },
+    /// One alteration per element was asked for.
+    #[error("{found} alterations for {tets} elements")]
+    Alterations {
+        /// Alterations that came.
+        found: usize,
+        /// Elements of the mesh.
+        tets: usize,
+    },
+    /// An alteration that none can be.
+    #[error(
+        "element {tet} is to be altered beyond 0 to 1e6 times its stiffness or 0.01 to 100 times its length"
+    )]
+    Alteration {
+        /// Of which.
+        tet: u32,
+    },
     /// The old inverse does not serve any longer.
     #[error("{REMOVED_MAX} elements are out already: a new inverse is due")]
     TooManyRemoved,

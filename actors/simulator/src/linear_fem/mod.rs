@@ -13,6 +13,7 @@
 #![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
 
 mod active;
+mod altered;
 mod attachment;
 mod bytes;
 mod cache;
@@ -26,6 +27,7 @@ mod removal;
 mod solver;
 mod state;
 
+pub use altered::Alteration;
 pub use attachment::{Attachment, AttachmentError, Hold};
 pub use bytes::BytesError;
 pub use cache::{Cache, Origin};

@@ -16,7 +16,7 @@ use crate::tet_mesh::TetMesh;
 pub const REMOVED_MAX: usize = 64;
 /// Share of its stiffness that an element leaves behind, so that nodes that lose their last element, and parts that hang
 /// by one node, stay somewhere.
-const REMNANT: f64 = 1e-6;
+pub(super) const REMNANT: f64 = 1e-6;
 /// Rank of an element's stiffness.
 const RANK: usize = 6;
 
@@ -25,6 +25,8 @@ const RANK: usize = 6;
 pub(super) struct Removal {
     /// Which, in the order in which they went.
     pub tets: Vec<u32>,
+    /// Stiffness of each element in the factor, of what its material has; empty for all of it.
+    pub weights: Vec<f64>,
     /// Rows and columns of U that are not zero: for every element its nodes' rows, six columns over them.
     columns: Vec<([Option<u32>; 4], SMatrix<f64, 12, RANK>)>,
     /// Y, over all free nodes, column after column.
@@ -43,7 +45,7 @@ impl Removal {
         factor: &mut SparseCholesky,
     ) -> bool {
         let rows = mesh.tets()[tet as usize].map(|node| boundary.numbers[node as usize]);
-        let u = root_of_stiffness(mesh, material, tet as usize);
+        let u = root_of_stiffness(mesh, material, tet as usize) * self.weight(tet).sqrt();
         for column in 0..RANK {
             let mut y = vec![0.0; 3 * boundary.free()];
             for (corner, row) in rows.iter().enumerate() {
@@ -78,6 +80,20 @@ impl Removal {
                 false
             }
         }
+    }
+
+    /// Puts everything back that was taken out of the factor.
+    pub fn put_back(&mut self) {
+        *self = Self { weights: std::mem::take(&mut self.weights), ..Self::default() };
+    }
+
+    fn weight(&self, tet: u32) -> f64 {
+        self.weights.get(tet as usize).copied().unwrap_or(1.0)
+    }
+
+    /// Whether an element is out, or was never in.
+    fn is_out(&self, tet: u32) -> bool {
+        self.weight(tet) <= REMNANT || self.tets.contains(&tet)
     }
 
     /// S⁻¹ Yᵀ of a sparse right side: what a force does through what is missing. `None` where nothing is.
@@ -169,7 +185,7 @@ impl LinearFem {
         let mut done = Ok(());
         for &tet in tets {
             let count = self.mesh.tets().len();
-            if tet as usize >= count || self.removal.tets.contains(&tet) {
+            if tet as usize >= count || self.removal.is_out(tet) {
                 done = Err(LinearFemError::NoElement { tet, tets: count });
             } else if self.removal.tets.len() == REMOVED_MAX {
                 done = Err(LinearFemError::TooManyRemoved);

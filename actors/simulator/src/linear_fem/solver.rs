@@ -119,8 +119,9 @@ impl LinearFem {
         progress: &mut dyn FnMut(f64) -> bool,
     ) -> Result<Self, LinearFemError> {
         let boundary = Boundary::new(&mesh, fixed)?;
-        let factor = factor(&mesh, material, &boundary, limits)?;
-        let compliance = Compliance::from_factor(&mesh, material, fixed, &boundary, &factor, progress)?;
+        let factor = factor(&mesh, material, &[], &boundary, limits)?;
+        let fingerprint = super::bytes::fingerprint(&mesh, material, fixed);
+        let compliance = Compliance::from_factor(fingerprint, &boundary, &factor, progress)?;
         Ok(Self::assembled(mesh, *material, boundary, factor, compliance))
     }
 
@@ -139,11 +140,11 @@ impl LinearFem {
             return Err(LinearFemError::OtherCompliance);
         }
         let boundary = Boundary::new(&mesh, fixed)?;
-        let factor = factor(&mesh, material, &boundary, limits)?;
+        let factor = factor(&mesh, material, &[], &boundary, limits)?;
         Ok(Self::assembled(mesh, *material, boundary, factor, compliance))
     }
 
-    fn assembled(
+    pub(super) fn assembled(
         mesh: TetMesh,
         material: Elastic,
         boundary: Boundary,

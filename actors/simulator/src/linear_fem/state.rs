@@ -4,7 +4,6 @@ use nalgebra::Vector3;
 
 use super::active::Packed;
 use super::error::LinearFemError;
-use super::removal::Removal;
 use super::solver::{Held, LinearFem};
 
 /// Everything that changes; the rest follows from the mesh, the material and the boundary.
@@ -78,7 +77,7 @@ impl LinearFem {
             self.leave(self.held.len() - 1);
         }
         if self.removal.tets != state.removed {
-            self.removal = Removal::default();
+            self.removal.put_back();
             self.remove(&state.removed)?;
         }
         self.set_dead_load(&state.dead_load)?;

@@ -42,7 +42,7 @@ pub(super) fn faces(tets: &[[u32; 4]]) -> Vec<Face> {
 }
 
 /// Faces of one element only, in the order of the elements.
-pub(super) fn surface(tets: &[[u32; 4]]) -> Vec<[u32; 3]> {
+pub(crate) fn surface(tets: &[[u32; 4]]) -> Vec<[u32; 3]> {
     let faces = faces(tets);
     let mut alone: Vec<Face> = faces
         .chunk_by(|one, other| one.sorted == other.sorted)

@@ -15,6 +15,7 @@ mod volume;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
+pub(crate) use boundary::surface;
 pub use boxes::{BoxCells, box_cells};
 pub use defect::{Defect, MeshError, defects};
 pub use refine::{NodesAndTets, RefineError, refined};

@@ -1,0 +1,154 @@
+//! A linear organ that burns: elements leave its inverse by a correction of low rank, at once and exactly, while a job computes
+//! the inverse of what it has become; stiffness and shrinkage come with that.
+
+use std::collections::BTreeSet;
+
+use nalgebra::Point3;
+use trocar_scene::Tick;
+
+use super::deformable::Deformable;
+use super::heat::{Coagulated, Heated};
+use super::linear_fem_jobs::built;
+use super::parting::Elements;
+use crate::linear_fem::{Alteration, LinearFem, LinearFemError, REMOVED_MAX};
+
+/// What has become of the elements, and how far the inverse follows.
+pub(super) struct Altered {
+    /// Of all elements, as the scene has them.
+    alterations: Vec<Alteration>,
+    /// Gone, and not out of the inverse yet.
+    pending: Vec<u32>,
+    /// Went since the job began.
+    since: Vec<u32>,
+    /// Whether anything has changed since the last job began.
+    stale: bool,
+    submitted: bool,
+}
+
+impl Altered {
+    /// Of a body to whose elements that has happened; its first inverse has all of it.
+    pub fn new(elements: usize, heated: &Heated) -> Self {
+        let mut this = Self {
+            alterations: vec![Alteration::NONE; elements],
+            pending: Vec::new(),
+            since: Vec::new(),
+            stale: false,
+            submitted: false,
+        };
+        this.alter(&heated.coagulated);
+        this.remove(&heated.removed);
+        (this.stale, this.pending, this.since) = (false, Vec::new(), Vec::new());
+        this
+    }
+
+    /// As they are now, if they are not as at first.
+    pub fn alterations(&self) -> Option<Vec<Alteration>> {
+        let altered = self.alterations.iter().any(|of| *of != Alteration::NONE);
+        altered.then(|| self.alterations.clone())
+    }
+
+    pub fn remove(&mut self, elements: &[u32]) {
+        for &element in elements {
+            if let Some(of) = self.alterations.get_mut(element as usize) {
+                *of = Alteration::GONE;
+                self.pending.push(element);
+                self.since.push(element);
+                self.stale = true;
+            }
+        }
+    }
+
+    pub fn alter(&mut self, elements: &[Coagulated]) {
+        for of in elements {
+            let known = self.alterations.get_mut(of.element as usize);
+            if let Some(known) = known.filter(|known| **known != Alteration::GONE) {
+                *known = Alteration { stiffness: of.stiffness, length: of.length };
+                self.stale = true;
+            }
+        }
+    }
+
+    /// Lets the inverse follow: takes a new one when it has come, corrects the one that serves. What cannot be corrected for
+    /// waits for the next one. Answers what that is to be computed from, where it is time to begin.
+    ///
+    /// # Errors
+    /// Why there is no new inverse.
+    pub fn follow(
+        &mut self,
+        key: u64,
+        solver: &mut Box<LinearFem>,
+        tick: &Tick<'_>,
+    ) -> Result<Option<Vec<Alteration>>, String> {
+        if self.submitted
+            && let Some(new) = built(tick, key)?
+        {
+            **solver = new;
+            self.submitted = false;
+            self.pending.clone_from(&self.since);
+        }
+        self.correct(solver).map_err(|error| error.to_string())?;
+        Ok((self.stale && !self.submitted).then(|| self.alterations.clone()))
+    }
+
+    /// A job has begun, or could not.
+    pub fn begun(&mut self, submitted: bool) {
+        self.submitted = submitted;
+        if submitted {
+            self.stale = false;
+            self.since.clear();
+        }
+    }
+
+    fn correct(&mut self, solver: &mut LinearFem) -> Result<(), LinearFemError> {
+        let mut later = Vec::new();
+        let mut next = std::mem::take(&mut self.pending);
+        while !next.is_empty() {
+            let room = REMOVED_MAX - solver.removed().len();
+            let batch: Vec<u32> = next.drain(..room.min(next.len())).collect();
+            if batch.is_empty() {
+                break;
+            }
+            match solver.remove(&batch) {
+                Ok(()) => {}
+                Err(LinearFemError::Apart { tet }) => {
+                    let out: BTreeSet<u32> = solver.removed().iter().copied().collect();
+                    next.splice(0..0, batch.into_iter().filter(|at| *at != tet && !out.contains(at)));
+                    later.push(tet);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        later.extend(next);
+        self.pending = later;
+        Ok(())
+    }
+
+    /// Elements that went and are still felt, until the next inverse.
+    pub fn waiting(&self) -> usize {
+        self.pending.len()
+    }
+}
+
+/// The elements of an organ with where its nodes are.
+pub(super) struct AlteredAt<'a> {
+    pub altered: &'a mut Altered,
+    pub positions: &'a [Point3<f64>],
+}
+
+impl Elements for AlteredAt<'_> {
+    fn positions(&self) -> &[Point3<f64>] {
+        self.positions
+    }
+
+    fn remove(&mut self, elements: &[u32]) {
+        self.altered.remove(elements);
+    }
+
+    fn alter(&mut self, elements: &[Coagulated]) {
+        self.altered.alter(elements);
+    }
+
+    fn split(&mut self, _body: &Deformable, _split: &[(u32, u32)], _heated: &Heated) -> Result<(), String> {
+        Err("a linear organ does not come apart: 'xpbd' and 'dynamic_fem' do".into())
+    }
+}
