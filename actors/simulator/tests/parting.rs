@@ -11,7 +11,8 @@ use trocar_scene::{
     VertexPositions, VertexVelocities,
 };
 use trocar_simulator::controller::{
-    Coagulated, CoagulatedElements, DynamicFemController, RemovedElements, VolumeCuts, XpbdController,
+    Coagulated, CoagulatedElements, DynamicFemController, MassSpringController, RemovedElements, VolumeCuts,
+    XpbdController,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -220,4 +221,86 @@ fn tears<C: Controller>(body: &str, build: impl Fn(&BuildContext<'_>) -> Result<
 fn what_is_weaker_than_its_weight_tears() {
     tears(XPBD, xpbd);
     tears(FEM, fem);
+}
+
+/// A membrane of 4 cm that is held along its four edges and hangs.
+fn membrane(body: &str, cauterised: &str) -> String {
+    format!(
+        "[[entity]]\nname = \"column\"\n{cauterised}\n\
+         mesh = {{ sheet = {{ size = [0.04, 0.04], cells = [16, 16] }} }}\n{body}\n\
+         anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [-0.0199, 1.0, 1.0] }} }},\n\
+         {{ box = {{ min = [0.0199, -1.0, -1.0], max = [1.0, 1.0, 1.0] }} }}] }}\n"
+    )
+}
+
+fn burns_as_a_membrane<C: Controller>(
+    body: &str,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    let run_it = |kill: bool, length: f64| {
+        let text = membrane(body, "cauterised = { thickness = 0.001 }");
+        let mut stage = Stage::new(scene(&text), 500.0, build);
+        let first = stage.get::<SurfaceMesh>("column").triangles;
+        let rest = stage.get::<VertexPositions>("column").positions;
+        run(&mut stage, 100);
+        let (hanging, middle) = (lowest(&stage), 8 * 17 + 8);
+        let drawn = |stage: &Stage<C>| stage.get::<VertexPositions>("column").positions[middle].x;
+        assert!(hanging < -1e-4 && drawn(&stage).abs() < 1e-4, "{hanging} m, {} m", drawn(&stage));
+        // The left half shrinks: it draws the middle to itself.
+        let left = first.iter().enumerate().filter(|(_, t)| t.iter().all(|&n| rest[n as usize].x < 1e-6));
+        let elements =
+            left.map(|(at, _)| Coagulated { element: at as u32, stiffness: 3.0, length }).collect();
+        stage.put("column", CoagulatedElements { elements: Arc::new(elements) });
+        run(&mut stage, 200);
+        let drawn = drawn(&stage);
+        // A strip in the middle goes: two flaps hang from the two edges.
+        let strip = |t: &[u32; 3]| t.iter().all(|&n| rest[n as usize].x.abs() < 0.0026);
+        let gone: Vec<u32> = (0..first.len() as u32).filter(|&t| strip(&first[t as usize])).collect();
+        assert_eq!(gone.len(), 2 * 2 * 16);
+        stage.put("column", removed(&gone));
+        if kill {
+            stage.rebuild(build);
+        }
+        run(&mut stage, 150);
+        let left = stage.get::<SurfaceMesh>("column").triangles;
+        assert_eq!(left.len(), first.len() - gone.len());
+        assert!(left.iter().all(|triangle| !strip(triangle)));
+        assert!(lowest(&stage) < -0.01, "the flaps fall: {} m", lowest(&stage));
+        let moved = stage.get::<VertexPositions>("column").positions;
+        let column = (0..17).map(|row| row * 17 + 8);
+        assert!(column.clone().all(|node| moved[node].iter().all(|x| x.is_finite())));
+        (drawn, state(&stage))
+    };
+    let (drawn, whole) = run_it(false, 0.8);
+    assert!(drawn < -0.001, "drawn by {drawn} m");
+    assert!(run_it(false, 1.0).0 > -5e-4, "the control: what does not shrink does not draw");
+    assert_eq!(run_it(true, 0.8).1, whole, "another life goes on to the bit");
+}
+
+#[test]
+fn a_membrane_that_burns_shrinks_and_comes_apart() {
+    let springs = "membrane_stiffness = 60.0, bending_stiffness = 1e-6, density = 1.0";
+    burns_as_a_membrane(
+        &format!("mass_spring = {{ springs = {{ surface = {{ {springs} }} }}, damping = 10.0 }}"),
+        |context| MassSpringController::new(GRAVITY, context),
+    );
+    burns_as_a_membrane(
+        &format!("xpbd = {{ matter = {{ cloth = {{ {springs} }} }}, damping = 10.0, parts = 8 }}"),
+        xpbd,
+    );
+}
+
+#[test]
+fn what_burns_otherwise_than_it_moves_is_refused() {
+    let refused = |text: &str| {
+        let store = scene(text);
+        let stage = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| Stage::new(store, 100.0, xpbd)));
+        let why = stage.err().expect("refused");
+        why.downcast::<String>().map(|why| *why).unwrap_or_default()
+    };
+    let cloth = "xpbd = { matter = { cloth = { membrane_stiffness = 60.0, bending_stiffness = 1e-6, \
+                 density = 1.0 } } }";
+    assert!(refused(&membrane(cloth, "cauterised = {}")).contains("give 'cauterised' its 'thickness'"));
+    let volume = column(XPBD, "", "probe").replace("cauterised = {}", "cauterised = { thickness = 0.001 }");
+    assert!(refused(&volume).contains("has no 'thickness'"));
 }

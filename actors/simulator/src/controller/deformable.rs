@@ -101,6 +101,15 @@ impl Deformable {
         self.pinned = held.map(|(vertex, _)| vertex as u32).collect();
     }
 
+    /// Vertices that nothing moves, ascending: held ones, and those that nothing uses.
+    #[must_use]
+    pub fn staying(&self) -> Vec<u32> {
+        let mut staying: Vec<u32> = self.pinned.iter().chain(&self.loose).copied().collect();
+        staying.sort_unstable();
+        staying.dedup();
+        staying
+    }
+
     /// Of each vertex whether nothing moves it: it is held, or nothing uses it.
     #[must_use]
     pub fn stays(&self) -> Vec<bool> {

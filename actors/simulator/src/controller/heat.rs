@@ -55,6 +55,18 @@ pub struct Heated {
 }
 
 impl Heated {
+    /// What an earlier life knew that had taken out so many elements: the others come as news.
+    #[must_use]
+    pub fn known(scene: &Snapshot, entity: Entity, taken: usize) -> Self {
+        let removed = scene.get::<RemovedElements>(entity).map(|of| of.elements.clone()).unwrap_or_default();
+        let coagulated = scene.get::<CoagulatedElements>(entity).map(|of| of.elements.clone());
+        let removed = match taken {
+            all if all >= removed.len() => removed,
+            _ => Arc::new(removed[..taken].to_vec()),
+        };
+        Self { removed, coagulated: coagulated.unwrap_or_default() }
+    }
+
     /// Takes over what the scene says: elements that went, and those that are coagulated otherwise, since the last time.
     pub fn news(&mut self, scene: &Snapshot, entity: Entity) -> (Vec<u32>, Vec<Coagulated>) {
         let (mut gone, mut changed) = (Vec::new(), Vec::new());

@@ -10,14 +10,16 @@ use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
 };
 
+use super::burning_surface::BurningSurface;
 use super::cuts::Cuts;
 use super::deformable::Deformable;
+use super::electrosurgery::CauterisedBody;
 use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
 use super::touch::{Skin, Touch};
 use crate::cutting::{Sheet, Sweep, TopologyChange};
 use crate::mass_spring::{
-    Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, Prescribed, State,
-    SurfaceMaterial, TooLarge, VolumeMaterial,
+    Altered, Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, Prescribed,
+    State, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
 
 /// Parts into which a step is divided at most.
@@ -134,18 +136,22 @@ impl MassSpringBody {
         Config { integrator, lag: self.lag, damping: self.damping, ..Config::default() }
     }
 
-    fn network(&self, body: &Deformable) -> Result<Network, String> {
+    fn network(&self, body: &Deformable, altered: &[Altered]) -> Result<Network, String> {
         let network = match self.springs {
             Springs::Line { axial_stiffness, bending_stiffness, density } => Network::from_line(
                 &body.rest,
                 &body.segments,
                 &LineMaterial { axial_stiffness, bending_stiffness, density },
             ),
-            Springs::Surface { membrane_stiffness, bending_stiffness, density } => Network::from_surface(
-                &body.rest,
-                &body.triangles,
-                &SurfaceMaterial { membrane_stiffness, bending_stiffness, density },
-            ),
+            Springs::Surface { membrane_stiffness, bending_stiffness, density } => {
+                Network::from_altered_surface(
+                    &body.rest,
+                    &body.triangles,
+                    &SurfaceMaterial { membrane_stiffness, bending_stiffness, density },
+                    altered,
+                    &body.loose,
+                )
+            }
             Springs::Volume { young_modulus, density } => {
                 Network::from_volume(&body.rest, &body.tets, &VolumeMaterial { young_modulus, density })
             }
@@ -173,6 +179,8 @@ pub struct MassSpringMethod {
     prescribed: Vec<Prescribed>,
     /// A surface can be cut.
     surface: Option<Surface>,
+    /// Or burned.
+    burning: Option<BurningSurface>,
 }
 
 /// A surface that can be cut, and what has become of it.
@@ -276,20 +284,28 @@ impl SoftMethod for MassSpringMethod {
     const CONTROLLER: &'static str = "mass-spring";
 
     fn build(kind: &MassSpringBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
-        let network = kind.network(body)?;
-        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
-        let solver = MassSpring::restore(network, state, &body.pinned, kind.config())
-            .map_err(|error| error.to_string())?;
-        let surface = match kind.springs {
-            Springs::Surface { .. } => Some(Surface::new(body, scene)?),
+        let burning = match kind.springs {
+            Springs::Surface { .. } => BurningSurface::new(body, scene)?,
+            _ if scene.get::<CauterisedBody>(body.entity).is_some() => {
+                return Err("'mass_spring' burns as a surface only: 'xpbd', 'dynamic_fem' and 'linear_fem' as volumes".into());
+            }
             _ => None,
         };
-        Ok(Self { kind: *kind, solver, contacts: Vec::new(), prescribed: Vec::new(), surface })
+        let altered = burning.as_ref().map(BurningSurface::altered).unwrap_or_default();
+        let network = kind.network(body, &altered)?;
+        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
+        let solver = MassSpring::restore(network, state, &body.staying(), kind.config())
+            .map_err(|error| error.to_string())?;
+        let surface = match kind.springs {
+            Springs::Surface { .. } if burning.is_none() => Some(Surface::new(body, scene)?),
+            _ => None,
+        };
+        Ok(Self { kind: *kind, solver, contacts: Vec::new(), prescribed: Vec::new(), surface, burning })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
         let all = || EntitySet::Of(bodies.to_vec());
-        access.writes::<SurfaceMesh>(all()).writes::<Cuts>(all()).writes::<TextureCoordinates>(all())
+        BurningSurface::access(access, bodies).writes::<Cuts>(all()).writes::<TextureCoordinates>(all())
     }
 
     fn positions(&self) -> &[Point3<f64>] {
@@ -314,6 +330,19 @@ impl SoftMethod for MassSpringMethod {
         site: &Site<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
+        if let Some(burning) = &mut self.burning {
+            let (changed, reshaped) = burning.burn(body, site, out);
+            if changed {
+                let network = self.kind.network(body, &burning.altered())?;
+                self.solver
+                    .rebuild(&body.staying(), |old, _| {
+                        *old = network;
+                        Ok(())
+                    })
+                    .map_err(|error| error.to_string())?;
+            }
+            return Ok(reshaped);
+        }
         let Some(surface) = &mut self.surface else { return Ok(None) };
         let had_blades = !surface.cuts.blades.is_empty();
         let sweeps = surface.cuts.sweeps(site.scene, site.world_from_body);

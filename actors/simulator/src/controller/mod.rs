@@ -5,6 +5,7 @@
 //! burned or cut. What a solver refuses freezes the one body that it is about; the others go on.
 
 pub mod bleeding;
+pub mod burning_surface;
 pub mod cuts;
 pub mod deformable;
 pub mod dynamic_fem;
@@ -43,6 +44,7 @@ use trocar_scene::{RegistryBuilder, RegistryError};
 use crate::instrument::mechanism::MechanismState;
 
 pub use bleeding::{BleedingController, Vessel, VesselState};
+pub use burning_surface::SurfaceElements;
 pub use deformable::Deformable;
 pub use dynamic_fem::{DynamicFemBody, DynamicFemController};
 pub use dynamic_fem_memory::DynamicFemMemory;
@@ -83,6 +85,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<RemovedElements>()?;
     builder.register::<CoagulatedElements>()?;
     builder.register::<VolumeCuts>()?;
+    builder.register::<SurfaceElements>()?;
     builder.register::<HeatState>()?;
     builder.register::<Plume>()?;
     builder.register::<SmokeCloud>()?;

@@ -29,6 +29,8 @@ pub struct VolumeCuts {
     pub opened: Arc<Vec<FaceOf>>,
     /// Of the nodes that the first mesh did not have: the one of the first mesh that each of them was.
     pub origins: Arc<Vec<u32>>,
+    /// Of the elements that heat has removed, how many have been taken out.
+    pub taken: u32,
     /// Of the opened faces, how many tore.
     pub torn: u32,
     /// Where the edge of each pair of closed blades was, in the frame of the body.
@@ -89,8 +91,11 @@ impl Parting {
     /// What is wrong with its mesh.
     pub fn new(body: &mut Deformable, weakness: Weakness, scene: &Snapshot) -> Result<Option<Self>, String> {
         let known = scene.get::<VolumeCuts>(body.entity).cloned();
-        let heats = scene.get::<CauterisedBody>(body.entity).is_some()
-            || scene.get::<RemovedElements>(body.entity).is_some();
+        let burns = scene.get::<CauterisedBody>(body.entity);
+        if burns.is_some_and(|burns| burns.thickness.is_some()) {
+            return Err("it moves as a volume: 'cauterised' has no 'thickness' then".into());
+        }
+        let heats = burns.is_some() || scene.get::<RemovedElements>(body.entity).is_some();
         if !(weakness.cut || weakness.tears.is_some() || heats || known.is_some()) {
             return Ok(None);
         }
@@ -101,13 +106,15 @@ impl Parting {
         let cuts = known.unwrap_or_default();
         // Their nodes have parted already, where they do.
         volume.open(&cuts.opened).map_err(|error| error.to_string())?;
-        let mut heated = Heated::default();
-        let (gone, _) = heated.news(scene, body.entity);
-        volume.take_out(&gone).map_err(|error| error.to_string())?;
+        let heated = Heated::known(scene, body.entity, cuts.taken as usize);
+        let there = heated.removed.iter().copied().filter(|&tet| volume.tet(tet).is_some());
+        let there: Vec<u32> = there.collect();
+        volume.take_out(&there).map_err(|error| error.to_string())?;
         body.loose = volume.orphans();
         body.is_parted = !cuts.origins.is_empty();
         let inverse_shapes = mesh.inverse_shapes().to_vec();
-        let faces = faces_of(&volume, &body.triangles);
+        let faces = faces_of(&volume, &body.triangles)
+            .ok_or("its surface is not that of its volume: what comes apart needs the mesh of one")?;
         let pieces = volume.pieces();
         let told_blades = !cuts.blades.is_empty();
         Ok(Some(Self { volume, weakness, faces, heated, cuts, pieces, inverse_shapes, told_blades }))
@@ -176,6 +183,7 @@ impl Parting {
         let parts = !(gone.is_empty() && opened.is_empty());
         if parts || self.told_blades || !self.cuts.blades.is_empty() {
             self.told_blades = !self.cuts.blades.is_empty();
+            self.cuts.taken = self.heated.removed.len() as u32;
             self.split(elements, body, site, &change, out)?;
             out.put(body.entity, self.cuts.clone());
         }
@@ -299,8 +307,8 @@ fn copy_last<T: Copy>(of: &mut Arc<Vec<T>>, parent: u32) {
     of.push(of[parent as usize]);
 }
 
-/// The faces that triangles are, in their order; of a surface that is not the boundary, the boundary.
-fn faces_of(volume: &Volume, triangles: &[[u32; 3]]) -> Vec<FaceOf> {
+/// The faces that triangles are, in their order; `None` of a surface that is not the boundary.
+fn faces_of(volume: &Volume, triangles: &[[u32; 3]]) -> Option<Vec<FaceOf>> {
     let sorted = |mut nodes: [u32; 3]| {
         nodes.sort_unstable();
         nodes
@@ -314,7 +322,7 @@ fn faces_of(volume: &Volume, triangles: &[[u32; 3]]) -> Vec<FaceOf> {
             .face(*face)
             .is_some_and(|own| (0..3).any(|k| [own[k], own[(k + 1) % 3], own[(k + 2) % 3]] == *nodes))
     };
-    let found: Option<Vec<FaceOf>> = triangles
+    let faces: Option<Vec<FaceOf>> = triangles
         .iter()
         .map(|nodes| {
             let faces = known.get_mut(&sorted(*nodes))?;
@@ -322,8 +330,5 @@ fn faces_of(volume: &Volume, triangles: &[[u32; 3]]) -> Vec<FaceOf> {
             Some(faces.swap_remove(at))
         })
         .collect();
-    match found {
-        Some(found) if known.values().all(Vec::is_empty) => found,
-        _ => volume.boundary().collect(),
-    }
+    faces.filter(|_| known.values().all(Vec::is_empty))
 }

@@ -9,12 +9,13 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Access, Commands, Component, ComponentError, Entity, Snapshot};
 
+use super::burning_surface::BurningSurface;
 use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
 use super::parting::{Elements, Parting, Weakness};
 use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
 use super::touch::{Skin, Touch};
-use crate::mass_spring::{Contact, LineMaterial, Network, Prescribed, State, SurfaceMaterial};
+use crate::mass_spring::{Altered, Contact, LineMaterial, Network, Prescribed, State, SurfaceMaterial};
 use crate::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
 /// What a position-based body is made of, by the kind of its mesh.
@@ -129,7 +130,7 @@ impl XpbdBody {
         }
     }
 
-    fn solver(&self, body: &Deformable) -> Result<Xpbd, String> {
+    fn solver(&self, body: &Deformable, altered: &[Altered]) -> Result<Xpbd, String> {
         let XpbdBody { parts, iterations, damping, .. } = *self;
         let config = XpbdConfig { parts, iterations, damping, ..XpbdConfig::default() };
         let mut solver = match self.matter {
@@ -140,7 +141,7 @@ impl XpbdBody {
             }
             Matter::Cloth { membrane_stiffness, bending_stiffness, density } => {
                 let material = SurfaceMaterial { membrane_stiffness, bending_stiffness, density };
-                Network::from_surface(&body.rest, &body.triangles, &material)
+                Network::from_altered_surface(&body.rest, &body.triangles, &material, altered, &body.loose)
                     .and_then(|network| of_network(body, &network, config))
             }
             Matter::Rod { axial_stiffness, bending_stiffness, density } => {
@@ -169,7 +170,7 @@ fn of_network(
         bends: &network.hinges,
         ..Body::default()
     };
-    Xpbd::new(&made, &body.pinned, config)
+    Xpbd::new(&made, &body.staying(), config)
 }
 
 /// A solver of one body, whose elements may go.
@@ -192,7 +193,7 @@ impl Elements for Solver {
     }
 
     fn split(&mut self, body: &Deformable, _split: &[(u32, u32)], heated: &Heated) -> Result<(), String> {
-        self.solver = self.kind.solver(body)?;
+        self.solver = self.kind.solver(body, &[])?;
         self.alter(&heated.coagulated);
         self.remove(&heated.removed);
         Ok(())
@@ -204,6 +205,7 @@ pub struct XpbdMethod {
     kind: XpbdBody,
     of: Solver,
     parting: Option<Parting>,
+    burning: Option<BurningSurface>,
     contacts: Vec<Contact>,
     prescribed: Vec<Prescribed>,
 }
@@ -228,20 +230,22 @@ impl SoftMethod for XpbdMethod {
     const CONTROLLER: &'static str = "xpbd";
 
     fn build(kind: &XpbdBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
-        let parting = match kind.matter {
-            Matter::Volume { .. } => Parting::new(body, kind.weakness(), scene)?,
-            _ => None,
+        let (parting, burning) = match kind.matter {
+            Matter::Volume { .. } => (Parting::new(body, kind.weakness(), scene)?, None),
+            Matter::Cloth { .. } => (None, BurningSurface::new(body, scene)?),
+            Matter::Rod { .. } => (None, None),
         };
-        let mut of = Solver { kind: *kind, solver: kind.solver(body)? };
+        let altered = burning.as_ref().map(BurningSurface::altered).unwrap_or_default();
+        let mut of = Solver { kind: *kind, solver: kind.solver(body, &altered)? };
         if let Some(parting) = &parting {
             of.alter(&parting.heated().coagulated);
             of.remove(&parting.heated().removed);
         }
-        Ok(Self { kind: *kind, of, parting, contacts: Vec::new(), prescribed: Vec::new() })
+        Ok(Self { kind: *kind, of, parting, burning, contacts: Vec::new(), prescribed: Vec::new() })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        Parting::access(access, bodies)
+        BurningSurface::access(Parting::access(access, bodies), bodies)
     }
 
     fn is_cut_by_blades(&self) -> bool {
@@ -254,6 +258,13 @@ impl SoftMethod for XpbdMethod {
         site: &Site<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
+        if let Some(burning) = &mut self.burning {
+            let (changed, reshaped) = burning.burn(body, site, out);
+            if changed {
+                self.of.solver = self.kind.solver(body, &burning.altered())?;
+            }
+            return Ok(reshaped);
+        }
         let Some(parting) = &mut self.parting else { return Ok(None) };
         parting.reshape(&mut self.of, body, site, out)
     }

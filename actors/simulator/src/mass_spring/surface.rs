@@ -16,11 +16,27 @@ fn sides(triangle: u32, corners: &[u32; 3]) -> [Side; 3] {
 
 /// Sine of a fold (as a share of its edge) below which it counts as flat.
 const FLAT: f64 = 1e-6;
+/// Mass of a node that is pinned and of no triangle \[kg\].
+const LOOSE: f64 = 1e-6;
 
 /// Area of a triangle \[m²\].
 pub(crate) fn area(corners: &[u32; 3], positions: &[Point3<f64>]) -> f64 {
     let [a, b, c] = corners.map(|node| positions[node as usize]);
     0.5 * (b - a).cross(&(c - a)).norm()
+}
+
+/// What has become of a triangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Altered {
+    /// Times the stiffness it had.
+    pub stiffness: f64,
+    /// Times the length at rest that it had.
+    pub length: f64,
+}
+
+impl Altered {
+    /// As it was.
+    pub const NONE: Self = Self { stiffness: 1.0, length: 1.0 };
 }
 
 impl Network {
@@ -34,6 +50,21 @@ impl Network {
         triangles: &[[u32; 3]],
         material: &SurfaceMaterial,
     ) -> Result<Self, NetworkError> {
+        Self::from_altered_surface(rest, triangles, material, &[], &[])
+    }
+
+    /// The same of triangles of which each is as `altered` says, or all as they were where that is empty. Nodes in `loose`
+    /// may be of no triangle: they are to be pinned, and have a mass for the sake of form.
+    ///
+    /// # Errors
+    /// As [`from_surface`](Self::from_surface).
+    pub fn from_altered_surface(
+        rest: &[Point3<f64>],
+        triangles: &[[u32; 3]],
+        material: &SurfaceMaterial,
+        altered: &[Altered],
+        loose: &[u32],
+    ) -> Result<Self, NetworkError> {
         check(rest, triangles, material)?;
         let mut network = Self { masses: vec![0.0; rest.len()], rest: rest.to_vec(), ..Self::default() };
         let mut all: Vec<Side> = Vec::with_capacity(3 * triangles.len());
@@ -45,9 +76,43 @@ impl Network {
         all.sort_unstable();
         for edge in all.chunk_by(|first, second| first.0 == second.0) {
             network.push_edge(rest, triangles, material, edge);
+            network.alter_last(edge, triangles, rest, altered);
+        }
+        for &node in loose {
+            let mass = &mut network.masses[node as usize];
+            *mass = if *mass > 0.0 { *mass } else { LOOSE };
         }
         network.check(rest.len())?;
         Ok(network)
+    }
+
+    /// Makes the edge that was pushed last as stiff and as long as its triangles are, each by its share of the area.
+    fn alter_last(
+        &mut self,
+        edge: &[Side],
+        triangles: &[[u32; 3]],
+        rest: &[Point3<f64>],
+        altered: &[Altered],
+    ) {
+        let (mut whole, mut stiffness, mut length) = (0.0, 0.0, 0.0);
+        for &(_, triangle) in edge {
+            let of = altered.get(triangle as usize).copied().unwrap_or(Altered::NONE);
+            let share = area(&triangles[triangle as usize], rest);
+            whole += share;
+            stiffness += share * of.stiffness;
+            length += share * of.length;
+        }
+        let (stiffness, length) = (stiffness / whole, length / whole);
+        if stiffness == 1.0 && length == 1.0 {
+            return;
+        }
+        if let Some(spring) = self.springs.last_mut() {
+            spring.stiffness *= stiffness;
+            spring.rest *= length;
+        }
+        if let Some(hinge) = self.hinges.last_mut().filter(|hinge| hinge.nodes[..2] == edge[0].0) {
+            hinge.stiffness *= stiffness;
+        }
     }
 
     fn push_edge(
