@@ -101,6 +101,15 @@ struct Answer {
     force: Vector3<f64>,
 }
 
+/// How far what is asked is held.
+#[derive(Default)]
+struct Held {
+    /// Of the list, so many have been asked for.
+    asked: usize,
+    /// Those of them that are held, in the order of the solver.
+    holding: Vec<usize>,
+}
+
 enum By {
     /// A rod that touches.
     Touch(Touch),
@@ -236,17 +245,19 @@ impl Body {
         if self.solver.is_none() {
             return Ok(Vec::new());
         }
-        let (rods, tick) = (site.rods, site.tick);
         let mut answers = self.ask(site)?;
-        self.answer(&mut answers, tick).map_err(|error| error.to_string())?;
-        for _ in 1..ROUNDS_MAX {
+        let mut held = Held::default();
+        self.let_go().map_err(|error| error.to_string())?;
+        for _ in 0..ROUNDS_MAX {
             let before = answers.len();
-            self.ask_more(rods, &mut answers);
+            self.answer(&mut answers, &mut held).map_err(|error| error.to_string())?;
+            self.ask_more(site.rods, &mut answers);
             if answers.len() == before {
                 break;
             }
-            self.answer(&mut answers, tick).map_err(|error| error.to_string())?;
         }
+        // What a last look has found is for the next tick.
+        self.look_inside(site.tick);
         Ok(answers)
     }
 
@@ -359,14 +370,23 @@ impl Body {
         }
     }
 
-    /// Solves for all of it, from nothing: the same in every life.
-    fn answer(&mut self, answers: &mut [Answer], tick: &Tick<'_>) -> Result<(), LinearFemError> {
+    /// Every tick solves from nothing: the same in every life.
+    fn let_go(&mut self) -> Result<(), LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         while let Some(held) = solver.held().last().map(|held| held.handle) {
             solver.release(held)?;
         }
-        let mut holding = Vec::with_capacity(answers.len());
-        for (index, answer) in answers.iter().enumerate() {
+        Ok(())
+    }
+
+    /// Holds what is not held yet, and solves for all of it.
+    fn answer(
+        &mut self,
+        answers: &mut [Answer],
+        Held { asked, holding }: &mut Held,
+    ) -> Result<(), LinearFemError> {
+        let Some(solver) = &mut self.solver else { return Ok(()) };
+        for (index, answer) in answers.iter().enumerate().skip(*asked) {
             match solver.hold(answer.attachment.clone()) {
                 Ok(handle) => {
                     solver.set_target(handle, answer.target)?;
@@ -377,24 +397,35 @@ impl Body {
                 Err(error) => return Err(error),
             }
         }
+        *asked = answers.len();
         for (index, reaction) in holding.iter().zip(solver.solve(&[])?.reactions) {
             answers[*index].force = reaction.force;
         }
         let mut moved = Vec::new();
-        // What an element has uncovered that has just gone, is of the inside for the inverse.
-        if tick.number.is_multiple_of(INSIDE_EVERY) || !solver.removed().is_empty() {
-            solver.displacements(&mut moved);
-            let gone = self.parting.as_ref().map_or(&[][..], |(parting, _)| &parting.heated().removed);
-            self.deformation = Deformation::without(&self.mesh, &moved, gone);
-            for (node, displacement) in moved.iter().enumerate() {
-                self.positions[node] = self.body.rest[node] + displacement;
-            }
-        }
         solver.surface_displacements(&mut moved);
         for (&node, displacement) in solver.compliance().nodes().iter().zip(&moved) {
             self.positions[node as usize] = self.body.rest[node as usize] + displacement;
         }
         Ok(())
+    }
+
+    /// The inside, now and then; while something burns always, for what has just been uncovered is of the inside for the
+    /// inverse.
+    fn look_inside(&mut self, tick: &Tick<'_>) {
+        let Some(solver) = &mut self.solver else { return };
+        let look = tick.number.is_multiple_of(INSIDE_EVERY);
+        if !look && solver.removed().is_empty() {
+            return;
+        }
+        let mut moved = Vec::new();
+        solver.displacements(&mut moved);
+        for (node, displacement) in moved.iter().enumerate() {
+            self.positions[node] = self.body.rest[node] + displacement;
+        }
+        if look {
+            let gone = self.parting.as_ref().map_or(&[][..], |(parting, _)| &parting.heated().removed);
+            self.deformation = Deformation::without(&self.mesh, &moved, gone);
+        }
     }
 
     /// A force as everybody sees it: `a` is the instrument, `b` the body. Its depth is how far the surface is from rest

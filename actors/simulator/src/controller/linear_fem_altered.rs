@@ -12,6 +12,9 @@ use super::linear_fem_jobs::built;
 use super::parting::Elements;
 use crate::linear_fem::{Alteration, LinearFem, LinearFemError, REMOVED_MAX};
 
+/// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next.
+const TAKEN_MAX: usize = 8;
+
 /// What has become of the elements, and how far the inverse follows.
 pub(super) struct Altered {
     /// Of all elements, as the scene has them.
@@ -100,14 +103,15 @@ impl Altered {
     }
 
     fn correct(&mut self, solver: &mut LinearFem) -> Result<(), LinearFemError> {
-        let mut later = Vec::new();
+        let (mut later, mut allowed) = (Vec::new(), TAKEN_MAX);
         let mut next = std::mem::take(&mut self.pending);
         while !next.is_empty() {
-            let room = REMOVED_MAX - solver.removed().len();
+            let room = (REMOVED_MAX - solver.removed().len()).min(allowed);
             let batch: Vec<u32> = next.drain(..room.min(next.len())).collect();
             if batch.is_empty() {
                 break;
             }
+            allowed -= batch.len();
             match solver.remove(&batch) {
                 Ok(()) => {}
                 Err(LinearFemError::Apart { tet }) => {

@@ -10,6 +10,9 @@ use crate::elasticity::{Elastic, weighted_stiffness};
 use crate::sparse::{FactorError, SparseCholesky, nested_dissection};
 use crate::tet_mesh::TetMesh;
 
+/// Columns that a factor solves for at once: those of an element's stiffness.
+const COLUMNS: usize = 6;
+
 /// How much a precomputation may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
@@ -285,7 +288,7 @@ pub(super) fn factor(
         return Err(PrecomputeError::TooLarge { surface_nodes, bytes, bytes_max: limits.bytes_max });
     }
     let matrix = weighted_stiffness(mesh, material, weights, &boundary.numbers, boundary.free());
-    let mut factor = SparseCholesky::new(matrix.pattern(), 3)?;
+    let mut factor = SparseCholesky::new(matrix.pattern(), COLUMNS)?;
     factor.factor(matrix.pattern(), matrix.values())?;
     Ok(factor)
 }

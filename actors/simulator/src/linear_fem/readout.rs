@@ -19,11 +19,13 @@ impl LinearFem {
                 add(&mut self.single, self.compliance.row(*index, axis), force[axis] as f32);
             }
         }
-        let loads = self.loads.iter().filter_map(|(index, force)| {
-            let row = self.boundary.numbers[self.boundary.surface[*index] as usize]?;
-            Some((row, [force.x, force.y, force.z]))
-        });
-        if let Some(shares) = self.removal.share(loads) {
+        let mut through = self.removal.through(self.loads_by_row()).map(|through| through.shares);
+        for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
+            if let (Some(sum), Some(own)) = (&mut through, &row.through) {
+                sum.axpy(*multiplier, &own.shares, 1.0);
+            }
+        }
+        if let Some(shares) = through {
             self.removal.add_to_surface(&self.boundary, &shares, &mut self.single);
         }
         out.clear();

@@ -34,6 +34,14 @@ pub(super) struct Removal {
     s: Option<Cholesky<f64, Dyn>>,
 }
 
+/// A sparse force f as the correction sees it: Yᵀ f, and S⁻¹ of that. Between two forces the correction of the compliance is
+/// the product of the one's parts and the other's shares.
+#[derive(Clone, Debug)]
+pub(super) struct Through {
+    pub parts: DVector<f64>,
+    pub shares: DVector<f64>,
+}
+
 impl Removal {
     /// Takes one more element out; `false`, and nothing has changed, where the body would not bear it.
     pub fn take(
@@ -46,17 +54,18 @@ impl Removal {
     ) -> bool {
         let rows = mesh.tets()[tet as usize].map(|node| boundary.numbers[node as usize]);
         let u = root_of_stiffness(mesh, material, tet as usize) * self.weight(tet).sqrt();
-        for column in 0..RANK {
-            let mut y = vec![0.0; 3 * boundary.free()];
+        let count = 3 * boundary.free();
+        let mut all = vec![0.0; RANK * count];
+        for (column, y) in all.chunks_exact_mut(count).enumerate() {
             for (corner, row) in rows.iter().enumerate() {
                 let Some(row) = row else { continue };
                 for axis in 0..3 {
                     y[3 * *row as usize + axis] += u[(3 * corner + axis, column)];
                 }
             }
-            factor.solve(&mut y);
-            self.y.push(y);
         }
+        factor.solve(&mut all);
+        self.y.extend(all.chunks_exact(count).map(<[f64]>::to_vec));
         self.columns.push((rows, u));
         self.tets.push(tet);
         let size = self.y.len();
@@ -96,17 +105,17 @@ impl Removal {
         self.weight(tet) <= REMNANT || self.tets.contains(&tet)
     }
 
-    /// S⁻¹ Yᵀ of a sparse right side: what a force does through what is missing. `None` where nothing is.
-    pub fn share(&self, forces: impl Iterator<Item = (u32, [f64; 3])> + Clone) -> Option<DVector<f64>> {
+    /// What a force does through what is missing. `None` where nothing is.
+    pub fn through(&self, forces: impl Iterator<Item = (u32, [f64; 3])> + Clone) -> Option<Through> {
         let factored = self.s.as_ref()?;
-        let mut right = DVector::from_iterator(
+        let parts = DVector::from_iterator(
             self.y.len(),
             self.y.iter().map(|y| {
                 forces.clone().map(|(row, force)| dot(&y[3 * row as usize..][..3], &force)).sum::<f64>()
             }),
         );
-        factored.solve_mut(&mut right);
-        Some(right)
+        let shares = factored.solve(&parts);
+        Some(Through { parts, shares })
     }
 
     /// Corrects what the factor has solved for, over all free nodes: x + Y S⁻¹ Uᵀ x.

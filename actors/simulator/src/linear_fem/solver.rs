@@ -8,7 +8,7 @@ use super::active::{ActiveSet, Packed};
 use super::attachment::{Attachment, Hold, check_weights};
 use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::error::LinearFemError;
-use super::removal::Removal;
+use super::removal::{Removal, Through};
 use crate::elasticity::Elastic;
 use crate::sparse::SparseCholesky;
 use crate::tet_mesh::TetMesh;
@@ -64,8 +64,10 @@ pub(super) struct Row {
     pub(super) held: usize,
     pub(super) direction: Vector3<f64>,
     pub(super) one_sided: bool,
-    /// Displacements of the free surface nodes per force along it \[m/N\].
+    /// Displacements of the free surface nodes per force along it \[m/N\], but for what goes through `through`.
     pub(super) compliance: Vec<f32>,
+    /// What elements that were taken out add to that; a row of the interior has it in its compliance.
+    pub(super) through: Option<Through>,
     /// Displacement by the dead load along it \[m\].
     dead: f64,
 }
@@ -299,6 +301,7 @@ impl LinearFem {
         for direction in &directions[..count] {
             let mut compliance = self.spare.pop().unwrap_or_else(|| vec![0.0; self.single.len()]);
             compliance.fill(0.0);
+            let mut through = None;
             let full = if inner {
                 let mut full = vec![0.0; 3 * self.boundary.free()];
                 spread(&self.boundary, &mut full, weights, direction);
@@ -323,13 +326,11 @@ impl LinearFem {
                     let row = self.boundary.numbers[node as usize]?;
                     Some((row, [0, 1, 2].map(|axis| weight * direction[axis])))
                 });
-                if let Some(shares) = self.removal.share(spread) {
-                    self.removal.add_to_surface(&self.boundary, &shares, &mut compliance);
-                }
+                through = self.removal.through(spread);
                 None
             };
             let dead = mean(&self.boundary, &self.dead, weights, direction);
-            self.rows.push(Row { held: own, direction: *direction, one_sided, compliance, dead });
+            self.rows.push(Row { held: own, direction: *direction, one_sided, compliance, through, dead });
             // With every row there is, itself last. Of two rows at least the newer one's displacements are known where
             // the other is: everywhere if it is of the interior, else on the surface, where it is itself.
             let new = &self.rows[self.rows.len() - 1];
@@ -340,7 +341,10 @@ impl LinearFem {
                             if row.held == own { weights } else { &self.held[row.held].attachment.weights };
                         mean(&self.boundary, full, other, &row.direction)
                     }
-                    None => surface_mean(&self.boundary, &row.compliance, weights, &new.direction),
+                    None => {
+                        let direct = surface_mean(&self.boundary, &row.compliance, weights, &new.direction);
+                        direct + between(new.through.as_ref(), row.through.as_ref())
+                    }
                 };
                 self.w.values.push(entry);
             }
@@ -396,11 +400,13 @@ impl LinearFem {
                 }
             }
         }
+        let through = self.removal.through(self.loads_by_row());
         self.right.clear();
         for row in &self.rows {
             let target = self.held[row.held].target.dot(&row.direction);
             let loaded: f64 =
                 self.loads.iter().map(|(index, force)| at(&row.compliance, *index).dot(force)).sum();
+            let loaded = loaded + between(through.as_ref(), row.through.as_ref());
             self.right.push(target - row.dead - loaded);
         }
         self.before.multipliers.clone_from(&self.multipliers);
@@ -424,6 +430,14 @@ impl LinearFem {
             self.reactions[row.held].force += row.direction * *multiplier;
         }
         Ok(Solution { reactions: &self.reactions, rounds })
+    }
+
+    /// Loads by the rows of their nodes in the order of elimination.
+    pub(super) fn loads_by_row(&self) -> impl Iterator<Item = (u32, [f64; 3])> + Clone {
+        self.loads.iter().filter_map(|(index, force)| {
+            let row = self.boundary.numbers[self.boundary.surface[*index] as usize]?;
+            Some((row, [force.x, force.y, force.z]))
+        })
     }
 
     /// Finds the forces, and which one-sided rows act: the active-set method for least squares with signs (Lawson,
@@ -490,6 +504,14 @@ impl LinearFem {
             }
         }
         deepest
+    }
+}
+
+/// What is missing adds to the displacement by one force along the other.
+fn between(one: Option<&Through>, other: Option<&Through>) -> f64 {
+    match (one, other) {
+        (Some(one), Some(other)) => one.parts.dot(&other.shares),
+        _ => 0.0,
     }
 }
 
