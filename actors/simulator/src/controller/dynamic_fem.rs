@@ -34,7 +34,7 @@ pub struct DynamicFemBody {
     pub stiffness_damping: f64,
     /// Force per depth of a contact \[N/m\].
     pub contact_stiffness: f64,
-    /// Whether blades cut it; then they do not push it.
+    /// Whether blades cut it, along the faces of its elements; then they do not push it.
     pub cut: bool,
     /// Tension that tears it \[Pa\]; without one nothing does.
     pub strength: Option<f64>,

@@ -1,7 +1,9 @@
 //! The controller of tissue under electrodes: what is switched on at the tip of an instrument heats, burns and removes.
 //!
-//! Temperatures and burns go to the vertices of the body, for the edit map; elements that are gone are taken out of its
-//! surface. The volume itself is left to the solver of its mechanics, which reads [`RemovedElements`].
+//! Temperatures and burns go to the vertices of the body, for the edit map. Whoever moves the body reads which elements are
+//! gone ([`RemovedElements`]) and which are stiffer and shorter ([`CoagulatedElements`]), and takes them out of its surface;
+//! of a body that nobody moves that is done here. Heat stays with the shape at rest: an electrode is where it would be
+//! there.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

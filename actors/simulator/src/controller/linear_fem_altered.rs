@@ -1,5 +1,5 @@
 //! A linear organ that burns: elements leave its inverse by a correction of low rank, at once and exactly, while a job computes
-//! the inverse of what it has become; stiffness and shrinkage come with that.
+//! the inverse of what it has become. What shrinks does so at once, too; that it is stiffer comes with the job.
 
 use std::collections::BTreeSet;
 
@@ -25,6 +25,8 @@ pub(super) struct Altered {
     since: Vec<u32>,
     /// Whether anything has changed since the last job began.
     stale: bool,
+    /// Whether anything has shrunk since the inverse that serves was told.
+    shrinks: bool,
     submitted: bool,
 }
 
@@ -36,11 +38,13 @@ impl Altered {
             pending: Vec::new(),
             since: Vec::new(),
             stale: false,
+            shrinks: false,
             submitted: false,
         };
         this.alter(&heated.coagulated);
         this.remove(&heated.removed);
-        (this.stale, this.pending, this.since) = (false, Vec::new(), Vec::new());
+        (this.stale, this.shrinks) = (false, false);
+        (this.pending, this.since) = (Vec::new(), Vec::new());
         this
     }
 
@@ -66,7 +70,7 @@ impl Altered {
             let known = self.alterations.get_mut(of.element as usize);
             if let Some(known) = known.filter(|known| **known != Alteration::GONE) {
                 *known = Alteration { stiffness: of.stiffness, length: of.length };
-                self.stale = true;
+                (self.stale, self.shrinks) = (true, true);
             }
         }
     }
@@ -88,8 +92,12 @@ impl Altered {
             **solver = new;
             self.submitted = false;
             self.pending.clone_from(&self.since);
+            self.shrinks = self.stale;
         }
-        self.correct(solver).map_err(|error| error.to_string())?;
+        let done = self.correct(solver).and_then(|()| {
+            if std::mem::take(&mut self.shrinks) { solver.shrink(&self.alterations) } else { Ok(()) }
+        });
+        done.map_err(|error| error.to_string())?;
         Ok((self.stale && !self.submitted).then(|| self.alterations.clone()))
     }
 

@@ -76,7 +76,7 @@ pub struct XpbdBody {
     pub contact_stiffness: f64,
     /// Coulomb friction against instruments.
     pub friction: f64,
-    /// Of a volume: whether blades cut it; then they do not push it.
+    /// Of a volume: whether blades cut it, along the faces of its elements; then they do not push it.
     pub cut: bool,
     /// Of a volume: tension that tears it \[Pa\]; without one nothing does.
     pub strength: Option<f64>,

@@ -59,25 +59,35 @@ impl LinearFem {
         let factor = factor(&mesh, material, &weights, &boundary, limits)?;
         // Of no file's: what burns today does not burn tomorrow.
         let compliance = Compliance::from_factor(0, &boundary, &factor, progress)?;
-        let shrinking = shrinking(&mesh, material, alterations);
         let mut body = Self::assembled(mesh, *material, boundary, factor, compliance);
         body.removal.weights = weights;
-        body.set_dead_load(&shrinking)?;
+        body.shrink(alterations)?;
         Ok(body)
     }
-}
 
-/// Forces on all nodes of what would be shorter than it is held \[N\]: the stress of the missing strain, (3λ + 2μ)(l − 1),
-/// over each element.
-fn shrinking(mesh: &TetMesh, material: &Elastic, alterations: &[Alteration]) -> Vec<Vector3<f64>> {
-    let mut forces = vec![Vector3::zeros(); mesh.rest().len()];
-    let modulus = 3.0 * material.lambda() + 2.0 * material.mu();
-    let changed = alterations.iter().enumerate().filter(|(_, of)| of.length != 1.0 && of.stiffness > 0.0);
-    for (tet, of) in changed {
-        let pressure = modulus * of.stiffness * (of.length - 1.0) * mesh.volumes()[tet];
-        for (node, gradient) in mesh.tets()[tet].iter().zip(mesh.gradients(tet)) {
-            forces[*node as usize] += gradient * pressure;
+    /// Pulls the body together by what has shrunk, one alteration per element, with the stiffness that its inverse has of
+    /// them: what a new inverse changes is little then. Replaces the dead load; one sparse solve.
+    ///
+    /// # Errors
+    /// Another number of alterations than of elements.
+    pub fn shrink(&mut self, alterations: &[Alteration]) -> Result<(), LinearFemError> {
+        let count = self.mesh.tets().len();
+        if alterations.len() != count {
+            return Err(LinearFemError::Alterations { found: alterations.len(), tets: count });
         }
+        let modulus = 3.0 * self.material.lambda() + 2.0 * self.material.mu();
+        let mut forces = vec![Vector3::zeros(); self.mesh.rest().len()];
+        for (tet, of) in alterations.iter().enumerate() {
+            if of.length == 1.0 || self.removal.is_out(tet as u32) {
+                continue;
+            }
+            // The stress of the missing strain, (3λ + 2μ)(l − 1).
+            let stress = modulus * self.removal.weight(tet as u32) * (of.length - 1.0);
+            let pull = stress * self.mesh.volumes()[tet];
+            for (node, gradient) in self.mesh.tets()[tet].iter().zip(self.mesh.gradients(tet)) {
+                forces[*node as usize] += gradient * pull;
+            }
+        }
+        self.set_dead_load(&forces)
     }
-    forces
 }

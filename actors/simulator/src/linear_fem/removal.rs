@@ -96,12 +96,12 @@ impl Removal {
         *self = Self { weights: std::mem::take(&mut self.weights), ..Self::default() };
     }
 
-    fn weight(&self, tet: u32) -> f64 {
+    pub fn weight(&self, tet: u32) -> f64 {
         self.weights.get(tet as usize).copied().unwrap_or(1.0)
     }
 
     /// Whether an element is out, or was never in.
-    fn is_out(&self, tet: u32) -> bool {
+    pub fn is_out(&self, tet: u32) -> bool {
         self.weight(tet) <= REMNANT || self.tets.contains(&tet)
     }
 
