@@ -1,7 +1,8 @@
 //! Scenes of soft matter, in lock-step: judged by what came of them, and with a control that fails.
 
 use trocar::run::{RunOutcome, start};
-use trocar_scene::{DeviceForce, HapticStatus, SimTime};
+use trocar_scene::scenario::Scenario;
+use trocar_scene::{DeviceForce, HapticStatus, RestPositions, SimTime, TetMesh};
 use trocar_tests::{app, edited, finish, for_seeds, lockstep};
 
 fn run(name: &str, replacements: &[(&str, &str)]) -> RunOutcome {
@@ -184,4 +185,38 @@ fn a_probe_presses_on_a_liver_with_a_precomputed_inverse() {
     let ratio = |measure: &str| outcome(&stiffer, measure) / outcome(&pressed, measure);
     let (force, moved) = (ratio("liver.contact_force_n.largest"), ratio("liver.displacement_max_m.largest"));
     assert!((force / moved / 3.0 - 1.0).abs() < 0.25 && force > 1.5, "{force} times, moved {moved} times");
+}
+
+#[test]
+fn a_mesh_of_ones_own_takes_the_place_of_an_organ_by_one_line() {
+    let organ = run("fem-liver", &[]);
+    let scene = &organ.kernel.snapshot;
+    let liver = scene.find("liver").expect("a liver");
+    let mesh = scene.get::<TetMesh>(liver).expect("a volume");
+    let rest = scene.get::<RestPositions>(liver).expect("its shape at rest");
+    // The same liver as a file of Gmsh, as somebody else would write it.
+    let mut file = format!("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n{}\n", rest.positions.len());
+    for (node, at) in rest.positions.iter().enumerate() {
+        file.push_str(&format!("{} {:e} {:e} {:e}\n", node + 1, at.x, at.y, at.z));
+    }
+    file.push_str(&format!("$EndNodes\n$Elements\n{}\n", mesh.tets.len()));
+    for (element, tet) in mesh.tets.iter().enumerate() {
+        let [a, b, c, d] = tet.map(|node| node + 1);
+        file.push_str(&format!("{} 4 2 1 1 {a} {b} {c} {d}\n", element + 1));
+    }
+    file.push_str("$EndElements\n");
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::write(folder.path().join("my-liver.msh"), file).expect("written");
+    let (_, text) = trocar::app::SCENARIOS.iter().find(|(name, _)| *name == "fem-liver").expect("a scenario");
+    let one_line = "mesh = { organ = \"liver\", edge = 0.014 }\nlinear_fem";
+    assert!(text.contains(one_line));
+    let text = text.replace(one_line, "mesh = { file = \"my-liver.msh\" }\nlinear_fem");
+    let app = app();
+    let scenario = Scenario::parse(&folder.path().join("own.toml"), &text, app.registry());
+    let own = finish(&app, &scenario.expect("a valid scenario"), &lockstep(1));
+    assert!(own.summary.task.completed, "{:?} {:?}", own.summary.task, own.summary.error);
+    for measure in ["liver.contact_force_n.largest", "liver.displacement_max_m.largest"] {
+        let (of_organ, of_file) = (outcome(&organ, measure), outcome(&own, measure));
+        assert!((of_file / of_organ - 1.0).abs() < 1e-6, "{measure}: {of_file}, {of_organ}");
+    }
 }

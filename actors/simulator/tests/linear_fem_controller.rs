@@ -4,7 +4,9 @@ mod stage;
 
 use nalgebra::{Point3, Vector3};
 use stage::{Stage, scene};
-use trocar_scene::{BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, VertexPositions};
+use trocar_scene::{
+    BuildContext, CollisionList, ControllerError, Doubtful, Frozen, JawState, Pose, VertexPositions,
+};
 use trocar_simulator::controller::{LinearFemController, RemovedElements};
 
 const HZ: f64 = 60.0;
@@ -207,4 +209,22 @@ fn elements_that_burn_are_gone_at_once_and_the_next_inverse_takes_over_unfelt() 
         assert!(apart < 1e-8, "another life finds the same to {apart} m");
     }
     assert!(!stage.has::<Frozen>("pad"));
+}
+
+#[test]
+fn what_goes_beyond_small_displacements_is_told_once_and_goes_on() {
+    let pressed = |deep: f64| {
+        let mut stage = Stage::new(scene(&block(5000.0)), HZ, build);
+        for tick in 0..40 {
+            at(&mut stage, 0.001 - (0.001 + deep) * f64::from(tick) / 39.0);
+        }
+        stage
+    };
+    assert!(!pressed(0.0003).has::<Doubtful>("pad"));
+    let mut stage = pressed(0.004);
+    let doubtful = stage.get::<Doubtful>("pad");
+    assert!(doubtful.reason.contains("beyond 10° or 10 %"), "{}", doubtful.reason);
+    assert!(doubtful.since.as_secs_f64() > 0.1 && force_on_body(&stage).norm() > 0.0);
+    at(&mut stage, -0.004);
+    assert_eq!(stage.get::<Doubtful>("pad"), doubtful, "it is told once");
 }

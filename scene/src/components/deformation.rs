@@ -53,6 +53,17 @@ pub struct Frozen {
 }
 super::component!(Frozen, "frozen");
 
+/// A body whose simulator goes on, but beyond what its method is right for.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Doubtful {
+    /// What of it is not to be believed, and what to do about that.
+    pub reason: String,
+    /// Since when.
+    pub since: SimTime,
+}
+super::component!(Doubtful, "doubtful");
+
 /// A part of space, borders included.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]

@@ -7,9 +7,10 @@ use std::time::{Duration, Instant};
 use console::{Term, style};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use trocar::run::{Progress, RunOptions};
+use trocar::session::doubts;
 use trocar_kernel::runtime::ControllerReport;
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{DeviceState, Hand, TaskState};
+use trocar_scene::{DeviceState, Hand, Measured, Snapshot, TaskState};
 
 use crate::escape::printable;
 use crate::output::columns;
@@ -147,7 +148,16 @@ fn table(
         let force = progress.scene.get::<DeviceState>(entity)?.applied_force.norm();
         Some(format!("{:<5} {:>5.2} N {}", hand.side.as_str(), force, gauge(force)))
     }));
-    lines.extend(progress.session.losses().into_iter().map(|loss| {
+    lines.extend(waiting(progress.scene).map(|(body, share)| {
+        format!(
+            "{}: its inverse is being computed  {} {:>3.0} %",
+            printable(body),
+            blocks(share),
+            100.0 * share
+        )
+    }));
+    let losses = progress.session.losses().into_iter().chain(doubts(progress.scene));
+    lines.extend(losses.map(|loss| {
         let line = printable(&loss);
         style(line).yellow().for_stderr().to_string()
     }));
@@ -178,8 +188,21 @@ fn rate_row(row: &ControllerReport, before: Option<&(u64, f64)>, now: f64) -> Ve
     ]
 }
 
+/// Bodies that cannot move before something is computed, and the share of it that is done.
+fn waiting(scene: &Snapshot) -> impl Iterator<Item = (&str, f64)> {
+    let measured = scene.iter::<Measured>().flat_map(|(_, measured)| &measured.values);
+    let shares =
+        measured.filter_map(|(what, share)| Some((what.strip_suffix(".precomputed_share")?, *share)));
+    shares.filter(|(_, share)| *share < 1.0)
+}
+
 /// A bar of up to 20 blocks for a force of up to 3.3 N.
 fn gauge(newtons: f64) -> String {
-    let blocks = (newtons / 3.3 * 20.0).round().clamp(0.0, 20.0) as usize;
+    blocks(newtons / 3.3)
+}
+
+/// A bar of 20 blocks for a share.
+fn blocks(share: f64) -> String {
+    let blocks = (share * 20.0).round().clamp(0.0, 20.0) as usize;
     format!("{}{}", "█".repeat(blocks), "·".repeat(20 - blocks))
 }

@@ -19,7 +19,7 @@ use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState};
 use crate::app::App;
 use crate::assembly::{Assembly, AssemblyError};
 use crate::graph::ActorGraph;
-use crate::session::{Finished, Session};
+use crate::session::{Finished, Session, doubts};
 use crate::summary::{FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;
 
@@ -272,6 +272,7 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
     summary.recording = options.record.as_ref().map(|file| file.display().to_string());
     summary.recording_complete = outcome.recording_complete.unwrap_or(false);
     summary.losses = finished.losses.clone();
+    summary.losses.extend(doubts(scene));
     let held = outcome.held.first().map(|(name, why)| format!("{name} was {why}"));
     summary.error = outcome.reason.clone().or(held).or_else(|| finished.driver_errors.first().cloned());
     summary

@@ -3,6 +3,8 @@
 mod losses;
 mod pause;
 
+pub use losses::doubts;
+
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 

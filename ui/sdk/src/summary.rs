@@ -98,7 +98,8 @@ pub struct RunSummary {
     /// Files of pictures and films.
     pub pictures: Vec<String>,
     /// What the run had to do without, one sentence each: real-time priority that the system refused, or that was
-    /// taken away on the way. Empty in virtual time.
+    /// taken away on the way; bodies that stand still because their solver could not go on, and those that moved beyond
+    /// what their method is right for.
     pub losses: Vec<String>,
     /// What went wrong, in words.
     pub error: Option<String>,

@@ -16,8 +16,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,
-    ControllerError, Detection, Entity, EntitySet, Frozen, Instrument, JawState, Measured, Pose, Primitive,
-    SimTime, Snapshot, Tick, Velocity,
+    ControllerError, Detection, Doubtful, Entity, EntitySet, Frozen, Instrument, JawState, Measured, Pose,
+    Primitive, SimTime, Snapshot, Tick, Velocity,
 };
 
 use super::deformable::Deformable;
@@ -29,7 +29,9 @@ use super::soft::{Measures, Site};
 use super::tools::{Rod, rods_of_all};
 use super::touch::{COLLISIONS_MAX, Skin, Touch, collision, touches};
 use crate::elasticity::POISSON_MAX;
-use crate::linear_fem::{Attachment, Cache, Deformation, Hold, LinearFem, LinearFemError};
+use crate::linear_fem::{
+    Attachment, Cache, Deformation, Hold, LinearFem, LinearFemError, ROTATION_LIMIT, STRAIN_LIMIT,
+};
 use crate::picking::Jaws;
 use crate::tet_mesh::{MeshRules, TetMesh};
 
@@ -178,6 +180,7 @@ impl Controller for LinearFemController {
             .reads::<Velocity>()
             .reads::<Instrument>()
             .reads::<JawState>()
+            .writes::<Doubtful>(EntitySet::Of(bodies.clone()))
             .writes::<Grips>(EntitySet::Of(bodies))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
@@ -212,6 +215,9 @@ impl Controller for LinearFemController {
                         }
                         if body.goes_beyond(tick) {
                             out.event("beyond_linear", body.body.entity, None, tick.time.as_secs_f64());
+                            if scene.get::<Doubtful>(body.body.entity).is_none() {
+                                out.put(body.body.entity, body.doubt(tick));
+                            }
                         }
                     }
                     Err(why) => {
@@ -483,6 +489,19 @@ impl Body {
         let new = beyond && !self.beyond && tick.number > 0;
         self.beyond = beyond;
         new
+    }
+
+    fn doubt(&self, tick: &Tick<'_>) -> Doubtful {
+        let Deformation { rotation, strain, .. } = self.deformation;
+        let reason = format!(
+            "an element turned by {:.0}°, one strained by {:.0} %: beyond {:.0}° or {:.0} % linear elasticity \
+             misleads; 'dynamic_fem' bears more",
+            rotation.to_degrees(),
+            100.0 * strain.min(1e3),
+            ROTATION_LIMIT.to_degrees(),
+            100.0 * STRAIN_LIMIT
+        );
+        Doubtful { reason, since: tick.time }
     }
 
     fn measure(&self, force: f64, values: &mut BTreeMap<String, f64>) {

@@ -1,8 +1,24 @@
-//! What a session does without, because the system refused it or it had to be taken away.
+//! What a session does without: because the system refused it, because it had to be taken away, because a solver gave up.
 
 use trocar_devices::Scheduling;
+use trocar_scene::{Doubtful, Frozen, Snapshot};
 
 use super::{Running, Session};
+
+/// Bodies that stand still because their solver could not go on, and those that move on beyond what their method is right
+/// for, one sentence each.
+#[must_use]
+pub fn doubts(scene: &Snapshot) -> Vec<String> {
+    let frozen = scene.iter::<Frozen>().map(|(body, frozen)| {
+        let since = frozen.since.as_secs_f64();
+        format!("{}: it stands still since {since:.2} s: {}", scene.name(body), frozen.reason)
+    });
+    let doubtful = scene.iter::<Doubtful>().map(|(body, doubtful)| {
+        let since = doubtful.since.as_secs_f64();
+        format!("{}: since {since:.2} s {}", scene.name(body), doubtful.reason)
+    });
+    frozen.chain(doubtful).collect()
+}
 
 impl Session {
     /// What the system refused (real-time priority of drivers and controllers) and whose real-time priority was taken
