@@ -84,6 +84,22 @@ pub fn stiffness_block(material: &Elastic, volume: f64, a: &Vector3<f64>, b: &Ve
     (a * b.transpose() * lambda + b * a.transpose() * mu + shear) * volume
 }
 
+/// What has become of an element of tissue, a tetrahedron or a triangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alteration {
+    /// Times the stiffness it had; 0 when it is gone.
+    pub stiffness: f64,
+    /// Times the length at rest that it had.
+    pub length: f64,
+}
+
+impl Alteration {
+    /// As it was.
+    pub const NONE: Self = Self { stiffness: 1.0, length: 1.0 };
+    /// Gone.
+    pub const GONE: Self = Self { stiffness: 0.0, length: 1.0 };
+}
+
 /// Cauchy's stress \[Pa\] of a neo-Hookean material with Lamé's constants λ and μ \[Pa\] under a deformation gradient
 /// (Bonet, Wood 1997): that of linear elasticity for small strains, whatever the rotation. Of what is turned inside out it is
 /// that of what is pressed flat.

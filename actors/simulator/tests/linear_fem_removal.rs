@@ -5,8 +5,9 @@
 mod beam;
 
 use nalgebra::{Point3, Vector3};
+use trocar_simulator::elasticity::Alteration;
 use trocar_simulator::linear_fem::{
-    Alteration, Attachment, Cache, Hold, Limits, LinearFem, LinearFemError, Load, Origin, REMOVED_MAX, patch,
+    Attachment, Cache, Hold, Limits, LinearFem, LinearFemError, Load, Origin, REMOVED_MAX, patch,
 };
 use trocar_simulator::tet_mesh::{TetMesh, Volume};
 

@@ -301,6 +301,8 @@ fn what_burns_otherwise_than_it_moves_is_refused() {
     let cloth = "xpbd = { matter = { cloth = { membrane_stiffness = 60.0, bending_stiffness = 1e-6, \
                  density = 1.0 } } }";
     assert!(refused(&membrane(cloth, "cauterised = {}")).contains("give 'cauterised' its 'thickness'"));
+    let cut = cloth.replace("} } }", "} }, cut = true }");
+    assert!(refused(&membrane(&cut, "")).contains("are of volumes"));
     let volume = column(XPBD, "", "probe").replace("cauterised = {}", "cauterised = { thickness = 0.001 }");
     assert!(refused(&volume).contains("has no 'thickness'"));
 }

@@ -10,7 +10,7 @@ use super::deformable::Deformable;
 use super::electrosurgery::CauterisedBody;
 use super::heat::{CoagulatedElements, Heated, RemovedElements};
 use super::soft::{Reshaped, Site};
-use crate::mass_spring::Altered;
+use crate::elasticity::Alteration;
 
 /// Of each triangle of a surface that burns, which of the first mesh it was.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -84,10 +84,10 @@ impl BurningSurface {
 
     /// What heat has made of each triangle that is there.
     #[must_use]
-    pub fn altered(&self) -> Vec<Altered> {
+    pub fn altered(&self) -> Vec<Alteration> {
         let of = |element: &u32| match self.heated.of(*element) {
-            Some(of) => Altered { stiffness: of.stiffness, length: of.length },
-            None => Altered::NONE,
+            Some(of) => Alteration { stiffness: of.stiffness, length: of.length },
+            None => Alteration::NONE,
         };
         self.elements.iter().map(of).collect()
     }

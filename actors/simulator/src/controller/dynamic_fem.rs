@@ -140,7 +140,6 @@ impl Elements for Solver {
 
 /// Finite elements of one body.
 pub struct DynamicFemMethod {
-    kind: DynamicFemBody,
     of: Solver,
     parting: Option<Parting>,
     contacts: Vec<Contact>,
@@ -157,7 +156,7 @@ impl SoftMethod for DynamicFemMethod {
         let heated = parting.as_ref().map(|parting| parting.heated().clone()).unwrap_or_default();
         let solver = kind.solver(body, &memory, &heated)?;
         let of = Solver { kind: *kind, solver, memory };
-        Ok(Self { kind: *kind, of, parting, contacts: Vec::new(), prescribed: Vec::new() })
+        Ok(Self { of, parting, contacts: Vec::new(), prescribed: Vec::new() })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -209,7 +208,7 @@ impl SoftMethod for DynamicFemMethod {
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
         self.contacts.clear();
-        self.contacts.extend(site.touches.iter().map(|touch| contact(touch, site.rods, &self.kind)));
+        self.contacts.extend(site.touches.iter().map(|touch| contact(touch, site.rods, &self.of.kind)));
         self.prescribed.clear();
         self.prescribed.extend(site.led.iter().map(|led| (led.vertex, led.position_in_world)));
         let inputs = Inputs {

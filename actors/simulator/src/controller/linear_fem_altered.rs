@@ -10,7 +10,8 @@ use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
 use super::linear_fem_jobs::built;
 use super::parting::Elements;
-use crate::linear_fem::{Alteration, LinearFem, LinearFemError, REMOVED_MAX};
+use crate::elasticity::Alteration;
+use crate::linear_fem::{LinearFem, LinearFemError, REMOVED_MAX};
 
 /// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next.
 const TAKEN_MAX: usize = 8;
@@ -56,7 +57,8 @@ impl Altered {
 
     pub fn remove(&mut self, elements: &[u32]) {
         for &element in elements {
-            if let Some(of) = self.alterations.get_mut(element as usize) {
+            let known = self.alterations.get_mut(element as usize);
+            if let Some(of) = known.filter(|known| **known != Alteration::GONE) {
                 *of = Alteration::GONE;
                 self.pending.push(element);
                 self.since.push(element);
@@ -113,6 +115,8 @@ impl Altered {
     fn correct(&mut self, solver: &mut LinearFem) -> Result<(), LinearFemError> {
         let (mut later, mut allowed) = (Vec::new(), TAKEN_MAX);
         let mut next = std::mem::take(&mut self.pending);
+        // The first inverse may have been computed after they went.
+        next.retain(|&tet| !solver.is_out(tet));
         while !next.is_empty() {
             let room = (REMOVED_MAX - solver.removed().len()).min(allowed);
             let batch: Vec<u32> = next.drain(..room.min(next.len())).collect();

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use trocar_scene::{Job, SimTime, Tick};
 
-use crate::elasticity::Elastic;
-use crate::linear_fem::{Alteration, Cache, Limits, LinearFem, LinearFemError};
+use crate::elasticity::{Alteration, Elastic};
+use crate::linear_fem::{Cache, Limits, LinearFem, LinearFemError};
 use crate::tet_mesh::TetMesh;
 
 /// What a computation of the inverse takes in lock-step, however long it takes.

@@ -17,9 +17,10 @@ use super::electrosurgery::CauterisedBody;
 use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
 use super::touch::{Skin, Touch};
 use crate::cutting::{Sheet, Sweep, TopologyChange};
+use crate::elasticity::Alteration;
 use crate::mass_spring::{
-    Altered, Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, Prescribed,
-    State, SurfaceMaterial, TooLarge, VolumeMaterial,
+    Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, Prescribed, State,
+    SurfaceMaterial, TooLarge, VolumeMaterial,
 };
 
 /// Parts into which a step is divided at most.
@@ -136,7 +137,7 @@ impl MassSpringBody {
         Config { integrator, lag: self.lag, damping: self.damping, ..Config::default() }
     }
 
-    fn network(&self, body: &Deformable, altered: &[Altered]) -> Result<Network, String> {
+    fn network(&self, body: &Deformable, altered: &[Alteration]) -> Result<Network, String> {
         let network = match self.springs {
             Springs::Line { axial_stiffness, bending_stiffness, density } => Network::from_line(
                 &body.rest,

@@ -15,7 +15,8 @@ use super::heat::{Coagulated, Heated};
 use super::parting::{Elements, Parting, Weakness};
 use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
 use super::touch::{Skin, Touch};
-use crate::mass_spring::{Altered, Contact, LineMaterial, Network, Prescribed, State, SurfaceMaterial};
+use crate::elasticity::Alteration;
+use crate::mass_spring::{Contact, LineMaterial, Network, Prescribed, State, SurfaceMaterial};
 use crate::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
 /// What a position-based body is made of, by the kind of its mesh.
@@ -130,7 +131,7 @@ impl XpbdBody {
         }
     }
 
-    fn solver(&self, body: &Deformable, altered: &[Altered]) -> Result<Xpbd, String> {
+    fn solver(&self, body: &Deformable, altered: &[Alteration]) -> Result<Xpbd, String> {
         let XpbdBody { parts, iterations, damping, .. } = *self;
         let config = XpbdConfig { parts, iterations, damping, ..XpbdConfig::default() };
         let mut solver = match self.matter {
@@ -202,7 +203,6 @@ impl Elements for Solver {
 
 /// Position-based dynamics of one body.
 pub struct XpbdMethod {
-    kind: XpbdBody,
     of: Solver,
     parting: Option<Parting>,
     burning: Option<BurningSurface>,
@@ -230,6 +230,10 @@ impl SoftMethod for XpbdMethod {
     const CONTROLLER: &'static str = "xpbd";
 
     fn build(kind: &XpbdBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let comes_apart = kind.cut || kind.strength.is_some();
+        if comes_apart && !matches!(kind.matter, Matter::Volume { .. }) {
+            return Err("'cut' and 'strength' are of volumes: a cloth of 'mass_spring' is cut".into());
+        }
         let (parting, burning) = match kind.matter {
             Matter::Volume { .. } => (Parting::new(body, kind.weakness(), scene)?, None),
             Matter::Cloth { .. } => (None, BurningSurface::new(body, scene)?),
@@ -241,7 +245,7 @@ impl SoftMethod for XpbdMethod {
             of.alter(&parting.heated().coagulated);
             of.remove(&parting.heated().removed);
         }
-        Ok(Self { kind: *kind, of, parting, burning, contacts: Vec::new(), prescribed: Vec::new() })
+        Ok(Self { of, parting, burning, contacts: Vec::new(), prescribed: Vec::new() })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -261,7 +265,7 @@ impl SoftMethod for XpbdMethod {
         if let Some(burning) = &mut self.burning {
             let (changed, reshaped) = burning.burn(body, site, out);
             if changed {
-                self.of.solver = self.kind.solver(body, &burning.altered())?;
+                self.of.solver = self.of.kind.solver(body, &burning.altered())?;
             }
             return Ok(reshaped);
         }
@@ -278,13 +282,13 @@ impl SoftMethod for XpbdMethod {
     }
 
     fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
-        let is_rod = matches!(self.kind.matter, Matter::Rod { .. });
+        let is_rod = matches!(self.of.kind.matter, Matter::Rod { .. });
         Skin {
             positions: self.positions(),
             triangles: if is_rod { &[] } else { &body.triangles },
             segments: if is_rod { &body.segments } else { &[] },
-            thickness: if is_rod { body.radius } else { self.kind.thickness },
-            closed: matches!(self.kind.matter, Matter::Volume { .. }),
+            thickness: if is_rod { body.radius } else { self.of.kind.thickness },
+            closed: matches!(self.of.kind.matter, Matter::Volume { .. }),
         }
     }
 
@@ -295,7 +299,7 @@ impl SoftMethod for XpbdMethod {
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
         self.contacts.clear();
-        let kind = &self.kind;
+        let kind = &self.of.kind;
         self.contacts.extend(site.touches.iter().map(|touch| Self::contact(kind, touch)));
         self.prescribed.clear();
         let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });

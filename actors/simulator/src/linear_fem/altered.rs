@@ -7,24 +7,8 @@ use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::error::LinearFemError;
 use super::removal::REMNANT;
 use super::solver::LinearFem;
-use crate::elasticity::Elastic;
+use crate::elasticity::{Alteration, Elastic};
 use crate::tet_mesh::{TetMesh, surface};
-
-/// What has become of an element.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Alteration {
-    /// Times the stiffness it had; 0 when it is gone.
-    pub stiffness: f64,
-    /// Times the length at rest that it had.
-    pub length: f64,
-}
-
-impl Alteration {
-    /// As it was.
-    pub const NONE: Self = Self { stiffness: 1.0, length: 1.0 };
-    /// Gone.
-    pub const GONE: Self = Self { stiffness: 0.0, length: 1.0 };
-}
 
 impl LinearFem {
     /// Precomputes a body of which each element is as `alterations` says, one per element, and begins at rest, pulled

@@ -27,7 +27,6 @@ mod removal;
 mod solver;
 mod state;
 
-pub use altered::Alteration;
 pub use attachment::{Attachment, AttachmentError, Hold};
 pub use bytes::BytesError;
 pub use cache::{Cache, Origin};

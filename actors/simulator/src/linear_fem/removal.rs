@@ -183,6 +183,12 @@ impl LinearFem {
         &self.removal.tets
     }
 
+    /// Whether an element has been taken out, or was gone when the inverse was computed.
+    #[must_use]
+    pub fn is_out(&self, tet: u32) -> bool {
+        self.removal.is_out(tet)
+    }
+
     /// Takes elements out of the body, as a cut or a burn does; what is held stays held. Each costs six sparse solves, and
     /// makes what follows a little dearer: precompute a new body meanwhile, and swap.
     ///

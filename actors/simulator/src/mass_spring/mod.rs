@@ -23,7 +23,6 @@ pub use network::{Hinge, LineMaterial, Network, Spring, SurfaceMaterial, VolumeM
 pub(crate) use contact::check as check_contacts;
 pub(crate) use forces::NEARLY_FLAT;
 pub(crate) use network::check_elements;
-pub use surface::Altered;
 pub(crate) use surface::area;
 
 use nalgebra::{Point3, Vector3};

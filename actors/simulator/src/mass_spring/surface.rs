@@ -5,6 +5,7 @@ use nalgebra::Point3;
 
 use super::error::{Faulty, NetworkError};
 use super::network::{Hinge, LEAST, Network, Spring, SurfaceMaterial, check_elements, parameter};
+use crate::elasticity::Alteration;
 
 /// One side of a triangle, by its edge: the order in which shares are summed.
 type Side = ([u32; 2], u32);
@@ -23,20 +24,6 @@ const LOOSE: f64 = 1e-6;
 pub(crate) fn area(corners: &[u32; 3], positions: &[Point3<f64>]) -> f64 {
     let [a, b, c] = corners.map(|node| positions[node as usize]);
     0.5 * (b - a).cross(&(c - a)).norm()
-}
-
-/// What has become of a triangle.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Altered {
-    /// Times the stiffness it had.
-    pub stiffness: f64,
-    /// Times the length at rest that it had.
-    pub length: f64,
-}
-
-impl Altered {
-    /// As it was.
-    pub const NONE: Self = Self { stiffness: 1.0, length: 1.0 };
 }
 
 impl Network {
@@ -62,7 +49,7 @@ impl Network {
         rest: &[Point3<f64>],
         triangles: &[[u32; 3]],
         material: &SurfaceMaterial,
-        altered: &[Altered],
+        altered: &[Alteration],
         loose: &[u32],
     ) -> Result<Self, NetworkError> {
         check(rest, triangles, material)?;
@@ -92,11 +79,11 @@ impl Network {
         edge: &[Side],
         triangles: &[[u32; 3]],
         rest: &[Point3<f64>],
-        altered: &[Altered],
+        altered: &[Alteration],
     ) {
         let (mut whole, mut stiffness, mut length) = (0.0, 0.0, 0.0);
         for &(_, triangle) in edge {
-            let of = altered.get(triangle as usize).copied().unwrap_or(Altered::NONE);
+            let of = altered.get(triangle as usize).copied().unwrap_or(Alteration::NONE);
             let share = area(&triangles[triangle as usize], rest);
             whole += share;
             stiffness += share * of.stiffness;
