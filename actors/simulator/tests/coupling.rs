@@ -1,16 +1,14 @@
 //! Bodies of different methods at different rates, joined at points: a mass ratio of 1:100 at a rate ratio of 10:1 loses
 //! no momentum and gains no energy.
 
-use nalgebra::{DMatrix, Point3, Vector3};
-use trocar_simulator::coupling::{
-    End, Link, LinkConfig, LinkError, PointWeights, RigidPoints, WeightedNodes, inverse_masses,
-};
+use nalgebra::{Point3, Vector3};
+use trocar_collision::Surface;
+use trocar_simulator::coupling::{Ghosts, GhostsError, Lying, LyingRule, News};
 use trocar_simulator::dynamic_fem::{Config, DynamicFem, DynamicFemState, Inputs};
 use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::mass_spring::NodeForce;
-use trocar_simulator::rigid::{ContactConfig, Integrator, RigidBodies, RigidMass, RigidState};
 use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
-use trocar_simulator::thread::{Load, Surroundings, Thread, ThreadMaterial};
+use trocar_simulator::mass_spring::State;
+use trocar_simulator::xpbd::company::{Company, Guest, Press, Tie};
 use trocar_simulator::xpbd::{Body, Distance, Xpbd, XpbdConfig, XpbdInput};
 
 const FAST: f64 = 1e-3;
@@ -19,22 +17,110 @@ const RATE: usize = 10;
 /// What momentum may be lost of what was exchanged.
 const MOMENTUM: f64 = 1e-6;
 
+/// A faster body and the ghosts that it meets.
+struct Faster {
+    body: Xpbd,
+    ghosts: Ghosts,
+    ties: Vec<Tie>,
+    presses: Vec<Press>,
+    guests: Vec<Guest>,
+}
+
+impl Faster {
+    fn new(body: Xpbd, ghosts: &[Point3<f64>], ties: Vec<Tie>) -> Self {
+        let ghosts = Ghosts::new(ghosts).expect("numbers");
+        Self { body, ghosts, ties, presses: Vec::new(), guests: Vec::new() }
+    }
+
+    fn step(&mut self, gravity: Vector3<f64>) {
+        let Self { body, ghosts, ties, presses, guests } = self;
+        let company = Company { guests: &[], ties, presses };
+        guests.clear();
+        ghosts.meet(&company, &body.state().positions, guests);
+        let company = Company { guests, ..company };
+        body.step(FAST, &XpbdInput { gravity, company, ..XpbdInput::default() }).expect("a step");
+        let moved = body.company();
+        let lost: f64 = moved.ties.iter().map(|tied| tied.lost).chain(moved.presses.iter().map(|p| p.lost)).sum();
+        ghosts.met(&moved.guests, lost);
+    }
+
+    fn momentum(&self) -> Vector3<f64> {
+        self.body.state().velocities.iter().zip(self.body.masses()).map(|(v, mass)| v * *mass).sum()
+    }
+
+    /// Its own, and that of the springs.
+    fn energy(&self) -> f64 {
+        let apart = |tie: &Tie| {
+            let at = tie.guests.iter().fold(Vector3::zeros(), |sum, &(ghost, weight)| {
+                sum + self.ghosts.positions()[ghost as usize].coords * weight
+            });
+            self.body.state().positions[tie.node as usize].coords - at
+        };
+        let ties: f64 = self.ties.iter().map(|tie| 0.5 * tie.stiffness * apart(tie).norm_squared()).sum();
+        self.body.kinetic_energy() + self.body.elastic_energy() + ties
+    }
+}
+
+fn tie(node: u32, ghost: u32, stiffness: f64, damping: f64) -> Tie {
+    Tie { node, guests: [(ghost, 1.0), (ghost, 0.0), (ghost, 0.0), (ghost, 0.0)], stiffness, damping }
+}
+
+/// Masses that fly freely, one node each.
+fn loose(masses: &[f64], places: &[Point3<f64>], velocities: &[Vector3<f64>]) -> Xpbd {
+    let body = Body { rest: places, masses, ..Body::default() };
+    let config = XpbdConfig { parts: 1, ..XpbdConfig::default() };
+    let mut body = Xpbd::new(&body, &[], config).expect("masses");
+    let mut state = body.state().clone();
+    state.velocities.copy_from_slice(velocities);
+    body.restore(state).expect("its own nodes");
+    body
+}
+
 /// A mass that flies.
 struct Mass {
     mass: f64,
     place: Point3<f64>,
     velocity: Vector3<f64>,
+    taken: Vector3<f64>,
+    last: Vector3<f64>,
+    received: f64,
+    given_work: f64,
 }
 
 impl Mass {
-    fn pair(fast: f64, slow: f64) -> [Self; 2] {
-        let at = |mass, velocity| Self { mass, place: Point3::origin(), velocity };
-        [at(fast, Vector3::new(0.4, 0.0, -0.1)), at(slow, Vector3::new(-0.1, 0.2, 0.0))]
+    fn new(mass: f64) -> Self {
+        let velocity = Vector3::new(-0.1, 0.2, 0.0);
+        let (place, taken) = (Point3::origin(), Vector3::zeros());
+        Self { mass, place, velocity, taken, last: taken, received: 0.0, given_work: 0.0 }
     }
 
-    fn fly(&mut self, impulse: &Vector3<f64>, dt: f64) {
+    fn tell(&self, ghosts: &mut Ghosts) {
+        let news = News {
+            positions: &[self.place],
+            velocities: &[self.velocity],
+            expected: &[self.velocity + self.last / self.mass],
+            mobilities: &[self.mass.recip()],
+            masses_inverse: &[self.mass.recip()],
+            last: &[self.last],
+            taken: &[self.taken],
+            given_work: self.given_work,
+            received: self.received,
+            step: SLOW,
+            age: 0.0,
+        };
+        ghosts.hear(&news).expect("numbers");
+    }
+
+    fn step(&mut self, ghosts: &mut Ghosts) {
+        let impulse = ghosts.given()[0] - self.taken;
+        let before = self.velocity;
         self.velocity += impulse / self.mass;
-        self.place += self.velocity * dt;
+        self.place += self.velocity * SLOW;
+        self.taken = ghosts.given()[0];
+        self.last = impulse;
+        self.received += impulse.dot(&(0.5 * (before + self.velocity)));
+        self.given_work = ghosts.work();
+        self.tell(ghosts);
     }
 
     fn energy(&self) -> f64 {
@@ -42,52 +128,49 @@ impl Mass {
     }
 }
 
-const SPRING: LinkConfig = LinkConfig { stiffness: 1000.0, damping: 0.0 };
+const STIFFNESS: f64 = 1000.0;
+const THROWN: Vector3<f64> = Vector3::new(0.4, 0.0, -0.1);
 
 /// Largest energy at any meeting over that at the beginning, momentum lost over what was exchanged, and how far apart the
 /// masses were at most.
-fn linked(masses: [f64; 2], config: LinkConfig) -> [f64; 3] {
-    let [mut fast, mut slow] = Mass::pair(masses[0], masses[1]);
-    let weightless = masses.map(|mass| DMatrix::identity(3, 3) / mass);
-    let mut link =
-        Link::new(config, [&[fast.place], &[slow.place]], &[slow.velocity], weightless).expect("a link");
-    let before = fast.velocity * fast.mass + slow.velocity * slow.mass;
+fn linked(masses: [f64; 2], damping: f64) -> [f64; 3] {
+    let mut slow = Mass::new(masses[1]);
+    let body = loose(&masses[..1], &[slow.place], &[THROWN]);
+    let mut fast = Faster::new(body, &[slow.place], vec![tie(0, 0, STIFFNESS, damping)]);
+    slow.tell(&mut fast.ghosts);
+    let before = fast.momentum() + slow.velocity * slow.mass;
     let first = fast.energy() + slow.energy();
-    let (mut most, mut apart, mut impulses) = (0.0_f64, 0.0_f64, Vec::new());
-    let mut last = first;
+    let (mut most, mut apart, mut last) = (0.0_f64, 0.0_f64, first);
     for _ in 0..500 {
-        for _ in 0..RATE {
-            let impulse = link.fast(FAST, &[fast.place], &[fast.velocity]).expect("numbers")[0];
-            fast.fly(&impulse, FAST);
-        }
-        link.slow(&mut impulses);
-        slow.fly(&impulses[0], SLOW);
-        link.moved(&[slow.place], &[slow.velocity]).expect("numbers");
-        let energy = fast.energy() + slow.energy() + link.energy() + link.state().tank;
-        assert!(energy <= last * (1.0 + 1e-12), "{energy} J after {last} J");
+        (0..RATE).for_each(|_| fast.step(Vector3::zeros()));
+        slow.step(&mut fast.ghosts);
+        let energy = fast.energy() + slow.energy() + fast.ghosts.tank();
+        assert!(energy <= last * (1.0 + 1e-9), "{energy} J after {last} J");
         last = energy;
-        most = most.max(fast.energy() + slow.energy() + link.energy());
-        apart = apart.max((fast.place - slow.place).norm());
+        most = most.max(fast.energy() + slow.energy());
+        apart = apart.max((fast.body.state().positions[0] - slow.place).norm());
     }
-    let lost = (fast.velocity * fast.mass + slow.velocity * slow.mass - before).norm();
-    [most / first, lost / link.state().exchanged, apart]
+    let lost = (fast.momentum() + slow.velocity * slow.mass - before).norm();
+    [most / first, lost / fast.ghosts.exchanged(), apart]
 }
 
 /// The control: the faster mass on a spring to where the slower one was last, which takes the mean force.
 fn held(masses: [f64; 2]) -> f64 {
-    let mut pair = Mass::pair(masses[0], masses[1]);
-    let first: f64 = pair.iter().map(Mass::energy).sum();
+    let [mut fast, mut slow] = masses.map(Mass::new);
+    fast.velocity = THROWN;
+    let first = fast.energy() + slow.energy();
     let mut most = 0.0_f64;
     for _ in 0..500 {
-        let [fast, slow] = &mut pair;
         let mut sum = Vector3::zeros();
         for _ in 0..RATE {
-            let impulse = (slow.place - fast.place) * (SPRING.stiffness * FAST);
-            fast.fly(&impulse, FAST);
+            let impulse = (slow.place - fast.place) * (STIFFNESS * FAST);
+            fast.velocity += impulse / fast.mass;
+            fast.place += fast.velocity * FAST;
             sum -= impulse;
         }
-        slow.fly(&sum, SLOW);
-        most = most.max(pair.iter().map(Mass::energy).sum());
+        slow.velocity += sum / slow.mass;
+        slow.place += slow.velocity * SLOW;
+        most = most.max(fast.energy() + slow.energy());
     }
     most / first
 }
@@ -96,7 +179,7 @@ fn held(masses: [f64; 2]) -> f64 {
 fn masses_of_one_to_a_hundred_at_rates_of_ten_to_one_keep_momentum_and_gain_no_energy() {
     for masses in [[1e-3, 0.1], [0.1, 1e-3], [0.1, 0.1]] {
         for damping in [0.0, 0.5] {
-            let [energy, lost, apart] = linked(masses, LinkConfig { damping, ..SPRING });
+            let [energy, lost, apart] = linked(masses, damping);
             assert!(lost <= MOMENTUM, "{masses:?}: {lost:e} of the momentum exchanged");
             assert!(energy <= 1.0, "{masses:?}: {energy} of the energy there was");
             assert!(apart < 0.02, "{masses:?}: {apart} m apart");
@@ -105,46 +188,63 @@ fn masses_of_one_to_a_hundred_at_rates_of_ten_to_one_keep_momentum_and_gain_no_e
     }
 }
 
-/// A block of 30 mm and 27 g that flies and turns, stepped every 10 ms.
+/// A block of 30 mm and 27 g, stepped every 10 ms.
 struct Organ {
     body: DynamicFem,
-    inverse: Vec<f64>,
-    points: Vec<PointWeights>,
+    masses: Vec<f64>,
+    /// Which of its nodes have ghosts.
+    ghosts: Vec<u32>,
+    taken: Vec<Vector3<f64>>,
+    /// What it took last.
+    last: Vec<Vector3<f64>>,
+    received: f64,
+    given_work: f64,
     forces: Vec<(u32, Vector3<f64>)>,
 }
 
 const DENSITY: f64 = 1000.0;
 
 impl Organ {
-    fn new(points: impl Fn(&TetMesh) -> Vec<PointWeights>) -> Self {
+    fn new(fixed: impl Fn(&Point3<f64>) -> bool, config: Config) -> Self {
         let grid = BoxCells { cells: [3; 3], size: Vector3::repeat(0.03), origin: Point3::origin() };
         let (nodes, tets) = box_cells(&grid);
         let mesh = TetMesh::new(&nodes, &tets, &MeshRules::default()).expect("a sound mesh");
-        let points = points(&mesh);
-        let config = Config { tolerance: 1e-10, density: DENSITY, ..Config::default() };
-        let mut body = DynamicFem::new(mesh, &Elastic::new(5e3, 0.4).expect("a material"), &config, &[])
+        let masses = mesh.lumped_masses(DENSITY);
+        let on_top = |node: &u32| nodes[*node as usize].z > 0.03 - 1e-9;
+        let ghosts: Vec<u32> = (0..nodes.len() as u32).filter(on_top).collect();
+        let held: Vec<u32> = (0..nodes.len() as u32).filter(|&node| fixed(&nodes[node as usize])).collect();
+        let config = Config { tolerance: 1e-10, density: DENSITY, ..config };
+        let body = DynamicFem::new(mesh, &Elastic::new(5e3, 0.4).expect("a material"), &config, &held)
             .expect("a body");
-        let spin = Vector3::new(0.5, 0.0, 2.0);
-        let state = body.state();
-        let velocities =
-            state.positions.iter().map(|at| Vector3::new(0.1, 0.0, 0.0) + spin.cross(&at.coords));
-        body.restore(&DynamicFemState { velocities: velocities.collect(), ..state.clone() })
-            .expect("its own");
-        let inverse = inverse_masses(&body, DENSITY, &[]);
-        Self { body, inverse, points, forces: Vec::new() }
+        let taken = vec![Vector3::zeros(); ghosts.len()];
+        Self { body, masses, ghosts, last: taken.clone(), taken, received: 0.0, given_work: 0.0, forces: Vec::new() }
     }
 
-    fn end(&self) -> WeightedNodes<'_> {
-        WeightedNodes {
-            points: &self.points,
-            positions: self.body.positions(),
-            velocities: self.body.velocities(),
-            inverse_masses: &self.inverse,
-        }
+    /// Flies and turns.
+    fn thrown() -> Self {
+        let mut organ = Self::new(|_| false, Config::default());
+        let spin = Vector3::new(0.5, 0.0, 2.0);
+        let state = organ.body.state();
+        let moving = |at: &Point3<f64>| Vector3::new(0.1, 0.0, 0.0) + spin.cross(&at.coords);
+        let velocities = state.positions.iter().map(moving).collect();
+        organ.body.restore(&DynamicFemState { velocities, ..state.clone() }).expect("its own");
+        organ
+    }
+
+    fn places(&self) -> Vec<Point3<f64>> {
+        self.ghosts.iter().map(|&node| self.body.positions()[node as usize]).collect()
+    }
+
+    /// Triangles of the top, of ghosts.
+    fn top(&self) -> Vec<[u32; 3]> {
+        let number = |node: u32| self.ghosts.iter().position(|&ghost| ghost == node).map(|at| at as u32);
+        let surface = self.body.mesh().surface();
+        let of_top = surface.iter().filter_map(|&[a, b, c]| Some([number(a)?, number(b)?, number(c)?]));
+        of_top.collect()
     }
 
     fn momentum(&self) -> Vector3<f64> {
-        self.body.velocities().iter().zip(&self.inverse).map(|(velocity, inverse)| velocity / *inverse).sum()
+        self.body.velocities().iter().zip(&self.masses).map(|(velocity, mass)| velocity * *mass).sum()
     }
 
     fn energy(&self) -> f64 {
@@ -152,83 +252,60 @@ impl Organ {
         energies.kinetic + energies.elastic
     }
 
-    fn step(&mut self, link: &mut Link, room: &mut Room) {
-        link.slow(&mut room.impulses);
-        self.forces.clear();
-        WeightedNodes::forces(&self.points, &room.impulses, SLOW, &mut self.forces);
-        let inputs = Inputs { forces: &self.forces, ..Inputs::default() };
-        assert!(self.body.step(SLOW, &inputs).expect("a step").solved);
-        let end = WeightedNodes {
-            points: &self.points,
-            positions: self.body.positions(),
-            velocities: self.body.velocities(),
-            inverse_masses: &self.inverse,
+    fn tell(&mut self, ghosts: &mut Ghosts, gravity: Vector3<f64>) {
+        let inputs = Inputs { forces: &self.forces, acceleration: gravity, ..Inputs::default() };
+        let mut all = Vec::new();
+        self.body.expected(SLOW, &inputs, &mut all);
+        let expected: Vec<_> = self.ghosts.iter().map(|&node| all[node as usize]).collect();
+        let velocities: Vec<_> =
+            self.ghosts.iter().map(|&node| self.body.velocities()[node as usize]).collect();
+        let active: Vec<usize> =
+            (0..self.ghosts.len()).filter(|&ghost| self.last[ghost] != Vector3::zeros()).collect();
+        let masses_inverse: Vec<f64> =
+            self.ghosts.iter().map(|&node| self.masses[node as usize].recip()).collect();
+        let mut mobilities = masses_inverse.clone();
+        let nodes: Vec<u32> = active.iter().map(|&ghost| self.ghosts[ghost]).collect();
+        let yielding = self.body.yielding(SLOW, &nodes);
+        active.iter().zip(yielding).for_each(|(&ghost, yielding)| mobilities[ghost] = yielding);
+        let news = News {
+            positions: &self.places(),
+            velocities: &velocities,
+            expected: &expected,
+            mobilities: &mobilities,
+            masses_inverse: &masses_inverse,
+            last: &self.last,
+            taken: &self.taken,
+            given_work: self.given_work,
+            received: self.received,
+            step: SLOW,
+            age: 0.0,
         };
-        end.places(&mut room.places);
-        end.velocities(&mut room.velocities);
-        link.moved(&room.places, &room.velocities).expect("numbers");
+        ghosts.hear(&news).expect("numbers");
+    }
+
+    fn step(&mut self, ghosts: &mut Ghosts, gravity: Vector3<f64>) {
+        self.forces.clear();
+        let owed = ghosts.given().iter().zip(&self.taken).map(|(given, taken)| (given - taken) / SLOW);
+        self.forces.extend(self.ghosts.iter().copied().zip(owed));
+        let speeds = |body: &DynamicFem| -> Vec<Vector3<f64>> {
+            self.ghosts.iter().map(|&node| body.velocities()[node as usize]).collect()
+        };
+        let before = speeds(&self.body);
+        let inputs = Inputs { forces: &self.forces, acceleration: gravity, ..Inputs::default() };
+        assert!(self.body.step(SLOW, &inputs).expect("a step").solved);
+        for ((_, force), (after, before)) in self.forces.iter().zip(speeds(&self.body).iter().zip(&before)) {
+            self.received += force.dot(&(0.5 * SLOW * (after + before)));
+        }
+        self.last.iter_mut().zip(ghosts.given().iter().zip(&self.taken)).for_each(|(l, (g, t))| *l = g - t);
+        self.taken.copy_from_slice(ghosts.given());
+        self.given_work = ghosts.work();
+        self.tell(ghosts, gravity);
     }
 }
 
-#[derive(Default)]
-struct Room {
-    places: Vec<Point3<f64>>,
-    velocities: Vec<Vector3<f64>>,
-    impulses: Vec<Vector3<f64>>,
-}
-
-fn link(config: LinkConfig, fast: &dyn End, slow: &dyn End) -> Link {
-    let (mut room, mut other) = (Room::default(), Room::default());
-    fast.places(&mut room.places);
-    slow.places(&mut other.places);
-    slow.velocities(&mut other.velocities);
-    let mobilities = [fast.mobility(), slow.mobility()];
-    Link::new(config, [&room.places, &other.places], &other.velocities, mobilities).expect("a link")
-}
-
-/// Runs for half a second. The faster body tells its momentum and its energy; where it cannot tell `all` of the latter,
-/// which is least at the beginning then, what there is is compared with that.
-fn run<F>(
-    mut organ: Organ,
-    mut link: Link,
-    fast: &mut F,
-    all: bool,
-    step: impl Fn(&mut F, &mut Link, &mut Room),
-    told: impl Fn(&F) -> (Vector3<f64>, f64),
-) {
-    let mut room = Room::default();
-    let (momentum, energy) = told(fast);
-    let (first, mut last) = (momentum + organ.momentum(), energy + organ.energy());
-    let begin = last;
-    for _ in 0..50 {
-        for _ in 0..RATE {
-            step(fast, &mut link, &mut room);
-        }
-        organ.step(&mut link, &mut room);
-        let (momentum, energy) = told(fast);
-        let lost = (momentum + organ.momentum() - first).norm();
-        assert!(lost <= MOMENTUM * link.state().exchanged, "{lost:e} of {}", link.state().exchanged);
-        let energy = energy + organ.energy() + link.energy() + link.state().tank;
-        assert!(energy <= last + 1e-9 * begin, "{energy} J after {last} J");
-        if all {
-            last = energy;
-        }
-    }
-    assert!(link.state().exchanged > 1e-5, "they pulled at each other: {} N·s", link.state().exchanged);
-}
-
-const TISSUE: LinkConfig = LinkConfig { stiffness: 200.0, damping: 0.01 };
-
-#[test]
-fn a_membrane_of_positions_is_carried_by_finite_elements() {
-    let organ = Organ::new(|mesh| {
-        let top = |node: &u32| mesh.rest()[*node as usize].z > 0.03 - 1e-9;
-        (0..mesh.rest().len() as u32).filter(top).map(|node| vec![(node, 1.0)]).collect()
-    });
-    let mut room = Room::default();
-    organ.end().places(&mut room.places);
-    let rest = room.places.clone();
-    // A hundredth of the organ's mass.
+/// A membrane of a hundredth of the organ's mass that covers its top.
+fn membrane(organ: &Organ, velocity: Vector3<f64>) -> Faster {
+    let rest = organ.places();
     let masses = vec![0.27e-3 / rest.len() as f64; rest.len()];
     let mut distances = Vec::new();
     for a in 0..rest.len() as u32 {
@@ -241,172 +318,189 @@ fn a_membrane_of_positions_is_carried_by_finite_elements() {
     }
     let body = Body { rest: &rest, masses: &masses, distances: &distances, ..Body::default() };
     let config = XpbdConfig { parts: 1, iterations: 20, ..XpbdConfig::default() };
-    let mut membrane = Xpbd::new(&body, &[], config).expect("a membrane");
-    let mut state = membrane.state().clone();
-    state.velocities.iter_mut().for_each(|velocity| *velocity = Vector3::new(-0.2, 0.1, 0.5));
-    membrane.restore(state).expect("its own nodes");
-    let points: Vec<PointWeights> = (0..rest.len() as u32).map(|node| vec![(node, 1.0)]).collect();
-    let inverse: Vec<f64> = masses.iter().map(|mass| mass.recip()).collect();
-    let end = |membrane: &Xpbd, act: &mut dyn FnMut(&WeightedNodes<'_>)| {
-        let state = membrane.state();
-        act(&WeightedNodes {
-            points: &points,
-            positions: &state.positions,
-            velocities: &state.velocities,
-            inverse_masses: &inverse,
-        });
-    };
-    let mut joined = None;
-    end(&membrane, &mut |end| joined = Some(link(TISSUE, end, &organ.end())));
-    let step = |membrane: &mut Xpbd, link: &mut Link, room: &mut Room| {
-        let state = membrane.state();
-        let impulses = link.fast(FAST, &state.positions, &state.velocities).expect("numbers");
-        let forces = impulses.iter().enumerate();
-        let forces: Vec<NodeForce> =
-            forces.map(|(node, impulse)| NodeForce { node: node as u32, force: impulse / FAST }).collect();
-        membrane.step(FAST, &XpbdInput { forces: &forces, ..XpbdInput::default() }).expect("a step");
-        room.places.clear();
-    };
-    run(organ, joined.expect("a link"), &mut membrane, true, step, |membrane| {
-        let state = membrane.state();
-        let kinetic: f64 = state.velocities.iter().map(|v| 0.5 * masses[0] * v.norm_squared()).sum();
-        let elastic = distances.iter().map(|distance| {
-            let [a, b] = distance.nodes.map(|node| state.positions[node as usize]);
-            0.5 * ((b - a).norm() - distance.rest).powi(2) / distance.compliance
-        });
-        (state.velocities.iter().map(|v| v * masses[0]).sum(), kinetic + elastic.sum::<f64>())
-    });
+    let mut body = Xpbd::new(&body, &[], config).expect("a membrane");
+    let mut state = body.state().clone();
+    state.velocities.fill(velocity);
+    body.restore(state).expect("its own nodes");
+    let ties = (0..rest.len() as u32).map(|node| tie(node, node, 200.0, 0.01)).collect();
+    Faster::new(body, &rest, ties)
 }
 
 #[test]
-fn a_thread_pulls_at_finite_elements_with_its_end() {
-    let organ = Organ::new(|mesh| {
-        let (tet, weights) = mesh.locate(&Point3::new(0.014, 0.016, 0.027)).expect("inside");
-        vec![mesh.tets()[tet].into_iter().zip(weights).collect()]
-    });
-    let mut room = Room::default();
-    organ.end().places(&mut room.places);
-    let begin = room.places[0];
-    let positions: Vec<_> = (0..20).map(|k| begin + Vector3::new(0.0, 0.0, 0.004 * f64::from(k))).collect();
-    // No air about it, so that nothing but the organ takes its momentum.
-    let material = ThreadMaterial { drag: 0.0, mass_per_length: 3.5e-3, ..ThreadMaterial::silk_2_0() };
-    let mut thread = Thread::new(material, &positions).expect("a thread");
-    let mut state = thread.state().clone();
-    state.velocities.iter_mut().for_each(|velocity| *velocity = Vector3::new(0.3, 0.0, 0.2));
-    thread = Thread::restore(material, state).expect("its own state");
-    let mass = |node: usize| {
-        let length = thread_length(node, positions.len());
-        material.mass_per_length * length
-    };
-    let inverse: Vec<f64> = (0..positions.len()).map(|node| mass(node).recip()).collect();
-    let points: Vec<PointWeights> = vec![vec![(0, 1.0)]];
-    let joined = {
-        let state = thread.state();
-        let end = WeightedNodes {
-            points: &points,
-            positions: &state.positions,
-            velocities: &state.velocities,
-            inverse_masses: &inverse,
-        };
-        link(TISSUE, &end, &organ.end())
-    };
-    let step = |thread: &mut Thread, link: &mut Link, _: &mut Room| {
-        let state = thread.state();
-        let impulse = link.fast(FAST, &state.positions[..1], &state.velocities[..1]).expect("numbers")[0];
-        let loads = [Load { node: 0, force: impulse / FAST }];
-        thread.step(FAST, &Surroundings { loads: &loads, ..Surroundings::default() }).expect("a step");
-    };
-    // Its springs are at rest in the beginning: without their energy it is to be less all the same.
-    run(organ, joined, &mut thread, false, step, |thread| {
-        let nodes = thread.state().velocities.iter().enumerate();
-        let kinetic = nodes.clone().map(|(node, v)| 0.5 * mass(node) * v.norm_squared()).sum();
-        (nodes.map(|(node, v)| v * mass(node)).sum(), kinetic)
-    });
-}
-
-/// Length of thread that belongs to a node.
-fn thread_length(node: usize, nodes: usize) -> f64 {
-    if node == 0 || node + 1 == nodes { 0.002 } else { 0.004 }
-}
-
-#[test]
-fn a_rigid_needle_sticks_in_finite_elements() {
-    let deep = [0.012, 0.017, 0.022].map(|z| Point3::new(0.015, 0.014, z));
-    let organ = Organ::new(|mesh| {
-        deep.map(|at| {
-            let (tet, weights) = mesh.locate(&at).expect("inside");
-            mesh.tets()[tet].into_iter().zip(weights).collect()
-        })
-        .to_vec()
-    });
-    let mass = RigidMass { mass: 0.27e-3, inertia: Vector3::new(1e-8, 1e-8, 1e-10) };
-    let middle = Point3::new(0.015, 0.014, 0.025);
-    let in_body = deep.map(|at| Point3::from(at - middle));
-    let state = RigidState {
-        position: middle,
-        rotation: nalgebra::UnitQuaternion::identity(),
-        momentum: Vector3::new(0.0, 0.3, 0.2) * mass.mass,
-        angular_momentum: Vector3::new(2e-7, 0.0, 0.0),
-    };
-    let bodies = || {
-        RigidBodies::new(
-            &[mass],
-            &[state],
-            Vector3::zeros(),
-            Integrator::Symplectic,
-            ContactConfig::default(),
-        )
-        .expect("a needle")
-    };
-    let mut needle = bodies();
-    let joined =
-        link(TISSUE, &RigidPoints { mass: &mass, state: &state, points_in_body: &in_body }, &organ.end());
-    let slow = organ.end().mobility();
-    let step = |needle: &mut RigidBodies, link: &mut Link, room: &mut Room| {
-        let state = needle.states()[0];
-        let end = RigidPoints { mass: &mass, state: &state, points_in_body: &in_body };
-        end.places(&mut room.places);
-        end.velocities(&mut room.velocities);
-        link.set_mobilities(&end.mobility(), &slow).expect("of its size");
-        let impulses = link.fast(FAST, &room.places, &room.velocities).expect("numbers");
-        for (impulse, at) in impulses.iter().zip(&room.places) {
-            needle.strike(0, impulse, at).expect("a needle");
-        }
-        needle.step(FAST, &[], &[]).expect("a step");
-    };
-    run(organ, joined, &mut needle, true, step, |needle| {
-        (needle.states()[0].momentum, mass.kinetic_energy(&needle.states()[0]))
-    });
-}
-
-#[test]
-fn a_restored_link_continues_bit_for_bit_and_nonsense_is_refused() {
-    let unit = || [DMatrix::identity(3, 3), DMatrix::identity(3, 3)];
-    let at = [Point3::origin()];
-    let still = [Vector3::zeros()];
-    let make = || Link::new(SPRING, [&at, &at], &still, unit()).expect("a link");
-    let mut one = make();
-    let drive = |link: &mut Link, step: usize| {
-        let place = Point3::new(0.01 * (step as f64 * 0.3).sin(), 0.0, 0.001);
-        link.fast(FAST, &[place], &[Vector3::new(1.0, 0.1, 0.0)]).expect("numbers")[0]
-    };
-    (0..20).for_each(|step| {
-        drive(&mut one, step);
-    });
-    let mut other = make();
-    other.restore(one.state().clone()).expect("its own state");
-    for step in 20..60 {
-        assert_eq!(drive(&mut one, step), drive(&mut other, step));
+fn a_membrane_of_positions_is_carried_by_finite_elements() {
+    let mut organ = Organ::thrown();
+    let mut fast = membrane(&organ, Vector3::new(-0.2, 0.1, 0.5));
+    organ.tell(&mut fast.ghosts, Vector3::zeros());
+    let first = fast.momentum() + organ.momentum();
+    let begin = fast.energy() + organ.energy();
+    let mut most = 0.0_f64;
+    for _ in 0..50 {
+        (0..RATE).for_each(|_| fast.step(Vector3::zeros()));
+        organ.step(&mut fast.ghosts, Vector3::zeros());
+        let lost = (fast.momentum() + organ.momentum() - first).norm();
+        let exchanged = fast.ghosts.exchanged();
+        assert!(lost <= MOMENTUM * exchanged, "{lost:e} of {exchanged} N·s");
+        let energy = fast.energy() + organ.energy();
+        most = most.max(energy);
     }
-    let before = one.state().clone();
-    let nan = [Vector3::repeat(f64::NAN)];
-    assert_eq!(one.fast(FAST, &at, &nan), Err(LinkError::Number("a velocity")));
-    assert_eq!(one.fast(0.0, &at, &still), Err(LinkError::Step(0.0)));
-    let none: [Vector3<f64>; 0] = [];
-    assert!(matches!(one.fast(FAST, &at, &none), Err(LinkError::Size { found: 0, expected: 1, .. })));
-    assert!(matches!(one.moved(&[], &still), Err(LinkError::Size { .. })));
-    assert_eq!(one.state(), &before);
-    let wrong = LinkConfig { stiffness: -1.0, damping: 0.0 };
-    assert!(matches!(Link::new(wrong, [&at, &at], &still, unit()), Err(LinkError::Config { .. })));
-    assert!(matches!(Link::new(SPRING, [&[], &[]], &[], unit()), Err(LinkError::Points(0))));
+    assert!(most <= begin, "{most} J of {begin} J");
+    let exchanged = fast.ghosts.exchanged();
+    assert!(exchanged > 1e-5, "they pulled at each other: {exchanged} N·s");
+    let apart = fast.body.state().positions.iter().zip(organ.places()).map(|(a, b)| (a - b).norm());
+    let apart = apart.fold(0.0, f64::max);
+    assert!(apart < 1e-4, "{apart} m apart");
+}
+
+#[test]
+fn what_hangs_from_finite_elements_hangs_still() {
+    // The block is held by its lower side; a weight is drawn upwards at the middle of its top by 0.2 N.
+    for step_of in [1.0, 1e-3] {
+        let config = Config { stiffness_damping: 0.005, ..Config::default() };
+        let mut organ = Organ::new(|at| at.z < 1e-9, config);
+        let (middle, _) = organ
+            .places()
+            .into_iter()
+            .enumerate()
+            .min_by(|a, b| (a.1.x - 0.01).hypot(a.1.y - 0.01).total_cmp(&(b.1.x - 0.01).hypot(b.1.y - 0.01)))
+            .expect("a node");
+        let mass = 0.02 * step_of;
+        let place = organ.places()[middle];
+        let body = loose(&[mass], &[place], &[Vector3::zeros()]);
+        let mut fast = Faster::new(body, &organ.places(), vec![tie(0, middle as u32, 500.0, 0.1)]);
+        organ.tell(&mut fast.ghosts, Vector3::zeros());
+        let pull = Vector3::z() * (0.2 / mass);
+        let mut heights = Vec::new();
+        for period in 0..400 {
+            for _ in 0..RATE {
+                fast.step(pull);
+                if period >= 350 {
+                    heights.push([fast.body.state().positions[0].z, fast.body.company().ties[0].force.z]);
+                }
+            }
+            organ.step(&mut fast.ghosts, Vector3::zeros());
+        }
+        let range = |k: usize| {
+            let of = || heights.iter().map(|h| h[k]);
+            [of().fold(f64::INFINITY, f64::min), of().fold(f64::NEG_INFINITY, f64::max)]
+        };
+        let [low, high] = range(0);
+        let [weak, strong] = range(1);
+        // The same under the same force without any ghost.
+        let mut alone = Organ::new(|at| at.z < 1e-9, config);
+        let force = [(alone.ghosts[middle], Vector3::z() * 0.2)];
+        for _ in 0..400 {
+            alone.body.step(SLOW, &Inputs { forces: &force, ..Inputs::default() }).expect("a step");
+        }
+        let expected = alone.places()[middle].z;
+        let at = organ.places()[middle].z;
+        assert!((at - expected).abs() < 1e-4 * (expected - 0.03), "{at} for {expected}");
+        assert!((strong + 0.2).abs() < 2e-5 && (weak + 0.2).abs() < 2e-5, "{weak} to {strong} N");
+        assert!(high - low < 1e-7, "{low} to {high} m");
+        assert!((high - at - 0.2 / 500.0).abs() < 1e-6, "the spring is as long as its force asks for: {}", high - at);
+    }
+}
+
+/// Masses of a gram each just above the block, and gravity.
+fn laid(organ: &Organ, tilt: f64) -> (Faster, Vector3<f64>) {
+    let places: Vec<Point3<f64>> =
+        [[0.012, 0.012], [0.019, 0.011], [0.014, 0.018]].map(|[x, y]| Point3::new(x, y, 0.031)).to_vec();
+    let body = loose(&[1e-3; 3], &places, &[Vector3::zeros(); 3]);
+    let gravity = Vector3::new(9.81 * tilt.sin(), 0.0, -9.81 * tilt.cos());
+    (Faster::new(body, &organ.places(), Vec::new()), gravity)
+}
+
+#[test]
+fn what_lies_on_finite_elements_weighs_on_them_and_stays_while_friction_holds_it() {
+    let config = Config { stiffness_damping: 0.005, ..Config::default() };
+    for (tilt, friction, stays) in [(0.0, 0.3, true), (0.2, 0.4, true), (0.2, 0.1, false)] {
+        let mut organ = Organ::new(|at| at.z < 1e-9, config);
+        let (mut fast, gravity) = laid(&organ, tilt);
+        let top = organ.top();
+        let rule = LyingRule { thickness: 5e-4, stiffness: 500.0, friction };
+        let mut lying = Lying::new(rule, &Surface::new(&organ.places(), &top).expect("the top"));
+        organ.tell(&mut fast.ghosts, Vector3::zeros());
+        let (mut pressed, mut fastest, mut count) = (Vector3::zeros(), 0.0_f64, 0);
+        let mut settled = fast.body.state().positions.clone();
+        let periods = if stays { 150 } else { 12 };
+        for period in 0..periods {
+            for _ in 0..RATE {
+                let places = fast.ghosts.positions().to_vec();
+                let State { positions, velocities } = fast.body.state();
+                let surface = Surface::new(&places, &top).expect("the top");
+                lying.find(&surface, &[0, 1, 2], positions, velocities, FAST, &mut fast.presses);
+                fast.step(gravity);
+                let moved = fast.body.company();
+                lying.met(&fast.presses, &moved.presses, &moved.guests, &fast.body.state().positions);
+                if period >= 100 {
+                    pressed += fast.body.company().presses.iter().map(|pressed| pressed.force).sum::<Vector3<f64>>();
+                    count += 1;
+                    let speeds = fast.body.state().velocities.iter().map(|v| v.norm());
+                    fastest = fastest.max(speeds.fold(0.0, f64::max));
+                }
+            }
+            organ.step(&mut fast.ghosts, Vector3::zeros());
+            if period == 100 {
+                settled = fast.body.state().positions.clone();
+            }
+        }
+        let gone = fast.body.state().positions.iter().zip(&settled).map(|(a, b)| (a - b).norm());
+        let gone = gone.fold(0.0, f64::max);
+        if stays {
+            let force = pressed / f64::from(count);
+            assert!((force + gravity * 3e-3).norm() < 1e-4 * 3e-3 * 9.81, "{force:?} N carry them");
+            assert!(fastest < 1e-6, "they lie still: {fastest} m/s");
+            assert!(gone < 1e-6, "they stay: {gone} m in half a second");
+        } else {
+            // Half of (sin − μ cos) g t²: 0.12 s after a millimetre's fall.
+            assert!(gone > 4e-3, "they slide: {gone} m");
+        }
+    }
+}
+
+#[test]
+fn ghosts_that_are_written_down_go_on_bit_for_bit_and_nonsense_is_refused() {
+    let run = |kill: bool| {
+        let mut organ = Organ::thrown();
+        let mut fast = membrane(&organ, Vector3::new(-0.2, 0.1, 0.5));
+        organ.tell(&mut fast.ghosts, Vector3::zeros());
+        for period in 0..6 {
+            (0..RATE).for_each(|_| fast.step(Vector3::zeros()));
+            organ.step(&mut fast.ghosts, Vector3::zeros());
+            if kill && period == 3 {
+                let text = serde_json::to_string(&fast.ghosts).expect("numbers");
+                fast.ghosts = serde_json::from_str(&text).expect("what was written");
+                assert!(fast.ghosts.is_sound(16));
+            }
+        }
+        (fast.body.state().clone(), fast.ghosts)
+    };
+    assert_eq!(run(true), run(false));
+    let (_, mut ghosts) = run(false);
+    let before = ghosts.clone();
+    let (places, none) = ([Point3::origin(); 16], [Vector3::zeros(); 16]);
+    let news = News {
+        positions: &places,
+        velocities: &none,
+        expected: &none,
+        mobilities: &[1.0; 16],
+        masses_inverse: &[1.0; 16],
+        last: &none,
+        taken: &none,
+        given_work: 0.0,
+        received: 0.0,
+        step: SLOW,
+        age: 0.0,
+    };
+    let short = News { velocities: &none[..3], ..news };
+    assert_eq!(
+        ghosts.hear(&short),
+        Err(GhostsError::Size { what: "velocities", found: 3, expected: 16 })
+    );
+    let nan = [Vector3::repeat(f64::NAN); 16];
+    assert_eq!(ghosts.hear(&News { taken: &nan, ..news }), Err(GhostsError::Number("an impulse")));
+    let negative = News { mobilities: &[-1.0; 16], ..news };
+    assert_eq!(ghosts.hear(&negative), Err(GhostsError::Number("a time or a mobility")));
+    assert_eq!(ghosts.hear(&News { age: f64::NAN, ..news }), Err(GhostsError::Number("a time or a mobility")));
+    assert_eq!(ghosts, before);
+    assert_eq!(Ghosts::new(&[Point3::new(f64::NAN, 0.0, 0.0)]), Err(GhostsError::Number("a place")));
 }

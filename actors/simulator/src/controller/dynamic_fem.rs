@@ -9,7 +9,7 @@ use super::deformable::Deformable;
 use super::dynamic_fem_memory::DynamicFemMemory;
 use super::heat::{Coagulated, Heated};
 use super::parting::{Elements, Parting, Weakness};
-use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
+use super::soft::{Measures, Outlook, Reshaped, Site, SoftController, SoftMethod};
 use super::tools::Rod;
 use super::touch::{Skin, Touch};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs};
@@ -211,16 +211,19 @@ impl SoftMethod for DynamicFemMethod {
         self.contacts.extend(site.touches.iter().map(|touch| contact(touch, site.rods, &self.of.kind)));
         self.prescribed.clear();
         self.prescribed.extend(site.led.iter().map(|led| (led.vertex, led.position_in_world)));
-        let inputs = Inputs {
-            acceleration: site.gravity,
-            contacts: &self.contacts,
-            prescribed: &self.prescribed,
-            ..Inputs::default()
-        };
+        let inputs = inputs(&self.contacts, &self.prescribed, site);
         self.of.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())?;
         forces.clear();
         forces.extend(self.contacts.iter().map(|contact| force_of(contact, self.of.solver.positions())));
         Ok(())
+    }
+
+    fn look_ahead(&mut self, _body: &Deformable, site: &Site<'_>, active: &[u32], outlook: &mut Outlook) {
+        let (solver, dt) = (&mut self.of.solver, site.period_secs());
+        solver.expected(dt, &inputs(&self.contacts, &self.prescribed, site), &mut outlook.expected);
+        outlook.yielding = solver.yielding(dt, active);
+        outlook.masses.clear();
+        outlook.masses.extend_from_slice(solver.masses());
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
@@ -243,6 +246,14 @@ impl SoftMethod for DynamicFemMethod {
 
 /// Steps every body that carries [`DynamicFemBody`].
 pub type DynamicFemController = SoftController<DynamicFemMethod>;
+
+fn inputs<'a>(
+    contacts: &'a [Contact],
+    prescribed: &'a [(u32, Point3<f64>)],
+    site: &Site<'a>,
+) -> Inputs<'a> {
+    Inputs { acceleration: site.gravity, contacts, prescribed, forces: site.forces, ..Inputs::default() }
+}
 
 /// The plane that touches the rod where the body is nearest to it.
 fn contact(touch: &Touch, rods: &[Rod], kind: &DynamicFemBody) -> Contact {

@@ -201,6 +201,7 @@ impl Controller for LinearFemController {
                     gravity: Vector3::zeros(),
                     rods: &self.rods,
                     touches: &[],
+                    forces: &[],
                     led: &[],
                 };
                 let done = body.step(index, self.cache.as_ref(), &site, out);

@@ -4,8 +4,11 @@
 //! Everything that a later life needs is in the scene: shapes at rest, positions and velocities of vertices, what is held,
 //! burned or cut. What a solver refuses freezes the one body that it is about; the others go on.
 
+pub mod answering;
 pub mod bleeding;
 pub mod burning_surface;
+pub mod coupled;
+pub mod coupling;
 pub mod cuts;
 pub mod deformable;
 pub mod dynamic_fem;
@@ -45,6 +48,7 @@ use crate::instrument::mechanism::MechanismState;
 
 pub use bleeding::{BleedingController, Vessel, VesselState};
 pub use burning_surface::SurfaceElements;
+pub use coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, Joined, Lies};
 pub use deformable::Deformable;
 pub use dynamic_fem::{DynamicFemBody, DynamicFemController};
 pub use dynamic_fem_memory::DynamicFemMemory;
@@ -78,6 +82,9 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<grips::Grips>()?;
     builder.register::<DynamicFemBody>()?;
     builder.register::<XpbdBody>()?;
+    builder.register::<CoupledBody>()?;
+    builder.register::<CouplingGiven>()?;
+    builder.register::<CouplingTaken>()?;
     builder.register::<DynamicFemMemory>()?;
     builder.register::<LinearFemBody>()?;
     builder.register::<CauterisedBody>()?;

@@ -13,6 +13,8 @@ use trocar_scene::{
     Snapshot, Tick, Velocity,
 };
 
+use super::answering::Answering;
+pub use super::answering::Outlook;
 use super::deformable::Deformable;
 use super::grips::{Grips, Holder};
 use super::tools::{Rod, rods_of_all};
@@ -34,6 +36,8 @@ pub struct Site<'a> {
     pub rods: &'a [Rod],
     /// Where rods touch the body and push it.
     pub touches: &'a [Touch],
+    /// Forces on vertices that others have given the body \[N\].
+    pub forces: &'a [(u32, Vector3<f64>)],
     /// Vertices that jaws hold, and where they have them at the end of the tick; ascending, none that is anchored.
     pub led: &'a [Led],
 }
@@ -128,6 +132,9 @@ pub trait SoftMethod: Send + Sized + 'static {
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String>;
 
+    /// What is to be expected of the next step, after one; `active` are the vertices that others gave something in it.
+    fn look_ahead(&mut self, _body: &Deformable, _site: &Site<'_>, _active: &[u32], _outlook: &mut Outlook) {}
+
     /// What the body exerts now on whoever holds these vertices \[N\]; ascending.
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64>;
 
@@ -160,6 +167,8 @@ struct Body<M> {
     method: M,
     is_pinned: Vec<bool>,
     grips: Grips,
+    /// If others are coupled with it.
+    answering: Option<Answering>,
     frozen: bool,
 }
 
@@ -169,6 +178,7 @@ struct Scratch {
     rods: Vec<Rod>,
     touches: Vec<Touch>,
     forces: Vec<Vector3<f64>>,
+    given: Vec<(u32, Vector3<f64>)>,
 }
 
 /// Steps every body that carries the component of a method.
@@ -193,7 +203,8 @@ impl<M: SoftMethod> SoftController<M> {
             let is_pinned = body.stays();
             let grips = context.scene.get::<Grips>(entity).cloned().unwrap_or_default();
             let frozen = context.scene.get::<Frozen>(entity).is_some();
-            bodies.push(Body { body, method, is_pinned, grips, frozen });
+            let answering = Answering::new(&body, context.scene);
+            bodies.push(Body { body, method, is_pinned, grips, answering, frozen });
         }
         if bodies.is_empty() {
             let (controller, kind) = (M::CONTROLLER, M::Kind::NAME);
@@ -215,7 +226,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>();
-        M::access(access, &bodies)
+        M::access(Answering::access(access, &bodies), &bodies)
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
@@ -234,6 +245,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
                     gravity,
                     rods: &[],
                     touches: &[],
+                    forces: &[],
                     led: &[],
                 };
                 if let Err(reason) = body.step(&nothing, &mut self.scratch, &mut found, out) {
@@ -275,7 +287,7 @@ impl<M: SoftMethod> Body<M> {
         found: &mut Found,
         out: &mut Commands,
     ) -> Result<(), String> {
-        let Scratch { rods, touches: touched, forces } = scratch;
+        let Scratch { rods, touches: touched, forces, given } = scratch;
         rods_of_all(nothing.scene, nothing.world_from_body, rods);
         let site = Site { rods, ..*nothing };
         let entity = self.body.entity;
@@ -296,7 +308,11 @@ impl<M: SoftMethod> Body<M> {
             !(stays || is_cut || touch.nodes.iter().any(is_led))
         });
 
-        let site = Site { touches: touched, led: &led, ..site };
+        given.clear();
+        if let Some(answering) = &mut self.answering {
+            answering.take(&site, self.method.velocities(), given);
+        }
+        let site = Site { touches: touched, led: &led, forces: given, ..site };
         self.method.step(&self.body, &site, forces)?;
         self.body.write(self.method.positions(), self.method.velocities(), out);
         self.method.publish(&self.body, out);
@@ -312,6 +328,11 @@ impl<M: SoftMethod> Body<M> {
             let pull = self.method.pull_by(&held);
             found.pulled += pull.norm();
             found.collisions.extend(self.grip(pick, &pull, &site));
+        }
+        if let Some(answering) = &mut self.answering {
+            let (body, method) = (&self.body, &mut self.method);
+            answering.look(|active, outlook| method.look_ahead(body, &site, active, outlook));
+            answering.tell(&site, &self.is_pinned, method.velocities(), out);
         }
         Ok(())
     }

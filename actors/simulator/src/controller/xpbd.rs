@@ -10,13 +10,14 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::{Access, Commands, Component, ComponentError, Entity, Snapshot};
 
 use super::burning_surface::BurningSurface;
+use super::coupled::Coupled;
 use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
 use super::parting::{Elements, Parting, Weakness};
-use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
+use super::soft::{Measures, Outlook, Reshaped, Site, SoftController, SoftMethod};
 use super::touch::{Skin, Touch};
 use crate::elasticity::Alteration;
-use crate::mass_spring::{Contact, LineMaterial, Network, Prescribed, State, SurfaceMaterial};
+use crate::mass_spring::{Contact, LineMaterial, Network, NodeForce, Prescribed, State, SurfaceMaterial};
 use crate::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
 /// What a position-based body is made of, by the kind of its mesh.
@@ -206,8 +207,13 @@ pub struct XpbdMethod {
     of: Solver,
     parting: Option<Parting>,
     burning: Option<BurningSurface>,
+    /// If it pulls or presses at others.
+    coupled: Option<Coupled>,
     contacts: Vec<Contact>,
     prescribed: Vec<Prescribed>,
+    forces: Vec<NodeForce>,
+    /// A copy that looks ahead, where others are coupled with the body.
+    ahead: Option<Box<Xpbd>>,
 }
 
 impl XpbdMethod {
@@ -245,11 +251,14 @@ impl SoftMethod for XpbdMethod {
             of.alter(&parting.heated().coagulated);
             of.remove(&parting.heated().removed);
         }
-        Ok(Self { of, parting, burning, contacts: Vec::new(), prescribed: Vec::new() })
+        let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
+        let coupled = Coupled::new(body, thickness, scene)?;
+        let (contacts, prescribed, forces) = Default::default();
+        Ok(Self { of, parting, burning, coupled, contacts, prescribed, forces, ahead: None })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        BurningSurface::access(Parting::access(access, bodies), bodies)
+        Coupled::access(BurningSurface::access(Parting::access(access, bodies), bodies), bodies)
     }
 
     fn is_cut_by_blades(&self) -> bool {
@@ -294,7 +303,7 @@ impl SoftMethod for XpbdMethod {
 
     fn step(
         &mut self,
-        _body: &Deformable,
+        body: &Deformable,
         site: &Site<'_>,
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
@@ -304,16 +313,64 @@ impl SoftMethod for XpbdMethod {
         self.prescribed.clear();
         let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
         self.prescribed.extend(led);
+        self.forces.clear();
+        self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
+        let dt = site.period_secs();
+        if let Some(coupled) = &mut self.coupled {
+            coupled.meet(body, self.of.solver.state(), site)?;
+        }
+        let company = self.coupled.as_ref().map(Coupled::company).unwrap_or_default();
         let input = XpbdInput {
             gravity: site.gravity,
+            forces: &self.forces,
             contacts: &self.contacts,
             prescribed: &self.prescribed,
-            ..XpbdInput::default()
+            company,
         };
-        self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
+        self.of.solver.step(dt, &input).map_err(|error| error.to_string())?;
+        if let Some(coupled) = &mut self.coupled {
+            coupled.met(self.of.solver.company(), &self.of.solver.state().positions, dt);
+        }
         forces.clear();
         forces.extend_from_slice(self.of.solver.contact_forces());
         Ok(())
+    }
+
+    fn look_ahead(&mut self, _body: &Deformable, site: &Site<'_>, _active: &[u32], outlook: &mut Outlook) {
+        let solver = &self.of.solver;
+        outlook.masses.clear();
+        outlook.masses.extend_from_slice(solver.masses());
+        // As single masses, which is rather too readily.
+        outlook.yielding.clear();
+        outlook.expected.clone_from(&solver.state().velocities);
+        let mut ahead = match self.ahead.take() {
+            Some(mut known) => {
+                (*known).clone_from(solver);
+                known
+            }
+            None => Box::new(solver.clone()),
+        };
+        if let Some(coupled) = &mut self.coupled {
+            coupled.look();
+        }
+        let company = self.coupled.as_ref().map(Coupled::company).unwrap_or_default();
+        let input = XpbdInput {
+            gravity: site.gravity,
+            forces: &self.forces,
+            contacts: &self.contacts,
+            prescribed: &self.prescribed,
+            company,
+        };
+        if ahead.step(site.period_secs(), &input).is_ok() {
+            outlook.expected.clone_from(&ahead.state().velocities);
+        }
+        self.ahead = Some(ahead);
+    }
+
+    fn publish(&mut self, body: &Deformable, out: &mut Commands) {
+        if let Some(coupled) = &self.coupled {
+            coupled.publish(body.entity, out);
+        }
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
@@ -327,6 +384,7 @@ impl SoftMethod for XpbdMethod {
         measures.put("displacement_max_m", moved.fold(0.0, f64::max));
         let heights = || self.positions().iter().map(|position| position.z);
         self.parting.iter().for_each(|parting| parting.measure(measures));
+        self.coupled.iter().for_each(|coupled| coupled.measure(measures));
         measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
         measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));
     }

@@ -1,21 +1,21 @@
-//! Bodies of different methods at different rates, joined at points: a membrane grown onto an organ, the end of a thread
-//! in tissue, a needle in it.
+//! Bodies of different methods at different rates: a membrane that is grown onto an organ, a band that lies about one.
 //!
-//! A [`Link`] is stepped with the faster body. What it gives that body it owes the slower one, which takes the sum of all
-//! impulses at its next step: action and reaction are the same numbers, so momentum is exchanged to rounding, whatever
-//! the rates and masses are. Between two steps of the slower body the faster one feels a proxy of it: its points, with
-//! the velocities that they had and the mobility that they have.
+//! The faster body is stepped with [`Ghosts`] of the slower one's nodes, mass points as heavy as those are to push in a step
+//! of theirs. What joins the two, or keeps them apart, is part of the faster one's solver
+//! ([`Company`](crate::xpbd::company::Company)). What that gives the ghosts it owes the nodes, and the slower body
+//! takes the sum at its next step: action and reaction are the same numbers, so momentum is exchanged to rounding, whatever
+//! the rates and masses are, and whatever either body does when.
 //!
-//! No energy comes from the link. Its springs and dampers are solved implicitly against both mobilities; where the proxy
-//! and the body have drifted apart, the spring may only be stretched anew out of a tank that its own dissipation has
-//! filled (passivity by a tank: Franken, Stramigioli, Misra, Secchi, Macchelli 2011). What the tank cannot pay is made
-//! up for later.
+//! Each step of the slower body puts the ghosts right. How they move then costs nothing: it is what the body does. Where they
+//! are then would stretch the springs anew, and that is paid out of a tank which what dampers and friction took has filled,
+//! and what the ghosts were given beyond what the body received (passivity by a tank: Franken, Stramigioli, Misra, Secchi,
+//! Macchelli 2011). What the tank cannot pay is made up for later.
 //!
-//! Stiff groups do not belong on both sides of a link: needle, thread and what they rub on are stepped as one island
+//! Stiff groups do not belong on both sides of that: needle, thread and what they rub on are stepped as one island
 //! (see [`thread`](crate::thread)).
 
-mod ends;
-mod link;
+mod ghosts;
+mod lying;
 
-pub use ends::{End, PointWeights, RigidPoints, WeightedNodes, inverse_masses};
-pub use link::{Link, LinkConfig, LinkError, LinkState, POINTS_MAX};
+pub use ghosts::{Ghosts, GhostsError, News};
+pub use lying::{Anchor, Lying, LyingRule};

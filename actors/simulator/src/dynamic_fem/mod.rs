@@ -18,6 +18,7 @@ mod objective;
 mod polar;
 mod solver;
 mod state;
+mod outlook;
 
 pub use config::{Config, DynamicFemError, Energies, MassMatrix, Report, StepError};
 pub use material::{Constitution, JACOBIAN_MIN};

@@ -38,50 +38,50 @@ pub struct DynamicFem {
     pub(super) config: Config,
     pub(super) elements: Vec<Element>,
     material: Material,
-    lame: [f64; 2],
+    pub(super) lame: [f64; 2],
     pub(super) mass: Mass,
     /// Elements that each node has; one without stays where it is.
     pub(super) around: Vec<u32>,
     /// Row of each node in the order of elimination; `None` for fixed ones.
-    numbers: Vec<Option<u32>>,
+    pub(super) numbers: Vec<Option<u32>>,
     pub(super) positions: Vec<Point3<f64>>,
     pub(super) velocities: Vec<Vector3<f64>>,
     pub(super) accelerations: Vec<Vector3<f64>>,
     pub(super) debt: u32,
     pub(super) factored_at: FactoredAt,
     hessian: BlockMatrix,
-    factor: SparseCholesky,
-    memory: Memory,
+    pub(super) factor: SparseCholesky,
+    pub(super) memory: Memory,
     /// Of the elastic energy \[J\]: it is a difference of terms that are as large as the body is stiff.
     rounding: f64,
     /// Of the forces \[N\]: what positions that are off by their rounding put out of balance.
     floor: f64,
-    work: Work,
+    pub(super) work: Work,
 }
 
 /// Room that is kept between steps.
 #[derive(Default)]
-struct Work {
-    held: Vec<bool>,
+pub(super) struct Work {
+    pub held: Vec<bool>,
     reactions: Vec<(u32, Vector3<f64>)>,
     before: Vec<(Matrix3<f64>, Matrix3<f64>)>,
     outer: Vec<Vector3<f64>>,
     aim: Vec<Point3<f64>>,
-    now: Vec<Point3<f64>>,
+    pub now: Vec<Point3<f64>>,
     trial: Vec<Point3<f64>>,
-    gradient: Vec<Vector3<f64>>,
-    next: Vec<Vector3<f64>>,
-    direction: Vec<Vector3<f64>>,
+    pub gradient: Vec<Vector3<f64>>,
+    pub next: Vec<Vector3<f64>>,
+    pub direction: Vec<Vector3<f64>>,
     apart: Vec<Vector3<f64>>,
     product: Vec<Vector3<f64>>,
-    flat: Vec<f64>,
+    pub flat: Vec<f64>,
     /// The last evaluation was of a trial that was not taken.
     refused: bool,
 }
 
 /// The potential at a place.
 #[derive(Clone, Copy)]
-struct Value {
+pub(super) struct Value {
     energy: f64,
     /// Sum of the magnitudes that `energy` is made of: what its rounding is relative to.
     magnitude: f64,
@@ -210,7 +210,7 @@ impl DynamicFem {
     }
 
     /// Whether a node is neither fixed nor left behind.
-    fn moves(&self, node: usize) -> bool {
+    pub(super) fn moves(&self, node: usize) -> bool {
         self.numbers[node].is_some() && self.around[node] > 0
     }
 
@@ -316,7 +316,7 @@ impl DynamicFem {
     }
 
     /// Where inertia aims at, what acts from outside, and a first guess: the acceleration stays.
-    fn begin(&self, dt: f64, inputs: &Inputs, work: &mut Work) {
+    pub(super) fn begin(&self, dt: f64, inputs: &Inputs, work: &mut Work) {
         let nodes = self.positions.len();
         work.aim.clear();
         work.now.clear();
@@ -369,7 +369,7 @@ impl DynamicFem {
     }
 
     /// The potential and its gradient at a place; what acts on held nodes goes to the reactions.
-    fn evaluate(
+    pub(super) fn evaluate(
         &self,
         dt: f64,
         inputs: &Inputs,
@@ -506,7 +506,7 @@ impl DynamicFem {
     }
 
     /// The direction from the gradient: minus the inverse Hessian, as far as it is known, times it.
-    fn descend(&mut self, work: &mut Work) {
+    pub(super) fn descend(&mut self, work: &mut Work) {
         work.direction.clone_from(&work.gradient);
         let (factor, numbers) = (&mut self.factor, &self.numbers);
         let (flat, held) = (&mut work.flat, &work.held);

@@ -11,6 +11,7 @@
 //! that the caller runs in: the bits are the same.
 
 mod colouring;
+pub mod company;
 mod constraint;
 mod contact;
 mod tets;
@@ -26,6 +27,7 @@ use crate::mass_spring::{
     Contact, Faulty, NetworkError, NodeForce, Prescribed, State, StepError, check_contacts, check_elements,
 };
 use colouring::Colouring;
+use company::{Company, CompanyMoved};
 use constraint::{Constraint, Nodes};
 use contact::Pressed;
 use tets::{Pack, Tets};
@@ -79,6 +81,8 @@ pub struct XpbdInput<'a> {
     pub prescribed: &'a [Prescribed],
     /// Contacts.
     pub contacts: &'a [Contact],
+    /// Nodes of other bodies, and what joins this one to them.
+    pub company: Company<'a>,
 }
 
 /// The solver.
@@ -121,6 +125,7 @@ struct Scratch {
     forces: Vec<Vector3<f64>>,
     contacts: Vec<Pressed>,
     contact_forces: Vec<Vector3<f64>>,
+    company: company::Scratch,
     distances: Sweep<Distance>,
     bends: Sweep<Bend>,
     tets: Sweep<Pack>,
@@ -293,11 +298,28 @@ impl Xpbd {
     pub fn contact_forces(&self) -> &[Vector3<f64>] {
         &self.scratch.contact_forces
     }
-    /// What distances, bends and tetrahedra exerted on these nodes (ascending) in the last part of the last step \[N\]: what
-    /// jaws that hold them feel. Zero before the first step.
+    /// What has become in the last step of the nodes of other bodies.
+    #[must_use]
+    pub fn company(&self) -> &CompanyMoved {
+        &self.scratch.company.moved
+    }
+    /// How readily each node follows an impulse over a step of `dt` seconds that its neighbours hold it back in \[1/kg\]: the
+    /// inverse of its mass and of what stiffens it; 0 where it is held.
+    #[must_use]
+    pub fn yielding(&self, dt: f64) -> Vec<f64> {
+        let mut stiffness = vec![0.0; self.mobility.len()];
+        for Distance { nodes, compliance, .. } in self.distances.all.iter().filter(|d| d.compliance > 0.0) {
+            nodes.iter().for_each(|&node| stiffness[node as usize] += compliance.recip() / 3.0);
+        }
+        self.tets.add_node_stiffness(&mut stiffness);
+        let yielding = self.mobility.iter().zip(stiffness);
+        yielding.map(|(mobility, k)| if *mobility > 0.0 { 1.0 / (mobility.recip() + dt * dt * k) } else { 0.0 }).collect()
+    }
+    /// What distances, bends, tetrahedra and ties exerted on these nodes (ascending) in the last part of the last step \[N\], of
+    /// ties the mean of the step: what jaws that hold them feel. Zero before the first step.
     #[must_use]
     pub fn pull_on(&mut self, nodes: &[u32]) -> Vector3<f64> {
-        let Scratch { places, distances, bends, tets, rate, .. } = &mut self.scratch;
+        let Scratch { places, distances, bends, tets, rate, company, .. } = &mut self.scratch;
         let mut sum = Vector3::zeros();
         let mut each = |node: u32, impulse: Vector3<f64>| {
             if nodes.binary_search(&node).is_ok() {
@@ -311,7 +333,7 @@ impl Xpbd {
         of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
         let of = self.tets.packs.iter().zip(&tets.multipliers);
         of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
-        sum * *rate
+        sum * *rate + company.pull_on(nodes)
     }
     /// What distances, bends and tetrahedra hold \[J\]; of distances without compliance nothing.
     #[must_use]
@@ -369,6 +391,7 @@ impl Xpbd {
                 return wrong("prescribed node", index, "has a position that is not finite");
             }
         }
+        input.company.check(nodes)?;
         check_contacts(input.contacts, nodes)
     }
 
@@ -399,6 +422,7 @@ impl Xpbd {
         scratch.contacts.clear();
         let positions = &self.state.positions;
         scratch.contacts.extend(input.contacts.iter().map(|contact| Pressed::new(contact, positions)));
+        input.company.prepare(&mut scratch.places, &mut scratch.company);
     }
 
     fn part(&mut self, h: f64, since: f64, input: &XpbdInput<'_>) {
@@ -418,6 +442,7 @@ impl Xpbd {
             }
             (0..3).for_each(|axis| place[axis] += velocity[axis] * h);
         }
+        input.company.fly(h, &scratch.before, &mut nodes, &mut scratch.company);
         scratch.rate = nodes.rate;
         scratch.distances.reset(self.distances.all.len());
         scratch.bends.reset(self.bends.all.len());
@@ -429,10 +454,12 @@ impl Xpbd {
             for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
                 pressed.project(contact, &mut nodes, since, h);
             }
+            input.company.project(h, &scratch.before, &mut nodes, &mut scratch.company);
         }
         for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
             pressed.end(contact, h);
         }
+        input.company.end(h, &scratch.before, &nodes, &mut scratch.company, f64::from(self.config.parts));
         for ((velocity, place), before) in velocities.iter_mut().zip(&scratch.places).zip(&scratch.before) {
             if place[3] > 0.0 {
                 *velocity = Vector3::from_fn(|axis, _| (place[axis] - before[axis]) / h);

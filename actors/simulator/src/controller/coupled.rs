@@ -1,0 +1,458 @@
+//! The faster side of a coupling: a body of positions meets the vertices of others as ghosts in every step, and tells what it
+//! gave them.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_collision::Surface;
+use trocar_collision::primitive::closest_on_triangle;
+use trocar_scene::{
+    Access, Commands, Entity, EntitySet, Snapshot, SurfaceMesh, TetMesh, VertexPositions, VertexVelocities,
+};
+
+use super::answering::{answers, who_answers};
+use super::coupling::{
+    CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, GivenTo, Graft, JOINED_MAX, Joined,
+};
+use super::deformable::Deformable;
+use super::heat::RemovedElements;
+use super::soft::{Measures, Site};
+use crate::coupling::{Lying, LyingRule, News};
+use crate::mass_spring::State;
+use crate::tet_mesh::{self, MeshRules};
+use crate::xpbd::company::{Company, CompanyMoved, Guest, GuestMoved, Press, Tie};
+
+/// News older than this are none: what they are of is a wall \[s\].
+const STALE: f64 = 0.5;
+
+/// One of the bodies that a body is coupled with.
+struct Partner {
+    entity: Entity,
+    rule: CoupledWith,
+    given: GivenTo,
+    /// The ghost of each vertex that has one.
+    ghost_of: BTreeMap<u32, u32>,
+    tets: Arc<Vec<[u32; 4]>>,
+    triangles: Arc<Vec<[u32; 3]>>,
+    /// Its surface by ghosts, if the body lies on it.
+    surface: Vec<[u32; 3]>,
+    lying: Option<Lying>,
+    is_wall: bool,
+    /// By ghosts.
+    ties: Vec<Tie>,
+    presses: Vec<Press>,
+    guests: Vec<Guest>,
+    /// Ghosts that take part in the present step, and what became of all.
+    used: Vec<u32>,
+    moved: Vec<GuestMoved>,
+    force: [f64; 2],
+}
+
+/// A body that is coupled with others.
+pub struct Coupled {
+    thickness: f64,
+    with: Vec<Partner>,
+    /// Vertices that can lie on something, as long as its triangles are these.
+    outside: Vec<u32>,
+    triangles: Arc<Vec<[u32; 3]>>,
+    guests: Vec<Guest>,
+    ties: Vec<Tie>,
+    presses: Vec<Press>,
+}
+
+impl Coupled {
+    /// Of a body as the scene has it; of one that is coupled with nothing nothing.
+    ///
+    /// # Errors
+    /// What is wrong with what it is coupled with.
+    pub fn new(body: &Deformable, thickness: f64, scene: &Snapshot) -> Result<Option<Self>, String> {
+        let Some(coupled) = scene.get::<CoupledBody>(body.entity) else { return Ok(None) };
+        let known = scene.get::<CouplingGiven>(body.entity);
+        let with = coupled.with.iter().enumerate();
+        let with: Result<Vec<Partner>, String> = with
+            .map(|(index, rule)| {
+                Partner::new(body, thickness, rule, scene, known.and_then(|known| known.to.get(index)))
+                    .map_err(|why| format!("it is coupled with '{}': {why}", rule.body))
+            })
+            .collect();
+        let mut coupled = Self {
+            thickness,
+            with: with?,
+            outside: Vec::new(),
+            triangles: Arc::default(),
+            guests: Vec::new(),
+            ties: Vec::new(),
+            presses: Vec::new(),
+        };
+        coupled.look_outside(body);
+        Ok(Some(coupled))
+    }
+
+    /// What controllers of such bodies read and write for it.
+    pub fn access(access: Access, bodies: &[Entity]) -> Access {
+        access
+            .reads::<CoupledBody>()
+            .reads::<CouplingTaken>()
+            .reads::<RemovedElements>()
+            .writes::<CouplingGiven>(EntitySet::Of(bodies.to_vec()))
+    }
+
+    fn look_outside(&mut self, body: &Deformable) {
+        if Arc::ptr_eq(&self.triangles, &body.triangles) {
+            return;
+        }
+        self.triangles = body.triangles.clone();
+        self.outside = body.triangles.iter().flatten().copied().collect();
+        self.outside.sort_unstable();
+        self.outside.dedup();
+    }
+
+    /// Before a step: hears what the others tell, and lists who takes part.
+    ///
+    /// # Errors
+    /// Why it cannot go on.
+    pub fn meet(&mut self, body: &Deformable, state: &State, site: &Site<'_>) -> Result<(), String> {
+        self.look_outside(body);
+        self.guests.clear();
+        self.ties.clear();
+        self.presses.clear();
+        for partner in &mut self.with {
+            partner.follow(site)?;
+            partner.hear(body.entity, site)?;
+            partner.touch(body, &self.outside, state, site.period_secs())?;
+            partner.join(self.guests.len() as u32, &mut self.ties, &mut self.presses);
+            let (guests, used) = (&partner.guests, &partner.used);
+            self.guests.extend(used.iter().map(|&ghost| guests[ghost as usize]));
+        }
+        Ok(())
+    }
+
+    /// Who takes part in the step.
+    #[must_use]
+    pub fn company(&self) -> Company<'_> {
+        Company { guests: &self.guests, ties: &self.ties, presses: &self.presses }
+    }
+
+    /// After a step: what became of them.
+    pub fn met(&mut self, moved: &CompanyMoved, positions: &[Point3<f64>], dt: f64) {
+        let (mut guest, mut tie, mut press) = (0, 0, 0);
+        for partner in &mut self.with {
+            let [guests, ties, presses] =
+                [partner.used.len(), partner.ties.len(), partner.presses.len()];
+            let ties_moved = &moved.ties[tie..tie + ties];
+            let presses_moved = &moved.presses[press..press + presses];
+            partner.moved.clear();
+            partner.moved.extend(partner.guests.iter().map(|guest| guest.alone(dt)));
+            for (&ghost, moved) in partner.used.iter().zip(&moved.guests[guest..guest + guests]) {
+                partner.moved[ghost as usize] = *moved;
+            }
+            partner.force = [
+                ties_moved.iter().map(|tied| tied.force.norm()).sum(),
+                presses_moved.iter().map(|pressed| pressed.force.norm()).sum(),
+            ];
+            if !partner.is_wall {
+                let lost = ties_moved.iter().map(|tied| tied.lost);
+                let lost: f64 = lost.chain(presses_moved.iter().map(|pressed| pressed.lost)).sum();
+                partner.given.ghosts.met(&partner.moved, lost);
+            }
+            if let Some(lying) = &mut partner.lying {
+                lying.met(&partner.presses, presses_moved, &partner.moved, positions);
+                partner.given.anchors.clear();
+                partner.given.anchors.extend_from_slice(lying.anchors());
+            }
+            (guest, tie, press) = (guest + guests, tie + ties, press + presses);
+        }
+    }
+
+    /// Those who took part in the last step take part as they are now: for a look at the next one.
+    pub fn look(&mut self) {
+        self.guests.clear();
+        for partner in &self.with {
+            let now: Vec<Guest> = partner.given.ghosts.guests().collect();
+            let wall = |guest: Guest| if partner.is_wall { guest.as_wall() } else { guest };
+            self.guests.extend(partner.used.iter().map(|&ghost| wall(now[ghost as usize])));
+        }
+    }
+
+    /// Tells the others what they were given.
+    pub fn publish(&self, body: Entity, out: &mut Commands) {
+        out.put(body, CouplingGiven { to: self.with.iter().map(|partner| partner.given.clone()).collect() });
+    }
+
+    /// Tells how strongly it pulls and presses, and how far ghosts are from what they stand for.
+    pub fn measure(&self, measures: &mut Measures<'_>) {
+        let sum = |k: usize| self.with.iter().map(|partner| partner.force[k]).sum();
+        measures.put("joined_force_n", sum(0));
+        measures.put("lying_force_n", sum(1));
+        let count: usize = self.with.iter().map(|partner| partner.ties.len()).sum();
+        measures.put("joined_vertices", count as f64);
+        let behind = self.with.iter().map(|partner| partner.given.ghosts.furthest_behind());
+        measures.put("coupling_behind_m", behind.fold(0.0, f64::max));
+    }
+
+    /// How far its surface is from its vertices \[m\].
+    #[must_use]
+    pub fn thickness(&self) -> f64 {
+        self.thickness
+    }
+}
+
+impl Partner {
+    fn new(
+        body: &Deformable,
+        thickness: f64,
+        rule: &CoupledWith,
+        scene: &Snapshot,
+        known: Option<&GivenTo>,
+    ) -> Result<Self, String> {
+        let entity = scene.find(&rule.body).ok_or("the scene has no such entity")?;
+        if entity == body.entity {
+            return Err("that is itself".into());
+        }
+        if !answers(scene, entity) {
+            return Err(format!("that is to be moved by {}", who_answers()));
+        }
+        let other = Deformable::read(scene, entity).map_err(|error| error.to_string())?;
+        if other.tets.is_empty() {
+            return Err("that has no volume: it needs a mesh of tetrahedra".into());
+        }
+        let body_from_other = scene.world_pose(body.entity).inverse() * scene.world_pose(entity);
+        let given = match known.filter(|known| known.body == Some(entity)) {
+            Some(known) if known.ghosts.is_sound(known.vertices.len()) => known.clone(),
+            _ => {
+                let grafts = match &rule.joined {
+                    Some(joined) => grafts(body, &other, &body_from_other, joined)?,
+                    None => Vec::new(),
+                };
+                GivenTo { body: Some(entity), grafts: Arc::new(grafts), ..GivenTo::default() }
+            }
+        };
+        let ghost_of = given.vertices.iter().zip(0..).map(|(&vertex, ghost)| (vertex, ghost)).collect();
+        let mut partner = Self {
+            entity,
+            rule: rule.clone(),
+            given,
+            ghost_of,
+            tets: Arc::default(),
+            triangles: Arc::default(),
+            surface: Vec::new(),
+            lying: None,
+            is_wall: true,
+            ties: Vec::new(),
+            presses: Vec::new(),
+            guests: Vec::new(),
+            used: Vec::new(),
+            moved: Vec::new(),
+            force: [0.0; 2],
+        };
+        partner.take_over(&other.tets, &other.triangles, &[], &other.positions, &body_from_other)?;
+        if let Some(lies) = rule.lies {
+            let rule = LyingRule { thickness, stiffness: lies.stiffness, friction: lies.friction };
+            let places = partner.given.ghosts.positions();
+            let surface = Surface::new(places, &partner.surface).map_err(|error| error.to_string())?;
+            let mut lying = Lying::new(rule, &surface);
+            lying.hold(&partner.given.anchors);
+            partner.lying = Some(lying);
+        }
+        Ok(partner)
+    }
+
+    /// The other body has these elements and this surface now.
+    fn take_over(
+        &mut self,
+        tets: &Arc<Vec<[u32; 4]>>,
+        triangles: &Arc<Vec<[u32; 3]>>,
+        removed: &[u32],
+        positions: &[Point3<f64>],
+        body_from_other: &Isometry3<f64>,
+    ) -> Result<(), String> {
+        (self.tets, self.triangles) = (tets.clone(), triangles.clone());
+        let gone: std::collections::BTreeSet<u32> = removed.iter().copied().collect();
+        if !gone.is_empty() {
+            Arc::make_mut(&mut self.given.grafts).retain(|graft| !gone.contains(&graft.element));
+        }
+        let of_grafts = self.given.grafts.iter().filter_map(|graft| tets.get(graft.element as usize));
+        let of_surface = triangles.iter().flatten().filter(|_| self.rule.lies.is_some());
+        let new: std::collections::BTreeSet<u32> = of_grafts
+            .flatten()
+            .chain(of_surface)
+            .copied()
+            .filter(|vertex| !self.ghost_of.contains_key(vertex))
+            .collect();
+        let mut places = Vec::with_capacity(new.len());
+        for vertex in new {
+            let place = positions.get(vertex as usize).ok_or("its mesh names a vertex that it has not")?;
+            places.push(body_from_other * place);
+            self.ghost_of.insert(vertex, self.ghost_of.len() as u32);
+            Arc::make_mut(&mut self.given.vertices).push(vertex);
+        }
+        self.given.ghosts.more(&places).map_err(|error| error.to_string())?;
+        let ghost = |vertex: u32| self.ghost_of.get(&vertex).copied().unwrap_or_default();
+        self.surface.clear();
+        if self.rule.lies.is_some() {
+            self.surface.extend(triangles.iter().map(|corners| corners.map(ghost)));
+        }
+        let Joined { stiffness, damping, .. } = self.rule.joined.unwrap_or_default();
+        self.ties.clear();
+        self.ties.extend(self.given.grafts.iter().filter_map(|graft| {
+            let corners = tets.get(graft.element as usize)?;
+            let guests = [0, 1, 2, 3].map(|k| (ghost(corners[k]), graft.weights[k]));
+            Some(Tie { node: graft.vertex, guests, stiffness, damping })
+        }));
+        Ok(())
+    }
+
+    /// Looks whether the other body has come apart.
+    fn follow(&mut self, site: &Site<'_>) -> Result<(), String> {
+        let scene = site.scene;
+        let (Some(volume), Some(surface)) =
+            (scene.get::<TetMesh>(self.entity), scene.get::<SurfaceMesh>(self.entity))
+        else {
+            return Ok(());
+        };
+        let same = |a: bool, b: bool| a && b;
+        if same(Arc::ptr_eq(&volume.tets, &self.tets), Arc::ptr_eq(&surface.triangles, &self.triangles)) {
+            return Ok(());
+        }
+        let removed = scene.get::<RemovedElements>(self.entity).map(|removed| removed.elements.clone());
+        let Some(vertices) = scene.get::<VertexPositions>(self.entity) else { return Ok(()) };
+        let body_from_other = site.world_from_body.inverse() * scene.world_pose(self.entity);
+        let removed = removed.unwrap_or_default();
+        self.take_over(&volume.tets, &surface.triangles, &removed, &vertices.positions, &body_from_other)
+    }
+
+    /// Hears what the other body tells of its last step.
+    fn hear(&mut self, me: Entity, site: &Site<'_>) -> Result<(), String> {
+        let scene = site.scene;
+        self.is_wall = true;
+        let Some(told) = scene.get::<CouplingTaken>(self.entity) else { return Ok(()) };
+        let age = site.tick.time.as_secs_f64() - site.period_secs() - told.time.as_secs_f64();
+        if age > STALE {
+            return Ok(());
+        }
+        let Some(from) = told.from.iter().find(|from| from.body == Some(me)) else { return Ok(()) };
+        self.is_wall = from.taken.is_empty();
+        if told.number == self.given.heard || self.is_wall {
+            return Ok(());
+        }
+        let (Some(vertices), Some(moving)) =
+            (scene.get::<VertexPositions>(self.entity), scene.get::<VertexVelocities>(self.entity))
+        else {
+            return Ok(());
+        };
+        let body_from_other = site.world_from_body.inverse() * scene.world_pose(self.entity);
+        let count = self.given.ghosts.count();
+        let (mut positions, mut velocities, mut expected) =
+            (Vec::with_capacity(count), Vec::with_capacity(count), Vec::with_capacity(count));
+        for (ghost, &vertex) in self.given.vertices.iter().enumerate() {
+            let at = vertex as usize;
+            let place = vertices.positions.get(at).ok_or("it has lost vertices")?;
+            let velocity = moving.velocities.get(at).copied().unwrap_or_default();
+            positions.push(body_from_other * place);
+            velocities.push(body_from_other.rotation * velocity);
+            let ahead = from.expected.get(ghost).copied().unwrap_or(velocity);
+            expected.push(body_from_other.rotation * ahead);
+        }
+        // Of ghosts that are newer than what is told nothing is known yet: nothing moves them.
+        let padded = |list: &[Vector3<f64>]| -> Vec<Vector3<f64>> {
+            list.iter().copied().chain(std::iter::repeat(Vector3::zeros())).take(count).collect()
+        };
+        let padded_numbers = |list: &[f64]| -> Vec<f64> {
+            list.iter().copied().chain(std::iter::repeat(0.0)).take(count).collect()
+        };
+        let news = News {
+            positions: &positions,
+            velocities: &velocities,
+            expected: &expected,
+            mobilities: &padded_numbers(&from.mobilities),
+            masses_inverse: &padded_numbers(&from.masses_inverse),
+            taken: &padded(&from.taken),
+            last: &padded(&from.last),
+            given_work: from.given_work,
+            received: from.received,
+            step: told.step,
+            age: age.max(0.0),
+        };
+        self.given.ghosts.hear(&news).map_err(|error| error.to_string())?;
+        self.given.heard = told.number;
+        Ok(())
+    }
+
+    /// Finds what lies on the other body, and puts the ghosts right.
+    fn touch(&mut self, body: &Deformable, outside: &[u32], state: &State, dt: f64) -> Result<(), String> {
+        self.ties.retain(|tie| body.loose.binary_search(&tie.node).is_err());
+        self.presses.clear();
+        let State { positions, velocities } = state;
+        if let Some(lying) = &mut self.lying {
+            let surface = Surface::new(self.given.ghosts.positions(), &self.surface)
+                .map_err(|error| error.to_string())?;
+            lying.find(&surface, outside, positions, velocities, dt, &mut self.presses);
+        }
+        self.guests.clear();
+        let company = Company { guests: &[], ties: &self.ties, presses: &self.presses };
+        self.given.ghosts.meet(&company, positions, &mut self.guests);
+        if self.is_wall {
+            self.guests.iter_mut().for_each(|guest| *guest = guest.as_wall());
+        }
+        Ok(())
+    }
+
+    /// Adds ties and presses by guests, of whom `first` are there already, and notes which ghosts these are.
+    fn join(&mut self, first: u32, ties: &mut Vec<Tie>, presses: &mut Vec<Press>) {
+        self.used.clear();
+        self.used.extend(self.ties.iter().flat_map(|tie| tie.guests.map(|(ghost, _)| ghost)));
+        let of_presses = self.presses.iter();
+        self.used.extend(of_presses.flat_map(|press| press.guests.into_iter().chain(press.anchor)).map(|of| of.0));
+        self.used.sort_unstable();
+        self.used.dedup();
+        let used = &self.used;
+        let guest = |ghost: u32| first + used.binary_search(&ghost).unwrap_or_default() as u32;
+        let of_three = |of: [(u32, f64); 3]| of.map(|(ghost, weight)| (guest(ghost), weight));
+        ties.extend(self.ties.iter().map(|tie| Tie {
+            guests: tie.guests.map(|(ghost, weight)| (guest(ghost), weight)),
+            ..*tie
+        }));
+        presses.extend(self.presses.iter().map(|press| Press {
+            guests: of_three(press.guests),
+            anchor: of_three(press.anchor),
+            ..*press
+        }));
+    }
+}
+
+/// Vertices of a body that have grown onto another, both at rest.
+fn grafts(
+    body: &Deformable,
+    other: &Deformable,
+    body_from_other: &Isometry3<f64>,
+    joined: &Joined,
+) -> Result<Vec<Graft>, String> {
+    let rules = MeshRules { mean_ratio_min: 0.0, coincident_within: None };
+    let mesh =
+        tet_mesh::TetMesh::new(&other.rest, &other.tets, &rules).map_err(|error| error.to_string())?;
+    let mut grafts = Vec::new();
+    let of_body: std::collections::BTreeSet<u32> =
+        body.triangles.iter().flatten().chain(body.segments.iter().flatten()).copied().collect();
+    for vertex in of_body {
+        let place = body_from_other.inverse_transform_point(&body.rest[vertex as usize]);
+        let near = |corners: &[u32; 3]| {
+            let corners = corners.map(|node| other.rest[node as usize]);
+            (closest_on_triangle(&place, &corners).point - place).norm() <= joined.within
+        };
+        if !other.triangles.iter().any(near) {
+            continue;
+        }
+        if let Some((element, weights)) = mesh.locate(&place) {
+            grafts.push(Graft { vertex, element: element as u32, weights });
+        }
+    }
+    match grafts.len() {
+        0 => Err(format!("none of its vertices is within {} m of that at rest", joined.within)),
+        1..=JOINED_MAX => Ok(grafts),
+        more => Err(format!(
+            "{more} of its vertices are within {} m of that at rest: up to {JOINED_MAX} are valid",
+            joined.within
+        )),
+    }
+}

@@ -1,0 +1,409 @@
+//! Nodes of other bodies that take part in a step: what is joined to them, what they keep out.
+//!
+//! A guest is a mass point that somebody else moves between steps. Within one it flies by itself, and answers to what the
+//! body does to it with a mobility of its own; the impulses that it was given are told afterwards, so that whoever moves it
+//! can be given the same numbers.
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::constraint::Nodes;
+use crate::mass_spring::StepError;
+
+/// A node of another body: a mass, held by a spring to the path that it would go if the body did to it what it is expected to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Guest {
+    /// Where it is \[m\].
+    pub position: Point3<f64>,
+    /// How it moves \[m/s\].
+    pub velocity: Vector3<f64>,
+    /// One over its mass \[1/kg\]; 0 where nothing moves it.
+    pub mobility: f64,
+    /// What pulls at it \[N\], besides what moves it along its path.
+    pub pull: Vector3<f64>,
+    /// Its path.
+    pub path: Path,
+    /// Of the spring to the path \[N/m\].
+    pub stiffness: f64,
+}
+
+/// An evenly accelerated motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Path {
+    /// Where it is now \[m\].
+    pub position: Point3<f64>,
+    /// How it moves now \[m/s\].
+    pub velocity: Vector3<f64>,
+    /// How that changes \[m/s²\].
+    pub acceleration: Vector3<f64>,
+}
+
+impl Guest {
+    /// One that nothing moves.
+    #[must_use]
+    pub fn as_wall(self) -> Self {
+        let path = Path { position: self.position, ..Path::default() };
+        Self { velocity: Vector3::zeros(), mobility: 0.0, pull: Vector3::zeros(), path, stiffness: 0.0, ..self }
+    }
+
+    /// How it goes on for `h` seconds when nobody touches it.
+    #[must_use]
+    pub fn alone(&self, h: f64) -> GuestMoved {
+        let mut path = self.path;
+        let (velocity, _) = self.flies(h, self.position.coords, self.velocity, &mut path);
+        GuestMoved { position: self.position + velocity * h, velocity, path, ..GuestMoved::default() }
+    }
+
+    /// Its velocity after a part of a step in which nobody touches it, and how it follows who does \[1/kg\]. The spring to its
+    /// path, which goes on by the part, is as the end of the part has it.
+    fn flies(&self, h: f64, was: Vector3<f64>, moved: Vector3<f64>, path: &mut Path) -> (Vector3<f64>, f64) {
+        path.go(h);
+        let velocity = moved + (path.acceleration + self.pull * self.mobility) * h;
+        let loose = 1.0 / (1.0 + h * h * self.stiffness * self.mobility);
+        let now = path.position.coords.lerp(&(was + velocity * h), loose);
+        ((now - was) / h, self.mobility * loose)
+    }
+}
+
+impl Path {
+    fn go(&mut self, h: f64) {
+        self.velocity += self.acceleration * h;
+        self.position += self.velocity * h;
+    }
+}
+
+/// A spring and a damper of no length between a node of the body and a place among guests.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tie {
+    /// Which node.
+    pub node: u32,
+    /// Which guests, and the weight of each; their sum is 1.
+    pub guests: [(u32, f64); 4],
+    /// Force per stretch \[N/m\], above 0.
+    pub stiffness: f64,
+    /// Force per velocity of stretching \[N·s/m\].
+    pub damping: f64,
+}
+
+/// Keeps a node of the body on one side of a triangle of guests, by a spring that pushes and friction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Press {
+    /// Which node.
+    pub node: u32,
+    /// Which guests, and the weight of each; their sum is 1.
+    pub guests: [(u32, f64); 3],
+    /// The place that friction holds it to.
+    pub anchor: [(u32, f64); 3],
+    /// To which side, unit.
+    pub normal: Vector3<f64>,
+    /// How far from the triangle it is kept \[m\].
+    pub thickness: f64,
+    /// Force per depth \[N/m\], above 0.
+    pub stiffness: f64,
+    /// Coulomb's coefficient.
+    pub friction: f64,
+}
+
+/// Everything of others that takes part in a step.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Company<'a> {
+    /// Nodes of others.
+    pub guests: &'a [Guest],
+    /// What joins the body to them.
+    pub ties: &'a [Tie],
+    /// Where it lies on them.
+    pub presses: &'a [Press],
+}
+
+/// What has become of a guest in a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GuestMoved {
+    /// Where it is \[m\].
+    pub position: Point3<f64>,
+    /// How it moves \[m/s\].
+    pub velocity: Vector3<f64>,
+    /// How far along its path it is.
+    pub path: Path,
+    /// What ties and presses gave it \[N·s\].
+    pub impulse: Vector3<f64>,
+    /// What work that was \[J\].
+    pub work: f64,
+}
+
+/// What has become of all of them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CompanyMoved {
+    /// Of each guest.
+    pub guests: Vec<GuestMoved>,
+    /// Of each tie.
+    pub ties: Vec<Tied>,
+    /// Of each press.
+    pub presses: Vec<Pressed>,
+}
+
+/// What became of a tie.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tied {
+    /// Force on the body, averaged over the step \[N\].
+    pub force: Vector3<f64>,
+    /// What it took from all motion and did not keep \[J\]: by damping, by implicit steps.
+    pub lost: f64,
+}
+
+/// What became of a press.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pressed {
+    /// Force on the body, averaged over the step \[N\].
+    pub force: Vector3<f64>,
+    /// Whether it pressed at the end.
+    pub holds: bool,
+    /// Whether it slid then.
+    pub slides: bool,
+    /// How far ahead of the node friction draws it then \[m\].
+    pub drawn: Vector3<f64>,
+    /// What it took from all motion and did not keep \[J\]: by friction, by implicit steps.
+    pub lost: f64,
+}
+
+/// Room for a step.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Scratch {
+    /// Place of the first guest among all nodes.
+    first: usize,
+    /// Which node each tie holds.
+    tied: Vec<u32>,
+    /// Of the guests before anything has acted on them in a part \[m/s\].
+    flying: Vec<Vector3<f64>>,
+    /// What ties and presses gave them in the part \[N·s\].
+    given: Vec<Vector3<f64>>,
+    /// Multipliers of the part \[N·s²\]: of ties, of presses along the normal and across it.
+    ties: Vec<Vector3<f64>>,
+    presses: Vec<(f64, Vector3<f64>)>,
+    /// How far apart what they join is when the part begins, and would be if nothing acted \[m\]: ties, then presses.
+    aparts: Vec<[Vector3<f64>; 2]>,
+    pub moved: CompanyMoved,
+}
+
+impl Tie {
+    /// Its guests as nodes behind all others.
+    fn guests_from(&self, first: u32) -> [(u32, f64); 4] {
+        self.guests.map(|(guest, weight)| (first + guest, weight))
+    }
+}
+
+impl Press {
+    /// Its guests as nodes behind all others.
+    fn guests_from(&self, first: u32) -> [(u32, f64); 3] {
+        self.guests.map(|(guest, weight)| (first + guest, weight))
+    }
+}
+
+impl Scratch {
+    /// What ties exerted on these nodes (ascending) in the last step \[N\].
+    pub(super) fn pull_on(&self, nodes: &[u32]) -> Vector3<f64> {
+        let held = self.tied.iter().zip(&self.moved.ties).filter(|(node, _)| nodes.binary_search(node).is_ok());
+        held.map(|(_, tied)| tied.force).sum()
+    }
+}
+
+impl Company<'_> {
+    /// What is wrong with it, if anything, for a body of so many nodes.
+    pub(super) fn check(&self, nodes: usize) -> Result<(), StepError> {
+        let wrong = |what, index, problem| Err(StepError::Input { what, index, problem });
+        let guests = self.guests.len();
+        for (index, guest) in self.guests.iter().enumerate() {
+            let path = guest.path.velocity.iter().chain(&guest.path.acceleration);
+            let vectors = guest.velocity.iter().chain(&guest.pull).chain(path);
+            let places = guest.position.iter().chain(guest.path.position.iter());
+            let numbers = [guest.mobility, guest.stiffness];
+            let is_number = |value: &f64| value.is_finite();
+            if !(vectors.chain(places).chain(&numbers).all(is_number) && numbers.iter().all(|of| *of >= 0.0)) {
+                return wrong("guest", index, "has a number that is not finite, or a mass or stiffness below 0");
+            }
+        }
+        let known = |of: &[(u32, f64)]| of.iter().all(|(guest, w)| (*guest as usize) < guests && w.is_finite());
+        for (index, tie) in self.ties.iter().enumerate() {
+            let soft = [tie.stiffness, tie.damping].iter().all(|value| *value >= 0.0 && value.is_finite());
+            if tie.node as usize >= nodes || !known(&tie.guests) {
+                return wrong("tie", index, "names a node or a guest that does not exist");
+            } else if !(soft && tie.stiffness > 0.0) {
+                return wrong("tie", index, "has a stiffness that is not above 0, or damping below 0");
+            }
+        }
+        for (index, press) in self.presses.iter().enumerate() {
+            let finite = [press.thickness, press.friction].iter().all(|value| *value >= 0.0 && value.is_finite());
+            let unit = (press.normal.norm_squared() - 1.0).abs() < 1e-6;
+            if press.node as usize >= nodes || !known(&press.guests) || !known(&press.anchor) {
+                return wrong("press", index, "names a node or a guest that does not exist");
+            } else if !(finite && unit && press.stiffness > 0.0 && press.stiffness.is_finite()) {
+                return wrong("press", index, "has a stiffness that is not above 0, or a normal that is not unit");
+            }
+        }
+        Ok(())
+    }
+
+    /// At the beginning of a step: guests are nodes behind all others.
+    pub(super) fn prepare(&self, places: &mut Vec<[f64; 4]>, scratch: &mut Scratch) {
+        scratch.first = places.len();
+        places.extend(self.guests.iter().map(|guest| {
+            let [x, y, z] = guest.position.into();
+            [x, y, z, guest.mobility]
+        }));
+        let moved = &mut scratch.moved;
+        moved.guests.clear();
+        let still = |guest: &Guest| GuestMoved {
+            velocity: guest.velocity,
+            path: guest.path,
+            ..GuestMoved::default()
+        };
+        moved.guests.extend(self.guests.iter().map(still));
+        moved.ties.clear();
+        moved.ties.resize(self.ties.len(), Tied::default());
+        moved.presses.clear();
+        moved.presses.resize(self.presses.len(), Pressed::default());
+        scratch.tied.clear();
+        scratch.tied.extend(self.ties.iter().map(|tie| tie.node));
+        scratch.flying.clear();
+        scratch.flying.resize(self.guests.len(), Vector3::zeros());
+    }
+
+    /// At the beginning of a part of length `h` \[s\], when the body's nodes have flown: guests do. `before` is where all nodes
+    /// were.
+    pub(super) fn fly(&self, h: f64, before: &[[f64; 4]], nodes: &mut Nodes<'_>, scratch: &mut Scratch) {
+        let moving = self.guests.iter().zip(&mut scratch.moved.guests).zip(&mut scratch.flying);
+        for (place, ((guest, moved), flying)) in nodes.places[scratch.first..].iter_mut().zip(moving) {
+            let was = Vector3::new(place[0], place[1], place[2]);
+            let (velocity, mobility) = guest.flies(h, was, moved.velocity, &mut moved.path);
+            *flying = velocity;
+            let now = was + velocity * h;
+            *place = [now.x, now.y, now.z, mobility];
+        }
+        let first = scratch.first as u32;
+        scratch.aparts.clear();
+        scratch.aparts.extend(self.ties.iter().map(|tie| {
+            let guests = tie.guests_from(first);
+            [apart_then(tie.node, &guests, before), apart(tie.node, &guests, nodes).0]
+        }));
+        scratch.aparts.extend(self.presses.iter().map(|press| {
+            let guests = press.guests_from(first);
+            [apart_then(press.node, &guests, before), apart(press.node, &guests, nodes).0]
+        }));
+        scratch.given.clear();
+        scratch.given.resize(self.guests.len(), Vector3::zeros());
+        scratch.ties.clear();
+        scratch.ties.resize(self.ties.len(), Vector3::zeros());
+        scratch.presses.clear();
+        scratch.presses.resize(self.presses.len(), (0.0, Vector3::zeros()));
+    }
+
+    /// One iteration; `before` is where all nodes were when the part began.
+    pub(super) fn project(&self, h: f64, before: &[[f64; 4]], nodes: &mut Nodes<'_>, scratch: &mut Scratch) {
+        let first = scratch.first as u32;
+        for (tie, multiplier) in self.ties.iter().zip(&mut scratch.ties) {
+            let guests = tie.guests_from(first);
+            let (stretch, yields) = apart(tie.node, &guests, nodes);
+            if yields == 0.0 {
+                continue;
+            }
+            let slip = stretch - apart_then(tie.node, &guests, before);
+            let soft = nodes.rate / tie.stiffness;
+            let drag = tie.damping / (tie.stiffness * h);
+            let change = (-stretch - *multiplier * soft - slip * drag) / ((1.0 + drag) * yields + soft);
+            push(tie.node, &guests, nodes, &change);
+            *multiplier += change;
+        }
+        for (press, (along, across)) in self.presses.iter().zip(&mut scratch.presses) {
+            let guests = press.guests_from(first);
+            let (over, yields) = apart(press.node, &guests, nodes);
+            if yields == 0.0 {
+                continue;
+            }
+            let soft = nodes.rate / press.stiffness;
+            let gap = press.normal.dot(&over) - press.thickness;
+            let pressed = (*along - (gap + soft * *along) / (yields + soft)).max(0.0);
+            push(press.node, &guests, nodes, &(press.normal * (pressed - *along)));
+            *along = pressed;
+            let anchor = press.anchor.map(|(guest, weight)| (first + guest, weight));
+            let (slip, yields) = apart(press.node, &anchor, nodes);
+            let slip = slip - press.normal * press.normal.dot(&slip);
+            let wanted = *across - (slip + *across * soft) / (yields + soft);
+            let (size, most) = (wanted.norm(), press.friction * pressed);
+            let held = if size > most { wanted * (most / size) } else { wanted };
+            push(press.node, &anchor, nodes, &(held - *across));
+            *across = held;
+        }
+    }
+
+    /// At the end of a part.
+    pub(super) fn end(&self, h: f64, before: &[[f64; 4]], nodes: &Nodes<'_>, scratch: &mut Scratch, parts: f64) {
+        let Scratch { first, flying, given, ties, presses, aparts, moved, .. } = scratch;
+        let first_guest = *first as u32;
+        // What the impulses did on all that they act on, with what springs keep the opposite of what is lost.
+        let taken = |impulse: &Vector3<f64>, [then, flown]: &[Vector3<f64>; 2], now: &Vector3<f64>| {
+            impulse.dot(&(0.5 * (flown + now) - then)) / h
+        };
+        for (index, (tie, multiplier)) in self.ties.iter().zip(&*ties).enumerate() {
+            let impulse = multiplier / h;
+            tie.guests.iter().for_each(|&(guest, weight)| given[guest as usize] -= impulse * weight);
+            let tied = &mut moved.ties[index];
+            tied.force += impulse / (h * parts);
+            let now = apart(tie.node, &tie.guests_from(first_guest), nodes).0;
+            let kept = 0.5 * tie.stiffness * (now.norm_squared() - aparts[index][0].norm_squared());
+            tied.lost -= taken(&impulse, &aparts[index], &now) + kept;
+        }
+        for (index, (press, (along, across))) in self.presses.iter().zip(&*presses).enumerate() {
+            let (pushing, holding) = (press.normal * (along / h), across / h);
+            press.guests.iter().for_each(|&(guest, weight)| given[guest as usize] -= pushing * weight);
+            press.anchor.iter().for_each(|&(guest, weight)| given[guest as usize] -= holding * weight);
+            let pressed = &mut moved.presses[index];
+            pressed.force += (pushing + holding) / (h * parts);
+            pressed.holds = *along > 0.0;
+            pressed.slides = across.norm() >= press.friction * along * (1.0 - 1e-9);
+            pressed.drawn = across * (nodes.rate / press.stiffness);
+            let now = apart(press.node, &press.guests_from(first_guest), nodes).0;
+            let aparts = &aparts[self.ties.len() + index];
+            let depth = |apart: &Vector3<f64>| (press.thickness - press.normal.dot(apart)).max(0.0);
+            let kept = 0.5 * press.stiffness * (depth(&now).powi(2) - depth(&aparts[0]).powi(2));
+            pressed.lost -= taken(&(pushing + holding), aparts, &now) + kept;
+        }
+        let places = nodes.places[*first..].iter().zip(&before[*first..]);
+        for ((guest, impulse), (flying, (place, was))) in
+            moved.guests.iter_mut().zip(given).zip(flying.iter().zip(places))
+        {
+            guest.velocity = Vector3::from_fn(|axis, _| (place[axis] - was[axis]) / h);
+            guest.position = Point3::new(place[0], place[1], place[2]);
+            guest.impulse += *impulse;
+            guest.work += impulse.dot(&(0.5 * (*flying + guest.velocity)));
+        }
+    }
+}
+
+/// How far a node is from a place among guests, and how the two yield to what pulls at them \[1/kg\].
+fn apart<const N: usize>(node: u32, guests: &[(u32, f64); N], nodes: &Nodes<'_>) -> (Vector3<f64>, f64) {
+    let (mut apart, mut yields) = nodes.place(node);
+    for &(guest, weight) in guests {
+        let (place, mobility) = nodes.place(guest);
+        apart -= place * weight;
+        yields += mobility * weight * weight;
+    }
+    (apart, yields)
+}
+
+/// The same when the part began.
+fn apart_then<const N: usize>(node: u32, guests: &[(u32, f64); N], before: &[[f64; 4]]) -> Vector3<f64> {
+    let place = |node: u32| {
+        let [x, y, z, _] = before[node as usize];
+        Vector3::new(x, y, z)
+    };
+    guests.iter().fold(place(node), |sum, &(guest, weight)| sum - place(guest) * weight)
+}
+
+fn push<const N: usize>(node: u32, guests: &[(u32, f64); N], nodes: &mut Nodes<'_>, by: &Vector3<f64>) {
+    let mobility = nodes.place(node).1;
+    nodes.shift(node, &(by * mobility));
+    for &(guest, weight) in guests {
+        let mobility = nodes.place(guest).1;
+        nodes.shift(guest, &(by * (-weight * mobility)));
+    }
+}
