@@ -96,6 +96,7 @@ impl Answering {
                 }
             }
             from.given_work = to.ghosts.work();
+            from.steps = to.ghosts.steps();
         }
         self.active.sort_unstable();
         self.active.dedup();

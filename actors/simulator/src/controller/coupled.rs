@@ -143,7 +143,12 @@ impl Coupled {
             let ties_moved = &moved.ties[tie..tie + ties];
             let presses_moved = &moved.presses[press..press + presses];
             partner.moved.clear();
-            partner.moved.extend(partner.guests.iter().map(|guest| guest.alone(dt)));
+            partner.moved.extend(partner.guests.iter().map(|guest| {
+                let mut alone = *guest;
+                alone.go(dt, &Vector3::zeros());
+                let Guest { position, velocity, path, .. } = alone;
+                GuestMoved { position, velocity, path, ..GuestMoved::default() }
+            }));
             for (&ghost, moved) in partner.used.iter().zip(&moved.guests[guest..guest + guests]) {
                 partner.moved[ghost as usize] = *moved;
             }
@@ -154,7 +159,7 @@ impl Coupled {
             if !partner.is_wall {
                 let lost = ties_moved.iter().map(|tied| tied.lost);
                 let lost: f64 = lost.chain(presses_moved.iter().map(|pressed| pressed.lost)).sum();
-                partner.given.ghosts.met(&partner.moved, lost);
+                partner.given.ghosts.met(dt, &partner.moved, lost);
             }
             if let Some(lying) = &mut partner.lying {
                 lying.met(&partner.presses, presses_moved, &partner.moved, positions);
@@ -188,6 +193,8 @@ impl Coupled {
         let count: usize = self.with.iter().map(|partner| partner.ties.len()).sum();
         measures.put("joined_vertices", count as f64);
         let behind = self.with.iter().map(|partner| partner.given.ghosts.furthest_behind());
+        let tank: f64 = self.with.iter().map(|partner| partner.given.ghosts.tank()).sum();
+        measures.put("coupling_tank_j", tank);
         measures.put("coupling_behind_m", behind.fold(0.0, f64::max));
     }
 
@@ -371,8 +378,8 @@ impl Partner {
             last: &padded(&from.last),
             given_work: from.given_work,
             received: from.received,
+            steps: from.steps,
             step: told.step,
-            age: age.max(0.0),
         };
         self.given.ghosts.hear(&news).map_err(|error| error.to_string())?;
         self.given.heard = told.number;

@@ -160,7 +160,9 @@ pub struct TakenFrom {
     pub mobilities: Vec<f64>,
     /// One over the mass of each \[1/kg\].
     pub masses_inverse: Vec<f64>,
-    /// [`Ghosts::work`] of what was taken \[J\].
+    /// [`Ghosts::steps`] and [`Ghosts::work`] \[J\] of what was taken.
+    pub steps: u64,
+    /// See above.
     pub given_work: f64,
     /// What work that was here \[J\].
     pub received: f64,

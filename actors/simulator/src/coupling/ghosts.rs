@@ -1,11 +1,17 @@
 //! Nodes of a slower body as a faster one meets them between two steps of it.
 
+use std::collections::VecDeque;
+
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::xpbd::company::{Company, Guest, GuestMoved, Path};
 
+/// Steps that are remembered at most.
+const PAST_MAX: usize = 512;
+/// In this time most of what the tank lacks is forgiven, as any body loses more by itself \[s\].
+const FORGIVEN: f64 = 0.5;
 /// Halvings of how far ghosts are put right, where not all of it can be paid.
 const HALVINGS: u32 = 16;
 
@@ -48,10 +54,20 @@ pub struct News<'a> {
     pub given_work: f64,
     /// Work that all it took so far has done on it \[J\].
     pub received: f64,
+    /// [`Ghosts::steps`] when it last took something.
+    pub steps: u64,
     /// Length of its steps \[s\].
     pub step: f64,
-    /// How long ago that was \[s\].
-    pub age: f64,
+}
+
+/// A step of the faster body that the slower one has not been heard of since.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Past {
+    /// How long it was \[s\].
+    dt: f64,
+    /// What ghosts were given in it \[N·s\]; those that were given nothing left out.
+    given: Vec<(u32, Vector3<f64>)>,
 }
 
 /// Everything is in one frame that does not turn.
@@ -67,8 +83,10 @@ pub struct Ghosts {
     springs: Vec<f64>,
     /// How far each has to go to be where its node is \[m\].
     behind: Vec<Vector3<f64>>,
-    taken: Vec<Vector3<f64>>,
     given: Vec<Vector3<f64>>,
+    /// Steps so far, and the last of them, the oldest first.
+    steps: u64,
+    past: VecDeque<Past>,
     /// Work done on the ghosts so far, and how much of that the slower body has taken the impulses of \[J\].
     work: f64,
     given_work: f64,
@@ -105,7 +123,7 @@ impl Ghosts {
         self.paths.extend(still);
         self.masses_inverse.resize(count, 0.0);
         self.springs.resize(count, 0.0);
-        for list in [&mut self.velocities, &mut self.pulls, &mut self.behind, &mut self.taken, &mut self.given] {
+        for list in [&mut self.velocities, &mut self.pulls, &mut self.behind, &mut self.given] {
             list.resize(count, Vector3::zeros());
         }
         Ok(())
@@ -133,6 +151,12 @@ impl Ghosts {
     #[must_use]
     pub fn given(&self) -> &[Vector3<f64>] {
         &self.given
+    }
+
+    /// Steps of the faster body so far.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.steps
     }
 
     /// Work done on them so far \[J\].
@@ -183,36 +207,29 @@ impl Ghosts {
         finite("a velocity", news.velocities.iter().chain(news.expected).flatten())?;
         finite("an impulse", news.taken.iter().chain(news.last).flatten())?;
         finite("a work", [news.given_work, news.received].iter())?;
-        let times = [news.step, news.age];
-        if !times.iter().chain(news.mobilities).chain(news.masses_inverse).all(|value| *value >= 0.0 && value.is_finite()) {
+        let positive = [news.mobilities, news.masses_inverse].concat();
+        if !positive.iter().chain([&news.step]).all(|value| *value >= 0.0 && value.is_finite()) {
             return Err(GhostsError::Number("a time or a mobility"));
         }
-        for node in 0..expected {
-            let (mass_inverse, velocity) = (news.masses_inverse[node], news.velocities[node]);
-            let mobility = news.mobilities[node].min(mass_inverse);
-            // What it was given since is still to come.
-            let coming = self.given[node] - news.taken[node];
-            // A mass that nothing else holds goes on as it moves. One that is held is wherever the forces on it balance: it
-            // moves at once as it is expected to.
-            let loose = if mass_inverse > 0.0 { mobility / mass_inverse } else { 1.0 };
-            let change = news.expected[node] - velocity;
-            let begin = velocity + change * (1.0 - loose);
-            let per_step = if news.step > 0.0 { news.step.recip() } else { 0.0 };
-            let path = &mut self.paths[node];
-            path.position = news.positions[node] + begin * news.age;
-            path.velocity = begin;
-            path.acceleration = change * (loose * per_step);
-            // It is held against what it took in the last step: nothing moves where the two are in balance.
-            self.pulls[node] = (coming * (1.0 - loose) - news.last[node]) * per_step;
-            let held = if mobility > 0.0 { mobility.recip() - mass_inverse.recip() } else { 0.0 };
-            self.springs[node] = held.max(0.0) * per_step * per_step;
-            self.velocities[node] = begin + coming * (loose * mass_inverse);
-            self.behind[node] = path.position - self.positions[node];
+        // What it has not taken yet happens to the ghosts once more, from where it begins.
+        let since = self.steps.saturating_sub(news.steps) as usize;
+        self.past.drain(..self.past.len().saturating_sub(since));
+        let mut guests: Vec<Guest> = (0..expected).map(|node| expect(news, node)).collect();
+        for Past { dt, given } in &self.past {
+            let mut given = given.iter().peekable();
+            for (ghost, guest) in guests.iter_mut().enumerate() {
+                let impulse = given.next_if(|(of, _)| *of as usize == ghost).map(|(_, impulse)| *impulse);
+                guest.go(*dt, &impulse.unwrap_or_default());
+            }
         }
-        self.masses_inverse.clone_from_slice(news.masses_inverse);
-        let held = self.masses_inverse.iter_mut().zip(news.mobilities);
-        held.filter(|(_, mobility)| **mobility == 0.0).for_each(|(inverse, _)| *inverse = 0.0);
-        self.taken.copy_from_slice(news.taken);
+        for (ghost, guest) in guests.into_iter().enumerate() {
+            self.behind[ghost] = guest.position - self.positions[ghost];
+            self.velocities[ghost] = guest.velocity;
+            self.masses_inverse[ghost] = guest.mobility;
+            self.pulls[ghost] = guest.pull;
+            self.springs[ghost] = guest.stiffness;
+            self.paths[ghost] = guest.path;
+        }
         (self.given_work, self.received) = (news.given_work, news.received);
         Ok(())
     }
@@ -293,8 +310,14 @@ impl Ghosts {
         ties.sum::<f64>() + presses.sum::<f64>()
     }
 
-    /// The faster body has made its step: what became of the ghosts as guests, and what its ties and presses lost \[J\].
-    pub fn met(&mut self, guests: &[GuestMoved], lost: f64) {
+    /// The faster body has made its step of `dt` seconds: what became of the ghosts as guests, and what its ties and presses lost \[J\].
+    pub fn met(&mut self, dt: f64, guests: &[GuestMoved], lost: f64) {
+        if self.past.len() == PAST_MAX {
+            self.past.pop_front();
+        }
+        let given = guests.iter().zip(0..).filter(|(after, _)| after.impulse != Vector3::zeros());
+        self.past.push_back(Past { dt, given: given.map(|(after, ghost)| (ghost, after.impulse)).collect() });
+        self.steps += 1;
         for (ghost, after) in guests.iter().enumerate().take(self.count()) {
             self.positions[ghost] = after.position;
             self.velocities[ghost] = after.velocity;
@@ -304,14 +327,16 @@ impl Ghosts {
             self.work += after.work;
         }
         self.lost += lost;
+        self.paid += self.tank().min(0.0) * (dt / FORGIVEN).min(1.0);
     }
 
     /// Whether it fits a body of so many ghosts, with numbers that are some.
     #[must_use]
     pub fn is_sound(&self, count: usize) -> bool {
-        let vectors = [&self.velocities, &self.pulls, &self.behind, &self.taken, &self.given];
+        let vectors = [&self.velocities, &self.pulls, &self.behind, &self.given];
         let sums = [self.work, self.given_work, self.received, self.lost, self.paid, self.exchanged];
-        let paths = self.paths.iter().flat_map(|path| path.velocity.iter().chain(&path.acceleration));
+        let paths = self.paths.iter();
+        let paths = paths.flat_map(|path| path.velocity.iter().chain(&path.acceleration).chain([&path.lasts]));
         let places = self.positions.iter().chain(self.paths.iter().map(|path| &path.position));
         let sizes = [&self.masses_inverse, &self.springs];
         vectors.iter().all(|list| list.len() == count && list.iter().flatten().all(|x| x.is_finite()))
@@ -320,6 +345,33 @@ impl Ghosts {
             && places.flat_map(|at| at.iter()).chain(paths).chain(&sums).all(|x| x.is_finite())
             && sizes.iter().all(|list| list.len() == count)
             && sizes.iter().all(|list| list.iter().all(|x| *x >= 0.0 && x.is_finite()))
+    }
+}
+
+/// A node as the slower body expects it to move, from the moment of which it tells.
+fn expect(news: &News<'_>, node: usize) -> Guest {
+    let (mass_inverse, velocity) = (news.masses_inverse[node], news.velocities[node]);
+    let mobility = news.mobilities[node].min(mass_inverse);
+    // A mass that nothing else holds goes on as it moves. One that is held is wherever the forces on it balance: it moves at
+    // once as it is expected to.
+    let loose = if mass_inverse > 0.0 { mobility / mass_inverse } else { 1.0 };
+    let change = news.expected[node] - velocity;
+    let per_step = if news.step > 0.0 { news.step.recip() } else { 0.0 };
+    let begin = velocity + change * (1.0 - loose);
+    let held = if mobility > 0.0 { mobility.recip() - mass_inverse.recip() } else { 0.0 };
+    Guest {
+        position: news.positions[node],
+        velocity: begin,
+        mobility: if mobility > 0.0 { mass_inverse } else { 0.0 },
+        // It is held against what it took in the last step: nothing moves where the two are in balance.
+        pull: news.last[node] * -per_step,
+        path: Path {
+            position: news.positions[node],
+            velocity: begin,
+            acceleration: change * (loose * per_step),
+            lasts: news.step,
+        },
+        stiffness: held.max(0.0) * per_step * per_step,
     }
 }
 

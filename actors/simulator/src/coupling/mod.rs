@@ -9,7 +9,7 @@
 //! Each step of the slower body puts the ghosts right. How they move then costs nothing: it is what the body does. Where they
 //! are then would stretch the springs anew, and that is paid out of a tank which what dampers and friction took has filled,
 //! and what the ghosts were given beyond what the body received (passivity by a tank: Franken, Stramigioli, Misra, Secchi,
-//! Macchelli 2011). What the tank cannot pay is made up for later.
+//! Macchelli 2011). What the tank cannot pay is made up for later, and what it lacks is forgiven within half a second or so.
 //!
 //! Stiff groups do not belong on both sides of that: needle, thread and what they rub on are stepped as one island
 //! (see [`thread`](crate::thread)).

@@ -27,7 +27,7 @@ pub struct Guest {
     pub stiffness: f64,
 }
 
-/// An evenly accelerated motion.
+/// A motion that is evenly accelerated for a while, and then even.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Path {
@@ -37,6 +37,8 @@ pub struct Path {
     pub velocity: Vector3<f64>,
     /// How that changes \[m/s²\].
     pub acceleration: Vector3<f64>,
+    /// For how long \[s\].
+    pub lasts: f64,
 }
 
 impl Guest {
@@ -47,19 +49,19 @@ impl Guest {
         Self { velocity: Vector3::zeros(), mobility: 0.0, pull: Vector3::zeros(), path, stiffness: 0.0, ..self }
     }
 
-    /// How it goes on for `h` seconds when nobody touches it.
-    #[must_use]
-    pub fn alone(&self, h: f64) -> GuestMoved {
+    /// Goes on for `h` seconds, in which it is given an impulse \[N·s\].
+    pub fn go(&mut self, h: f64, impulse: &Vector3<f64>) {
         let mut path = self.path;
-        let (velocity, _) = self.flies(h, self.position.coords, self.velocity, &mut path);
-        GuestMoved { position: self.position + velocity * h, velocity, path, ..GuestMoved::default() }
+        let (velocity, mobility) = self.flies(h, self.position.coords, self.velocity, &mut path);
+        self.velocity = velocity + impulse * mobility;
+        self.position += self.velocity * h;
+        self.path = path;
     }
 
     /// Its velocity after a part of a step in which nobody touches it, and how it follows who does \[1/kg\]. The spring to its
     /// path, which goes on by the part, is as the end of the part has it.
     fn flies(&self, h: f64, was: Vector3<f64>, moved: Vector3<f64>, path: &mut Path) -> (Vector3<f64>, f64) {
-        path.go(h);
-        let velocity = moved + (path.acceleration + self.pull * self.mobility) * h;
+        let velocity = moved + path.go(h) + self.pull * (self.mobility * h);
         let loose = 1.0 / (1.0 + h * h * self.stiffness * self.mobility);
         let now = path.position.coords.lerp(&(was + velocity * h), loose);
         ((now - was) / h, self.mobility * loose)
@@ -67,9 +69,13 @@ impl Guest {
 }
 
 impl Path {
-    fn go(&mut self, h: f64) {
-        self.velocity += self.acceleration * h;
+    /// Goes on by `h` seconds; how much faster it is then.
+    pub(crate) fn go(&mut self, h: f64) -> Vector3<f64> {
+        let change = self.acceleration * h.min(self.lasts);
+        self.lasts -= h.min(self.lasts);
+        self.velocity += change;
         self.position += self.velocity * h;
+        change
     }
 }
 
@@ -173,15 +179,13 @@ pub(super) struct Scratch {
     first: usize,
     /// Which node each tie holds.
     tied: Vec<u32>,
-    /// Of the guests before anything has acted on them in a part \[m/s\].
-    flying: Vec<Vector3<f64>>,
     /// What ties and presses gave them in the part \[N·s\].
     given: Vec<Vector3<f64>>,
     /// Multipliers of the part \[N·s²\]: of ties, of presses along the normal and across it.
     ties: Vec<Vector3<f64>>,
     presses: Vec<(f64, Vector3<f64>)>,
-    /// How far apart what they join is when the part begins, and would be if nothing acted \[m\]: ties, then presses.
-    aparts: Vec<[Vector3<f64>; 2]>,
+    /// How far apart what they join is when the part begins \[m\]: ties, then presses.
+    aparts: Vec<Vector3<f64>>,
     pub moved: CompanyMoved,
 }
 
@@ -213,7 +217,7 @@ impl Company<'_> {
         let wrong = |what, index, problem| Err(StepError::Input { what, index, problem });
         let guests = self.guests.len();
         for (index, guest) in self.guests.iter().enumerate() {
-            let path = guest.path.velocity.iter().chain(&guest.path.acceleration);
+            let path = guest.path.velocity.iter().chain(&guest.path.acceleration).chain([&guest.path.lasts]);
             let vectors = guest.velocity.iter().chain(&guest.pull).chain(path);
             let places = guest.position.iter().chain(guest.path.position.iter());
             let numbers = [guest.mobility, guest.stiffness];
@@ -264,31 +268,24 @@ impl Company<'_> {
         moved.presses.resize(self.presses.len(), Pressed::default());
         scratch.tied.clear();
         scratch.tied.extend(self.ties.iter().map(|tie| tie.node));
-        scratch.flying.clear();
-        scratch.flying.resize(self.guests.len(), Vector3::zeros());
     }
 
     /// At the beginning of a part of length `h` \[s\], when the body's nodes have flown: guests do. `before` is where all nodes
     /// were.
     pub(super) fn fly(&self, h: f64, before: &[[f64; 4]], nodes: &mut Nodes<'_>, scratch: &mut Scratch) {
-        let moving = self.guests.iter().zip(&mut scratch.moved.guests).zip(&mut scratch.flying);
-        for (place, ((guest, moved), flying)) in nodes.places[scratch.first..].iter_mut().zip(moving) {
+        let moving = self.guests.iter().zip(&mut scratch.moved.guests);
+        for (place, (guest, moved)) in nodes.places[scratch.first..].iter_mut().zip(moving) {
             let was = Vector3::new(place[0], place[1], place[2]);
             let (velocity, mobility) = guest.flies(h, was, moved.velocity, &mut moved.path);
-            *flying = velocity;
             let now = was + velocity * h;
             *place = [now.x, now.y, now.z, mobility];
         }
         let first = scratch.first as u32;
         scratch.aparts.clear();
-        scratch.aparts.extend(self.ties.iter().map(|tie| {
-            let guests = tie.guests_from(first);
-            [apart_then(tie.node, &guests, before), apart(tie.node, &guests, nodes).0]
-        }));
-        scratch.aparts.extend(self.presses.iter().map(|press| {
-            let guests = press.guests_from(first);
-            [apart_then(press.node, &guests, before), apart(press.node, &guests, nodes).0]
-        }));
+        let of_ties = self.ties.iter();
+        scratch.aparts.extend(of_ties.map(|tie| apart_then(tie.node, &tie.guests_from(first), before)));
+        let of_presses = self.presses.iter();
+        scratch.aparts.extend(of_presses.map(|press| apart_then(press.node, &press.guests_from(first), before)));
         scratch.given.clear();
         scratch.given.resize(self.guests.len(), Vector3::zeros());
         scratch.ties.clear();
@@ -337,11 +334,12 @@ impl Company<'_> {
 
     /// At the end of a part.
     pub(super) fn end(&self, h: f64, before: &[[f64; 4]], nodes: &Nodes<'_>, scratch: &mut Scratch, parts: f64) {
-        let Scratch { first, flying, given, ties, presses, aparts, moved, .. } = scratch;
+        let Scratch { first, given, ties, presses, aparts, moved, .. } = scratch;
         let first_guest = *first as u32;
-        // What the impulses did on all that they act on, with what springs keep the opposite of what is lost.
-        let taken = |impulse: &Vector3<f64>, [then, flown]: &[Vector3<f64>; 2], now: &Vector3<f64>| {
-            impulse.dot(&(0.5 * (flown + now) - then)) / h
+        // What the impulses did on all that they act on, with what springs keep the opposite of what is lost. By the ways that
+        // the ends went: what pulls at a light node and what holds it undo each other within a part.
+        let taken = |impulse: &Vector3<f64>, then: &Vector3<f64>, now: &Vector3<f64>| {
+            impulse.dot(&(now - then)) / h
         };
         for (index, (tie, multiplier)) in self.ties.iter().zip(&*ties).enumerate() {
             let impulse = multiplier / h;
@@ -349,7 +347,7 @@ impl Company<'_> {
             let tied = &mut moved.ties[index];
             tied.force += impulse / (h * parts);
             let now = apart(tie.node, &tie.guests_from(first_guest), nodes).0;
-            let kept = 0.5 * tie.stiffness * (now.norm_squared() - aparts[index][0].norm_squared());
+            let kept = 0.5 * tie.stiffness * (now.norm_squared() - aparts[index].norm_squared());
             tied.lost -= taken(&impulse, &aparts[index], &now) + kept;
         }
         for (index, (press, (along, across))) in self.presses.iter().zip(&*presses).enumerate() {
@@ -362,19 +360,17 @@ impl Company<'_> {
             pressed.slides = across.norm() >= press.friction * along * (1.0 - 1e-9);
             pressed.drawn = across * (nodes.rate / press.stiffness);
             let now = apart(press.node, &press.guests_from(first_guest), nodes).0;
-            let aparts = &aparts[self.ties.len() + index];
+            let then = &aparts[self.ties.len() + index];
             let depth = |apart: &Vector3<f64>| (press.thickness - press.normal.dot(apart)).max(0.0);
-            let kept = 0.5 * press.stiffness * (depth(&now).powi(2) - depth(&aparts[0]).powi(2));
-            pressed.lost -= taken(&(pushing + holding), aparts, &now) + kept;
+            let kept = 0.5 * press.stiffness * (depth(&now).powi(2) - depth(then).powi(2));
+            pressed.lost -= taken(&(pushing + holding), then, &now) + kept;
         }
         let places = nodes.places[*first..].iter().zip(&before[*first..]);
-        for ((guest, impulse), (flying, (place, was))) in
-            moved.guests.iter_mut().zip(given).zip(flying.iter().zip(places))
-        {
+        for ((guest, impulse), (place, was)) in moved.guests.iter_mut().zip(given).zip(places) {
             guest.velocity = Vector3::from_fn(|axis, _| (place[axis] - was[axis]) / h);
             guest.position = Point3::new(place[0], place[1], place[2]);
             guest.impulse += *impulse;
-            guest.work += impulse.dot(&(0.5 * (*flying + guest.velocity)));
+            guest.work += impulse.dot(&guest.velocity);
         }
     }
 }
