@@ -220,3 +220,34 @@ fn a_mesh_of_ones_own_takes_the_place_of_an_organ_by_one_line() {
         assert!((of_file / of_organ - 1.0).abs() < 1e-6, "{measure}: {of_file}, {of_organ}");
     }
 }
+
+#[test]
+fn a_membrane_that_has_grown_onto_two_organs_draws_both_along() {
+    holds("omentum");
+    let pulled = |replacements: &[(&str, &str)], organ: &str| {
+        outcome(&run("omentum", replacements), &format!("{organ}.displacement_max_m.largest"))
+    };
+    // Without weight nothing but the membrane deforms the organs.
+    let weightless = ("gravity = [0.0, 0.0, -9.81]", "gravity = [0.0, 0.0, 0.0]");
+    let down = ("to = [0.0, 0.0, -0.024]", "to = [0.0, 0.0, -0.014]");
+    let joined = [pulled(&[weightless, down], "liver"), pulled(&[weightless, down], "stomach")];
+    assert!(joined.iter().all(|organ| *organ > 5e-4), "{joined:?}");
+    // A stiffer organ gives way less, and one that nothing holds on to not at all.
+    let stiffer = pulled(&[weightless, down, ("young_modulus = 6000.0", "young_modulus = 24000.0")], "liver");
+    assert!(stiffer < 0.7 * joined[0], "{stiffer} and {} m", joined[0]);
+    let loose =
+        pulled(&[weightless, down, ("stiffness = 100.0, damping", "stiffness = 0.001, damping")], "liver");
+    assert!(loose < 0.01 * joined[0], "{loose} m");
+}
+
+#[test]
+fn a_band_of_two_meshes_stays_about_an_organ() {
+    holds("band");
+    // A cushion that does not lie on the stomach falls through it, and the belt with it.
+    let through = run("band", &[("stiffness = 200.0, friction = 0.3", "stiffness = 0.01, friction = 0.3")]);
+    assert!(!through.summary.task.completed);
+    assert!(outcome(&through, "belt.displacement_max_m") > 0.1);
+    // A belt that has not grown onto it stays where jaws take it to, and the cushion does not come along.
+    let apart = run("band", &[("stiffness = 300.0, damping", "stiffness = 0.001, damping")]);
+    assert!(!apart.summary.task.completed);
+}

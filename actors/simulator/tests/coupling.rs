@@ -6,8 +6,8 @@ use trocar_collision::Surface;
 use trocar_simulator::coupling::{Ghosts, GhostsError, Lying, LyingRule, News};
 use trocar_simulator::dynamic_fem::{Config, DynamicFem, DynamicFemState, Inputs};
 use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::mass_spring::State;
+use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::xpbd::company::{Company, Guest, Press, Tie};
 use trocar_simulator::xpbd::{Body, Distance, Xpbd, XpbdConfig, XpbdInput};
 
@@ -40,7 +40,8 @@ impl Faster {
         let company = Company { guests, ..company };
         body.step(FAST, &XpbdInput { gravity, company, ..XpbdInput::default() }).expect("a step");
         let moved = body.company();
-        let lost: f64 = moved.ties.iter().map(|tied| tied.lost).chain(moved.presses.iter().map(|p| p.lost)).sum();
+        let lost: f64 =
+            moved.ties.iter().map(|tied| tied.lost).chain(moved.presses.iter().map(|p| p.lost)).sum();
         ghosts.met(FAST, &moved.guests, lost);
     }
 
@@ -218,7 +219,17 @@ impl Organ {
         let body = DynamicFem::new(mesh, &Elastic::new(5e3, 0.4).expect("a material"), &config, &held)
             .expect("a body");
         let taken = vec![Vector3::zeros(); ghosts.len()];
-        Self { body, masses, ghosts, last: taken.clone(), taken, received: 0.0, given_work: 0.0, steps: 0, forces: Vec::new() }
+        Self {
+            body,
+            masses,
+            ghosts,
+            last: taken.clone(),
+            taken,
+            received: 0.0,
+            given_work: 0.0,
+            steps: 0,
+            forces: Vec::new(),
+        }
     }
 
     /// Flies and turns.
@@ -412,7 +423,11 @@ fn what_hangs_from_finite_elements_hangs_still() {
         let off = (strong + 0.2).abs().max((weak + 0.2).abs());
         assert!(off < 1e-5 * calm, "{weak} to {strong} N");
         assert!(high - low < 1e-7 * calm, "{low} to {high} m");
-        assert!((high - at - 0.2 / 500.0).abs() < 1e-7 * calm, "the spring is as long as its force asks for: {}", high - at);
+        assert!(
+            (high - at - 0.2 / 500.0).abs() < 1e-7 * calm,
+            "the spring is as long as its force asks for: {}",
+            high - at
+        );
     }
 }
 
@@ -449,7 +464,8 @@ fn what_lies_on_finite_elements_weighs_on_them_and_stays_while_friction_holds_it
                 let moved = fast.body.company();
                 lying.met(&fast.presses, &moved.presses, &moved.guests, &fast.body.state().positions);
                 if period >= 100 {
-                    pressed += fast.body.company().presses.iter().map(|pressed| pressed.force).sum::<Vector3<f64>>();
+                    pressed +=
+                        fast.body.company().presses.iter().map(|pressed| pressed.force).sum::<Vector3<f64>>();
                     count += 1;
                     let speeds = fast.body.state().velocities.iter().map(|v| v.norm());
                     fastest = fastest.max(speeds.fold(0.0, f64::max));
@@ -509,15 +525,15 @@ fn ghosts_that_are_written_down_go_on_bit_for_bit_and_nonsense_is_refused() {
         step: SLOW,
     };
     let short = News { velocities: &none[..3], ..news };
-    assert_eq!(
-        ghosts.hear(&short),
-        Err(GhostsError::Size { what: "velocities", found: 3, expected: 16 })
-    );
+    assert_eq!(ghosts.hear(&short), Err(GhostsError::Size { what: "velocities", found: 3, expected: 16 }));
     let nan = [Vector3::repeat(f64::NAN); 16];
     assert_eq!(ghosts.hear(&News { taken: &nan, ..news }), Err(GhostsError::Number("an impulse")));
     let negative = News { mobilities: &[-1.0; 16], ..news };
     assert_eq!(ghosts.hear(&negative), Err(GhostsError::Number("a time or a mobility")));
-    assert_eq!(ghosts.hear(&News { step: f64::NAN, ..news }), Err(GhostsError::Number("a time or a mobility")));
+    assert_eq!(
+        ghosts.hear(&News { step: f64::NAN, ..news }),
+        Err(GhostsError::Number("a time or a mobility"))
+    );
     assert_eq!(ghosts, before);
     assert_eq!(Ghosts::new(&[Point3::new(f64::NAN, 0.0, 0.0)]), Err(GhostsError::Number("a place")));
 }

@@ -311,3 +311,76 @@ fn momentum_is_kept_and_nonsense_refused() {
     let error = Xpbd::new(&body, &[], XpbdConfig::default()).expect_err("turned over");
     assert_eq!(error.to_string(), "tetrahedrons without extent: 1");
 }
+
+#[test]
+fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
+    use trocar_simulator::xpbd::company::{Company, CompanyState, OF_BODY, Tie};
+    use trocar_simulator::xpbd::{Member, step_together};
+    // A chain of 20 masses, whole or in two bodies that share a place, hanging from its first node in a side wind.
+    let chain = |from: usize, to: usize| -> Vec<Point3<f64>> {
+        (from..=to).map(|k| Point3::new(0.005 * k as f64, 0.0, 0.0)).collect()
+    };
+    let body = |rest: &[Point3<f64>], masses: &[f64], pinned: &[u32]| {
+        let link = |k: usize| Distance { nodes: [k as u32, k as u32 + 1], rest: 0.005, compliance: 1e-4 };
+        let distances: Vec<Distance> = (0..rest.len() - 1).map(link).collect();
+        let made = Body { rest, masses, distances: &distances, ..Body::default() };
+        let config = XpbdConfig { parts: 40, damping: 2.0, ..XpbdConfig::default() };
+        Xpbd::new(&made, pinned, config).expect("a chain")
+    };
+    let gravity = Vector3::new(1.0, 3.0, -9.81);
+    let input = XpbdInput { gravity, ..XpbdInput::default() };
+    let mut whole = body(&chain(0, 19), &[1e-4; 20], &[0]);
+    // The node in the middle has half of its mass in each.
+    let mut masses = [1e-4; 11];
+    masses[10] = 0.5e-4;
+    let mut first = body(&chain(0, 10), &masses, &[0]);
+    let mut masses = [1e-4; 10];
+    masses[0] = 0.5e-4;
+    let mut second = body(&chain(10, 19), &masses, &[]);
+    let of_second = |node: u32| OF_BODY + 11 + 1 + node;
+    let guests = [(of_second(0), 1.0), (of_second(1), 0.0), (of_second(2), 0.0), (of_second(3), 0.0)];
+    let ties = [Tie { node: 10, guests, stiffness: 1e5, damping: 0.0 }];
+    let company = Company { ties: &ties, ..Company::default() };
+    let mut state = CompanyState::default();
+    for _ in 0..600 {
+        whole.step(0.01, &input).expect("a step");
+        let mut members = [Member { body: &mut first, input }, Member { body: &mut second, input }];
+        step_together(0.01, &mut members, &company, &mut state).expect("a step");
+    }
+    let end = |body: &Xpbd| *body.state().positions.last().expect("an end");
+    let (one, two) = (end(&whole), end(&second));
+    assert!((one - two).norm() < 2e-4, "{one} and {two}");
+    // The tie bears all that hangs below it.
+    let below = gravity * (9.5 * 1e-4);
+    let tied = state.moved().ties[0].force;
+    assert!((tied - below).norm() < 0.01 * below.norm(), "{tied:?} for {below:?}");
+    // Without a pin it flies as one: momentum is kept.
+    let mut first = body(&chain(0, 10), &[1e-4; 11], &[]);
+    let mut second = body(&chain(10, 19), &[2e-4; 10], &[]);
+    let mut moving = second.state().clone();
+    moving.velocities.fill(Vector3::new(0.2, -0.1, 0.3));
+    second.restore(moving).expect("its own nodes");
+    let momentum = |first: &Xpbd, second: &Xpbd| -> Vector3<f64> {
+        let of = |body: &Xpbd| -> Vector3<f64> {
+            body.state().velocities.iter().zip(body.masses()).map(|(v, mass)| v * *mass).sum()
+        };
+        of(first) + of(second)
+    };
+    let state_of = |body: &Xpbd| body.state().clone();
+    let damped = momentum(&first, &second);
+    let still = XpbdInput::default();
+    let mut members = [Member { body: &mut first, input: still }, Member { body: &mut second, input: still }];
+    step_together(0.01, &mut members, &company, &mut state).expect("a step");
+    // Its damping takes the same share of everything: 40 parts of a quarter millisecond at 2 1/s.
+    let kept = (1.0 + 2.0 * 0.01 / 40.0_f64).powi(-40);
+    let after = momentum(&first, &second);
+    assert!((after - damped * kept).norm() < 1e-9 * damped.norm(), "{after:?} of {:?}", damped * kept);
+    assert!(state_of(&first).velocities[10].norm() > 0.01, "the one draws the other along");
+    // A tie to a node that there is not is refused, and nothing has moved.
+    let wrong = [Tie { guests: [(OF_BODY + 99, 1.0); 4], ..ties[0] }];
+    let company = Company { ties: &wrong, ..Company::default() };
+    let before = (state_of(&first), state_of(&second));
+    let mut members = [Member { body: &mut first, input: still }, Member { body: &mut second, input: still }];
+    assert!(step_together(0.01, &mut members, &company, &mut state).is_err());
+    assert_eq!((state_of(&first), state_of(&second)), before);
+}

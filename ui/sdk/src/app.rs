@@ -22,7 +22,7 @@ use crate::kinds;
 use crate::run::RunOptions;
 
 /// Scenarios that are part of the program: (name, text).
-pub const SCENARIOS: [(&str, &str); 12] = [
+pub const SCENARIOS: [(&str, &str); 14] = [
     ("peg-transfer", include_str!("../../../scenarios/peg-transfer.toml")),
     ("wall", include_str!("../../../scenarios/wall.toml")),
     ("collision-gallery", include_str!("../../../scenarios/collision-gallery.toml")),
@@ -34,6 +34,8 @@ pub const SCENARIOS: [(&str, &str); 12] = [
     ("needle-tissue", include_str!("../../../scenarios/needle-tissue.toml")),
     ("soft-stomach", include_str!("../../../scenarios/soft-stomach.toml")),
     ("tube-loop", include_str!("../../../scenarios/tube-loop.toml")),
+    ("omentum", include_str!("../../../scenarios/omentum.toml")),
+    ("band", include_str!("../../../scenarios/band.toml")),
     ("two-rates", include_str!("../../../scenarios/two-rates.toml")),
 ];
 

@@ -2,7 +2,7 @@
 //! what it is about to do.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use trocar_scene::{Access, Commands, Component, Entity, EntitySet, Snapshot};
+use trocar_scene::{Access, Commands, Entity, EntitySet, Snapshot};
 
 use super::coupling::{CoupledBody, CouplingGiven, CouplingTaken, GivenTo, TakenFrom};
 use super::deformable::Deformable;
@@ -23,7 +23,7 @@ pub struct Outlook {
 pub struct Answering {
     me: Entity,
     told: CouplingTaken,
-    /// Vertices that were given something in the present step, ascending.
+    /// Vertices that are given something or soon will be, ascending.
     active: Vec<u32>,
     /// For each giver, how its vertices moved before the step.
     before: Vec<Vec<Vector3<f64>>>,
@@ -35,8 +35,11 @@ impl Answering {
     #[must_use]
     pub fn new(body: &Deformable, scene: &Snapshot) -> Option<Self> {
         let names = |coupled: &CoupledBody| coupled.with.iter().any(|with| with.body == body.name);
-        let mut givers: Vec<Entity> =
-            scene.iter::<CoupledBody>().filter(|(_, coupled)| names(coupled)).map(|(giver, _)| giver).collect();
+        let mut givers: Vec<Entity> = scene
+            .iter::<CoupledBody>()
+            .filter(|(_, coupled)| names(coupled))
+            .map(|(giver, _)| giver)
+            .collect();
         givers.sort_unstable();
         if givers.is_empty() {
             return None;
@@ -95,6 +98,8 @@ impl Answering {
                     self.active.push(vertex);
                 }
             }
+            let near = to.near.iter().filter_map(|&ghost| to.vertices.get(ghost as usize));
+            self.active.extend(near);
             from.given_work = to.ghosts.work();
             from.steps = to.ghosts.steps();
         }
@@ -106,7 +111,7 @@ impl Answering {
         site.world_from_body.rotation.inverse() * site.scene.world_pose(giver).rotation
     }
 
-    /// Looks ahead after a step, for the vertices that were given something in it.
+    /// Looks ahead after a step, for the vertices that are given something or soon will be.
     pub fn look(&mut self, look: impl FnOnce(&[u32], &mut Outlook)) {
         look(&self.active, &mut self.outlook);
     }
@@ -141,16 +146,4 @@ impl Answering {
         self.told.step = site.period_secs();
         out.put(self.me, self.told.clone());
     }
-}
-
-/// Whether what moves a body of the scene answers to those that are coupled with it.
-#[must_use]
-pub fn answers(scene: &Snapshot, body: Entity) -> bool {
-    scene.get::<super::DynamicFemBody>(body).is_some() || scene.get::<super::XpbdBody>(body).is_some()
-}
-
-/// By what it would have to be moved, for messages.
-#[must_use]
-pub fn who_answers() -> String {
-    format!("'{}' or '{}'", super::DynamicFemBody::NAME, super::XpbdBody::NAME)
 }

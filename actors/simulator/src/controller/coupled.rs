@@ -1,26 +1,25 @@
-//! The faster side of a coupling: a body of positions meets the vertices of others as ghosts in every step, and tells what it
-//! gave them.
+//! A body of positions that is coupled with others. Those that other controllers move it meets as ghosts in every step, and
+//! tells what it gave them; with those that its own controller moves it is stepped as one problem.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::Surface;
-use trocar_collision::primitive::closest_on_triangle;
 use trocar_scene::{
-    Access, Commands, Entity, EntitySet, Snapshot, SurfaceMesh, TetMesh, VertexPositions, VertexVelocities,
+    Access, Commands, Component, Entity, EntitySet, Snapshot, SurfaceMesh, TetMesh, VertexPositions,
+    VertexVelocities,
 };
 
-use super::answering::{answers, who_answers};
-use super::coupling::{
-    CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, GivenTo, Graft, JOINED_MAX, Joined,
-};
+use super::coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, GivenTo, Joined};
 use super::deformable::Deformable;
+use super::dynamic_fem::DynamicFemBody;
+use super::grafts::{Fused, grafts};
 use super::heat::RemovedElements;
 use super::soft::{Measures, Site};
+use super::xpbd::XpbdBody;
 use crate::coupling::{Lying, LyingRule, News};
 use crate::mass_spring::State;
-use crate::tet_mesh::{self, MeshRules};
 use crate::xpbd::company::{Company, CompanyMoved, Guest, GuestMoved, Press, Tie};
 
 /// News older than this are none: what they are of is a wall \[s\].
@@ -51,8 +50,10 @@ struct Partner {
 
 /// A body that is coupled with others.
 pub struct Coupled {
-    thickness: f64,
     with: Vec<Partner>,
+    fused: Vec<Fused>,
+    /// What holds it to these, in the last step \[N\].
+    fused_force: f64,
     /// Vertices that can lie on something, as long as its triangles are these.
     outside: Vec<u32>,
     triangles: Arc<Vec<[u32; 3]>>,
@@ -69,16 +70,21 @@ impl Coupled {
     pub fn new(body: &Deformable, thickness: f64, scene: &Snapshot) -> Result<Option<Self>, String> {
         let Some(coupled) = scene.get::<CoupledBody>(body.entity) else { return Ok(None) };
         let known = scene.get::<CouplingGiven>(body.entity);
-        let with = coupled.with.iter().enumerate();
-        let with: Result<Vec<Partner>, String> = with
-            .map(|(index, rule)| {
-                Partner::new(body, thickness, rule, scene, known.and_then(|known| known.to.get(index)))
-                    .map_err(|why| format!("it is coupled with '{}': {why}", rule.body))
-            })
-            .collect();
+        let (mut with, mut fused) = (Vec::new(), Vec::new());
+        for rule in &coupled.with {
+            let told = |why: String| format!("it is coupled with '{}': {why}", rule.body);
+            let other = other(body, rule, scene).map_err(told)?;
+            if scene.get::<XpbdBody>(other.entity).is_some() {
+                fused.push(Fused::new(body, &other, rule, scene).map_err(told)?);
+                continue;
+            }
+            let known = known.and_then(|known| known.to.iter().find(|to| to.body == Some(other.entity)));
+            with.push(Partner::new(body, &other, thickness, rule, scene, known).map_err(told)?);
+        }
         let mut coupled = Self {
-            thickness,
-            with: with?,
+            with,
+            fused,
+            fused_force: 0.0,
             outside: Vec::new(),
             triangles: Arc::default(),
             guests: Vec::new(),
@@ -138,8 +144,7 @@ impl Coupled {
     pub fn met(&mut self, moved: &CompanyMoved, positions: &[Point3<f64>], dt: f64) {
         let (mut guest, mut tie, mut press) = (0, 0, 0);
         for partner in &mut self.with {
-            let [guests, ties, presses] =
-                [partner.used.len(), partner.ties.len(), partner.presses.len()];
+            let [guests, ties, presses] = [partner.used.len(), partner.ties.len(), partner.presses.len()];
             let ties_moved = &moved.ties[tie..tie + ties];
             let presses_moved = &moved.presses[press..press + presses];
             partner.moved.clear();
@@ -170,66 +175,73 @@ impl Coupled {
         }
     }
 
-    /// Those who took part in the last step take part as they are now: for a look at the next one.
-    pub fn look(&mut self) {
-        self.guests.clear();
-        for partner in &self.with {
-            let now: Vec<Guest> = partner.given.ghosts.guests().collect();
-            let wall = |guest: Guest| if partner.is_wall { guest.as_wall() } else { guest };
-            self.guests.extend(partner.used.iter().map(|&ghost| wall(now[ghost as usize])));
-        }
+    /// Bodies of the same controller that it is to be stepped with.
+    #[must_use]
+    pub fn fused(&self) -> &[Fused] {
+        &self.fused
+    }
+
+    /// What these hold it with, summed over its vertices, in the step that was \[N\].
+    pub fn fused_by(&mut self, force: f64) {
+        self.fused_force = force;
     }
 
     /// Tells the others what they were given.
     pub fn publish(&self, body: Entity, out: &mut Commands) {
-        out.put(body, CouplingGiven { to: self.with.iter().map(|partner| partner.given.clone()).collect() });
+        if !self.with.is_empty() {
+            let to = self.with.iter().map(|partner| partner.given.clone()).collect();
+            out.put(body, CouplingGiven { to });
+        }
     }
 
     /// Tells how strongly it pulls and presses, and how far ghosts are from what they stand for.
     pub fn measure(&self, measures: &mut Measures<'_>) {
-        let sum = |k: usize| self.with.iter().map(|partner| partner.force[k]).sum();
-        measures.put("joined_force_n", sum(0));
+        let sum = |k: usize| self.with.iter().map(|partner| partner.force[k]).sum::<f64>();
+        measures.put("joined_force_n", sum(0) + self.fused_force);
         measures.put("lying_force_n", sum(1));
         let count: usize = self.with.iter().map(|partner| partner.ties.len()).sum();
-        measures.put("joined_vertices", count as f64);
+        let fused: usize = self.fused.iter().map(|fused| fused.count()).sum();
+        measures.put("joined_vertices", (count + fused) as f64);
         let behind = self.with.iter().map(|partner| partner.given.ghosts.furthest_behind());
         let tank: f64 = self.with.iter().map(|partner| partner.given.ghosts.tank()).sum();
         measures.put("coupling_tank_j", tank);
         measures.put("coupling_behind_m", behind.fold(0.0, f64::max));
     }
+}
 
-    /// How far its surface is from its vertices \[m\].
-    #[must_use]
-    pub fn thickness(&self) -> f64 {
-        self.thickness
+/// The body that a rule names.
+fn other(body: &Deformable, rule: &CoupledWith, scene: &Snapshot) -> Result<Deformable, String> {
+    let entity = scene.find(&rule.body).ok_or("the scene has no such entity")?;
+    if entity == body.entity {
+        return Err("that is itself".into());
     }
+    if scene.get::<DynamicFemBody>(entity).is_none() && scene.get::<XpbdBody>(entity).is_none() {
+        let [fem, xpbd] = [DynamicFemBody::NAME, XpbdBody::NAME];
+        return Err(format!("that is to be moved by '{fem}' or '{xpbd}'"));
+    }
+    let other = Deformable::read(scene, entity).map_err(|error| error.to_string())?;
+    if other.tets.is_empty() {
+        return Err("that has no volume: it needs a mesh of tetrahedra".into());
+    }
+    Ok(other)
 }
 
 impl Partner {
     fn new(
         body: &Deformable,
+        other: &Deformable,
         thickness: f64,
         rule: &CoupledWith,
         scene: &Snapshot,
         known: Option<&GivenTo>,
     ) -> Result<Self, String> {
-        let entity = scene.find(&rule.body).ok_or("the scene has no such entity")?;
-        if entity == body.entity {
-            return Err("that is itself".into());
-        }
-        if !answers(scene, entity) {
-            return Err(format!("that is to be moved by {}", who_answers()));
-        }
-        let other = Deformable::read(scene, entity).map_err(|error| error.to_string())?;
-        if other.tets.is_empty() {
-            return Err("that has no volume: it needs a mesh of tetrahedra".into());
-        }
+        let entity = other.entity;
         let body_from_other = scene.world_pose(body.entity).inverse() * scene.world_pose(entity);
         let given = match known.filter(|known| known.body == Some(entity)) {
             Some(known) if known.ghosts.is_sound(known.vertices.len()) => known.clone(),
             _ => {
                 let grafts = match &rule.joined {
-                    Some(joined) => grafts(body, &other, &body_from_other, joined)?,
+                    Some(joined) => grafts(body, other, &body_from_other, joined)?,
                     None => Vec::new(),
                 };
                 GivenTo { body: Some(entity), grafts: Arc::new(grafts), ..GivenTo::default() }
@@ -410,56 +422,23 @@ impl Partner {
         self.used.clear();
         self.used.extend(self.ties.iter().flat_map(|tie| tie.guests.map(|(ghost, _)| ghost)));
         let of_presses = self.presses.iter();
-        self.used.extend(of_presses.flat_map(|press| press.guests.into_iter().chain(press.anchor)).map(|of| of.0));
+        self.used
+            .extend(of_presses.flat_map(|press| press.guests.into_iter().chain(press.anchor)).map(|of| of.0));
         self.used.sort_unstable();
         self.used.dedup();
+        self.given.near.clone_from(&self.used);
         let used = &self.used;
         let guest = |ghost: u32| first + used.binary_search(&ghost).unwrap_or_default() as u32;
         let of_three = |of: [(u32, f64); 3]| of.map(|(ghost, weight)| (guest(ghost), weight));
-        ties.extend(self.ties.iter().map(|tie| Tie {
-            guests: tie.guests.map(|(ghost, weight)| (guest(ghost), weight)),
-            ..*tie
-        }));
+        ties.extend(
+            self.ties
+                .iter()
+                .map(|tie| Tie { guests: tie.guests.map(|(ghost, weight)| (guest(ghost), weight)), ..*tie }),
+        );
         presses.extend(self.presses.iter().map(|press| Press {
             guests: of_three(press.guests),
             anchor: of_three(press.anchor),
             ..*press
         }));
-    }
-}
-
-/// Vertices of a body that have grown onto another, both at rest.
-fn grafts(
-    body: &Deformable,
-    other: &Deformable,
-    body_from_other: &Isometry3<f64>,
-    joined: &Joined,
-) -> Result<Vec<Graft>, String> {
-    let rules = MeshRules { mean_ratio_min: 0.0, coincident_within: None };
-    let mesh =
-        tet_mesh::TetMesh::new(&other.rest, &other.tets, &rules).map_err(|error| error.to_string())?;
-    let mut grafts = Vec::new();
-    let of_body: std::collections::BTreeSet<u32> =
-        body.triangles.iter().flatten().chain(body.segments.iter().flatten()).copied().collect();
-    for vertex in of_body {
-        let place = body_from_other.inverse_transform_point(&body.rest[vertex as usize]);
-        let near = |corners: &[u32; 3]| {
-            let corners = corners.map(|node| other.rest[node as usize]);
-            (closest_on_triangle(&place, &corners).point - place).norm() <= joined.within
-        };
-        if !other.triangles.iter().any(near) {
-            continue;
-        }
-        if let Some((element, weights)) = mesh.locate(&place) {
-            grafts.push(Graft { vertex, element: element as u32, weights });
-        }
-    }
-    match grafts.len() {
-        0 => Err(format!("none of its vertices is within {} m of that at rest", joined.within)),
-        1..=JOINED_MAX => Ok(grafts),
-        more => Err(format!(
-            "{more} of its vertices are within {} m of that at rest: up to {JOINED_MAX} are valid",
-            joined.within
-        )),
     }
 }

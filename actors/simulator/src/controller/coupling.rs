@@ -122,6 +122,8 @@ pub struct GivenTo {
     pub vertices: Arc<Vec<u32>>,
     /// What it knows of them; in its own frame.
     pub ghosts: Ghosts,
+    /// Ghosts that it pulls at or is near to.
+    pub near: Vec<u32>,
     /// What is joined.
     pub grafts: Arc<Vec<Graft>>,
     /// Where friction holds it.

@@ -247,11 +247,7 @@ impl SoftMethod for DynamicFemMethod {
 /// Steps every body that carries [`DynamicFemBody`].
 pub type DynamicFemController = SoftController<DynamicFemMethod>;
 
-fn inputs<'a>(
-    contacts: &'a [Contact],
-    prescribed: &'a [(u32, Point3<f64>)],
-    site: &Site<'a>,
-) -> Inputs<'a> {
+fn inputs<'a>(contacts: &'a [Contact], prescribed: &'a [(u32, Point3<f64>)], site: &Site<'a>) -> Inputs<'a> {
     Inputs { acceleration: site.gravity, contacts, prescribed, forces: site.forces, ..Inputs::default() }
 }
 

@@ -15,6 +15,7 @@ pub mod dynamic_fem;
 pub mod dynamic_fem_memory;
 pub mod electrosurgery;
 pub mod fluid;
+pub mod grafts;
 pub mod grips;
 pub mod heat;
 pub mod instruments;
@@ -41,6 +42,7 @@ pub mod tools;
 pub mod touch;
 pub mod vital_signs;
 pub mod xpbd;
+mod xpbd_island;
 
 use trocar_scene::{RegistryBuilder, RegistryError};
 

@@ -132,7 +132,15 @@ pub trait SoftMethod: Send + Sized + 'static {
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String>;
 
-    /// What is to be expected of the next step, after one; `active` are the vertices that others gave something in it.
+    /// One step of all bodies that can make one; each says whether it did. Those that belong together are stepped together.
+    fn step_all(steps: &mut [Step<'_, Self>]) {
+        for step in steps {
+            step.done = step.method.step(step.body, &step.site, &mut step.forces);
+        }
+    }
+
+    /// What is to be expected of the next step, after one; `active` are the vertices that others give something or
+    /// soon will.
     fn look_ahead(&mut self, _body: &Deformable, _site: &Site<'_>, _active: &[u32], _outlook: &mut Outlook) {}
 
     /// What the body exerts now on whoever holds these vertices \[N\]; ascending.
@@ -162,6 +170,20 @@ impl<'a> Measures<'a> {
     }
 }
 
+/// A body that is about to be stepped.
+pub struct Step<'a, M> {
+    /// Who steps it.
+    pub method: &'a mut M,
+    /// The body.
+    pub body: &'a Deformable,
+    /// What meets it.
+    pub site: Site<'a>,
+    /// What each touch exerts on it \[N\], to be filled.
+    pub forces: Vec<Vector3<f64>>,
+    /// Whether it was stepped, or why not; then it is where it was.
+    pub done: Result<(), String>,
+}
+
 struct Body<M> {
     body: Deformable,
     method: M,
@@ -170,22 +192,40 @@ struct Body<M> {
     /// If others are coupled with it.
     answering: Option<Answering>,
     frozen: bool,
+    meets: Meets,
 }
 
-/// Lists that are filled anew for each body.
+/// What meets a body in the present tick.
 #[derive(Default)]
-struct Scratch {
+struct Meets {
+    world_from_body: Isometry3<f64>,
+    gravity: Vector3<f64>,
     rods: Vec<Rod>,
     touches: Vec<Touch>,
-    forces: Vec<Vector3<f64>>,
+    led: Vec<Led>,
     given: Vec<(u32, Vector3<f64>)>,
+    forces: Vec<Vector3<f64>>,
+}
+
+impl Meets {
+    fn site<'a>(&'a self, scene: &'a Snapshot, tick: &'a Tick<'a>) -> Site<'a> {
+        Site {
+            scene,
+            tick,
+            world_from_body: &self.world_from_body,
+            gravity: self.gravity,
+            rods: &self.rods,
+            touches: &self.touches,
+            forces: &self.given,
+            led: &self.led,
+        }
+    }
 }
 
 /// Steps every body that carries the component of a method.
 pub struct SoftController<M> {
     gravity_in_world: Vector3<f64>,
     bodies: Vec<Body<M>>,
-    scratch: Scratch,
 }
 
 impl<M: SoftMethod> SoftController<M> {
@@ -204,13 +244,14 @@ impl<M: SoftMethod> SoftController<M> {
             let grips = context.scene.get::<Grips>(entity).cloned().unwrap_or_default();
             let frozen = context.scene.get::<Frozen>(entity).is_some();
             let answering = Answering::new(&body, context.scene);
-            bodies.push(Body { body, method, is_pinned, grips, answering, frozen });
+            let meets = Meets::default();
+            bodies.push(Body { body, method, is_pinned, grips, answering, frozen, meets });
         }
         if bodies.is_empty() {
             let (controller, kind) = (M::CONTROLLER, M::Kind::NAME);
             return Err(ControllerError::Scene(format!("{controller}: no entity has a '{kind}'")));
         }
-        Ok(Self { gravity_in_world, bodies, scratch: Scratch::default() })
+        Ok(Self { gravity_in_world, bodies })
     }
 }
 
@@ -230,28 +271,28 @@ impl<M: SoftMethod> Controller for SoftController<M> {
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        for body in self.bodies.iter_mut().filter(|body| !body.frozen) {
+            if let Err(reason) = body.begin(&self.gravity_in_world, scene, tick, out) {
+                body.freeze(&reason, tick, out);
+            }
+        }
+        let ready = self.bodies.iter_mut().filter(|body| !body.frozen);
+        let mut steps: Vec<Step<'_, M>> = ready.map(|body| body.ready(scene, tick)).collect();
+        M::step_all(&mut steps);
+        let done: Vec<_> = steps.into_iter().map(|step| (step.done, step.forces)).collect();
+        for (body, (done, forces)) in self.bodies.iter_mut().filter(|body| !body.frozen).zip(done) {
+            body.meets.forces = forces;
+            if let Err(reason) = done {
+                body.freeze(&reason, tick, out);
+            }
+        }
         let mut found = Found::default();
         let mut measured = Measured::default();
         for body in &mut self.bodies {
-            let world_from_body = scene.world_pose(body.body.entity);
-            let gravity = Deformable::gravity(&self.gravity_in_world, &world_from_body);
             found.pushed = 0.0;
             found.pulled = 0.0;
             if !body.frozen {
-                let nothing = Site {
-                    scene,
-                    tick,
-                    world_from_body: &world_from_body,
-                    gravity,
-                    rods: &[],
-                    touches: &[],
-                    forces: &[],
-                    led: &[],
-                };
-                if let Err(reason) = body.step(&nothing, &mut self.scratch, &mut found, out) {
-                    body.frozen = true;
-                    body.body.freeze(&reason, tick, out);
-                }
+                body.end(scene, tick, &mut found, out);
             }
             let mut measures = Measures::new(&body.body.name, &mut measured.values);
             measures.put("contact_force_n", found.pushed);
@@ -280,61 +321,86 @@ struct Found {
 }
 
 impl<M: SoftMethod> Body<M> {
-    fn step(
+    /// Changes its shape, and finds out what meets it.
+    fn begin(
         &mut self,
-        nothing: &Site<'_>,
-        scratch: &mut Scratch,
-        found: &mut Found,
+        gravity_in_world: &Vector3<f64>,
+        scene: &Snapshot,
+        tick: &Tick<'_>,
         out: &mut Commands,
     ) -> Result<(), String> {
-        let Scratch { rods, touches: touched, forces, given } = scratch;
-        rods_of_all(nothing.scene, nothing.world_from_body, rods);
-        let site = Site { rods, ..*nothing };
         let entity = self.body.entity;
-        if let Some(reshaped) = self.method.reshape(&mut self.body, &site, out)? {
+        let mut meets = std::mem::take(&mut self.meets);
+        meets.world_from_body = scene.world_pose(entity);
+        meets.gravity = Deformable::gravity(gravity_in_world, &meets.world_from_body);
+        meets.touches.clear();
+        meets.led.clear();
+        meets.given.clear();
+        rods_of_all(scene, &meets.world_from_body, &mut meets.rods);
+        let reshaped = self.method.reshape(&mut self.body, &meets.site(scene, tick), out)?;
+        if let Some(reshaped) = reshaped {
             self.is_pinned = self.body.stays();
-            reshaped.followed_by(&mut self.grips, &site, &self.body.triangles, self.method.positions());
+            let (site, positions) = (meets.site(scene, tick), self.method.positions());
+            reshaped.followed_by(&mut self.grips, &site, &self.body.triangles, positions);
             out.put(entity, self.grips.clone());
         }
-
-        touches(rods, &self.method.skin(&self.body), touched);
-        let led = self.hold(&site, touched, out)?;
+        touches(&meets.rods, &self.method.skin(&self.body), &mut meets.touches);
+        let led = self.hold(&meets.site(scene, tick), &meets.touches, out)?;
+        meets.led = led;
         // What is held goes where it is led, and what is anchored stays, whatever touches it.
         let (is_pinned, cut) = (&self.is_pinned, self.method.is_cut_by_blades());
-        touched.retain(|touch| {
+        let Meets { rods, touches, led, .. } = &mut meets;
+        touches.retain(|touch| {
             let is_led = |node: &u32| led.binary_search_by_key(node, |led| led.vertex).is_ok();
             let stays = touch.nodes.iter().all(|&node| is_pinned[node as usize]);
-            let is_cut = cut && is_blade(site.scene, rods[touch.rod].instrument);
+            let is_cut = cut && is_blade(scene, rods[touch.rod].instrument);
             !(stays || is_cut || touch.nodes.iter().any(is_led))
         });
-
-        given.clear();
         if let Some(answering) = &mut self.answering {
-            answering.take(&site, self.method.velocities(), given);
+            let mut given = std::mem::take(&mut meets.given);
+            answering.take(&meets.site(scene, tick), self.method.velocities(), &mut given);
+            meets.given = given;
         }
-        let site = Site { touches: touched, led: &led, forces: given, ..site };
-        self.method.step(&self.body, &site, forces)?;
+        self.meets = meets;
+        Ok(())
+    }
+
+    fn ready<'a>(&'a mut self, scene: &'a Snapshot, tick: &'a Tick<'a>) -> Step<'a, M> {
+        let mut forces = std::mem::take(&mut self.meets.forces);
+        forces.clear();
+        let Self { body, method, meets, .. } = self;
+        Step { method, body, site: meets.site(scene, tick), forces, done: Ok(()) }
+    }
+
+    fn freeze(&mut self, reason: &str, tick: &Tick<'_>, out: &mut Commands) {
+        self.frozen = true;
+        self.body.freeze(&reason, tick, out);
+    }
+
+    /// Tells everybody where it is after a step, and what it exerts.
+    fn end(&mut self, scene: &Snapshot, tick: &Tick<'_>, found: &mut Found, out: &mut Commands) {
+        let entity = self.body.entity;
         self.body.write(self.method.positions(), self.method.velocities(), out);
         self.method.publish(&self.body, out);
-        let world_from_body = site.world_from_body;
-        for (touch, force) in touched.iter().zip(forces.iter()) {
+        let site = self.meets.site(scene, tick);
+        for (touch, force) in site.touches.iter().zip(&self.meets.forces) {
             found.depth_max = found.depth_max.max(touch.depth);
             found.pushed += force.norm();
-            let rod = &rods[touch.rod];
-            found.collisions.push(collision(touch, rod, entity, force, world_from_body, site.tick.time));
+            let rod = &site.rods[touch.rod];
+            let told = collision(touch, rod, entity, force, site.world_from_body, tick.time);
+            found.collisions.push(told);
         }
         for pick in &self.grips.picks.picks {
             let held: Vec<u32> = pick.vertices.iter().map(|held| held.vertex).collect();
             let pull = self.method.pull_by(&held);
             found.pulled += pull.norm();
-            found.collisions.extend(self.grip(pick, &pull, &site));
+            found.collisions.extend(grip(&self.body, self.method.positions(), pick, &pull, &site));
         }
         if let Some(answering) = &mut self.answering {
             let (body, method) = (&self.body, &mut self.method);
             answering.look(|active, outlook| method.look_ahead(body, &site, active, outlook));
             answering.tell(&site, &self.is_pinned, method.velocities(), out);
         }
-        Ok(())
     }
 
     /// Lets jaws take and let go, and says where they have what they hold.
@@ -359,38 +425,43 @@ impl<M: SoftMethod> Body<M> {
         led.retain(|led| !self.is_pinned[led.vertex as usize]);
         Ok(led)
     }
+}
 
-    /// A grip as everybody sees it. Its depth is how far the jaws have drawn what they hold from where it is at rest, so that
-    /// force over depth is how stiff it feels.
-    fn grip(&self, pick: &Pick, pull_in_body: &Vector3<f64>, site: &Site<'_>) -> Option<Collision> {
-        let instrument = Entity::from_bits(pick.instrument);
-        let count = pick.vertices.len();
-        let triangle = *pick.triangles.first()?;
-        if count == 0 {
-            return None;
-        }
-        let mean = |points: &[Point3<f64>]| {
-            let sum: Vector3<f64> =
-                pick.vertices.iter().map(|held| points[held.vertex as usize].coords).sum();
-            sum / count as f64
-        };
-        let (now, rest) = (mean(self.method.positions()), mean(&self.body.rest));
-        let place = site.world_from_body * Point3::from(now);
-        let force_on_body = site.world_from_body.rotation * -pull_in_body;
-        Some(Collision {
-            a: instrument,
-            primitive_a: Primitive::Shaft,
-            b: self.body.entity,
-            primitive_b: Primitive::Triangle(triangle),
-            points_in_world: [place; 2],
-            normal_in_world: force_on_body.try_normalize(1e-12).unwrap_or_else(Vector3::z),
-            depth: (now - rest).norm(),
-            force_in_world: force_on_body,
-            velocity_constraint: 0.0,
-            method: Detection::Simulator,
-            detected_at: site.tick.time,
-        })
+/// A grip as everybody sees it. Its depth is how far the jaws have drawn what they hold from where it is at rest, so that
+/// force over depth is how stiff it feels.
+fn grip(
+    body: &Deformable,
+    positions: &[Point3<f64>],
+    pick: &Pick,
+    pull_in_body: &Vector3<f64>,
+    site: &Site<'_>,
+) -> Option<Collision> {
+    let instrument = Entity::from_bits(pick.instrument);
+    let count = pick.vertices.len();
+    let triangle = *pick.triangles.first()?;
+    if count == 0 {
+        return None;
     }
+    let mean = |points: &[Point3<f64>]| {
+        let sum: Vector3<f64> = pick.vertices.iter().map(|held| points[held.vertex as usize].coords).sum();
+        sum / count as f64
+    };
+    let (now, rest) = (mean(positions), mean(&body.rest));
+    let place = site.world_from_body * Point3::from(now);
+    let force_on_body = site.world_from_body.rotation * -pull_in_body;
+    Some(Collision {
+        a: instrument,
+        primitive_a: Primitive::Shaft,
+        b: body.entity,
+        primitive_b: Primitive::Triangle(triangle),
+        points_in_world: [place; 2],
+        normal_in_world: force_on_body.try_normalize(1e-12).unwrap_or_else(Vector3::z),
+        depth: (now - rest).norm(),
+        force_in_world: force_on_body,
+        velocity_constraint: 0.0,
+        method: Detection::Simulator,
+        detected_at: site.tick.time,
+    })
 }
 
 /// Whether an instrument has blades.

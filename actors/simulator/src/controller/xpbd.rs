@@ -14,11 +14,13 @@ use super::coupled::Coupled;
 use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
 use super::parting::{Elements, Parting, Weakness};
-use super::soft::{Measures, Outlook, Reshaped, Site, SoftController, SoftMethod};
+use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Step};
 use super::touch::{Skin, Touch};
+use super::xpbd_island::step_island;
 use crate::elasticity::Alteration;
 use crate::mass_spring::{Contact, LineMaterial, Network, NodeForce, Prescribed, State, SurfaceMaterial};
-use crate::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
+use crate::xpbd::company::CompanyState;
+use crate::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, distances_of};
 
 /// What a position-based body is made of, by the kind of its mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -176,9 +178,9 @@ fn of_network(
 }
 
 /// A solver of one body, whose elements may go.
-struct Solver {
+pub(super) struct Solver {
     kind: XpbdBody,
-    solver: Xpbd,
+    pub solver: Xpbd,
 }
 
 impl Elements for Solver {
@@ -204,19 +206,36 @@ impl Elements for Solver {
 
 /// Position-based dynamics of one body.
 pub struct XpbdMethod {
-    of: Solver,
+    pub(super) of: Solver,
     parting: Option<Parting>,
     burning: Option<BurningSurface>,
     /// If it pulls or presses at others.
-    coupled: Option<Coupled>,
-    contacts: Vec<Contact>,
-    prescribed: Vec<Prescribed>,
-    forces: Vec<NodeForce>,
-    /// A copy that looks ahead, where others are coupled with the body.
-    ahead: Option<Box<Xpbd>>,
+    pub(super) coupled: Option<Coupled>,
+    pub(super) contacts: Vec<Contact>,
+    pub(super) prescribed: Vec<Prescribed>,
+    pub(super) forces: Vec<NodeForce>,
+    /// What ties to bodies that it is stepped together with exerted on its vertices in the last step \[N\].
+    pub(super) tied: Vec<(u32, Vector3<f64>)>,
+    pub(super) island: CompanyState,
 }
 
 impl XpbdMethod {
+    /// Takes what meets it.
+    pub(super) fn set_up(&mut self, body: &Deformable, site: &Site<'_>) -> Result<(), String> {
+        let kind = &self.of.kind;
+        self.contacts.clear();
+        self.contacts.extend(site.touches.iter().map(|touch| Self::contact(kind, touch)));
+        self.prescribed.clear();
+        let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
+        self.prescribed.extend(led);
+        self.forces.clear();
+        self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
+        match &mut self.coupled {
+            Some(coupled) => coupled.meet(body, self.of.solver.state(), site),
+            None => Ok(()),
+        }
+    }
+
     fn contact(kind: &XpbdBody, touch: &Touch) -> Contact {
         Contact {
             nodes: touch.nodes,
@@ -253,8 +272,8 @@ impl SoftMethod for XpbdMethod {
         }
         let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
         let coupled = Coupled::new(body, thickness, scene)?;
-        let (contacts, prescribed, forces) = Default::default();
-        Ok(Self { of, parting, burning, coupled, contacts, prescribed, forces, ahead: None })
+        let (contacts, prescribed, forces, tied, island) = Default::default();
+        Ok(Self { of, parting, burning, coupled, contacts, prescribed, forces, tied, island })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -307,64 +326,32 @@ impl SoftMethod for XpbdMethod {
         site: &Site<'_>,
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
-        self.contacts.clear();
-        let kind = &self.of.kind;
-        self.contacts.extend(site.touches.iter().map(|touch| Self::contact(kind, touch)));
-        self.prescribed.clear();
-        let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
-        self.prescribed.extend(led);
-        self.forces.clear();
-        self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
-        let dt = site.period_secs();
-        if let Some(coupled) = &mut self.coupled {
-            coupled.meet(body, self.of.solver.state(), site)?;
-        }
-        let company = self.coupled.as_ref().map(Coupled::company).unwrap_or_default();
-        let input = XpbdInput {
-            gravity: site.gravity,
-            forces: &self.forces,
-            contacts: &self.contacts,
-            prescribed: &self.prescribed,
-            company,
-        };
-        self.of.solver.step(dt, &input).map_err(|error| error.to_string())?;
-        if let Some(coupled) = &mut self.coupled {
-            coupled.met(self.of.solver.company(), &self.of.solver.state().positions, dt);
-        }
-        forces.clear();
-        forces.extend_from_slice(self.of.solver.contact_forces());
-        Ok(())
+        let step = Step { method: self, body, site: *site, forces: std::mem::take(forces), done: Ok(()) };
+        let mut island = [step];
+        step_island(&mut island.iter_mut().collect::<Vec<_>>());
+        let [step] = island;
+        *forces = step.forces;
+        step.done
     }
 
-    fn look_ahead(&mut self, _body: &Deformable, site: &Site<'_>, _active: &[u32], outlook: &mut Outlook) {
-        let solver = &self.of.solver;
-        outlook.masses.clear();
-        outlook.masses.extend_from_slice(solver.masses());
-        // As single masses, which is rather too readily.
-        outlook.yielding.clear();
-        outlook.expected.clone_from(&solver.state().velocities);
-        let mut ahead = match self.ahead.take() {
-            Some(mut known) => {
-                (*known).clone_from(solver);
-                known
+    fn step_all(steps: &mut [Step<'_, Self>]) {
+        let entities: Vec<Entity> = steps.iter().map(|step| step.body.entity).collect();
+        let mut islands: Vec<usize> = (0..steps.len()).collect();
+        for (index, step) in steps.iter().enumerate() {
+            for fused in step.method.coupled.iter().flat_map(Coupled::fused) {
+                if let Some(with) = entities.iter().position(|entity| *entity == fused.entity) {
+                    let (from, to) = (islands[index].max(islands[with]), islands[index].min(islands[with]));
+                    islands.iter_mut().filter(|island| **island == from).for_each(|island| *island = to);
+                }
             }
-            None => Box::new(solver.clone()),
-        };
-        if let Some(coupled) = &mut self.coupled {
-            coupled.look();
         }
-        let company = self.coupled.as_ref().map(Coupled::company).unwrap_or_default();
-        let input = XpbdInput {
-            gravity: site.gravity,
-            forces: &self.forces,
-            contacts: &self.contacts,
-            prescribed: &self.prescribed,
-            company,
-        };
-        if ahead.step(site.period_secs(), &input).is_ok() {
-            outlook.expected.clone_from(&ahead.state().velocities);
+        for island in 0..steps.len() {
+            let members = steps.iter_mut().zip(&islands).filter(|(_, of)| **of == island);
+            let mut members: Vec<&mut Step<'_, Self>> = members.map(|(step, _)| step).collect();
+            if !members.is_empty() {
+                step_island(&mut members);
+            }
         }
-        self.ahead = Some(ahead);
     }
 
     fn publish(&mut self, body: &Deformable, out: &mut Commands) {
@@ -374,7 +361,8 @@ impl SoftMethod for XpbdMethod {
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
-        self.of.solver.pull_on(held)
+        let tied = self.tied.iter().filter(|(node, _)| held.binary_search(node).is_ok());
+        self.of.solver.pull_on(held) + tied.map(|(_, force)| force).sum::<Vector3<f64>>()
     }
 
     fn measure(&self, body: &Deformable, measures: &mut Measures<'_>) {

@@ -336,7 +336,8 @@ impl Ghosts {
         let vectors = [&self.velocities, &self.pulls, &self.behind, &self.given];
         let sums = [self.work, self.given_work, self.received, self.lost, self.paid, self.exchanged];
         let paths = self.paths.iter();
-        let paths = paths.flat_map(|path| path.velocity.iter().chain(&path.acceleration).chain([&path.lasts]));
+        let paths =
+            paths.flat_map(|path| path.velocity.iter().chain(&path.acceleration).chain([&path.lasts]));
         let places = self.positions.iter().chain(self.paths.iter().map(|path| &path.position));
         let sizes = [&self.masses_inverse, &self.springs];
         vectors.iter().all(|list| list.len() == count && list.iter().flatten().all(|x| x.is_finite()))

@@ -9,6 +9,8 @@ use crate::xpbd::company::{GuestMoved, Press, Pressed};
 
 /// Nodes deeper in the body than this are lost \[m\].
 const DEEP: f64 = 0.01;
+/// Nodes nearer than this are listed before they press: who moves the surface is told in time what is to be expected \[m\].
+const NEAR: f64 = 0.003;
 
 /// How the one lies on the other.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -82,7 +84,7 @@ impl Lying {
         let Some(bounds) = self.surface.tree().bounds() else { return };
         for &node in nodes {
             let (at, velocity) = (positions[node as usize], velocities[node as usize]);
-            let reach = thickness + 2.0 * dt * velocity.norm();
+            let reach = thickness + NEAR + 2.0 * dt * velocity.norm();
             let far = reach.max(DEEP);
             let outside = (0..3).any(|k| at[k] < bounds.min[k] - far || at[k] > bounds.max[k] + far);
             if outside {

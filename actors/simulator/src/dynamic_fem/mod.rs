@@ -15,10 +15,10 @@ mod config;
 mod lbfgs;
 mod material;
 mod objective;
+mod outlook;
 mod polar;
 mod solver;
 mod state;
-mod outlook;
 
 pub use config::{Config, DynamicFemError, Energies, MassMatrix, Report, StepError};
 pub use material::{Constitution, JACOBIAN_MIN};

@@ -7,8 +7,10 @@
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::constraint::Nodes;
 use crate::mass_spring::StepError;
+
+/// Where ties name guests, numbers from here on name nodes of the bodies that are stepped together instead.
+pub const OF_BODY: u32 = 1 << 31;
 
 /// A node of another body: a mass, held by a spring to the path that it would go if the body did to it what it is expected to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -46,7 +48,14 @@ impl Guest {
     #[must_use]
     pub fn as_wall(self) -> Self {
         let path = Path { position: self.position, ..Path::default() };
-        Self { velocity: Vector3::zeros(), mobility: 0.0, pull: Vector3::zeros(), path, stiffness: 0.0, ..self }
+        Self {
+            velocity: Vector3::zeros(),
+            mobility: 0.0,
+            pull: Vector3::zeros(),
+            path,
+            stiffness: 0.0,
+            ..self
+        }
     }
 
     /// Goes on for `h` seconds, in which it is given an impulse \[N·s\].
@@ -84,7 +93,7 @@ impl Path {
 pub struct Tie {
     /// Which node.
     pub node: u32,
-    /// Which guests, and the weight of each; their sum is 1.
+    /// Which guests, or nodes from [`OF_BODY`] on, and the weight of each; their sum is 1.
     pub guests: [(u32, f64); 4],
     /// Force per stretch \[N/m\], above 0.
     pub stiffness: f64,
@@ -172,11 +181,13 @@ pub struct Pressed {
     pub lost: f64,
 }
 
-/// Room for a step.
+/// What becomes of a company in a step, and room for it.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Scratch {
-    /// Place of the first guest among all nodes.
-    first: usize,
+pub struct CompanyState {
+    /// Guests as nodes.
+    places: Vec<[f64; 4]>,
+    /// Where they were when the part began.
+    before: Vec<[f64; 4]>,
     /// Which node each tie holds.
     tied: Vec<u32>,
     /// What ties and presses gave them in the part \[N·s\].
@@ -186,33 +197,72 @@ pub(super) struct Scratch {
     presses: Vec<(f64, Vector3<f64>)>,
     /// How far apart what they join is when the part begins \[m\]: ties, then presses.
     aparts: Vec<Vector3<f64>>,
-    pub moved: CompanyMoved,
+    moved: CompanyMoved,
 }
 
-impl Tie {
-    /// Its guests as nodes behind all others.
-    fn guests_from(&self, first: u32) -> [(u32, f64); 4] {
-        self.guests.map(|(guest, weight)| (first + guest, weight))
+/// All nodes that take part in a part of a step, those of one body after another's, and guests.
+pub(super) struct Places<'a> {
+    pub bodies: Vec<&'a mut [[f64; 4]]>,
+    pub guests: &'a mut [[f64; 4]],
+    /// One over the squared part \[1/s²\].
+    pub rate: f64,
+}
+
+impl Places<'_> {
+    fn body(&mut self, node: u32) -> &mut [f64; 4] {
+        let mut node = node as usize;
+        for body in &mut self.bodies {
+            if node < body.len() {
+                return &mut body[node];
+            }
+            node -= body.len();
+        }
+        unreachable!("ties are checked before a step")
+    }
+
+    fn at(&mut self, number: u32) -> &mut [f64; 4] {
+        if number < OF_BODY { &mut self.guests[number as usize] } else { self.body(number - OF_BODY) }
+    }
+
+    /// How far a node is from a place among guests, and how the two yield to what pulls at them \[1/kg\].
+    fn apart<const N: usize>(&mut self, node: u32, guests: &[(u32, f64); N]) -> (Vector3<f64>, f64) {
+        let [x, y, z, mut yields] = *self.body(node);
+        let mut apart = Vector3::new(x, y, z);
+        for &(guest, weight) in guests {
+            let [x, y, z, mobility] = *self.at(guest);
+            apart -= Vector3::new(x, y, z) * weight;
+            yields += mobility * weight * weight;
+        }
+        (apart, yields)
+    }
+
+    fn push<const N: usize>(&mut self, node: u32, guests: &[(u32, f64); N], by: &Vector3<f64>) {
+        let shift = |place: &mut [f64; 4], share: f64| {
+            let mobility = place[3];
+            (0..3).for_each(|axis| place[axis] += by[axis] * share * mobility);
+        };
+        shift(self.body(node), 1.0);
+        guests.iter().for_each(|&(guest, weight)| shift(self.at(guest), -weight));
     }
 }
 
-impl Press {
-    /// Its guests as nodes behind all others.
-    fn guests_from(&self, first: u32) -> [(u32, f64); 3] {
-        self.guests.map(|(guest, weight)| (first + guest, weight))
+impl CompanyState {
+    /// What has become of everybody in the last step.
+    #[must_use]
+    pub fn moved(&self) -> &CompanyMoved {
+        &self.moved
     }
-}
 
-impl Scratch {
     /// What ties exerted on these nodes (ascending) in the last step \[N\].
     pub(super) fn pull_on(&self, nodes: &[u32]) -> Vector3<f64> {
-        let held = self.tied.iter().zip(&self.moved.ties).filter(|(node, _)| nodes.binary_search(node).is_ok());
+        let held =
+            self.tied.iter().zip(&self.moved.ties).filter(|(node, _)| nodes.binary_search(node).is_ok());
         held.map(|(_, tied)| tied.force).sum()
     }
 }
 
 impl Company<'_> {
-    /// What is wrong with it, if anything, for a body of so many nodes.
+    /// What is wrong with it, if anything, for bodies of so many nodes with a spare one each.
     pub(super) fn check(&self, nodes: usize) -> Result<(), StepError> {
         let wrong = |what, index, problem| Err(StepError::Input { what, index, problem });
         let guests = self.guests.len();
@@ -222,11 +272,20 @@ impl Company<'_> {
             let places = guest.position.iter().chain(guest.path.position.iter());
             let numbers = [guest.mobility, guest.stiffness];
             let is_number = |value: &f64| value.is_finite();
-            if !(vectors.chain(places).chain(&numbers).all(is_number) && numbers.iter().all(|of| *of >= 0.0)) {
-                return wrong("guest", index, "has a number that is not finite, or a mass or stiffness below 0");
+            if !(vectors.chain(places).chain(&numbers).all(is_number) && numbers.iter().all(|of| *of >= 0.0))
+            {
+                return wrong(
+                    "guest",
+                    index,
+                    "has a number that is not finite, or a mass or stiffness below 0",
+                );
             }
         }
-        let known = |of: &[(u32, f64)]| of.iter().all(|(guest, w)| (*guest as usize) < guests && w.is_finite());
+        let is_known = |number: u32| match number.checked_sub(OF_BODY) {
+            Some(node) => (node as usize) < nodes,
+            None => (number as usize) < guests,
+        };
+        let known = |of: &[(u32, f64)]| of.iter().all(|(guest, w)| is_known(*guest) && w.is_finite());
         for (index, tie) in self.ties.iter().enumerate() {
             let soft = [tie.stiffness, tie.damping].iter().all(|value| *value >= 0.0 && value.is_finite());
             if tie.node as usize >= nodes || !known(&tie.guests) {
@@ -236,21 +295,27 @@ impl Company<'_> {
             }
         }
         for (index, press) in self.presses.iter().enumerate() {
-            let finite = [press.thickness, press.friction].iter().all(|value| *value >= 0.0 && value.is_finite());
+            let finite =
+                [press.thickness, press.friction].iter().all(|value| *value >= 0.0 && value.is_finite());
             let unit = (press.normal.norm_squared() - 1.0).abs() < 1e-6;
-            if press.node as usize >= nodes || !known(&press.guests) || !known(&press.anchor) {
+            let of_guests = press.guests.iter().chain(&press.anchor).all(|(guest, _)| *guest < OF_BODY);
+            if press.node as usize >= nodes || !of_guests || !known(&press.guests) || !known(&press.anchor) {
                 return wrong("press", index, "names a node or a guest that does not exist");
             } else if !(finite && unit && press.stiffness > 0.0 && press.stiffness.is_finite()) {
-                return wrong("press", index, "has a stiffness that is not above 0, or a normal that is not unit");
+                return wrong(
+                    "press",
+                    index,
+                    "has a stiffness that is not above 0, or a normal that is not unit",
+                );
             }
         }
         Ok(())
     }
 
-    /// At the beginning of a step: guests are nodes behind all others.
-    pub(super) fn prepare(&self, places: &mut Vec<[f64; 4]>, scratch: &mut Scratch) {
-        scratch.first = places.len();
-        places.extend(self.guests.iter().map(|guest| {
+    /// At the beginning of a step.
+    pub(super) fn prepare(&self, scratch: &mut CompanyState) {
+        scratch.places.clear();
+        scratch.places.extend(self.guests.iter().map(|guest| {
             let [x, y, z] = guest.position.into();
             [x, y, z, guest.mobility]
         }));
@@ -270,83 +335,85 @@ impl Company<'_> {
         scratch.tied.extend(self.ties.iter().map(|tie| tie.node));
     }
 
-    /// At the beginning of a part of length `h` \[s\], when the body's nodes have flown: guests do. `before` is where all nodes
-    /// were.
-    pub(super) fn fly(&self, h: f64, before: &[[f64; 4]], nodes: &mut Nodes<'_>, scratch: &mut Scratch) {
+    /// At the beginning of a part of length `h` \[s\], before anything has moved.
+    pub(super) fn begin(&self, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut CompanyState) {
+        let CompanyState { places, before, aparts, given, ties, presses, .. } = scratch;
+        before.clone_from(places);
+        let mut all = Places { bodies, guests: places, rate: 0.0 };
+        aparts.clear();
+        aparts.extend(self.ties.iter().map(|tie| all.apart(tie.node, &tie.guests).0));
+        aparts.extend(self.presses.iter().map(|press| all.apart(press.node, &press.guests).0));
+        given.clear();
+        given.resize(self.guests.len(), Vector3::zeros());
+        ties.clear();
+        ties.resize(self.ties.len(), Vector3::zeros());
+        presses.clear();
+        presses.resize(self.presses.len(), (0.0, Vector3::zeros()));
+    }
+
+    /// Guests fly.
+    pub(super) fn fly(&self, h: f64, scratch: &mut CompanyState) {
         let moving = self.guests.iter().zip(&mut scratch.moved.guests);
-        for (place, (guest, moved)) in nodes.places[scratch.first..].iter_mut().zip(moving) {
+        for (place, (guest, moved)) in scratch.places.iter_mut().zip(moving) {
             let was = Vector3::new(place[0], place[1], place[2]);
             let (velocity, mobility) = guest.flies(h, was, moved.velocity, &mut moved.path);
             let now = was + velocity * h;
             *place = [now.x, now.y, now.z, mobility];
         }
-        let first = scratch.first as u32;
-        scratch.aparts.clear();
-        let of_ties = self.ties.iter();
-        scratch.aparts.extend(of_ties.map(|tie| apart_then(tie.node, &tie.guests_from(first), before)));
-        let of_presses = self.presses.iter();
-        scratch.aparts.extend(of_presses.map(|press| apart_then(press.node, &press.guests_from(first), before)));
-        scratch.given.clear();
-        scratch.given.resize(self.guests.len(), Vector3::zeros());
-        scratch.ties.clear();
-        scratch.ties.resize(self.ties.len(), Vector3::zeros());
-        scratch.presses.clear();
-        scratch.presses.resize(self.presses.len(), (0.0, Vector3::zeros()));
     }
 
-    /// One iteration; `before` is where all nodes were when the part began.
-    pub(super) fn project(&self, h: f64, before: &[[f64; 4]], nodes: &mut Nodes<'_>, scratch: &mut Scratch) {
-        let first = scratch.first as u32;
-        for (tie, multiplier) in self.ties.iter().zip(&mut scratch.ties) {
-            let guests = tie.guests_from(first);
-            let (stretch, yields) = apart(tie.node, &guests, nodes);
+    /// One iteration.
+    pub(super) fn project(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut CompanyState) {
+        let CompanyState { places, aparts, ties, presses, .. } = scratch;
+        let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
+        for ((tie, multiplier), then) in self.ties.iter().zip(ties).zip(&*aparts) {
+            let (stretch, yields) = all.apart(tie.node, &tie.guests);
             if yields == 0.0 {
                 continue;
             }
-            let slip = stretch - apart_then(tie.node, &guests, before);
-            let soft = nodes.rate / tie.stiffness;
+            let soft = all.rate / tie.stiffness;
             let drag = tie.damping / (tie.stiffness * h);
+            let slip = stretch - then;
             let change = (-stretch - *multiplier * soft - slip * drag) / ((1.0 + drag) * yields + soft);
-            push(tie.node, &guests, nodes, &change);
+            all.push(tie.node, &tie.guests, &change);
             *multiplier += change;
         }
-        for (press, (along, across)) in self.presses.iter().zip(&mut scratch.presses) {
-            let guests = press.guests_from(first);
-            let (over, yields) = apart(press.node, &guests, nodes);
+        for (press, (along, across)) in self.presses.iter().zip(presses) {
+            let (over, yields) = all.apart(press.node, &press.guests);
             if yields == 0.0 {
                 continue;
             }
-            let soft = nodes.rate / press.stiffness;
+            let soft = all.rate / press.stiffness;
             let gap = press.normal.dot(&over) - press.thickness;
             let pressed = (*along - (gap + soft * *along) / (yields + soft)).max(0.0);
-            push(press.node, &guests, nodes, &(press.normal * (pressed - *along)));
+            all.push(press.node, &press.guests, &(press.normal * (pressed - *along)));
             *along = pressed;
-            let anchor = press.anchor.map(|(guest, weight)| (first + guest, weight));
-            let (slip, yields) = apart(press.node, &anchor, nodes);
+            let (slip, yields) = all.apart(press.node, &press.anchor);
             let slip = slip - press.normal * press.normal.dot(&slip);
             let wanted = *across - (slip + *across * soft) / (yields + soft);
             let (size, most) = (wanted.norm(), press.friction * pressed);
             let held = if size > most { wanted * (most / size) } else { wanted };
-            push(press.node, &anchor, nodes, &(held - *across));
+            all.push(press.node, &press.anchor, &(held - *across));
             *across = held;
         }
     }
 
     /// At the end of a part.
-    pub(super) fn end(&self, h: f64, before: &[[f64; 4]], nodes: &Nodes<'_>, scratch: &mut Scratch, parts: f64) {
-        let Scratch { first, given, ties, presses, aparts, moved, .. } = scratch;
-        let first_guest = *first as u32;
+    pub(super) fn end(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut CompanyState, parts: f64) {
+        let CompanyState { places, before, given, ties, presses, aparts, moved, .. } = scratch;
+        let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
         // What the impulses did on all that they act on, with what springs keep the opposite of what is lost. By the ways that
         // the ends went: what pulls at a light node and what holds it undo each other within a part.
-        let taken = |impulse: &Vector3<f64>, then: &Vector3<f64>, now: &Vector3<f64>| {
-            impulse.dot(&(now - then)) / h
-        };
+        let taken =
+            |impulse: &Vector3<f64>, then: &Vector3<f64>, now: &Vector3<f64>| impulse.dot(&(now - then)) / h;
         for (index, (tie, multiplier)) in self.ties.iter().zip(&*ties).enumerate() {
             let impulse = multiplier / h;
-            tie.guests.iter().for_each(|&(guest, weight)| given[guest as usize] -= impulse * weight);
+            for &(guest, weight) in tie.guests.iter().filter(|(guest, _)| *guest < OF_BODY) {
+                given[guest as usize] -= impulse * weight;
+            }
             let tied = &mut moved.ties[index];
             tied.force += impulse / (h * parts);
-            let now = apart(tie.node, &tie.guests_from(first_guest), nodes).0;
+            let now = all.apart(tie.node, &tie.guests).0;
             let kept = 0.5 * tie.stiffness * (now.norm_squared() - aparts[index].norm_squared());
             tied.lost -= taken(&impulse, &aparts[index], &now) + kept;
         }
@@ -358,48 +425,19 @@ impl Company<'_> {
             pressed.force += (pushing + holding) / (h * parts);
             pressed.holds = *along > 0.0;
             pressed.slides = across.norm() >= press.friction * along * (1.0 - 1e-9);
-            pressed.drawn = across * (nodes.rate / press.stiffness);
-            let now = apart(press.node, &press.guests_from(first_guest), nodes).0;
+            pressed.drawn = across * (all.rate / press.stiffness);
+            let now = all.apart(press.node, &press.guests).0;
             let then = &aparts[self.ties.len() + index];
             let depth = |apart: &Vector3<f64>| (press.thickness - press.normal.dot(apart)).max(0.0);
             let kept = 0.5 * press.stiffness * (depth(&now).powi(2) - depth(then).powi(2));
             pressed.lost -= taken(&(pushing + holding), then, &now) + kept;
         }
-        let places = nodes.places[*first..].iter().zip(&before[*first..]);
+        let places = all.guests.iter().zip(before);
         for ((guest, impulse), (place, was)) in moved.guests.iter_mut().zip(given).zip(places) {
             guest.velocity = Vector3::from_fn(|axis, _| (place[axis] - was[axis]) / h);
             guest.position = Point3::new(place[0], place[1], place[2]);
             guest.impulse += *impulse;
             guest.work += impulse.dot(&guest.velocity);
         }
-    }
-}
-
-/// How far a node is from a place among guests, and how the two yield to what pulls at them \[1/kg\].
-fn apart<const N: usize>(node: u32, guests: &[(u32, f64); N], nodes: &Nodes<'_>) -> (Vector3<f64>, f64) {
-    let (mut apart, mut yields) = nodes.place(node);
-    for &(guest, weight) in guests {
-        let (place, mobility) = nodes.place(guest);
-        apart -= place * weight;
-        yields += mobility * weight * weight;
-    }
-    (apart, yields)
-}
-
-/// The same when the part began.
-fn apart_then<const N: usize>(node: u32, guests: &[(u32, f64); N], before: &[[f64; 4]]) -> Vector3<f64> {
-    let place = |node: u32| {
-        let [x, y, z, _] = before[node as usize];
-        Vector3::new(x, y, z)
-    };
-    guests.iter().fold(place(node), |sum, &(guest, weight)| sum - place(guest) * weight)
-}
-
-fn push<const N: usize>(node: u32, guests: &[(u32, f64); N], nodes: &mut Nodes<'_>, by: &Vector3<f64>) {
-    let mobility = nodes.place(node).1;
-    nodes.shift(node, &(by * mobility));
-    for &(guest, weight) in guests {
-        let mobility = nodes.place(guest).1;
-        nodes.shift(guest, &(by * (-weight * mobility)));
     }
 }

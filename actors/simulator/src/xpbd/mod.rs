@@ -15,9 +15,11 @@ pub mod company;
 mod constraint;
 mod contact;
 mod tets;
+mod together;
 mod wide;
 
 pub use constraint::{Bend, Distance, Elasticity, distances_of};
+pub use together::{Member, step_together};
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -27,7 +29,7 @@ use crate::mass_spring::{
     Contact, Faulty, NetworkError, NodeForce, Prescribed, State, StepError, check_contacts, check_elements,
 };
 use colouring::Colouring;
-use company::{Company, CompanyMoved};
+use company::{Company, CompanyMoved, CompanyState};
 use constraint::{Constraint, Nodes};
 use contact::Pressed;
 use tets::{Pack, Tets};
@@ -125,7 +127,7 @@ struct Scratch {
     forces: Vec<Vector3<f64>>,
     contacts: Vec<Pressed>,
     contact_forces: Vec<Vector3<f64>>,
-    company: company::Scratch,
+    company: CompanyState,
     distances: Sweep<Distance>,
     bends: Sweep<Bend>,
     tets: Sweep<Pack>,
@@ -301,7 +303,7 @@ impl Xpbd {
     /// What has become in the last step of the nodes of other bodies.
     #[must_use]
     pub fn company(&self) -> &CompanyMoved {
-        &self.scratch.company.moved
+        self.scratch.company.moved()
     }
     /// How readily each node follows an impulse over a step of `dt` seconds that its neighbours hold it back in \[1/kg\]: the
     /// inverse of its mass and of what stiffens it; 0 where it is held.
@@ -313,7 +315,9 @@ impl Xpbd {
         }
         self.tets.add_node_stiffness(&mut stiffness);
         let yielding = self.mobility.iter().zip(stiffness);
-        yielding.map(|(mobility, k)| if *mobility > 0.0 { 1.0 / (mobility.recip() + dt * dt * k) } else { 0.0 }).collect()
+        yielding
+            .map(|(mobility, k)| if *mobility > 0.0 { 1.0 / (mobility.recip() + dt * dt * k) } else { 0.0 })
+            .collect()
     }
     /// What distances, bends, tetrahedra and ties exerted on these nodes (ascending) in the last part of the last step \[N\], of
     /// ties the mean of the step: what jaws that hold them feel. Zero before the first step.
@@ -364,16 +368,11 @@ impl Xpbd {
     /// # Errors
     /// When the input is wrong or the result not finite or too fast; the state is then as it was.
     pub fn step(&mut self, dt: f64, input: &XpbdInput<'_>) -> Result<(), StepError> {
-        if !(dt > 0.0 && dt.is_finite()) {
-            return Err(StepError::Time(dt));
-        }
-        self.check_input(input)?;
-        self.prepare(dt, input);
-        let part = dt / f64::from(self.config.parts);
-        for index in 1..=self.config.parts {
-            self.part(part, part * f64::from(index), input);
-        }
-        self.finish(dt, input)
+        let mut company = std::mem::take(&mut self.scratch.company);
+        let done =
+            step_together(dt, &mut [Member { body: self, input: *input }], &input.company, &mut company);
+        self.scratch.company = company;
+        done.map_err(|(_, error)| error)
     }
 
     fn check_input(&self, input: &XpbdInput<'_>) -> Result<(), StepError> {
@@ -391,7 +390,6 @@ impl Xpbd {
                 return wrong("prescribed node", index, "has a position that is not finite");
             }
         }
-        input.company.check(nodes)?;
         check_contacts(input.contacts, nodes)
     }
 
@@ -422,14 +420,14 @@ impl Xpbd {
         scratch.contacts.clear();
         let positions = &self.state.positions;
         scratch.contacts.extend(input.contacts.iter().map(|contact| Pressed::new(contact, positions)));
-        input.company.prepare(&mut scratch.places, &mut scratch.company);
     }
 
-    fn part(&mut self, h: f64, since: f64, input: &XpbdInput<'_>) {
+    /// At the beginning of a part of `h` seconds: everything flies.
+    fn fly(&mut self, h: f64, input: &XpbdInput<'_>) {
         let scratch = &mut self.scratch;
         let velocities = &mut scratch.next.velocities;
         scratch.before.clone_from(&scratch.places);
-        let mut nodes = Nodes { places: &mut scratch.places, rate: 1.0 / (h * h) };
+        let nodes = Nodes { places: &mut scratch.places, rate: 1.0 / (h * h) };
         for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
             pressed.begin(contact, &nodes);
         }
@@ -442,24 +440,31 @@ impl Xpbd {
             }
             (0..3).for_each(|axis| place[axis] += velocity[axis] * h);
         }
-        input.company.fly(h, &scratch.before, &mut nodes, &mut scratch.company);
         scratch.rate = nodes.rate;
         scratch.distances.reset(self.distances.all.len());
         scratch.bends.reset(self.bends.all.len());
         scratch.tets.reset(self.tets.packs.len());
-        for _ in 0..self.config.iterations {
-            scratch.distances.run(&self.distances.all, &self.distances.ends, &mut nodes);
-            scratch.bends.run(&self.bends.all, &self.bends.ends, &mut nodes);
-            scratch.tets.run(&self.tets.packs, &self.tets.ends, &mut nodes);
-            for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
-                pressed.project(contact, &mut nodes, since, h);
-            }
-            input.company.project(h, &scratch.before, &mut nodes, &mut scratch.company);
+    }
+
+    /// One iteration of a part, which ends `since` seconds after the step began.
+    fn sweep(&mut self, h: f64, since: f64, input: &XpbdInput<'_>) {
+        let scratch = &mut self.scratch;
+        let mut nodes = Nodes { places: &mut scratch.places, rate: scratch.rate };
+        scratch.distances.run(&self.distances.all, &self.distances.ends, &mut nodes);
+        scratch.bends.run(&self.bends.all, &self.bends.ends, &mut nodes);
+        scratch.tets.run(&self.tets.packs, &self.tets.ends, &mut nodes);
+        for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
+            pressed.project(contact, &mut nodes, since, h);
         }
+    }
+
+    /// At the end of a part: what moved is how it moves.
+    fn settle(&mut self, h: f64, input: &XpbdInput<'_>) {
+        let scratch = &mut self.scratch;
         for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
             pressed.end(contact, h);
         }
-        input.company.end(h, &scratch.before, &nodes, &mut scratch.company, f64::from(self.config.parts));
+        let velocities = &mut scratch.next.velocities;
         for ((velocity, place), before) in velocities.iter_mut().zip(&scratch.places).zip(&scratch.before) {
             if place[3] > 0.0 {
                 *velocity = Vector3::from_fn(|axis, _| (place[axis] - before[axis]) / h);

@@ -1,0 +1,154 @@
+//! A membrane of positions that has grown onto finite elements, each moved by a controller of its own: what passes between
+//! them is in the scene, so that either can begin another life.
+
+mod stage;
+
+use nalgebra::Vector3;
+use stage::{Stage, scene};
+use trocar_scene::{
+    Access, BuildContext, Commands, Controller, ControllerError, EntitySet, Frozen, Measured, Snapshot, Tick,
+    VertexPositions, VertexVelocities,
+};
+use trocar_simulator::controller::{
+    CouplingGiven, CouplingTaken, DynamicFemController, DynamicFemMemory, XpbdController,
+};
+
+const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
+/// Steps of the membrane for one of the organ.
+const RATE: u64 = 5;
+
+/// Two controllers on one scene, the second at a fifth of the rate.
+struct Both {
+    fast: XpbdController,
+    slow: DynamicFemController,
+    bodies: Vec<trocar_scene::Entity>,
+}
+
+impl Both {
+    fn new(context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        Ok(Self {
+            fast: XpbdController::new(GRAVITY, context)?,
+            slow: DynamicFemController::new(GRAVITY, context)?,
+            bodies: context.scene.iter::<VertexPositions>().map(|(entity, _)| entity).collect(),
+        })
+    }
+}
+
+impl Controller for Both {
+    fn access(&self) -> Access {
+        let all = || EntitySet::Of(self.bodies.clone());
+        let access = trocar_simulator::controller::Deformable::access(&self.bodies);
+        access
+            .writes::<CouplingGiven>(all())
+            .writes::<CouplingTaken>(all())
+            .writes::<DynamicFemMemory>(all())
+            .writes::<Measured>(EntitySet::Own)
+            .contributes::<trocar_scene::CollisionList>()
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        if tick.number.is_multiple_of(RATE) {
+            let period = trocar_scene::SimTime(tick.period.0 * RATE);
+            return self.slow.tick(&Tick { period, ..*tick }, scene, out);
+        }
+        // It steps in every tick; in those of the organ it is a tick late, as it may be live.
+        self.fast.tick(tick, scene, out)
+    }
+}
+
+fn grown(coupled: &str) -> String {
+    format!(
+        "[[entity]]\nname = \"organ\"\nmesh = {{ block = {{ size = [0.03, 0.03, 0.02], cells = [3, 3, 2] }} }}\n\
+         dynamic_fem = {{ young_modulus = 5e3, poisson_ratio = 0.4, density = 1000.0 }}\n\
+         anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0099] }} }}] }}\n\
+         [[entity]]\nname = \"plain\"\nmesh = {{ sheet = {{ size = [0.02, 0.02], cells = [2, 2] }} }}\n\
+         [[entity]]\nname = \"membrane\"\npose = {{ translation = [0.03, 0.0, 0.01] }}\n\
+         mesh = {{ sheet = {{ size = [0.03, 0.02], cells = [6, 4] }} }}\n\
+         xpbd = {{ matter = {{ cloth = {{ membrane_stiffness = 100.0, bending_stiffness = 1e-6, density = 0.5 }} }}, \
+         parts = 8, damping = 5.0 }}\n{coupled}"
+    )
+}
+
+const JOINED: &str = "coupled = { with = [{ body = \"organ\", joined = { within = 0.0005, stiffness = 100.0, damping = 0.01 } }] }\n";
+
+fn lowest(stage: &Stage<Both>) -> f64 {
+    stage.get::<VertexPositions>("membrane").positions.iter().map(|p| p.z).fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn either_side_of_a_coupling_begins_another_life_to_the_bit() {
+    let run = |kill: bool| {
+        let mut stage = Stage::new(scene(&grown(JOINED)), 500.0, Both::new);
+        for tick in 0..400 {
+            stage.tick();
+            if kill && [37, 120, 121, 203].contains(&tick) {
+                stage.rebuild(Both::new);
+            }
+        }
+        assert!(!stage.has::<Frozen>("membrane") && !stage.has::<Frozen>("organ"));
+        // It hangs from the organ by one of its edges.
+        assert!((-0.06..-0.01).contains(&lowest(&stage)), "{} m", lowest(&stage));
+        let state = |name: &str| {
+            let (at, moving) = (stage.get::<VertexPositions>(name), stage.get::<VertexVelocities>(name));
+            (at.positions, moving.velocities)
+        };
+        [state("organ"), state("membrane")]
+    };
+    assert_eq!(run(true), run(false));
+}
+
+#[test]
+fn what_hangs_on_an_organ_weighs_on_it_and_what_nobody_moves_is_a_wall() {
+    let mut stage = Stage::new(scene(&grown(JOINED)), 500.0, Both::new);
+    (0..1500).for_each(|_| stage.tick());
+    // All that it was given in a second is its weight.
+    let given = |stage: &Stage<Both>| -> Vector3<f64> {
+        stage.get::<CouplingGiven>("membrane").to[0].ghosts.given().iter().sum()
+    };
+    let before = given(&stage);
+    (0..500).for_each(|_| stage.tick());
+    // Four of five ticks are its own.
+    let weight = GRAVITY * (0.5 * 0.03 * 0.02) * 0.8;
+    let pulled = given(&stage) - before;
+    assert!((pulled - weight).norm() < 0.02 * weight.norm(), "{pulled:?} of {weight:?} N·s");
+    // The organ is told of nothing any longer: after half a second it stands for the membrane like a wall.
+    let still = stage.get::<VertexPositions>("organ").positions;
+    stage.put("organ", Frozen { reason: "a test".into(), since: stage.now() });
+    stage.rebuild(Both::new);
+    (0..600).for_each(|_| stage.tick());
+    let told = given(&stage);
+    let hangs = lowest(&stage);
+    (0..200).for_each(|_| stage.tick());
+    assert_eq!(given(&stage), told, "a wall is given nothing");
+    assert!((lowest(&stage) - hangs).abs() < 1e-4, "and it holds");
+    assert_eq!(stage.get::<VertexPositions>("organ").positions, still);
+}
+
+#[test]
+fn what_cannot_be_coupled_is_refused_by_name() {
+    let refused_in = |text: &str| {
+        let store = scene(text);
+        let context = BuildContext {
+            scene: store.view(),
+            time: trocar_scene::SimTime::ZERO,
+            name: "controller",
+            me: trocar_scene::Entity::of_writer(0, 7),
+            epoch: 1,
+            seed: 1,
+        };
+        Both::new(&context).err().expect("it cannot be").to_string()
+    };
+    let refused = |coupled: &str| refused_in(&grown(coupled));
+    let with = |body: &str, how: &str| format!("coupled = {{ with = [{{ body = \"{body}\", {how} }}] }}\n");
+    let nobody = refused(&with("liver", "joined = {}"));
+    assert!(
+        nobody.contains("'membrane'") && nobody.contains("'liver'") && nobody.contains("no such"),
+        "{nobody}"
+    );
+    let itself = refused(&with("membrane", "joined = {}"));
+    assert!(itself.contains("itself"), "{itself}");
+    let plain = refused(&with("plain", "joined = {}"));
+    assert!(plain.contains("'dynamic_fem' or 'xpbd'"), "{plain}");
+    let far = refused_in(&grown(JOINED).replace("translation = [0.03", "translation = [0.05"));
+    assert!(far.contains("none of its vertices is within 0.0005 m"), "{far}");
+}
