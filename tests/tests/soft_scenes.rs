@@ -237,7 +237,7 @@ fn a_membrane_that_has_grown_onto_two_organs_draws_both_along() {
     assert!(stiffer < 0.7 * joined[0], "{stiffer} and {} m", joined[0]);
     let loose =
         pulled(&[weightless, down, ("stiffness = 100.0, damping", "stiffness = 0.001, damping")], "liver");
-    assert!(loose < 0.01 * joined[0], "{loose} m");
+    assert!(loose < 0.05 * joined[0], "{loose} m");
 }
 
 #[test]
