@@ -152,3 +152,47 @@ fn what_cannot_be_coupled_is_refused_by_name() {
     let far = refused_in(&grown(JOINED).replace("translation = [0.03", "translation = [0.05"));
     assert!(far.contains("none of its vertices is within 0.0005 m"), "{far}");
 }
+
+#[test]
+fn what_cannot_be_stops_the_one_body_that_it_is_about() {
+    // Beside the two another organ and another cloth, of the same controllers, that fall freely.
+    let more = "[[entity]]\nname = \"other\"\npose = { translation = [1.0, 0.0, 0.0] }\n\
+                mesh = { block = { size = [0.02, 0.02, 0.02], cells = [2, 2, 2] } }\n\
+                dynamic_fem = { mass_damping = 0.0 }\n\
+                [[entity]]\nname = \"cloth\"\npose = { translation = [2.0, 0.0, 0.0] }\n\
+                mesh = { sheet = { size = [0.02, 0.02], cells = [2, 2] } }\n\
+                xpbd = { matter = { cloth = { membrane_stiffness = 100.0, bending_stiffness = 1e-6, \
+                density = 0.5 } }, damping = 0.0 }\n";
+    let mut stage = Stage::new(scene(&(grown(JOINED) + more)), 500.0, Both::new);
+    (0..50).for_each(|_| stage.tick());
+    let height = |stage: &Stage<Both>, name: &str| stage.get::<VertexPositions>(name).positions[0].z;
+    // Impulses that sum up to no number any longer.
+    let mut given = stage.get::<CouplingGiven>("membrane");
+    let text = serde_json::to_string(&given.to[0].ghosts).expect("numbers");
+    let from = text.find("\"given\":[[").expect("they are told");
+    let end = from + text[from..].find(',').expect("more of them");
+    let huge = format!("{}\"given\":[[1e308{}", &text[..from], &text[end..]);
+    given.to[0].ghosts = serde_json::from_str(&huge).expect("finite numbers");
+    let (organ, membrane) = (stage.get::<VertexPositions>("organ"), height(&stage, "membrane"));
+    let before = [height(&stage, "other"), height(&stage, "cloth")];
+    stage.put("membrane", given);
+    // The membrane tells its own again; the organ is told before that, in the first of the next five ticks that is its own.
+    while !(stage.ticks + 1).is_multiple_of(RATE) {
+        stage.ticks += 1;
+    }
+    (0..60).for_each(|_| stage.tick());
+    let reason = stage.get::<Frozen>("organ").reason;
+    assert!(reason.contains("force") || reason.contains("finite"), "{reason}");
+    assert_eq!(stage.get::<VertexPositions>("organ"), organ, "it stays at its last good state");
+    assert!(
+        !stage.has::<Frozen>("membrane") && !stage.has::<Frozen>("other") && !stage.has::<Frozen>("cloth")
+    );
+    assert!((height(&stage, "membrane") - membrane).abs() < 0.02, "what hangs on it goes on");
+    for (name, before) in ["other", "cloth"].into_iter().zip(before) {
+        assert!(before - height(&stage, name) > 0.01, "'{name}' falls on");
+    }
+    // Another life finds it standing still.
+    stage.rebuild(Both::new);
+    (0..20).for_each(|_| stage.tick());
+    assert_eq!(stage.get::<VertexPositions>("organ"), organ);
+}
