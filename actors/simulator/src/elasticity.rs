@@ -84,13 +84,6 @@ pub fn stiffness_block(material: &Elastic, volume: f64, a: &Vector3<f64>, b: &Ve
     (a * b.transpose() * lambda + b * a.transpose() * mu + shear) * volume
 }
 
-/// What it takes to move one node of an element alone \[N/m\], the mean of all directions: with Lamé's constants λ and μ \[Pa\],
-/// the element's volume \[m³\], and the gradient of the node's shape function \[1/m\].
-#[must_use]
-pub fn node_stiffness([lambda, mu]: [f64; 2], volume: f64, gradient: &Vector3<f64>) -> f64 {
-    ((lambda + mu) / 3.0 + mu) * volume * gradient.norm_squared()
-}
-
 /// What has become of an element of tissue, a tetrahedron or a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alteration {

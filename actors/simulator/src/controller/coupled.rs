@@ -330,8 +330,8 @@ impl Partner {
         else {
             return Ok(());
         };
-        let same = |a: bool, b: bool| a && b;
-        if same(Arc::ptr_eq(&volume.tets, &self.tets), Arc::ptr_eq(&surface.triangles, &self.triangles)) {
+        let same = Arc::ptr_eq(&volume.tets, &self.tets) && Arc::ptr_eq(&surface.triangles, &self.triangles);
+        if same {
             return Ok(());
         }
         let removed = scene.get::<RemovedElements>(self.entity).map(|removed| removed.elements.clone());

@@ -136,7 +136,7 @@ pub struct GivenTo {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CouplingGiven {
-    /// In the order of [`CoupledBody::with`].
+    /// Those that other controllers move, in the order of [`CoupledBody::with`].
     pub to: Vec<GivenTo>,
 }
 impl Component for CouplingGiven {

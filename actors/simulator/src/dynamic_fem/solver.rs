@@ -38,7 +38,7 @@ pub struct DynamicFem {
     pub(super) config: Config,
     pub(super) elements: Vec<Element>,
     material: Material,
-    pub(super) lame: [f64; 2],
+    lame: [f64; 2],
     pub(super) mass: Mass,
     /// Elements that each node has; one without stays where it is.
     pub(super) around: Vec<u32>,

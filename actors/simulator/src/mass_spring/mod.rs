@@ -386,20 +386,6 @@ impl MassSpring {
     pub fn pinned(&self) -> &[u32] {
         &self.pinned
     }
-    /// How readily each node follows an impulse over a step of `dt` seconds that its neighbours hold it back in \[1/kg\]: the
-    /// inverse of its mass and of what stiffens it; 0 where it is held.
-    #[must_use]
-    pub fn yielding(&self, dt: f64) -> Vec<f64> {
-        let mut stiffness = vec![0.0; self.mobility.len()];
-        for Spring { nodes, stiffness: along, .. } in &self.network.springs {
-            nodes.iter().for_each(|&node| stiffness[node as usize] += along / 3.0);
-        }
-        let held_back = dt * (dt + self.config.lag);
-        let of = |(mobility, k): (&f64, f64)| {
-            if *mobility > 0.0 { 1.0 / (mobility.recip() + held_back * k) } else { 0.0 }
-        };
-        self.mobility.iter().zip(stiffness).map(of).collect()
-    }
     /// Force of each contact of the last step on the network, averaged over it, in the order of the input \[N\]: the
     /// other side bears the opposite.
     #[must_use]

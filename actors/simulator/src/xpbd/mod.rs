@@ -305,20 +305,6 @@ impl Xpbd {
     pub fn company(&self) -> &CompanyMoved {
         self.scratch.company.moved()
     }
-    /// How readily each node follows an impulse over a step of `dt` seconds that its neighbours hold it back in \[1/kg\]: the
-    /// inverse of its mass and of what stiffens it; 0 where it is held.
-    #[must_use]
-    pub fn yielding(&self, dt: f64) -> Vec<f64> {
-        let mut stiffness = vec![0.0; self.mobility.len()];
-        for Distance { nodes, compliance, .. } in self.distances.all.iter().filter(|d| d.compliance > 0.0) {
-            nodes.iter().for_each(|&node| stiffness[node as usize] += compliance.recip() / 3.0);
-        }
-        self.tets.add_node_stiffness(&mut stiffness);
-        let yielding = self.mobility.iter().zip(stiffness);
-        yielding
-            .map(|(mobility, k)| if *mobility > 0.0 { 1.0 / (mobility.recip() + dt * dt * k) } else { 0.0 })
-            .collect()
-    }
     /// What distances, bends, tetrahedra and ties exerted on these nodes (ascending) in the last part of the last step \[N\], of
     /// ties the mean of the step: what jaws that hold them feel. Zero before the first step.
     #[must_use]

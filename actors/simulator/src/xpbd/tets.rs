@@ -11,7 +11,6 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use super::colouring::Colouring;
 use super::constraint::{Constraint, Elasticity, Nodes};
 use super::wide::{LANES, Vectors, Wide, cross, dot, plus, sum, times};
-use crate::elasticity::node_stiffness;
 
 /// Four tetrahedra that share no node. Those that are there to fill up have the spare node in all their corners.
 #[derive(Clone, Debug)]
@@ -109,20 +108,6 @@ impl Tets {
         let (tet, edges) = &self.matter[number as usize];
         let moduli = self.moduli.map(|modulus| modulus * stiffness);
         self.packs[*pack as usize].fill(*lane as usize, tet, &(edges * length), moduli);
-    }
-
-    /// Adds to each node what it takes to move it alone \[N/m\], the mean of all directions, for small strains.
-    pub fn add_node_stiffness(&self, stiffness: &mut [f64]) {
-        let [shear, bulk] = [0.5 * self.moduli[0], self.moduli[1]];
-        let lame = [bulk - shear * 2.0 / 3.0, shear];
-        for ((tet, edges), _) in self.matter.iter().zip(&self.lanes).filter(|(_, lane)| lane.is_some()) {
-            let inverse = edges.try_inverse().unwrap_or_else(Matrix3::zeros);
-            let of_others = [0, 1, 2].map(|row| inverse.row(row).transpose());
-            let first = -(of_others[0] + of_others[1] + of_others[2]);
-            for (&node, gradient) in tet.iter().zip([first, of_others[0], of_others[1], of_others[2]]) {
-                stiffness[node as usize] += node_stiffness(lame, edges.determinant() / 6.0, &gradient);
-            }
-        }
     }
 
     /// Tetrahedra whose volume has turned, ascending.
