@@ -149,6 +149,11 @@ fn what_cannot_be_coupled_is_refused_by_name() {
     assert!(itself.contains("itself"), "{itself}");
     let plain = refused(&with("plain", "joined = {}"));
     assert!(plain.contains("'dynamic_fem' or 'xpbd'"), "{plain}");
+    let fem = refused_in(&grown("").replace(
+        "dynamic_fem = {",
+        "coupled = { with = [{ body = \"membrane\", joined = {} }] }\ndynamic_fem = {",
+    ));
+    assert!(fem.contains("'organ'") && fem.contains("goes with 'xpbd' only"), "{fem}");
     let far = refused_in(&grown(JOINED).replace("translation = [0.03", "translation = [0.05"));
     assert!(far.contains("none of its vertices is within 0.0005 m"), "{far}");
 }

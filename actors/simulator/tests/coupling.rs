@@ -103,7 +103,6 @@ impl Mass {
             mobilities: &[self.mass.recip()],
             masses_inverse: &[self.mass.recip()],
             last: &[self.last],
-            taken: &[self.taken],
             given_work: self.given_work,
             received: self.received,
             steps: ghosts.steps(),
@@ -286,7 +285,6 @@ impl Organ {
             mobilities: &mobilities,
             masses_inverse: &masses_inverse,
             last: &self.last,
-            taken: &self.taken,
             given_work: self.given_work,
             received: self.received,
             steps: self.steps,
@@ -518,7 +516,6 @@ fn ghosts_that_are_written_down_go_on_bit_for_bit_and_nonsense_is_refused() {
         mobilities: &[1.0; 16],
         masses_inverse: &[1.0; 16],
         last: &none,
-        taken: &none,
         given_work: 0.0,
         received: 0.0,
         steps: 0,
@@ -527,7 +524,7 @@ fn ghosts_that_are_written_down_go_on_bit_for_bit_and_nonsense_is_refused() {
     let short = News { velocities: &none[..3], ..news };
     assert_eq!(ghosts.hear(&short), Err(GhostsError::Size { what: "velocities", found: 3, expected: 16 }));
     let nan = [Vector3::repeat(f64::NAN); 16];
-    assert_eq!(ghosts.hear(&News { taken: &nan, ..news }), Err(GhostsError::Number("an impulse")));
+    assert_eq!(ghosts.hear(&News { last: &nan, ..news }), Err(GhostsError::Number("an impulse")));
     let negative = News { mobilities: &[-1.0; 16], ..news };
     assert_eq!(ghosts.hear(&negative), Err(GhostsError::Number("a time or a mobility")));
     assert_eq!(

@@ -1,7 +1,7 @@
 //! A body of positions that is coupled with others. Those that other controllers move it meets as ghosts in every step, and
 //! tells what it gave them; with those that its own controller moves it is stepped as one problem.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -287,13 +287,13 @@ impl Partner {
         body_from_other: &Isometry3<f64>,
     ) -> Result<(), String> {
         (self.tets, self.triangles) = (tets.clone(), triangles.clone());
-        let gone: std::collections::BTreeSet<u32> = removed.iter().copied().collect();
+        let gone: BTreeSet<u32> = removed.iter().copied().collect();
         if !gone.is_empty() {
             Arc::make_mut(&mut self.given.grafts).retain(|graft| !gone.contains(&graft.element));
         }
         let of_grafts = self.given.grafts.iter().filter_map(|graft| tets.get(graft.element as usize));
         let of_surface = triangles.iter().flatten().filter(|_| self.rule.lies.is_some());
-        let new: std::collections::BTreeSet<u32> = of_grafts
+        let new: BTreeSet<u32> = of_grafts
             .flatten()
             .chain(of_surface)
             .copied()
@@ -386,7 +386,6 @@ impl Partner {
             expected: &expected,
             mobilities: &padded_numbers(&from.mobilities),
             masses_inverse: &padded_numbers(&from.masses_inverse),
-            taken: &padded(&from.taken),
             last: &padded(&from.last),
             given_work: from.given_work,
             received: from.received,

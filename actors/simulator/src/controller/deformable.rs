@@ -8,6 +8,9 @@ use trocar_scene::{
     RestPositions, Snapshot, SurfaceMesh, TetMesh, Tick, VertexPositions, VertexVelocities,
 };
 
+use super::coupling::CoupledBody;
+use super::xpbd::XpbdBody;
+
 /// A body with vertices that move.
 #[derive(Clone, Debug)]
 pub struct Deformable {
@@ -52,13 +55,17 @@ impl Deformable {
     /// Reads a body. What is not there yet is as at rest.
     ///
     /// # Errors
-    /// It has no vertices, or numbers of them that do not go together.
+    /// It has no vertices, or numbers of them that do not go together; or it is coupled, and cannot be.
     pub fn read(scene: &Snapshot, entity: Entity) -> Result<Self, ControllerError> {
         let name = scene.name(entity);
         let wrong = |what: &str| ControllerError::Scene(format!("'{name}' {what}"));
         let Some(vertices) = scene.get::<VertexPositions>(entity) else {
             return Err(wrong("has no vertices to move: give it a mesh"));
         };
+        let is_coupled = scene.get::<CoupledBody>(entity).is_some();
+        if is_coupled && scene.get::<XpbdBody>(entity).is_none() {
+            return Err(wrong("is 'coupled', which goes with 'xpbd' only: couple that with it instead"));
+        }
         let positions = vertices.positions.clone();
         let rest = scene.get::<RestPositions>(entity);
         let has_rest = rest.is_some();

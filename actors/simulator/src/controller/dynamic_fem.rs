@@ -149,6 +149,7 @@ pub struct DynamicFemMethod {
 impl SoftMethod for DynamicFemMethod {
     type Kind = DynamicFemBody;
     const CONTROLLER: &'static str = "dynamic-fem";
+    const ANSWERS: bool = true;
 
     fn build(kind: &DynamicFemBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
         let memory = scene.get::<DynamicFemMemory>(body.entity).cloned().unwrap_or_default();

@@ -83,6 +83,8 @@ pub trait SoftMethod: Send + Sized + 'static {
     type Kind: Component + Clone;
     /// The kind of its controller, for messages.
     const CONTROLLER: &'static str;
+    /// Whether bodies of other controllers can be coupled with its own.
+    const ANSWERS: bool = false;
 
     /// The solver of one body, where the scene says that the body is.
     ///
@@ -243,7 +245,7 @@ impl<M: SoftMethod> SoftController<M> {
             let is_pinned = body.stays();
             let grips = context.scene.get::<Grips>(entity).cloned().unwrap_or_default();
             let frozen = context.scene.get::<Frozen>(entity).is_some();
-            let answering = Answering::new(&body, context.scene);
+            let answering = if M::ANSWERS { Answering::new(&body, context.scene) } else { None };
             let meets = Meets::default();
             bodies.push(Body { body, method, is_pinned, grips, answering, frozen, meets });
         }

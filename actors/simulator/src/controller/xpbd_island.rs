@@ -52,7 +52,8 @@ impl Island {
     }
 }
 
-/// Steps bodies that belong together; one whose input or result cannot be stays where it is and says so.
+/// Steps bodies that belong together; one whose input or result cannot be stays where it is and says so. Where it is the
+/// input, the others wait for the next tick, in which they are without it.
 pub(super) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
     let mut island = Island::default();
     let mut node = 0;
@@ -62,8 +63,13 @@ pub(super) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
             return;
         }
         let company = step.method.coupled.as_ref().map(Coupled::company).unwrap_or_default();
+        let nodes = step.method.of.solver.masses().len() + 1;
+        if let Err(error) = company.check(nodes) {
+            step.done = Err(error.to_string());
+            return;
+        }
         island.add(&company, node);
-        node += step.method.of.solver.masses().len() as u32 + 1;
+        node += nodes as u32;
     }
     let own_ties = island.ties.len();
     for (step, begins) in steps.iter().zip(&island.begins) {
@@ -94,6 +100,10 @@ pub(super) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
                 step.done = Err(error.to_string());
                 continue;
             }
+            // Of an input nobody has been stepped.
+            Err(_) if moved.ties.len() != island.ties.len() || moved.guests.len() != island.guests.len() => {
+                continue;
+            }
             _ => step.done = Ok(()),
         }
         step.forces.clear();
@@ -104,9 +114,9 @@ pub(super) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
         tied.extend(all.filter_map(|(tie, moved)| Some((of_body(tie.node)?, moved.force))));
         let Some(coupled) = coupled else { continue };
         let own = CompanyMoved {
-            guests: moved.guests.get(begins.guest..ends.guest).unwrap_or_default().to_vec(),
-            ties: moved.ties.get(begins.tie..ends.tie).unwrap_or_default().to_vec(),
-            presses: moved.presses.get(begins.press..ends.press).unwrap_or_default().to_vec(),
+            guests: moved.guests[begins.guest..ends.guest].to_vec(),
+            ties: moved.ties[begins.tie..ends.tie].to_vec(),
+            presses: moved.presses[begins.press..ends.press].to_vec(),
         };
         coupled.met(&own, &of.solver.state().positions, dt);
         let fused = island.ties.iter().zip(&moved.ties).skip(own_ties);

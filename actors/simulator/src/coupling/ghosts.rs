@@ -48,8 +48,6 @@ pub struct News<'a> {
     pub masses_inverse: &'a [f64],
     /// What each took in the last step \[N·s\].
     pub last: &'a [Vector3<f64>],
-    /// All that each has taken so far \[N·s\].
-    pub taken: &'a [Vector3<f64>],
     /// [`Ghosts::work`] when it last took something \[J\].
     pub given_work: f64,
     /// Work that all it took so far has done on it \[J\].
@@ -196,8 +194,7 @@ impl Ghosts {
             ("mobilities", news.mobilities.len()),
             ("masses", news.masses_inverse.len()),
             ("expected velocities", news.expected.len()),
-            ("impulses", news.taken.len()),
-            ("last impulses", news.last.len()),
+            ("impulses", news.last.len()),
         ] {
             if found != expected {
                 return Err(GhostsError::Size { what, found, expected });
@@ -205,10 +202,10 @@ impl Ghosts {
         }
         finite("a place", news.positions.iter().flat_map(|at| at.iter()))?;
         finite("a velocity", news.velocities.iter().chain(news.expected).flatten())?;
-        finite("an impulse", news.taken.iter().chain(news.last).flatten())?;
+        finite("an impulse", news.last.iter().flatten())?;
         finite("a work", [news.given_work, news.received].iter())?;
-        let positive = [news.mobilities, news.masses_inverse].concat();
-        if !positive.iter().chain([&news.step]).all(|value| *value >= 0.0 && value.is_finite()) {
+        let mut positive = news.mobilities.iter().chain(news.masses_inverse).chain([&news.step]);
+        if !positive.all(|value| *value >= 0.0 && value.is_finite()) {
             return Err(GhostsError::Number("a time or a mobility"));
         }
         // What it has not taken yet happens to the ghosts once more, from where it begins.
@@ -310,7 +307,8 @@ impl Ghosts {
         ties.sum::<f64>() + presses.sum::<f64>()
     }
 
-    /// The faster body has made its step of `dt` seconds: what became of the ghosts as guests, and what its ties and presses lost \[J\].
+    /// The faster body has made its step of `dt` seconds: what became of the ghosts as guests, and what its ties and presses
+    /// lost \[J\].
     pub fn met(&mut self, dt: f64, guests: &[GuestMoved], lost: f64) {
         if self.past.len() == PAST_MAX {
             self.past.pop_front();

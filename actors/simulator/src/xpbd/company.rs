@@ -253,6 +253,13 @@ impl CompanyState {
         &self.moved
     }
 
+    /// Before a step of which nobody knows yet whether it can be made.
+    pub(super) fn forget(&mut self) {
+        self.moved.guests.clear();
+        self.moved.ties.clear();
+        self.moved.presses.clear();
+    }
+
     /// What ties exerted on these nodes (ascending) in the last step \[N\].
     pub(super) fn pull_on(&self, nodes: &[u32]) -> Vector3<f64> {
         let held =
@@ -262,8 +269,11 @@ impl CompanyState {
 }
 
 impl Company<'_> {
-    /// What is wrong with it, if anything, for bodies of so many nodes with a spare one each.
-    pub(super) fn check(&self, nodes: usize) -> Result<(), StepError> {
+    /// Looks through it, for bodies of so many nodes, a spare one of each counted.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn check(&self, nodes: usize) -> Result<(), StepError> {
         let wrong = |what, index, problem| Err(StepError::Input { what, index, problem });
         let guests = self.guests.len();
         for (index, guest) in self.guests.iter().enumerate() {

@@ -17,14 +17,15 @@ pub struct Member<'a> {
 /// Ties name nodes through all bodies, each body having a spare one behind its own.
 ///
 /// # Errors
-/// The number of the body, and what is wrong with its input or its result. With its input nothing has been stepped; of a
-/// result that cannot be that body is as it was.
+/// The number of the body, and what is wrong with its input or its result. With its input nothing has been stepped, and
+/// nothing has become of anybody; of a result that cannot be that body is as it was.
 pub fn step_together(
     dt: f64,
     members: &mut [Member<'_>],
     company: &Company<'_>,
     scratch: &mut CompanyState,
 ) -> Result<(), (usize, StepError)> {
+    scratch.forget();
     if !(dt > 0.0 && dt.is_finite()) {
         return Err((0, StepError::Time(dt)));
     }
