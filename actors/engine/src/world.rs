@@ -375,7 +375,7 @@ impl RigidWorld {
     /// Advances by one substep.
     ///
     /// # Errors
-    /// [`EngineError::Diverged`]: the world is of no use any more.
+    /// [`EngineError::Diverged`]: those that it names have stayed where they were, all others have moved on.
     pub fn step(&mut self) -> Result<(), EngineError> {
         let step_secs = self.settings.substep_secs;
         for grasper in self.graspers.values_mut() {
@@ -389,12 +389,21 @@ impl RigidWorld {
         self.statistics.steps += 1;
         let quarantine = self.physics.quarantine();
         if !quarantine.is_empty() {
-            let bodies = quarantine.bodies().len() + quarantine.colliders().len();
-            return Err(EngineError::Diverged { bodies, step: self.statistics.steps });
+            return Err(EngineError::Diverged { entities: self.quarantined() });
         }
         self.measure_penetration();
         self.update_holds();
         Ok(())
+    }
+
+    /// Those that Rapier has just put aside; none if there is one among them that is none of ours.
+    fn quarantined(&self) -> Vec<Entity> {
+        let quarantine = self.physics.quarantine();
+        let body = |handle: &RigidBodyHandle| self.bodies.iter().find(|(_, body)| body.handle == *handle);
+        let found: Vec<Option<Entity>> =
+            quarantine.bodies().iter().map(|handle| body(handle).map(|(entity, _)| *entity)).collect();
+        let all_are_ours = quarantine.colliders().is_empty() && found.iter().all(Option::is_some);
+        if all_are_ours { found.into_iter().flatten().collect() } else { Vec::new() }
     }
 
     fn move_kinematic_bodies(&mut self) {

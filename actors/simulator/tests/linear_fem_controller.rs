@@ -13,6 +13,10 @@ const HZ: f64 = 60.0;
 
 /// A rod that points down, its tip at its origin, and a block that is held below.
 fn block(young_modulus: f64) -> String {
+    block_of([10, 10, 5], young_modulus)
+}
+
+fn block_of(cells: [u32; 3], young_modulus: f64) -> String {
     format!(
         r#"
 [[entity]]
@@ -22,7 +26,7 @@ instrument = {{ kind = "probe", shaft_length = 0.1, shaft_radius = 0.004, jaw_le
 [[entity]]
 name = "pad"
 pose = {{ translation = [0.0, 0.0, -0.01] }}
-mesh = {{ block = {{ size = [0.04, 0.04, 0.02], cells = [10, 10, 5] }} }}
+mesh = {{ block = {{ size = [0.04, 0.04, 0.02], cells = {cells:?} }} }}
 linear_fem = {{ young_modulus = {young_modulus} }}
 anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0099] }} }}] }}
 "#
@@ -82,6 +86,18 @@ fn a_pad_gives_way_to_a_rod_by_a_force_that_its_modulus_says_and_comes_back() {
     assert_eq!(stage.measured("pad.contact_force_n"), 0.0);
     assert!(stage.measured("pad.displacement_max_m") < 1e-12);
     assert_eq!(stage.measured("pad.beyond_linear"), 0.0);
+}
+
+#[test]
+fn a_rod_feels_the_same_on_a_finer_mesh() {
+    let felt = |cells: [u32; 3]| {
+        let mut stage = Stage::new(scene(&block_of(cells, 6e3)), HZ, build);
+        press(&mut stage, 20);
+        -force_on_body(&stage).z
+    };
+    let (coarse, fine) = (felt([10, 10, 5]), felt([20, 20, 10]));
+    eprintln!("{coarse} {fine} {}", felt([14, 14, 7]));
+    assert!((fine / coarse - 1.0).abs() < 0.1, "{coarse} N, refined {fine} N");
 }
 
 #[test]

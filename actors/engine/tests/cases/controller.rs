@@ -8,8 +8,8 @@ use crate::common::{
 };
 use nalgebra::Vector3;
 use trocar_scene::components::{
-    CollisionList, Grasp, Instrument, InstrumentForce, InstrumentTarget, JawState, LocalContactModel, Pose,
-    RigidBody, Velocity,
+    CollisionList, Frozen, Grasp, Instrument, InstrumentForce, InstrumentTarget, JawState, LocalContactModel,
+    Pose, RigidBody, SurfaceMesh, Velocity, VertexPositions,
 };
 use trocar_scene::{
     BuildContext, Commands, Component, Controller, Entity, EntityAllocator, Events, Jobs, Registry,
@@ -147,6 +147,8 @@ impl Bench {
     fn rebuild(&mut self) {
         let scene = self.store.snapshot();
         self.engine = build(&scene, self.now(), 2, Settings::default());
+        self.rules =
+            WriterRules::compile(&self.engine.access(), scene.registry(), Entity::of_writer(0, ME)).unwrap();
     }
 
     fn get<T: Component>(&self, entity: Entity) -> T {
@@ -384,4 +386,62 @@ fn two_runs_give_the_same_scene() {
         bytes
     };
     assert_eq!(play(), play());
+}
+
+#[test]
+fn a_body_without_a_future_is_stopped_alone_and_stays_so_in_another_life() {
+    let mut bench = Bench::new(1, &[(LEFT, instrument())]);
+    const MAD: Entity = Entity::new(0, 0, 5);
+    const FALLING: Entity = Entity::new(0, 0, 6);
+    let there = Pose::at(0.05, 0.0, 0.05);
+    change(&mut bench.store, |commands| {
+        for (entity, x) in [(MAD, 0.05), (FALLING, -0.05)] {
+            commands.put(entity, ring_shape());
+            commands.put(entity, ring_body(0.5));
+            commands.put(entity, Pose::at(x, 0.0, 0.05));
+        }
+        // No number holds the square of it.
+        let angular = Vector3::new(1e200, 0.0, 1e200);
+        commands.put(MAD, Velocity { angular, ..Velocity::default() });
+    });
+    bench.rebuild();
+    for _ in 0..20 {
+        bench.step(&[(LEFT, target(0.0, 0.05, 0.3))]);
+    }
+    let frozen = bench.get::<Frozen>(MAD);
+    assert!(frozen.reason.contains("not finite"), "{}", frozen.reason);
+    assert_eq!(bench.get::<Pose>(MAD), there, "it is where it was last good");
+    assert_eq!(bench.get::<Velocity>(MAD), Velocity::default());
+    assert!(!bench.store.view().get::<Frozen>(FALLING).is_some());
+    let height = |bench: &Bench| bench.get::<Pose>(FALLING).translation.z;
+    let (before, expected) = (height(&bench), 0.05 - 0.5 * 9.81 * 0.02 * 0.02);
+    assert!((before - expected).abs() < 3e-4, "the other falls on: {before} for {expected}");
+    bench.rebuild();
+    for _ in 0..20 {
+        bench.step(&[(LEFT, target(0.0, 0.05, 0.3))]);
+    }
+    assert_eq!(bench.get::<Pose>(MAD), there);
+    assert!(height(&bench) < before);
+}
+
+#[test]
+fn a_dynamic_surface_that_encloses_nothing_stops_itself_and_nobody_else() {
+    let mut bench = Bench::new(1, &[]);
+    const FLAT: Entity = Entity::new(0, 0, 5);
+    let there = Pose::at(0.05, 0.0, 0.05);
+    change(&mut bench.store, |commands| {
+        let corners = [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.0, 0.01, 0.0]].map(nalgebra::Point3::from);
+        commands.put(FLAT, VertexPositions { positions: Arc::new(corners.to_vec()) });
+        commands.put(FLAT, SurfaceMesh { triangles: Arc::new(vec![[0, 1, 2]]), ..SurfaceMesh::default() });
+        commands.put(FLAT, ring_body(0.5));
+        commands.put(FLAT, there);
+        commands.put(RING, Pose::at(0.0, 0.0, 0.05));
+    });
+    bench.rebuild();
+    for _ in 0..20 {
+        bench.step(&[]);
+    }
+    assert!(bench.get::<Frozen>(FLAT).reason.contains("encloses no volume"));
+    assert_eq!(bench.get::<Pose>(FLAT), there);
+    assert!(bench.get::<Pose>(RING).translation.z < 0.0485);
 }

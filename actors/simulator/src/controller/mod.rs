@@ -26,6 +26,7 @@ pub mod mass_spring;
 pub mod parting;
 pub mod rest_place;
 pub mod rigid_bodies;
+mod rigid_declared;
 pub mod smoke;
 pub mod soft;
 pub mod suture;

@@ -10,17 +10,19 @@ use std::sync::Arc;
 
 use nalgebra::Point3;
 
-use trocar_scene::access::{Access, EntitySet};
+use trocar_scene::access::Access;
 use trocar_scene::commands::Commands;
 use trocar_scene::components::{
-    Collision, CollisionList, Detection, Grasp, Instrument, InstrumentForce, InstrumentTarget, JawState,
-    LocalContactModel, Motion, Parent, Pose, RigidBody, Shape, SurfaceMesh, Velocity, VertexPositions,
+    Collision, CollisionList, Detection, Frozen, Grasp, Instrument, InstrumentForce, InstrumentTarget,
+    JawState, LocalContactModel, Motion, Parent, Pose, RigidBody, Shape, SurfaceMesh, Velocity,
+    VertexPositions,
 };
 use trocar_scene::controller::{BuildContext, Controller, ControllerError, Tick};
 use trocar_scene::entity::Entity;
 use trocar_scene::snapshot::Snapshot;
 use trocar_scene::time::{Revision, SimTime};
 
+use super::rigid_declared::{declared_access, declared_rows, moved_entities};
 use crate::instrument::contact::Contact;
 use crate::instrument::felt::{held_by, is_modelled, modelled_by_others};
 use crate::instrument::grasp::Hold;
@@ -28,7 +30,7 @@ use crate::instrument::local_model::local_contact_model;
 use crate::instrument::mechanism::MechanismState;
 use crate::instrument::opening::{InstrumentState, JawOpening};
 use crate::instrument::target_track::TargetTrack;
-use crate::rigid_world::{FLOOR, Scheduling, World, WorldError};
+use crate::rigid_world::{FLOOR, World, WorldError};
 
 /// Most contacts that the collision list carries; the deepest ones stay.
 pub const COLLISIONS_MAX: usize = 256;
@@ -60,6 +62,10 @@ pub struct RigidBodiesController<W: World> {
     /// Lists of others, and when each changed.
     lists: Vec<(Entity, Option<Revision>)>,
     collisions_were_empty: bool,
+    /// Bodies that cannot be simulated, and why, of which the scene has not been told yet.
+    newly_frozen: Vec<(Entity, String)>,
+    /// Those of which the scene can be told so: the ones that were there at the start; sorted.
+    may_be_told_frozen: Vec<Entity>,
 }
 
 /// What a body is made of.
@@ -102,6 +108,8 @@ struct KnownBody {
     written: [Option<Pose>; WRITES_IN_FLIGHT],
     next_slot: usize,
     slept: bool,
+    /// Immovable, as it could not be simulated.
+    frozen: bool,
 }
 
 struct KnownInstrument {
@@ -132,6 +140,8 @@ impl<W: World> RigidBodiesController<W> {
             instruments: BTreeMap::new(),
             lists: Vec::new(),
             collisions_were_empty: false,
+            newly_frozen: Vec::new(),
+            may_be_told_frozen: moved_entities(context.scene),
         };
         this.take_in(context.scene, 0.0)?;
         Ok(this)
@@ -193,6 +203,9 @@ impl<W: World> RigidBodiesController<W> {
         body: &RigidBody,
         geometry: Geometry,
     ) -> Result<(), WorldError> {
+        if self.bodies.get(&entity).is_some_and(|known| known.frozen) {
+            return Ok(());
+        }
         if let Some(known) = self.bodies.get_mut(&entity) {
             let same = known.geometry.is_same(&geometry);
             if known.body == *body && same {
@@ -215,18 +228,68 @@ impl<W: World> RigidBodiesController<W> {
         }
         let pose = Pose::from(scene.world_pose(entity));
         let velocity = scene.get::<Velocity>(entity).copied().unwrap_or_default();
-        self.insert(entity, body, &geometry, &pose, &velocity)?;
-        self.bodies.insert(
-            entity,
-            KnownBody {
-                body: body.clone(),
-                geometry,
-                written: first_write(scene.get::<Pose>(entity)),
-                next_slot: 1,
-                slept: false,
-            },
-        );
+        let frozen = scene.get::<Frozen>(entity).is_some();
+        let known = KnownBody {
+            body: body.clone(),
+            geometry: geometry.clone(),
+            written: first_write(scene.get::<Pose>(entity)),
+            next_slot: 1,
+            slept: false,
+            frozen,
+        };
+        if frozen {
+            self.bodies.insert(entity, known);
+            return self.insert(entity, &immovable(body), &geometry, &pose, &Velocity::default());
+        }
+        let taken = self.insert(entity, body, &geometry, &pose, &velocity);
+        if let Err(WorldError::NoVolume { .. }) = taken {
+            // One body that cannot be is no reason to stop the others.
+            self.bodies.insert(entity, known);
+            return self.freeze(entity, &pose, WorldError::NoVolume { entity }.to_string());
+        }
+        self.bodies.insert(entity, known);
+        taken
+    }
+
+    /// Makes a body immovable where it is, as it cannot be simulated, and remembers to say so.
+    fn freeze(&mut self, entity: Entity, pose: &Pose, reason: String) -> Result<(), WorldError> {
+        let known = self.bodies.get_mut(&entity).ok_or(WorldError::Unknown { entity })?;
+        known.frozen = true;
+        let (body, geometry) = (immovable(&known.body), known.geometry.clone());
+        self.newly_frozen.push((entity, reason));
+        self.insert(entity, &body, &geometry, pose, &Velocity::default())
+    }
+
+    /// Brings the world to a time; bodies whose motion is none any more stay behind.
+    fn step_to(&mut self, time: SimTime) -> Result<(), WorldError> {
+        while self.world.now() < time {
+            let Err(error) = self.world.step() else { continue };
+            let WorldError::Diverged { entities } = &error else { return Err(error) };
+            let is_body = |entity| self.bodies.get(entity).is_some_and(|known| !known.frozen);
+            if entities.is_empty() || !entities.iter().all(is_body) {
+                return Err(error);
+            }
+            for entity in entities.clone() {
+                let pose = self.world.pose(entity).ok_or(WorldError::Unknown { entity })?;
+                self.freeze(entity, &pose, error.to_string())?;
+            }
+        }
         Ok(())
+    }
+
+    fn write_frozen(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) {
+        for (entity, reason) in std::mem::take(&mut self.newly_frozen) {
+            if self.declared.as_ref().is_none_or(|rows| rows.binary_search(&entity).is_ok())
+                && let Some(pose) = self.world.pose(entity)
+            {
+                out.put(entity, in_parent(scene, entity, pose));
+                out.put(entity, Velocity::default());
+            }
+            if self.may_be_told_frozen.binary_search(&entity).is_ok() {
+                out.put(entity, Frozen { reason, since: tick.time });
+            }
+            out.event("frozen", entity, None, tick.time.as_secs_f64());
+        }
     }
 
     fn insert(
@@ -345,7 +408,7 @@ impl<W: World> RigidBodiesController<W> {
     fn write_bodies(&mut self, scene: &Snapshot, out: &mut Commands) {
         for (entity, known) in &mut self.bodies {
             let undeclared = self.declared.as_ref().is_some_and(|rows| rows.binary_search(entity).is_err());
-            if known.body.motion != Motion::Dynamic || undeclared {
+            if known.body.motion != Motion::Dynamic || undeclared || known.frozen {
                 continue;
             }
             // What sleeps does not move: its last pose, with no velocity, is written once.
@@ -466,69 +529,22 @@ impl<W: World> Controller for RigidBodiesController<W> {
             self.world.skip_to(self.world.now() + skipped);
         }
         let at_once = (2.0 * tick.period.as_secs_f64()).clamp(TICK_SECS_MAX, CATCH_UP_SECS_MAX);
-        let steps = (behind.min(at_once) / step_secs + 1e-6).floor() as u64;
-        for _ in 0..steps {
-            self.world.step().map_err(|error| ControllerError::Failed(error.to_string()))?;
+        let steps = (behind.min(at_once) / step_secs + 1e-6).floor();
+        if steps > 0.0 {
+            // Half a step before the last one's end: what a step takes is rounded to whole nanoseconds.
+            let until = self.world.now() + SimTime::from_secs_f64((steps - 0.5) * step_secs);
+            self.step_to(until).map_err(|error| ControllerError::Failed(error.to_string()))?;
         }
+        self.write_frozen(scene, tick, out);
         self.write_bodies(scene, out);
         self.write_instruments(scene, tick, out);
         Ok(())
     }
 }
 
-/// The bodies that the world moves: those that are dynamic now, and the instruments. Naming them leaves the poses
-/// of all others to others.
-fn moved_entities(scene: &Snapshot) -> Vec<Entity> {
-    let mut moved: Vec<Entity> = scene
-        .iter::<RigidBody>()
-        .filter(|(_, body)| body.motion == Motion::Dynamic)
-        .map(|(entity, _)| entity)
-        .chain(scene.iter::<Instrument>().map(|(entity, _)| entity))
-        .collect();
-    moved.sort_unstable();
-    moved.dedup();
-    moved
-}
-
-/// Rows that may be written; `None` for all.
-fn declared_rows(scene: &Snapshot, scheduling: &Scheduling) -> Option<Vec<Entity>> {
-    (!scheduling.claims_all_poses).then(|| moved_entities(scene))
-}
-
-fn declared_access(scene: &Snapshot, scheduling: &Scheduling, modelled_by_others: &[Entity]) -> Access {
-    let on = |entities| if scheduling.claims_all_poses { EntitySet::All } else { EntitySet::Of(entities) };
-    let moved = moved_entities(scene);
-    let instruments: Vec<Entity> = scene.iter::<Instrument>().map(|(entity, _)| entity).collect();
-    let mut modelled = instruments.clone();
-    modelled.retain(|entity| modelled_by_others.binary_search(entity).is_err());
-    // Where others model some, its own are those that are there at the start.
-    let modelled = if modelled_by_others.is_empty() { on(modelled) } else { EntitySet::Of(modelled) };
-    let access = Access::new()
-        .reads::<RigidBody>()
-        .reads::<Shape>()
-        .reads::<SurfaceMesh>()
-        .reads::<VertexPositions>()
-        .reads::<CollisionList>()
-        .reads::<Parent>()
-        .reads::<Pose>()
-        .reads::<Velocity>()
-        .reads::<Instrument>()
-        .reads::<InstrumentTarget>()
-        .reads::<JawState>()
-        .reads::<Grasp>()
-        .writes::<Pose>(on(moved.clone()))
-        .writes::<Velocity>(on(moved))
-        .writes::<JawState>(on(instruments.clone()))
-        .writes::<InstrumentForce>(on(instruments.clone()))
-        .writes::<LocalContactModel>(modelled)
-        .writes::<Grasp>(on(instruments.clone()))
-        .contributes::<CollisionList>();
-    let access = if modelled_by_others.is_empty() { access } else { access.reads::<LocalContactModel>() };
-    if scene.registry().id::<MechanismState>().is_some() {
-        access.reads::<MechanismState>().writes::<MechanismState>(on(instruments))
-    } else {
-        access
-    }
+/// A body that nothing moves.
+fn immovable(body: &RigidBody) -> RigidBody {
+    RigidBody { motion: Motion::Static, ..body.clone() }
 }
 
 /// The history of a body that has been written by others only.

@@ -62,13 +62,12 @@ pub enum WorldError {
         /// The entity.
         entity: Entity,
     },
-    /// The simulation produced a pose or a velocity that is not a number.
-    #[error("{bodies} bodies reached a state that is not finite in step {step}")]
+    /// A step would have taken some to a pose or a velocity that is not a number: they are where they were before it.
+    /// Without them the world can go on.
+    #[error("a step took {} to a state that is not finite", named(entities))]
     Diverged {
-        /// How many.
-        bodies: usize,
-        /// In which step since the world was built.
-        step: u64,
+        /// Bodies and instruments; none where it is not known which.
+        entities: Vec<Entity>,
     },
 }
 
@@ -79,4 +78,9 @@ impl From<WorldError> for ControllerError {
             _ => Self::Scene(error.to_string()),
         }
     }
+}
+
+fn named(entities: &[Entity]) -> String {
+    let names: Vec<String> = entities.iter().map(Entity::to_string).collect();
+    if names.is_empty() { "the world".to_string() } else { names.join(", ") }
 }

@@ -369,6 +369,13 @@ impl ImpulseWorld {
         }
     }
 
+    /// Who a body of the solver is.
+    fn entity_of(&self, slot: usize) -> Option<Entity> {
+        let body = self.bodies.iter().find(|(_, body)| body.slot == Some(slot));
+        let tool = || self.tools.iter().find(|(_, tool)| tool.slot == slot).map(|(entity, _)| *entity);
+        body.map(|(entity, _)| *entity).or_else(tool)
+    }
+
     /// Advances by one step.
     pub(super) fn step(&mut self) -> Result<(), WorldError> {
         let step_secs = self.settings.substep_secs;
@@ -382,10 +389,15 @@ impl ImpulseWorld {
         self.rows();
         let Scratch { rows, arms, joints, begin, wrenches, .. } = &mut self.scratch;
         self.solver.begin_with(begin);
-        self.solver.step_with_jaws(step_secs, wrenches, rows, arms, joints).map_err(|error| {
-            let bodies = usize::from(matches!(error, RigidStepError::Body { .. }));
-            WorldError::Diverged { bodies: bodies.max(1), step: self.now.as_nanos() }
-        })?;
+        if let Err(error) = self.solver.step_with_jaws(step_secs, wrenches, rows, arms, joints) {
+            let slot = match error {
+                RigidStepError::Body { body } => Some(body),
+                RigidStepError::Contact(contact) => rows.get(contact).map(|row| row.body as usize),
+                _ => None,
+            };
+            let entities = slot.and_then(|slot| self.entity_of(slot)).into_iter().collect();
+            return Err(WorldError::Diverged { entities });
+        }
         self.now += SimTime::from_secs_f64(step_secs);
         self.take_over();
         Ok(())

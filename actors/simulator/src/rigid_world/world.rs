@@ -65,7 +65,7 @@ pub trait World: Send + Sized + 'static {
     /// Advances by one step.
     ///
     /// # Errors
-    /// The world is of no use any more.
+    /// [`WorldError::Diverged`]: with those that it names made immovable the world can go on; with none it cannot.
     fn step(&mut self) -> Result<(), WorldError>;
 
     /// Adds a body, in place of the one that the entity had.
