@@ -68,7 +68,7 @@ fn what_is_held_stands_where_it_is_to_and_the_force_is_read_back() {
     let mut fem = body([12, 4, 4]);
     let mesh = fem.mesh().clone();
     // A grasp of a patch, a needle in the interior, a node on a rail, and weight on all of it.
-    let grasp = patch(&mesh, &Point3::new(0.08, 0.01, 0.02), 0.006).expect("a patch");
+    let grasp = patch(mesh.rest(), mesh.surface(), &Point3::new(0.08, 0.01, 0.02), 0.006).expect("a patch");
     let (tet, inside) = mesh.locate(&Point3::new(0.05, 0.011, 0.009)).expect("inside");
     let needle = Attachment::barycentric(mesh.tets()[tet], inside, Hold::Point);
     let along = Unit::new_normalize(Vector3::new(0.2, 1.0, 0.3));
@@ -194,7 +194,7 @@ fn felt(cells: usize) -> [f64; 2] {
     let fixed: Vec<u32> =
         mesh.surface_nodes().iter().copied().filter(|&n| !inside(&nodes[n as usize])).collect();
     let center = Point3::new(0.0, 0.0, 0.0);
-    let spread = patch(&mesh, &center, 0.009).expect("a patch");
+    let spread = patch(mesh.rest(), mesh.surface(), &center, 0.009).expect("a patch");
     let middle = nearest(&mesh, [0.0; 3], true);
     let material = Elastic::new(1e4, 0.3).expect("a material");
     let mut fem = LinearFem::new(mesh, &material, &fixed, &Limits::default(), &mut |_| true).expect("a body");

@@ -31,7 +31,7 @@ fn without_elements_the_corrected_inverse_is_the_new_one() {
     let wall = beam::nodes_at(&mesh, 0.0);
     let gone = notch(&mesh);
     assert!((8..=REMOVED_MAX).contains(&gone.len()), "{}", gone.len());
-    let grasp = patch(&mesh, &Point3::new(0.09, 0.01, 0.02), 0.006).expect("a patch");
+    let grasp = patch(mesh.rest(), mesh.surface(), &Point3::new(0.09, 0.01, 0.02), 0.006).expect("a patch");
     let target = Vector3::new(0.0, 0.0004, 0.002);
     let deep = mesh.locate(&Point3::new(0.02, 0.011, 0.009)).expect("inside");
     let needle = Attachment::barycentric(mesh.tets()[deep.0], deep.1, Hold::Point);
@@ -145,7 +145,7 @@ fn the_inverse_of_what_it_has_become_takes_over_without_a_jump() {
     let mesh = beam::mesh([20, 4, 4]);
     let wall = beam::nodes_at(&mesh, 0.0);
     let gone = notch(&mesh);
-    let grasp = patch(&mesh, &Point3::new(0.09, 0.01, 0.02), 0.006).expect("a patch");
+    let grasp = patch(mesh.rest(), mesh.surface(), &Point3::new(0.09, 0.01, 0.02), 0.006).expect("a patch");
     let felt = |fem: &mut LinearFem| {
         let handle = fem.hold(Attachment { weights: grasp.clone(), hold: Hold::Point }).expect("held");
         fem.set_target(handle, Vector3::new(0.0, 0.0004, 0.002)).expect("held");

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use nalgebra::{Isometry3, Point3, Unit, Vector3};
+use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
@@ -21,26 +21,19 @@ use trocar_scene::{
 };
 
 use super::deformable::Deformable;
-use super::grips::{Grips, Holder};
+use super::grips::Grips;
 use super::linear_fem_altered::{Altered, AlteredAt};
+use super::linear_fem_contacts::{Answer, By, Contacts, Held};
 use super::linear_fem_jobs::{altered_as_job, built, built_as_job};
 use super::parting::{Parting, Weakness};
 use super::soft::{Measures, Site};
 use super::tools::{Rod, rods_of_all};
-use super::touch::{COLLISIONS_MAX, Skin, Touch, collision, touches};
+use super::touch::{COLLISIONS_MAX, Touch, collision};
 use crate::elasticity::POISSON_MAX;
-use crate::linear_fem::{
-    Attachment, Cache, Deformation, Hold, LinearFem, LinearFemError, ROTATION_LIMIT, STRAIN_LIMIT,
-};
-use crate::picking::Jaws;
+use crate::linear_fem::{Cache, Deformation, LinearFem, LinearFemError, ROTATION_LIMIT, STRAIN_LIMIT};
 use crate::tet_mesh::{MeshRules, TetMesh};
 
-/// Distance from a rod at which the surface is watched already, so that what rests on it is not lost by rounding \[m\].
-const MARGIN: f64 = 1e-3;
-/// Most places that are kept out of rods at once; the deepest ones.
-const CONTACTS_MAX: usize = 96;
-/// How far in a rod the surface may be left \[m\], and how often in a tick it is looked at for that.
-const PENETRATION_MAX: f64 = 1e-5;
+/// How often in a tick the surface is looked at for what is still in a rod.
 const ROUNDS_MAX: usize = 8;
 /// Ticks from one look at the inside to the next: rotations and strains of all elements.
 const INSIDE_EVERY: u64 = 10;
@@ -53,12 +46,15 @@ pub struct LinearFemBody {
     pub young_modulus: f64,
     /// Poisson's ratio, 0 to 0.45.
     pub poisson_ratio: f64,
+    /// Radius of the patch over which what touches presses \[m\]. About one and a half edges of the surface or more, and what is
+    /// felt is the same on a finer mesh; 0: on single vertices, which feel stiffer the coarser they are.
+    pub contact_radius: f64,
 }
 
 impl Default for LinearFemBody {
     /// Liver, in round numbers: in vivo 2 to 20 kPa (Carter et al. 2001; Nava et al. 2008).
     fn default() -> Self {
-        Self { young_modulus: 6e3, poisson_ratio: 0.45 }
+        Self { young_modulus: 6e3, poisson_ratio: 0.45, contact_radius: 0.006 }
     }
 }
 
@@ -67,56 +63,33 @@ impl Component for LinearFemBody {
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)?;
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
-        ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")
+        ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
+        ComponentError::range("contact_radius", self.contact_radius, 0.0..=0.1, "0 to 0.1 m")
     }
     fn schema() -> Option<serde_json::Value> {
         Some(schemars::schema_for!(Self).to_value())
     }
 }
 
-struct Body {
-    body: Deformable,
-    kind: LinearFemBody,
+pub(super) struct Body {
+    pub(super) body: Deformable,
+    pub(super) kind: LinearFemBody,
     mesh: TetMesh,
-    solver: Option<Box<LinearFem>>,
+    pub(super) solver: Option<Box<LinearFem>>,
     submitted: bool,
     /// Of a body that heat changes.
     parting: Option<(Parting, Altered)>,
     /// Share of the inverse that is computed, as the bits of an f64.
     progress: Arc<AtomicU64>,
-    positions: Vec<Point3<f64>>,
-    grips: Grips,
-    is_pinned: Vec<bool>,
+    pub(super) positions: Vec<Point3<f64>>,
+    pub(super) grips: Grips,
+    /// Places that rods pressed on in the last tick.
+    pub(super) contacts: Contacts,
+    pub(super) is_pinned: Vec<bool>,
     deformation: Deformation,
     /// Whether that was more than linear elasticity can say.
     beyond: bool,
     frozen: bool,
-}
-
-/// One thing that holds the surface, and what it takes to hold it.
-struct Answer {
-    attachment: Attachment,
-    /// Where its mean is to be, from rest \[m\].
-    target: Vector3<f64>,
-    by: By,
-    /// On the body \[N\].
-    force: Vector3<f64>,
-}
-
-/// How far what is asked is held.
-#[derive(Default)]
-struct Held {
-    /// Of the list, so many have been asked for.
-    asked: usize,
-    /// Those of them that are held, in the order of the solver.
-    holding: Vec<usize>,
-}
-
-enum By {
-    /// A rod that touches.
-    Touch(Touch),
-    /// The jaws of an instrument, at a vertex.
-    Jaws(Entity, u32),
 }
 
 /// Answers for every body that carries [`LinearFemBody`].
@@ -156,6 +129,7 @@ impl LinearFemController {
                 progress: Arc::default(),
                 positions: body.positions.to_vec(),
                 grips: context.scene.get::<Grips>(entity).cloned().unwrap_or_default(),
+                contacts: context.scene.get::<Contacts>(entity).cloned().unwrap_or_default(),
                 is_pinned,
                 deformation: Deformation::default(),
                 beyond: false,
@@ -181,7 +155,8 @@ impl Controller for LinearFemController {
             .reads::<Instrument>()
             .reads::<JawState>()
             .writes::<Doubtful>(EntitySet::Of(bodies.clone()))
-            .writes::<Grips>(EntitySet::Of(bodies))
+            .writes::<Grips>(EntitySet::Of(bodies.clone()))
+            .writes::<Contacts>(EntitySet::Of(bodies))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
     }
@@ -259,10 +234,12 @@ impl Body {
             let before = answers.len();
             self.answer(&mut answers, &mut held).map_err(|error| error.to_string())?;
             self.ask_more(site.rods, &mut answers);
-            if answers.len() == before {
+            let moved = self.press_home(&mut answers, &held).map_err(|error| error.to_string())?;
+            if answers.len() == before && !moved {
                 break;
             }
         }
+        self.contacts.keep(&answers, site.rods, self.kind.contact_radius);
         // What a last look has found is for the next tick.
         self.look_inside(site.tick);
         Ok(answers)
@@ -276,6 +253,7 @@ impl Body {
         if let Some(reshaped) = parting.reshape(&mut elements, &mut self.body, site, out)? {
             self.is_pinned = self.body.stays();
             reshaped.followed_by(&mut self.grips, site, &self.body.triangles, positions);
+            self.contacts = Contacts::default();
         }
         let Some(solver) = &mut self.solver else { return Ok(()) };
         if let Some(alterations) = altered.follow(key, solver, site.tick)? {
@@ -305,76 +283,6 @@ impl Body {
             self.submitted = tick.jobs.submit(job);
         }
         Ok(())
-    }
-
-    /// What holds the surface now: jaws what they have picked, rods what they touch.
-    fn ask(&mut self, site: &Site<'_>) -> Result<Vec<Answer>, String> {
-        let rods = site.rods;
-        let triangles = self.body.triangles.clone();
-        let mut touched = Vec::new();
-        let skin = Skin {
-            positions: &self.positions,
-            triangles: &triangles,
-            segments: &[],
-            thickness: MARGIN,
-            closed: true,
-        };
-        touches(rods, &skin, &mut touched);
-        let holders = Holder::all(site, &touched, &triangles);
-        let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
-        self.grips.picks.update(&triangles, &self.positions, &jaws).map_err(|error| error.to_string())?;
-        let mut answers = Vec::new();
-        for pick in &self.grips.picks.picks {
-            let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
-            for held in pick.vertices.iter().filter(|held| !self.is_pinned[held.vertex as usize]) {
-                let target = jaw.pose_in_world * held.in_instrument - self.body.rest[held.vertex as usize];
-                answers.push(Answer {
-                    attachment: Attachment::node(held.vertex, Hold::Point),
-                    target,
-                    by: By::Jaws(Entity::from_bits(pick.instrument), held.vertex),
-                    force: Vector3::zeros(),
-                });
-            }
-        }
-        touched.retain(|touch| self.can_be_pushed(touch, rods));
-        touched.sort_by(|a, b| b.depth.total_cmp(&a.depth));
-        touched.truncate(CONTACTS_MAX);
-        answers.extend(touched.into_iter().map(|touch| self.kept_out(touch, rods)));
-        Ok(answers)
-    }
-
-    /// Adds what has come into a rod elsewhere.
-    fn ask_more(&self, rods: &[Rod], answers: &mut Vec<Answer>) {
-        let mut touched = Vec::new();
-        let triangles = &self.body.triangles;
-        touches(
-            rods,
-            &Skin { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true },
-            &mut touched,
-        );
-        touched.retain(|touch| touch.depth > PENETRATION_MAX && self.can_be_pushed(touch, rods));
-        let room = CONTACTS_MAX.saturating_sub(answers.len());
-        answers.extend(touched.into_iter().take(room).map(|touch| self.kept_out(touch, rods)));
-    }
-
-    /// What holds does not push as well, and what is held anyway cannot be pushed.
-    fn can_be_pushed(&self, touch: &Touch, rods: &[Rod]) -> bool {
-        let holds = self.grips.picks.of(rods[touch.rod].instrument.to_bits()).is_some();
-        !holds && touch.nodes.iter().any(|&node| !self.is_pinned[node as usize])
-    }
-
-    /// A place of the surface is to stay on its side of a rod.
-    fn kept_out(&self, touch: Touch, rods: &[Rod]) -> Answer {
-        let ([a, b, c], [u, v, w]) = (touch.nodes, touch.weights);
-        let weights = if a == b { vec![(a, 1.0)] } else { vec![(a, u), (b, v), (c, w)] };
-        let rest = weights.iter().map(|&(node, weight)| self.body.rest[node as usize].coords * weight);
-        let on_rod = touch.on_axis.coords + touch.normal * rods[touch.rod].radius;
-        Answer {
-            target: on_rod - rest.sum::<Vector3<f64>>(),
-            attachment: Attachment { weights, hold: Hold::AtLeast(Unit::new_unchecked(touch.normal)) },
-            by: By::Touch(touch),
-            force: Vector3::zeros(),
-        }
     }
 
     /// Every tick solves from nothing: the same in every life.
@@ -482,6 +390,7 @@ impl Body {
         let still = vec![Vector3::zeros(); self.positions.len()];
         self.body.write(&self.positions, &still, out);
         out.put(self.body.entity, self.grips.clone());
+        out.put(self.body.entity, self.contacts.clone());
     }
 
     /// Whether it has just left what linear elasticity can say.

@@ -21,6 +21,7 @@ pub mod heat;
 pub mod instruments;
 pub mod linear_fem;
 mod linear_fem_altered;
+mod linear_fem_contacts;
 mod linear_fem_jobs;
 pub mod mass_spring;
 pub mod parting;
@@ -90,6 +91,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<CouplingTaken>()?;
     builder.register::<DynamicFemMemory>()?;
     builder.register::<LinearFemBody>()?;
+    builder.register::<linear_fem_contacts::Contacts>()?;
     builder.register::<CauterisedBody>()?;
     builder.register::<ElectrodeTip>()?;
     builder.register::<RemovedElements>()?;

@@ -6,7 +6,6 @@ use thiserror::Error;
 use trocar_collision::primitive::closest_on_triangle;
 
 use super::attachment::WEIGHTS_MAX;
-use crate::tet_mesh::TetMesh;
 
 /// Why there is no patch.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
@@ -40,20 +39,25 @@ pub enum PatchError {
 /// Pieces along an edge of a triangle that it is cut into at most.
 const CUTS_MAX: usize = 24;
 
-/// The surface nodes under a patch about a point of the rest shape \[m\], with weights that add up to 1: those of a
+/// The nodes of a surface under a patch about a point of the rest shape \[m\], with weights that add up to 1: those of a
 /// pressure 1 − (r/R)² at the distance r from the middle (and of the mean displacement weighted so), integrated over
 /// the triangles that hang together with the nearest one. Ascending by node.
 ///
 /// # Errors
 /// Numbers that are none, no surface there, too many nodes.
-pub fn patch(mesh: &TetMesh, center: &Point3<f64>, radius: f64) -> Result<Vec<(u32, f64)>, PatchError> {
+pub fn patch(
+    rest: &[Point3<f64>],
+    surface: &[[u32; 3]],
+    center: &Point3<f64>,
+    radius: f64,
+) -> Result<Vec<(u32, f64)>, PatchError> {
     if !(radius > 0.0 && radius.is_finite() && center.iter().all(|x| x.is_finite())) {
         return Err(PatchError::NotFinite { center: *center, radius });
     }
-    let corners = |triangle: &[u32; 3]| triangle.map(|node| mesh.rest()[node as usize]);
+    let corners = |triangle: &[u32; 3]| triangle.map(|node| rest[node as usize]);
     let mut near = Vec::new();
     let (mut nearest, mut least) = (None, f64::INFINITY);
-    for triangle in mesh.surface() {
+    for triangle in surface {
         let distance = (closest_on_triangle(center, &corners(triangle)).point - center).norm();
         if distance < least {
             (least, nearest) = (distance, Some(near.len()));
