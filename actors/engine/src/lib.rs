@@ -10,6 +10,7 @@
 //! | `world.rs`, `world/` | the world: bodies, steps, statistics, contacts that others find |
 //! | `grasper.rs`, `jaws.rs` | an instrument as palm, jaws, hinge and drive |
 //! | `contacts.rs`, `anticipate.rs`, `penalty.rs` | contacts for the collision list and for haptics, and those of others |
+//! | `soft.rs` | Rapier's soft volumes as a method beside ours |
 //! | `shapes.rs`, `settings.rs`, `conversion.rs` | geometry, tuning, glam to nalgebra |
 //!
 //! # How to grasp
@@ -51,10 +52,12 @@ pub mod jaws;
 pub mod penalty;
 pub mod settings;
 pub mod shapes;
+pub mod soft;
 pub mod world;
 
 pub use grasper::Grasper;
 pub use settings::EngineSettings;
+pub use soft::{EngineSoftBody, EngineSoftController, EngineSoftSolver};
 pub use trocar_simulator::controller::RigidBodiesController;
 pub use trocar_simulator::instrument::mechanism::MechanismState;
 pub use trocar_simulator::instrument::opening::InstrumentState as GrasperState;
@@ -70,5 +73,14 @@ pub type EngineController = RigidBodiesController<RigidWorld>;
 /// When a name is already taken by another type.
 pub fn register(builder: &mut trocar_scene::RegistryBuilder) -> Result<(), trocar_scene::RegistryError> {
     builder.register::<MechanismState>()?;
+    register_soft(builder)
+}
+
+/// Registers those of soft bodies alone.
+///
+/// # Errors
+/// When a name is already taken by another type.
+pub fn register_soft(builder: &mut trocar_scene::RegistryBuilder) -> Result<(), trocar_scene::RegistryError> {
+    builder.register::<EngineSoftBody>()?;
     Ok(())
 }

@@ -6,6 +6,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::EngineError;
 
+/// What Rapier takes for the size of things \[m\]: its tolerances are in proportion.
+pub(crate) const LENGTH_UNIT: f64 = 0.01;
+
 /// How the world is stepped. The defaults are those under which grasping a 5 g ring by friction was measured.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -98,7 +101,7 @@ impl EngineSettings {
             min_ccd_dt: self.substep_secs / 100.0,
             contact_softness: stiff,
             static_contact_softness: stiff,
-            length_unit: 0.01,
+            length_unit: LENGTH_UNIT,
             num_solver_iterations: self.solver_iterations,
             friction_model: FrictionModel::Coulomb,
             // 1 mm: nothing moves further than that within a step, so that contacts exist before there is any

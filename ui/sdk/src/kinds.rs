@@ -12,7 +12,7 @@ use trocar_collision::controller::{
     FingerProxyController, ObbTreeConfig, ObbTreeController, ProximityConfig, ProximityController,
     SphericalHashConfig, SphericalHashController, ZBufferConfig, ZBufferController,
 };
-use trocar_engine::{EngineController, EngineSettings};
+use trocar_engine::{EngineController, EngineSettings, EngineSoftController};
 use trocar_haptics::renderer::RendererConfig;
 use trocar_haptics::{HapticsConfig, HapticsController};
 use trocar_input::manual::controller::sit_down;
@@ -54,6 +54,11 @@ pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
             "rapier",
             KindInfo::new("physics of rigid bodies: contacts, friction, grasping", 500.0),
             Arc::new(rapier),
+        ),
+        (
+            "rapier-soft",
+            KindInfo::new("moves soft volumes by the engine's own solvers, in place of ours", 200.0),
+            under_gravity(EngineSoftController::new),
         ),
         (
             "rigid-bodies",

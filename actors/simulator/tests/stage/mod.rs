@@ -24,16 +24,22 @@ pub struct Stage<C> {
     finished: Vec<(u64, JobOutput)>,
 }
 
-fn registry() -> Arc<Registry> {
+fn registry(more: impl FnOnce(&mut RegistryBuilder)) -> Arc<Registry> {
     let mut builder = RegistryBuilder::new();
     trocar_scene::components::register(&mut builder).expect("names are free");
     trocar_simulator::controller::register(&mut builder).expect("names are free");
+    more(&mut builder);
     builder.build()
 }
 
 /// The scene of entities that a scenario's text describes.
 pub fn scene(entities: &str) -> Store {
-    let registry = registry();
+    scene_with(entities, |_| {})
+}
+
+/// The same with components of other crates.
+pub fn scene_with(entities: &str, more: impl FnOnce(&mut RegistryBuilder)) -> Store {
+    let registry = registry(more);
     let text = format!("schema = 1\nname = \"stage\"\n{entities}");
     let scenario = Scenario::parse("stage.toml".as_ref(), &text, &registry).unwrap_or_else(|e| panic!("{e}"));
     scenario.spawn(&registry).expect("a valid scene")

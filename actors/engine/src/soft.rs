@@ -1,0 +1,365 @@
+//! Rapier's soft volumes: tetrahedra by its own solvers, as one more method beside those of
+//! [`trocar_simulator`], so that a scenario chooses between them by a line.
+//!
+//! Instruments touch, press and hold them as they do every soft body; a touch is a spring of the body's
+//! `contact_stiffness`, taken implicitly within each part of a step. What holds a body is told what the stress of the
+//! elements about it exerts. Rapier's solvers begin each step where the last one ended, which no scene holds: another
+//! life goes on from the same positions and velocities, to what its solvers leave open, not to the bit.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use rapier3d_f64::dynamics::{
+    SoftBody, SoftBodyBuilder, SoftBodyCellModel, SoftBodyHandle, SoftBodyMaterial, SoftBodySolver,
+};
+use rapier3d_f64::pipeline::PhysicsWorld;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_scene::{Component, ComponentError, Snapshot};
+use trocar_simulator::controller::deformable::Deformable;
+use trocar_simulator::controller::soft::{Measures, Site};
+use trocar_simulator::controller::touch::{Skin, Touch};
+use trocar_simulator::controller::{SoftController, SoftMethod};
+use trocar_simulator::elasticity::cauchy_stress;
+use trocar_simulator::tet_mesh::{MeshRules, TetMesh};
+
+use crate::conversion::{point_from_rapier, vector_from_rapier, vector_to_rapier};
+use crate::settings::LENGTH_UNIT;
+
+/// How Rapier solves for the elements.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EngineSoftSolver {
+    /// Each element by constraints, swept over in turn: cheap, and softer than its modulus the fewer parts and sweeps.
+    #[default]
+    Constraints,
+    /// All elements at once by implicit finite elements.
+    FiniteElements,
+}
+
+/// A soft volume of the engine: it needs a mesh of tetrahedra, and `anchors` where it is to be held.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct EngineSoftBody {
+    /// Young's modulus \[Pa\].
+    pub young_modulus: f64,
+    /// Poisson's ratio, 0 to 0.49.
+    pub poisson_ratio: f64,
+    /// Density \[kg/m³\].
+    pub density: f64,
+    /// By what it is solved.
+    pub solver: EngineSoftSolver,
+    /// Parts of a step, 1 to 100.
+    pub parts: u32,
+    /// Sweeps over the constraints in each part, 1 to 100; of finite elements there is no need for more than one.
+    pub iterations: u32,
+    /// Damping of every motion \[1/s\].
+    pub damping: f64,
+    /// Force per depth of a contact \[N/m\].
+    pub contact_stiffness: f64,
+    /// Coulomb friction against instruments.
+    pub friction: f64,
+}
+
+impl Default for EngineSoftBody {
+    /// A soft organ as `xpbd` has it.
+    fn default() -> Self {
+        Self {
+            young_modulus: 8e3,
+            poisson_ratio: 0.45,
+            density: 1060.0,
+            solver: EngineSoftSolver::default(),
+            parts: 4,
+            iterations: 4,
+            damping: 2.0,
+            contact_stiffness: 300.0,
+            friction: 0.3,
+        }
+    }
+}
+
+impl Component for EngineSoftBody {
+    const NAME: &'static str = "engine_soft";
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
+        ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=0.49, "0 to 0.49")?;
+        ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
+        ComponentError::range("parts", f64::from(self.parts), 1.0..=100.0, "1 to 100")?;
+        ComponentError::range("iterations", f64::from(self.iterations), 1.0..=100.0, "1 to 100")?;
+        ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
+        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+/// One soft volume in a world of its own.
+pub struct EngineSoftMethod {
+    kind: EngineSoftBody,
+    world: PhysicsWorld,
+    handle: SoftBodyHandle,
+    mesh: TetMesh,
+    masses: Vec<f64>,
+    /// Vertices that nothing moves, ascending.
+    pinned: Vec<u32>,
+    /// Vertices that jaws hold, ascending.
+    led: Vec<u32>,
+    positions: Vec<Point3<f64>>,
+    velocities: Vec<Vector3<f64>>,
+}
+
+/// A touch during a step.
+struct Pressed {
+    /// Where its point was at the beginning \[m\].
+    touched: Vector3<f64>,
+    /// How readily it yields, all touches on its vertices counted \[1/kg\].
+    yields: f64,
+    impulse: Vector3<f64>,
+}
+
+impl EngineSoftMethod {
+    fn body(&self) -> Result<&SoftBody, String> {
+        self.world.soft_bodies.get(self.handle).ok_or_else(|| "the engine has lost it".into())
+    }
+
+    /// Brings what jaws hold up to date.
+    fn lead(&mut self, site: &Site<'_>) -> Result<(), String> {
+        let wanted: Vec<u32> = site.led.iter().map(|led| led.vertex).collect();
+        if wanted == self.led {
+            return Ok(());
+        }
+        let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
+        for &vertex in self.led.iter().filter(|vertex| wanted.binary_search(vertex).is_err()) {
+            body.set_particle_pinned(vertex as usize, false);
+        }
+        for &vertex in wanted.iter().filter(|vertex| self.led.binary_search(vertex).is_err()) {
+            body.set_particle_pinned(vertex as usize, true);
+        }
+        self.led = wanted;
+        Ok(())
+    }
+
+    /// How readily each touch yields; a vertex that several press on does so to all of them.
+    fn pressed(&self, touches: &[Touch]) -> Vec<Pressed> {
+        let is_free =
+            |node: &u32| self.pinned.binary_search(node).is_err() && self.led.binary_search(node).is_err();
+        let mut shared = std::collections::BTreeMap::<u32, f64>::new();
+        for (node, _) in touches.iter().flat_map(joint) {
+            *shared.entry(node).or_default() += 1.0;
+        }
+        let of = |touch: &Touch| {
+            let free = joint(touch).filter(|(node, _)| is_free(node));
+            let yields = free.map(|(node, share)| shared[&node] * share * share / self.masses[node as usize]);
+            Pressed { touched: self.place(touch), yields: yields.sum(), impulse: Vector3::zeros() }
+        };
+        touches.iter().map(of).collect()
+    }
+
+    fn place(&self, touch: &Touch) -> Vector3<f64> {
+        joint(touch).map(|(node, share)| self.positions[node as usize].coords * share).sum()
+    }
+
+    /// What a touch exerts in a part of `h` seconds that begins `since` seconds after the step \[N\].
+    fn force(&self, touch: &Touch, pressed: &Pressed, since: f64, h: f64) -> Vector3<f64> {
+        let EngineSoftBody { contact_stiffness, friction, .. } = self.kind;
+        let slip: Vector3<f64> =
+            joint(touch).map(|(node, share)| self.velocities[node as usize] * share).sum::<Vector3<f64>>()
+                - touch.velocity;
+        let way = self.place(touch) - pressed.touched - touch.velocity * since;
+        let (depth, speed) = (touch.depth - touch.normal.dot(&way), touch.normal.dot(&slip));
+        // The spring at the end of the part, by what it will have pushed away itself.
+        let push =
+            contact_stiffness * (depth - h * speed) / (1.0 + contact_stiffness * h * h * pressed.yields);
+        let push = push.max(0.0);
+        if pressed.yields == 0.0 {
+            return touch.normal * push;
+        }
+        let across = (touch.normal * speed - slip) / (h * pressed.yields);
+        let (size, most) = (across.norm(), friction * push);
+        touch.normal * push + if size > most { across * (most / size) } else { across }
+    }
+
+    /// One part of a step. What is not finite is not taken over.
+    fn part(&mut self) -> Result<(), String> {
+        self.world.step();
+        let quarantined = !self.world.physics_pipeline.quarantine().is_empty();
+        let body = self.body()?;
+        if quarantined || !body.is_enabled() {
+            return Err("the engine's solver came to a state that is not finite".into());
+        }
+        let (positions, velocities) = (body.particle_positions(), body.particle_velocities());
+        let (positions, velocities): (Vec<_>, Vec<_>) =
+            (positions.map(point_from_rapier).collect(), velocities.map(vector_from_rapier).collect());
+        let is_finite = |p: &Point3<f64>| p.iter().all(|x| x.is_finite());
+        if !positions.iter().all(is_finite) || !velocities.iter().all(|v| v.iter().all(|x| x.is_finite())) {
+            return Err("the engine's solver came to a state that is not finite".into());
+        }
+        (self.positions, self.velocities) = (positions, velocities);
+        Ok(())
+    }
+}
+
+/// Nodes and shares of a touch.
+fn joint(touch: &Touch) -> impl Iterator<Item = (u32, f64)> {
+    touch.nodes.into_iter().zip(touch.weights).filter(|(_, weight)| *weight != 0.0)
+}
+
+impl SoftMethod for EngineSoftMethod {
+    type Kind = EngineSoftBody;
+    const CONTROLLER: &'static str = "rapier-soft";
+
+    fn build(kind: &EngineSoftBody, body: &mut Deformable, _scene: &Snapshot) -> Result<Self, String> {
+        if body.tets.is_empty() {
+            return Err("'engine_soft' needs a mesh of tetrahedra; of cloths the engine knows no modulus, they are for 'xpbd' \
+                        or 'mass_spring'"
+                .into());
+        }
+        let mesh =
+            TetMesh::new(&body.rest, &body.tets, &MeshRules::default()).map_err(|why| why.to_string())?;
+        let mut masses = vec![0.0; body.rest.len()];
+        for (tet, volume) in mesh.tets().iter().zip(mesh.volumes()) {
+            tet.iter().for_each(|&node| masses[node as usize] += kind.density * volume / 4.0);
+        }
+        // What no element uses is held, and has to weigh something.
+        let least = masses.iter().copied().filter(|mass| *mass > 0.0).fold(f64::INFINITY, f64::min);
+        masses.iter_mut().filter(|mass| **mass == 0.0).for_each(|mass| *mass = least);
+        let mut world = PhysicsWorld::default();
+        let parameters = &mut world.integration_parameters;
+        parameters.length_unit = LENGTH_UNIT;
+        parameters.num_solver_iterations = 1;
+        parameters.soft_bodies.max_extra_substeps = 0;
+        let pinned = body.staying();
+        let material = SoftBodyMaterial {
+            young_modulus: kind.young_modulus,
+            poisson_ratio: kind.poisson_ratio,
+            ..SoftBodyMaterial::default()
+        };
+        let builder = SoftBodyBuilder::default()
+            .positions(body.rest.iter().map(|point| vector_to_rapier(&point.coords)).collect())
+            .masses(masses.clone())
+            .cells(body.tets.to_vec())
+            .cell_model(SoftBodyCellModel::NeoHookean)
+            .solver(match kind.solver {
+                EngineSoftSolver::Constraints => SoftBodySolver::Constraints,
+                EngineSoftSolver::FiniteElements => SoftBodySolver::Fem,
+            })
+            .material(material)
+            .pinned_particles(pinned.iter().copied())
+            .linear_damping(kind.damping)
+            .additional_pgs_iterations(kind.iterations as usize - 1)
+            .no_surface_collider()
+            .can_sleep(false);
+        let handle = world.soft_bodies.insert(builder, &mut world.bodies, &mut world.colliders);
+        let made = world.soft_bodies.get_mut(handle).ok_or("the engine does not take it")?;
+        if made.cells().len() != body.tets.len() {
+            return Err(format!("of {} elements the engine takes {}", body.tets.len(), made.cells().len()));
+        }
+        for (index, (position, velocity)) in body.positions.iter().zip(body.velocities.iter()).enumerate() {
+            made.set_particle_position(index, vector_to_rapier(&position.coords));
+            if pinned.binary_search(&(index as u32)).is_err() {
+                made.set_particle_velocity(index, vector_to_rapier(velocity));
+            } else {
+                made.set_particle_kinematic_target(index, vector_to_rapier(&position.coords));
+            }
+        }
+        let (positions, velocities) = (body.positions.to_vec(), body.velocities.to_vec());
+        Ok(Self { kind: *kind, world, handle, mesh, masses, pinned, led: Vec::new(), positions, velocities })
+    }
+
+    fn positions(&self) -> &[Point3<f64>] {
+        &self.positions
+    }
+
+    fn velocities(&self) -> &[Vector3<f64>] {
+        &self.velocities
+    }
+
+    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
+        let triangles = &body.triangles[..];
+        Skin { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true }
+    }
+
+    fn step(
+        &mut self,
+        _body: &Deformable,
+        site: &Site<'_>,
+        forces: &mut Vec<Vector3<f64>>,
+    ) -> Result<(), String> {
+        self.lead(site)?;
+        let parts = self.kind.parts;
+        let h = site.period_secs() / f64::from(parts);
+        self.world.integration_parameters.dt = h;
+        self.world.gravity = vector_to_rapier(&site.gravity);
+        let mut pressed = self.pressed(site.touches);
+        let from: Vec<Point3<f64>> = self.led.iter().map(|&vertex| self.positions[vertex as usize]).collect();
+        for part in 0..parts {
+            let since = f64::from(part) * h;
+            let pushes: Vec<Vector3<f64>> = site
+                .touches
+                .iter()
+                .zip(&pressed)
+                .map(|(touch, of)| self.force(touch, of, since, h))
+                .collect();
+            let body = self.world.soft_bodies.get_mut(self.handle).ok_or("the engine has lost it")?;
+            body.reset_forces(false);
+            for &(node, force) in site.forces {
+                body.add_particle_force(node as usize, vector_to_rapier(&force), false);
+            }
+            for ((touch, of), push) in site.touches.iter().zip(&mut pressed).zip(&pushes) {
+                of.impulse += push * h;
+                for (node, share) in joint(touch) {
+                    body.add_particle_force(node as usize, vector_to_rapier(&(push * share)), false);
+                }
+            }
+            let share = f64::from(part + 1) / f64::from(parts);
+            for (led, from) in site.led.iter().zip(&from) {
+                let target = from + (led.position_in_world - from) * share;
+                body.set_particle_kinematic_target(led.vertex as usize, vector_to_rapier(&target.coords));
+            }
+            self.part()?;
+        }
+        forces.extend(pressed.iter().map(|of| of.impulse / site.period_secs()));
+        Ok(())
+    }
+
+    fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
+        let EngineSoftBody { young_modulus, poisson_ratio, .. } = self.kind;
+        let mu = 0.5 * young_modulus / (1.0 + poisson_ratio);
+        let lambda = 2.0 * mu * poisson_ratio / (1.0 - 2.0 * poisson_ratio);
+        let mut pull = Vector3::zeros();
+        for (index, tet) in self.mesh.tets().iter().enumerate() {
+            if !tet.iter().any(|node| held.binary_search(node).is_ok()) {
+                continue;
+            }
+            let gradients = self.mesh.gradients(index);
+            let mut deformation = Matrix3::zeros();
+            for (node, gradient) in tet.iter().zip(&gradients) {
+                deformation += self.positions[*node as usize].coords * gradient.transpose();
+            }
+            let Some(inverse) = deformation.try_inverse() else { continue };
+            let jacobian = deformation.determinant().max(1e-3);
+            let stress = cauchy_stress([lambda, mu], &deformation) * inverse.transpose() * jacobian;
+            for (node, gradient) in tet.iter().zip(&gradients) {
+                if held.binary_search(node).is_ok() {
+                    pull -= stress * gradient * self.mesh.volumes()[index];
+                }
+            }
+        }
+        let gravity = vector_from_rapier(self.world.gravity);
+        pull + held.iter().map(|&node| gravity * self.masses[node as usize]).sum::<Vector3<f64>>()
+    }
+
+    fn measure(&self, body: &Deformable, measures: &mut Measures<'_>) {
+        let kinetic = self.velocities.iter().zip(&self.masses).map(|(v, mass)| 0.5 * mass * v.norm_squared());
+        measures.put("kinetic_energy_j", kinetic.sum());
+        let moved = self.positions.iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
+        measures.put("displacement_max_m", moved.fold(0.0, f64::max));
+        let heights = || self.positions.iter().map(|position| position.z);
+        measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
+        measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));
+    }
+}
+
+/// Steps every body that carries [`EngineSoftBody`].
+pub type EngineSoftController = SoftController<EngineSoftMethod>;
