@@ -56,6 +56,31 @@ fn a_probe_presses_on_a_stomach_and_feels_it() {
 }
 
 #[test]
+fn constraints_of_ours_or_of_the_engine_take_the_place_of_finite_elements_by_two_lines() {
+    let force = |run: &RunOutcome| outcome(run, "stomach.contact_force_n.largest");
+    // Coarser than in the scenario, for the engine takes its time.
+    let coarse = ("edge = 0.012", "edge = 0.018");
+    let wanted = force(&run("soft-stomach", &[coarse]));
+    let volume = "{ young_modulus = 6000.0, poisson_ratio = 0.45, density = 1060.0 }";
+    let ours = format!("xpbd = {{ matter = {{ volume = {volume} }} }}");
+    let engine = "engine_soft = { young_modulus = 6000.0, parts = 1 }".to_string();
+    for (component, kind) in [(ours, "xpbd"), (engine, "rapier-soft")] {
+        let controller = format!("kind = \"{kind}\"\nrate_hz = 500");
+        let other = run(
+            "soft-stomach",
+            &[
+                coarse,
+                ("dynamic_fem = { young_modulus = 6000.0 }", component.as_str()),
+                ("kind = \"dynamic-fem\"\nrate_hz = 60", controller.as_str()),
+            ],
+        );
+        assert!(other.summary.task.completed, "{kind}: {:?} {:?}", other.summary.task, other.summary.error);
+        let found = force(&other);
+        assert!((found / wanted - 1.0).abs() < 0.5, "{kind}: {found} N, of finite elements {wanted} N");
+    }
+}
+
+#[test]
 fn an_implicit_and_an_explicit_simulator_share_a_scene() {
     let both = holds("two-rates");
     let rate =
