@@ -1,9 +1,8 @@
 //! Picking: what the jaws of an instrument hold of a surface, the same for every method that deforms it.
 //!
 //! The triangles that both jaws touch when they close are flagged with the instrument, and follow its pose rigidly from
-//! the start of each frame: their vertices become prescribed positions of whatever solver has the surface. Vertices
-//! adjacent to them are drawn along smoothly for that frame, as a starting point for the solver. Opening the jaws resets
-//! the flags. A triangle is held by one instrument: of two that want it, the one that came first keeps it, and a vertex
+//! the start of each frame: their vertices become prescribed positions of whatever solver has the surface, and by what it
+//! knows of the matter those adjacent to them follow smoothly. Opening the jaws resets the flags. A triangle is held by one instrument: of two that want it, the one that came first keeps it, and a vertex
 //! between triangles of two instruments follows the earlier one.
 
 use std::collections::BTreeMap;
@@ -232,39 +231,5 @@ impl Pick {
     /// A vertex of it.
     fn held(&self, vertex: u32) -> Option<&Held> {
         self.vertices.binary_search_by_key(&vertex, |held| held.vertex).ok().map(|at| &self.vertices[at])
-    }
-}
-
-/// Moves held vertices to where they are led, and those adjacent to them half as far as their held neighbours have moved
-/// on average: `triangles` are those about held vertices, or all; vertices in `fixed` (ascending) stay.
-///
-/// A solver whose step is implicit or position-based begins from there; one that is explicit takes [`Picks::led`] alone.
-pub fn draw_along(positions: &mut [Point3<f64>], triangles: &[[u32; 3]], led: &[Led], fixed: &[u32]) {
-    let of = |vertex: u32| led.binary_search_by_key(&vertex, |led| led.vertex).ok().map(|at| &led[at]);
-    // By vertex, so that sums have one order; an edge counts once for each triangle that it is of.
-    let mut drawn: BTreeMap<u32, (nalgebra::Vector3<f64>, u32)> = BTreeMap::new();
-    for corners in triangles {
-        for &vertex in corners {
-            if of(vertex).is_some()
-                || vertex as usize >= positions.len()
-                || fixed.binary_search(&vertex).is_ok()
-            {
-                continue;
-            }
-            for other in corners.iter().filter_map(|&other| of(other)) {
-                let Some(position) = positions.get(other.vertex as usize) else { continue };
-                let (sum, count) = drawn.entry(vertex).or_insert((nalgebra::Vector3::zeros(), 0));
-                *sum += other.position_in_world - position;
-                *count += 1;
-            }
-        }
-    }
-    for (vertex, (sum, count)) in drawn {
-        positions[vertex as usize] += sum * (0.5 / f64::from(count));
-    }
-    for led in led {
-        if let Some(position) = positions.get_mut(led.vertex as usize) {
-            *position = led.position_in_world;
-        }
     }
 }

@@ -2,12 +2,15 @@
 
 mod stage;
 
+use std::collections::BTreeSet;
+
 use nalgebra::Vector3;
 use stage::{Stage, scene};
 use trocar_scene::{
     Activation, Burn, CollisionList, Frozen, InstrumentForce, InstrumentTarget, JawState, LocalContactModel,
-    Pose, SurfaceMesh, Temperature, VertexPositions,
+    Pose, RestPositions, SurfaceMesh, Temperature, VertexPositions,
 };
+use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::{
     DynamicFemController, ElectrosurgeryController, InstrumentsConfig, InstrumentsController,
     MassSpringController,
@@ -144,6 +147,28 @@ fn jaws(angle: f64) -> JawState {
     JawState { angle, ..JawState::default() }
 }
 
+/// How far vertices that are held have risen, their neighbours, and the neighbours of those \[m\].
+fn rises<C: trocar_scene::Controller>(stage: &Stage<C>, body: &str) -> [f64; 3] {
+    let grips = stage.get::<Grips>(body).picks.picks;
+    let mut inner: BTreeSet<u32> =
+        grips.iter().flat_map(|pick| &pick.vertices).map(|held| held.vertex).collect();
+    let (now, rest) =
+        (stage.get::<VertexPositions>(body).positions, stage.get::<RestPositions>(body).positions);
+    let triangles = stage.get::<SurfaceMesh>(body).triangles;
+    let mean = |ring: &BTreeSet<u32>| {
+        let rise = ring.iter().map(|&vertex| now[vertex as usize].z - rest[vertex as usize].z);
+        rise.sum::<f64>() / ring.len() as f64
+    };
+    let mut ring = inner.clone();
+    [0, 1, 2].map(|_| {
+        let risen = mean(&ring);
+        let about = triangles.iter().filter(|corners| corners.iter().any(|corner| ring.contains(corner)));
+        ring = about.flatten().copied().filter(|vertex| !inner.contains(vertex)).collect();
+        inner.extend(&ring);
+        risen
+    })
+}
+
 /// Jaws that close on a body lift it, feel what it pulls, hold it in another life, and let go when they open.
 fn lifted<C: trocar_scene::Controller>(
     body: &str,
@@ -180,6 +205,10 @@ fn lifted<C: trocar_scene::Controller>(
     let grip = lists.iter().flat_map(|list| &list.collisions).find(|c| c.a == rod && c.b == entity);
     let grip = grip.expect("everybody sees the grip");
     assert!(grip.force_in_world.z > 0.9 * pulled && grip.depth > 0.002, "{grip:?}");
+    let [held_rise, near, far] = rises(&stage, body);
+    assert!(held_rise > 0.002, "{held_rise} m");
+    assert!(near > 0.25 * held_rise && near < held_rise, "neighbours rise by {near} m with {held_rise} m");
+    assert!(far > 0.0 && far < near, "and those beyond by {far} m");
     stage.put("rod", jaws(0.6));
     stage.tick();
     assert_eq!((held(&stage), stage.measured(&format!("{body}.held_force_n"))), (0.0, 0.0));

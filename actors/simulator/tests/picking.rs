@@ -5,7 +5,7 @@ use trocar_simulator::cutting::{Sheet, Sweep};
 use trocar_simulator::mass_spring::{
     Config, Input, Integrator, LinearSolver, MassSpring, Network, Prescribed, SurfaceMaterial,
 };
-use trocar_simulator::picking::{Jaws, Led, PickError, Picks, draw_along};
+use trocar_simulator::picking::{Jaws, PickError, Picks};
 
 /// A strip of `n` squares of 1 cm, two triangles each: triangles 2i and 2i + 1 have the corners 2i to 2i + 3.
 fn strip(n: u32) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
@@ -82,24 +82,6 @@ fn of_two_instruments_the_first_keeps_what_both_want() {
     assert_eq!(picks.of(2).expect("a pick").triangles, [5, 6]);
     picks.update(&triangles, &points, &[jaws(1, pose, [&[5, 6], &[5, 6]]), right]).expect("heard");
     assert!(picks.of(1).is_none());
-}
-
-#[test]
-fn neighbours_are_drawn_along_half_way_and_others_stay() {
-    let (mut points, triangles) = strip(8);
-    let before = points.clone();
-    let up = Vector3::new(0.0, 0.0, 0.01);
-    let led: Vec<_> =
-        (6..10).map(|vertex| Led { vertex, position_in_world: before[vertex as usize] + up }).collect();
-    draw_along(&mut points, &triangles, &led, &[5]);
-    for (vertex, (after, before)) in points.iter().zip(&before).enumerate() {
-        let wanted = match vertex {
-            6..10 => 0.01,
-            4 | 10 | 11 => 0.005,
-            _ => 0.0,
-        };
-        assert!((after.z - before.z - wanted).abs() < 1e-15, "vertex {vertex}: {after}");
-    }
 }
 
 /// The whole of it: picked, led by a solver, cut while held, let go.
