@@ -28,6 +28,7 @@ pub mod shapes;
 pub mod snapshot;
 pub mod store;
 pub mod time;
+pub mod tissue;
 
 pub use access::{Access, AccessOverlap, EntitySet, WriterRules};
 pub use column::{Column, ErasedColumn};

@@ -167,19 +167,9 @@ fn matter_and_looks(formats: &mut Formats) {
         },
         true,
     );
-    let parameter = |value| Parameter { value, source: "a paper".into() };
-    formats.check(
-        TissueMaterial {
-            density: parameter(1060.0),
-            young_modulus: parameter(5e3),
-            poisson_ratio: parameter(0.45),
-            damping: parameter(2.0),
-            conductivity: parameter(0.52),
-            heat_capacity: parameter(3540.0),
-            force_scale: parameter(1.5),
-        },
-        true,
-    );
+    formats.check(Tissue("liver".into()), true);
+    let granite = Tissue("granite".into()).check().expect_err("no tissue").to_string();
+    assert!(granite.contains("there are: artery, gallbladder"), "{granite}");
     formats.check(Temperature { celsius: Arc::new(vec![37.0, 60.5]) }, true);
     formats.check(Burn { omega: Arc::new(vec![0.0, 1.25]) }, true);
     let field = |name: &str, range| ScalarField {

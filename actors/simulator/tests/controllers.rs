@@ -7,13 +7,14 @@ use std::collections::BTreeSet;
 use nalgebra::Vector3;
 use stage::{Stage, scene};
 use trocar_scene::{
-    Activation, Burn, CollisionList, Frozen, InstrumentForce, InstrumentTarget, JawState, LocalContactModel,
-    Pose, RestPositions, SurfaceMesh, Temperature, VertexPositions,
+    Activation, Burn, CollisionList, Doubtful, Frozen, InstrumentForce, InstrumentTarget, JawState,
+    LocalContactModel, Pose, RestPositions, SurfaceMesh, Temperature, VertexPositions,
 };
 use trocar_simulator::controller::grips::Grips;
+use trocar_simulator::controller::xpbd::Matter;
 use trocar_simulator::controller::{
-    DynamicFemController, ElectrosurgeryController, InstrumentsConfig, InstrumentsController,
-    MassSpringController,
+    DynamicFemBody, DynamicFemController, ElectrosurgeryController, InstrumentsConfig, InstrumentsController,
+    LinearFemBody, MassSpringController, XpbdBody,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -259,4 +260,33 @@ fn an_instrument_is_told_what_pushes_it() {
     assert!((plane.stiffness - 500.0).abs() < 1e-9 && (plane.normal_in_world - Vector3::z()).norm() < 1e-12);
     // At the present tip it pushes with what the contact does.
     assert!(((plane.point_in_world.z - -0.002) * plane.stiffness - 0.5).abs() < 1e-12);
+}
+
+#[test]
+fn a_tissue_fills_in_what_its_components_leave_open_and_doubts_what_it_is_known_not_to_be() {
+    let body = |kinds: &str| {
+        format!(
+            "[[entity]]\nname = \"organ\"\ntissue = \"liver\"\nmesh = {{ block = {{ size = [0.02, 0.02, 0.02], cells = [2, 2, 2] }} }}\n{kinds}\n"
+        )
+    };
+    let has = |kinds: &str| {
+        let store = scene(&body(kinds));
+        let organ = store.view().iter::<trocar_scene::Tissue>().next().expect("an organ").0;
+        (store.snapshot(), organ)
+    };
+    let (snapshot, organ) = has("linear_fem = {}\ndynamic_fem = { young_modulus = 6000.0 }\n\
+         xpbd = { matter = { volume = {} } }\ncauterised = {}");
+    let linear = snapshot.get::<LinearFemBody>(organ).expect("one").young_modulus;
+    let dynamic = *snapshot.get::<DynamicFemBody>(organ).expect("one");
+    assert_eq!((linear, dynamic.young_modulus, dynamic.density), (4740.0, 6000.0, 1060.0));
+    let Matter::Volume { young_modulus, poisson_ratio, density } =
+        snapshot.get::<XpbdBody>(organ).expect("one").matter
+    else {
+        panic!("it is a volume")
+    };
+    assert_eq!([young_modulus, poisson_ratio, density], [4740.0, 0.45, 1060.0]);
+    assert!(snapshot.get::<Doubtful>(organ).is_none());
+    let (snapshot, organ) = has("linear_fem = { young_modulus = 1e5 }");
+    let doubt = &snapshot.get::<Doubtful>(organ).expect("no such liver").reason;
+    assert!(doubt.contains("young_modulus of 100000 Pa") && doubt.contains("2700 to 7800 Pa"), "{doubt}");
 }

@@ -75,26 +75,27 @@ pub struct Parameter {
     pub source: String,
 }
 
-/// Mechanical and thermal properties of a tissue, each with its provenance.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct TissueMaterial {
-    /// Density \[kg/m³\].
-    pub density: Parameter,
-    /// Young's modulus \[Pa\].
-    pub young_modulus: Parameter,
-    /// Poisson's ratio.
-    pub poisson_ratio: Parameter,
-    /// Rayleigh mass damping \[1/s\].
-    pub damping: Parameter,
-    /// Thermal conductivity \[W/(m·K)\].
-    pub conductivity: Parameter,
-    /// Specific heat capacity \[J/(kg·K)\].
-    pub heat_capacity: Parameter,
-    /// Stiffness that the hand feels, as a multiple of the one that is seen.
-    pub force_scale: Parameter,
+/// What an entity is made of, by its name among [`TISSUES`](crate::tissue::TISSUES). In a scenario, what its other components
+/// leave open of the tissue's parameters is what has been measured of it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Tissue(pub String);
+impl Component for Tissue {
+    const NAME: &'static str = "tissue";
+    fn check(&self) -> Result<(), ComponentError> {
+        if crate::tissue::tissue(&self.0).is_some() {
+            return Ok(());
+        }
+        let known: Vec<&str> = crate::tissue::TISSUES.iter().map(|tissue| tissue.name).collect();
+        Err(ComponentError::Malformed(format!(
+            "unknown tissue '{}'; there are: {}",
+            self.0,
+            known.join(", ")
+        )))
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
 }
-super::component!(TissueMaterial, "tissue_material");
 
 /// Temperature per vertex \[°C\].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

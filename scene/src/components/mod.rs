@@ -23,7 +23,7 @@ pub use instrument::{
     Activation, ContactPlane, Grasp, Instrument, InstrumentForce, InstrumentKind, InstrumentTarget, JawState,
     LocalContactModel, Port,
 };
-pub use matter::{Burn, Motion, Parameter, RigidBody, Temperature, TissueMaterial};
+pub use matter::{Burn, Motion, Parameter, RigidBody, Temperature, Tissue};
 pub use mesh::{
     BoundingVolumeNode, BoundingVolumeTree, LineMesh, SurfaceMesh, TetMesh, TextureCoordinates,
     VertexPositions,
@@ -80,7 +80,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<Optics>()?;
     builder.register::<HeadTracked>()?;
     builder.register::<RigidBody>()?;
-    builder.register::<TissueMaterial>()?;
+    builder.register::<Tissue>()?;
     builder.register::<Temperature>()?;
     builder.register::<Burn>()?;
     builder.register::<ScalarFields>()?;

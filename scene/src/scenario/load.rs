@@ -12,16 +12,19 @@ use toml::de::{DeTable, DeValue, ValueDeserializer};
 use super::document::{Params, Source, Step, Table, join, shown};
 use super::error::ScenarioError;
 use super::mesh_source::{self, LoadedMesh};
+use super::tissue_defaults::{completed, doubt};
 use super::{
     CONTROLLERS_MAX, ControllerEntry, ENTITIES_MAX, FILE_BYTES_MAX, HANDS_MAX, HandEntry, RATE_HZ,
     SCHEMA_VERSION, Scenario,
 };
 use crate::commands::Commands;
 use crate::component::Component;
-use crate::components::{Hand, Name, Parent};
+use crate::components::{Doubtful, Hand, Name, Parent, Tissue};
 use crate::confined_path;
 use crate::entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
 use crate::registry::Registry;
+use crate::time::SimTime;
+use crate::tissue::tissue;
 
 /// Keys of the document.
 pub(super) const ROOT_KEYS: [&str; 9] =
@@ -266,6 +269,7 @@ fn put_entity(
     let name = table.string(Name::NAME)?.map_or("", |(text, _)| text);
     let key = format!("entity '{name}'");
     let table = Table { key: &key, ..*table };
+    let tissue = table.string(Tissue::NAME)?.and_then(|(name, _)| tissue(name));
     for (component, value) in table.table {
         let component_name = component.get_ref().as_ref();
         if component_name == "mesh" {
@@ -281,7 +285,15 @@ fn put_entity(
             );
             table.error(component.span(), "", reason)
         })?;
-        registry.put_document(id, commands, entity, ValueDeserializer::from(value.clone())).map_err(
+        let mut text = String::new();
+        let completed = match tissue {
+            Some(tissue) => completed(tissue, (registry.entry(id).schema)().as_ref(), value, &mut text),
+            None => value.clone(),
+        };
+        if let Some(reason) = tissue.and_then(|tissue| doubt(tissue, component_name, &completed)) {
+            commands.put(entity, Doubtful { reason, since: SimTime::ZERO });
+        }
+        registry.put_document(id, commands, entity, ValueDeserializer::from(completed)).map_err(
             |(span, error)| table.error(span.unwrap_or(value.span()), component_name, super::reason(&error)),
         )?;
     }

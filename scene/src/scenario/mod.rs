@@ -31,6 +31,7 @@ mod load;
 mod made_mesh;
 mod mesh_source;
 mod schema;
+mod tissue_defaults;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

@@ -32,7 +32,7 @@ pub struct Cli {
 pub enum Command {
     /// Run a scenario: leaves a score, a recording and a report
     Run(RunArgs),
-    /// List what there is: scenarios, kinds of controllers, components, devices, bench suites
+    /// List what there is: scenarios, kinds of controllers, components, devices, bench suites, tissues
     List(ListArgs),
     /// Play a recording back, commit by commit, and compare the state hash
     Replay(ReplayArgs),
@@ -166,6 +166,8 @@ pub enum Listed {
     Plans,
     /// Suites of `trocar bench`.
     Suites,
+    /// Tissues: what has been measured of them, and by whom.
+    Tissues,
     /// Templates of `trocar new`.
     Templates,
 }

@@ -9,6 +9,7 @@ use trocar::plans::{self, PLANS};
 use trocar::run::{RunError, RunOptions, accesses};
 use trocar::summary::{Exit, SCHEMA};
 use trocar::templates::TEMPLATES;
+use trocar_scene::tissue::{TISSUES, TissueEntry, TissueParameter};
 
 use crate::args::{ListArgs, Listed};
 use crate::bench;
@@ -22,6 +23,8 @@ struct Listing {
     about: String,
     /// What is known of controllers only.
     controller: Option<Usage>,
+    /// And of tissues only.
+    parameters: &'static [TissueParameter],
 }
 
 /// How a kind of controller takes part.
@@ -37,7 +40,7 @@ struct Usage {
 
 impl Listing {
     fn new(name: impl Into<String>, about: impl Into<String>) -> Self {
-        Self { name: name.into(), about: about.into(), controller: None }
+        Self { name: name.into(), about: about.into(), controller: None, parameters: &[] }
     }
 
     fn json(&self) -> Result<Value, Failure> {
@@ -47,6 +50,10 @@ impl Listing {
             if let (Some(object), Value::Object(usage)) = (object.as_object_mut(), usage) {
                 object.extend(usage);
             }
+        }
+        if !self.parameters.is_empty() {
+            let parameter = |TissueParameter { name, unit, value, range, source }: &TissueParameter| json!({ "name": name, "unit": unit, "value": value, "range": range, "source": source });
+            object["parameters"] = self.parameters.iter().map(parameter).collect();
         }
         Ok(object)
     }
@@ -62,6 +69,10 @@ impl Listing {
                 }
             }
         }
+        for TissueParameter { name, unit, value, range: [low, high], source } in self.parameters {
+            let about = format!("{value} {unit}").trim_end().to_owned();
+            lines.push(format!("    {name} {about}, found to be {low} to {high}: {source}"));
+        }
         lines
     }
 }
@@ -75,6 +86,7 @@ pub fn list(app: &App, args: &ListArgs) -> Result<Exit, Failure> {
         Listed::Devices,
         Listed::Plans,
         Listed::Suites,
+        Listed::Tissues,
         Listed::Templates,
     ];
     let wanted: Vec<Listed> =
@@ -110,6 +122,7 @@ fn title(what: Listed) -> &'static str {
         Listed::Devices => "devices",
         Listed::Plans => "plans",
         Listed::Suites => "suites",
+        Listed::Tissues => "tissues",
         Listed::Templates => "templates",
     }
 }
@@ -133,6 +146,13 @@ fn listings(app: &App, what: Listed) -> Result<Vec<Listing>, Failure> {
         Listed::Devices => app.devices().map(pair).collect(),
         Listed::Plans => PLANS.iter().map(|(name, text)| Listing::new(*name, plans::about(text))).collect(),
         Listed::Suites => bench::SUITES.into_iter().map(pair).collect(),
+        Listed::Tissues => {
+            let tissue = |tissue: &TissueEntry| Listing {
+                parameters: tissue.parameters,
+                ..Listing::new(tissue.name, "")
+            };
+            TISSUES.iter().map(tissue).collect()
+        }
         Listed::Templates => {
             TEMPLATES.iter().map(|template| Listing::new(template.name, template.about)).collect()
         }

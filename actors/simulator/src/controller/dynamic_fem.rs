@@ -41,8 +41,7 @@ pub struct DynamicFemBody {
 }
 
 impl Default for DynamicFemBody {
-    /// A soft organ, in round numbers: the moduli of liver and stomach measured in vivo lie between 2 and 20 kPa (Carter et
-    /// al. 2001; Nava et al. 2008).
+    /// A soft organ, in round numbers; for what has been measured of each see [`trocar_scene::tissue`].
     fn default() -> Self {
         Self {
             young_modulus: 8e3,

@@ -52,7 +52,7 @@ pub struct LinearFemBody {
 }
 
 impl Default for LinearFemBody {
-    /// Liver, in round numbers: in vivo 2 to 20 kPa (Carter et al. 2001; Nava et al. 2008).
+    /// Liver, in round numbers; for what has been measured of each organ see [`trocar_scene::tissue`].
     fn default() -> Self {
         Self { young_modulus: 6e3, poisson_ratio: 0.45, contact_radius: 0.006 }
     }

@@ -56,7 +56,7 @@ pub enum Matter {
 }
 
 impl Default for Matter {
-    /// A soft organ, in round numbers: moduli measured in vivo lie between 2 and 20 kPa (Carter et al. 2001; Nava et al. 2008).
+    /// A soft organ, in round numbers; for what has been measured of each see [`trocar_scene::tissue`].
     fn default() -> Self {
         Self::Volume { young_modulus: 8e3, poisson_ratio: 0.45, density: 1060.0 }
     }

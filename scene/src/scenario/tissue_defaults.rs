@@ -1,0 +1,68 @@
+//! What a line `tissue = "liver"` does at an entity: components that have a parameter of it and leave it open get what has
+//! been measured, and what lies outside of the range is told.
+
+use serde::Deserialize;
+use serde_json::Value;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue, ValueDeserializer};
+
+use crate::tissue::{TissueEntry, TissueParameter};
+
+/// The matter of a body that components tell by a table of this name; its parameters have no place in their schema.
+const VOLUME: &str = "volume";
+
+/// The value of a component with what it leaves open. `text` is where that stands meanwhile.
+pub(super) fn completed<'a>(
+    tissue: &TissueEntry,
+    schema: Option<&Value>,
+    value: &Spanned<DeValue<'a>>,
+    text: &'a mut String,
+) -> Spanned<DeValue<'a>> {
+    for TissueParameter { name, value, .. } in tissue.parameters {
+        *text += &format!("{name} = {value:?}\n");
+    }
+    let mut value = value.clone();
+    let Ok(known) = DeTable::parse(text) else { return value };
+    if let DeValue::Table(table) = value.get_mut() {
+        let has = |name: &str| schema.is_some_and(|schema| !schema["properties"][name].is_null());
+        fill(table, known.get_ref(), &has);
+    }
+    value
+}
+
+fn fill<'a>(table: &mut DeTable<'a>, known: &DeTable<'a>, has: &dyn Fn(&str) -> bool) {
+    for (name, value) in known {
+        let is_open = !table.iter().any(|(key, _)| key.get_ref() == name.get_ref());
+        if is_open && has(name.get_ref()) {
+            table.insert(name.clone(), value.clone());
+        }
+    }
+    for (key, value) in table.iter_mut() {
+        let is_volume = key.get_ref() == VOLUME;
+        if let DeValue::Table(inner) = value.get_mut() {
+            let of_volume = |name: &str| ["young_modulus", "poisson_ratio", "density"].contains(&name);
+            fill(inner, known, if is_volume { &of_volume } else { &|_| false });
+        }
+    }
+}
+
+/// What of a component lies outside of what has been measured, one sentence.
+pub(super) fn doubt(tissue: &TissueEntry, component: &str, value: &Spanned<DeValue<'_>>) -> Option<String> {
+    let value = Value::deserialize(ValueDeserializer::from(value.clone())).ok()?;
+    let (parameter, found) = outside(tissue, &value)?;
+    let TissueParameter { name, unit, range: [low, high], source, .. } = parameter;
+    Some(format!(
+        "'{component}' has a {name} of {found} {unit}; of {} it is known to be {low} to {high} {unit}: {source}",
+        tissue.name
+    ))
+}
+
+fn outside(tissue: &TissueEntry, value: &Value) -> Option<(&'static TissueParameter, f64)> {
+    value.as_object()?.iter().find_map(|(key, value)| {
+        let of = || {
+            let (parameter, found) = (tissue.parameter(key)?, value.as_f64()?);
+            (!(parameter.range[0]..=parameter.range[1]).contains(&found)).then_some((parameter, found))
+        };
+        of().or_else(|| outside(tissue, value))
+    })
+}
