@@ -290,3 +290,36 @@ fn a_tissue_fills_in_what_its_components_leave_open_and_doubts_what_it_is_known_
     let doubt = &snapshot.get::<Doubtful>(organ).expect("no such liver").reason;
     assert!(doubt.contains("young_modulus of 100000 Pa") && doubt.contains("2700 to 7800 Pa"), "{doubt}");
 }
+
+#[test]
+fn a_membrane_that_is_drawn_too_far_tears_and_goes_on_to_the_bit_in_another_life() {
+    let hung = |tears_at: &str, kill: Option<u32>| {
+        let text = format!(
+            "[[entity]]\nname = \"fold\"\nmesh = {{ sheet = {{ size = [0.06, 0.04], cells = [12, 8] }} }}\n\
+             mass_spring = {{ springs = {{ surface = {{ membrane_stiffness = 0.3, bending_stiffness = 1e-7, density = 0.05 }} }}, \
+             damping = 10.0{tears_at} }}\n\
+             anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [-0.0299, 1.0, 1.0] }} }}] }}\n"
+        );
+        let build = |context: &trocar_scene::BuildContext<'_>| MassSpringController::new(GRAVITY, context);
+        let mut stage = Stage::new(scene(&text), 200.0, build);
+        for tick in 0..200 {
+            if kill == Some(tick) {
+                stage.rebuild(build);
+            }
+            stage.tick();
+        }
+        assert!(!stage.has::<Frozen>("fold"), "{}", stage.get::<Frozen>("fold").reason);
+        let told = ["pieces", "cut_length_m", "lowest_m"].map(|what| stage.measured(&format!("fold.{what}")));
+        (told, stage.get::<VertexPositions>("fold").positions)
+    };
+    let ([pieces, length, lowest], positions) = hung(", tears_at = 1.05", None);
+    assert!(pieces >= 2.0 && length >= 0.035, "{pieces} pieces, {length} m torn");
+    assert!(lowest < -0.3, "what has come off falls: {lowest} m");
+    assert_eq!(hung(", tears_at = 1.05", Some(60)).1, positions);
+    // The same membrane without a limit, and with one that it does not reach, hangs.
+    for none in ["", ", tears_at = 1.6"] {
+        let ([pieces, length, lowest], _) = hung(none, None);
+        assert_eq!((pieces, length), (1.0, 0.0));
+        assert!(lowest > -0.1, "{lowest} m");
+    }
+}

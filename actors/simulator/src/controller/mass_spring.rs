@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use nalgebra::{Point3, Vector2, Vector3};
+use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
@@ -93,6 +93,8 @@ pub struct MassSpringBody {
     pub contact_stiffness: f64,
     /// Coulomb friction against instruments.
     pub friction: f64,
+    /// Of a surface: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
+    pub tears_at: Option<f64>,
 }
 
 impl Default for MassSpringBody {
@@ -105,6 +107,7 @@ impl Default for MassSpringBody {
             thickness: 0.0005,
             contact_stiffness: 200.0,
             friction: 0.3,
+            tears_at: None,
         }
     }
 }
@@ -117,7 +120,8 @@ impl Component for MassSpringBody {
         ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
         ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
         ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
-        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("tears_at", self.tears_at.unwrap_or(2.0), 1.01..=100.0, "1.01 to 100")
     }
     fn schema() -> Option<serde_json::Value> {
         Some(schemars::schema_for!(Self).to_value())
@@ -221,24 +225,22 @@ fn areas(sheet: &Sheet) -> Vec<f64> {
 }
 
 impl MassSpringMethod {
-    /// Cuts where blades have swept, and lets springs and textures follow.
-    fn cut(
-        &mut self,
-        body: &mut Deformable,
-        sweeps: &[Sweep],
-        uv: &mut Vec<Vector2<f64>>,
-    ) -> Result<Option<TopologyChange>, String> {
+    /// Cuts where blades have swept, tears where it is drawn too far, and lets springs follow.
+    fn part(&mut self, body: &mut Deformable, sweeps: &[Sweep]) -> Result<Option<TopologyChange>, String> {
         let (Some(surface), Springs::Surface { membrane_stiffness, bending_stiffness, density }) =
             (&mut self.surface, self.kind.springs)
         else {
             return Ok(None);
         };
-        if sweeps.is_empty() {
-            return Ok(None);
+        let (sheet, positions) = (&mut surface.sheet, &self.solver.state().positions);
+        let mut change = TopologyChange::default();
+        if !sweeps.is_empty() {
+            change = sheet.cut(positions, sweeps).map_err(|error| error.to_string())?;
         }
-        let sheet = &mut surface.sheet;
-        let before = self.solver.state().positions.clone();
-        let change = sheet.cut(&before, sweeps).map_err(|error| error.to_string())?;
+        // A tear runs on from tick to tick.
+        if let Some(stretch) = self.kind.tears_at.filter(|_| change.is_empty()) {
+            change = sheet.tear(positions, stretch).map_err(|error| error.to_string())?;
+        }
         if change.is_empty() {
             return Ok(None);
         }
@@ -257,9 +259,6 @@ impl MassSpringMethod {
             network.update_surface(sheet.rest(), sheet.triangles(), &material, &change.stale, about)
         });
         followed.map_err(|error| error.to_string())?;
-        if uv.len() == before.len() {
-            change.carry(uv, |a, b, share| a + (b - a) * share);
-        }
         body.pinned = pinned;
         body.rest = Arc::new(sheet.rest().to_vec());
         body.triangles = Arc::new(sheet.triangles().to_vec());
@@ -292,6 +291,14 @@ impl SoftMethod for MassSpringMethod {
             }
             _ => None,
         };
+        if kind.tears_at.is_some() && (burning.is_some() || !matches!(kind.springs, Springs::Surface { .. }))
+        {
+            return Err(
+                "'tears_at' is of surfaces that nothing burns: volumes of 'xpbd' and 'dynamic_fem' tear by \
+                        'strength'"
+                    .into(),
+            );
+        }
         let altered = burning.as_ref().map(BurningSurface::altered).unwrap_or_default();
         let network = kind.network(body, &altered)?;
         let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
@@ -348,11 +355,13 @@ impl SoftMethod for MassSpringMethod {
         let had_blades = !surface.cuts.blades.is_empty();
         let sweeps = surface.cuts.sweeps(site.scene, site.world_from_body);
         surface.changed |= had_blades || !surface.cuts.blades.is_empty();
-        let texture = site.scene.get::<TextureCoordinates>(body.entity);
-        let mut uv =
-            if sweeps.is_empty() { Vec::new() } else { texture.map_or_else(Vec::new, |t| t.uv.to_vec()) };
-        let Some(change) = self.cut(body, &sweeps, &mut uv)? else { return Ok(None) };
-        if texture.is_some() {
+        let vertices = body.rest.len();
+        let Some(change) = self.part(body, &sweeps)? else { return Ok(None) };
+        if let Some(texture) = site.scene.get::<TextureCoordinates>(body.entity) {
+            let mut uv = texture.uv.to_vec();
+            if uv.len() == vertices {
+                change.carry(&mut uv, |a, b, share| a + (b - a) * share);
+            }
             out.put(body.entity, TextureCoordinates { uv: Arc::new(uv) });
         }
         body.changed_topology();

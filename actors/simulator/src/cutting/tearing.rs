@@ -30,14 +30,26 @@ impl Sheet {
         }
         let Some((_, triangle, direction)) = worst else { return Ok(TopologyChange::default()) };
         let corners = self.triangles()[triangle as usize];
-        // A tear goes on where there is one: at a tip, else at a border, else where it is stretched.
+        // A tear goes on where there is one: at a tip, else at a border, else where it is stretched. Along a border there is
+        // nothing to tear.
         let rank = |vertex: &u32| (!self.state.tips.contains(vertex), !self.on_border(*vertex), *vertex);
-        let Some(&start) = corners.iter().min_by_key(|vertex| rank(vertex)) else {
-            return Ok(TopologyChange::default());
-        };
+        let mut starts = corners;
+        starts.sort_unstable_by_key(rank);
+        for start in starts {
+            self.tear_from(start, triangle, &direction);
+            let change = self.take_change();
+            if !change.is_empty() {
+                return Ok(change);
+            }
+        }
+        Ok(TopologyChange::default())
+    }
+
+    /// Across the direction in which a triangle is stretched, from one of its corners.
+    fn tear_from(&mut self, start: u32, triangle: u32, direction: &Vector2<f64>) {
         let [first, second] = self.frame(triangle);
         let across = first * -direction.y + second * direction.x;
-        let [a, b, c] = corners.map(|vertex| self.rest()[vertex as usize]);
+        let [a, b, c] = self.triangles()[triangle as usize].map(|vertex| self.rest()[vertex as usize]);
         let reach = (b - a).norm().max((c - b).norm()).max((a - c).norm());
         let from = self.rest()[start as usize];
         // From the end of a cut it goes on, away from where the lips already are.
@@ -50,7 +62,6 @@ impl Sheet {
         for way in ways.iter().map(|way| across * *way) {
             self.run(start, triangle, vec![from, from + way * (1.5 * reach)]);
         }
-        Ok(self.take_change())
     }
 
     fn run(&mut self, start: u32, triangle: u32, points: Vec<Point3<f64>>) {

@@ -194,6 +194,12 @@ impl DynamicFem {
         &self.work.reactions
     }
 
+    /// Entries of the factor by which steps are solved for: what a solve reads.
+    #[must_use]
+    pub fn factor_entries(&self) -> usize {
+        self.factor.entries()
+    }
+
     /// Of motion and of deformation.
     #[must_use]
     pub fn energies(&self) -> Energies {

@@ -133,7 +133,7 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
     let simulator: [(&'static str, Measure<'_>); 5] = [
         ("finite elements", &|| simulator::elements(args.peers.as_deref())),
         ("cloth and position-based bodies", &|| simulator::soft(args.peers.as_deref())),
-        ("thread, heat and liquid", &simulator::flows),
+        ("thread, heat and liquid", &|| simulator::flows(args.peers.as_deref())),
         ("two rates in one scene, live", &simulator::live),
         ("growth with size", &simulator::growth),
     ];

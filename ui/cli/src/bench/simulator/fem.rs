@@ -26,6 +26,29 @@ pub fn precomputed(cells: [usize; 3], size: [f64; 3]) -> Result<LinearFem, Failu
     LinearFem::new(mesh, &material, &wall, &Limits::default(), &mut |_| true).map_err(Failure::internal)
 }
 
+/// Median time of a solve for so many held nodes that all move; they stay held.
+fn contact_of(body: &mut LinearFem, held: usize) -> Result<(f64, f64), Failure> {
+    let free = body.compliance().nodes().to_vec();
+    let start = free.len() / 2;
+    let handles: Result<Vec<_>, _> =
+        (0..held).map(|i| body.hold(Attachment::node(free[start + i], Hold::Point))).collect();
+    let handles = handles.map_err(Failure::internal)?;
+    let mut phase = 0.0_f64;
+    Ok(per_run(500, || {
+        phase += 0.01;
+        for handle in &handles {
+            let target = Vector3::new(0.0, 1e-3 * phase.sin(), 0.0);
+            black_box(body.set_target(*handle, target).is_ok());
+        }
+        black_box(body.solve(&[]).map(|solution| solution.reactions[0]).is_ok());
+    }))
+}
+
+/// The same of a block of its own.
+pub fn contact_secs(held: usize) -> Result<(f64, f64), Failure> {
+    contact_of(&mut precomputed([8, 8, 8], [0.1; 3])?, held)
+}
+
 /// Linear finite elements with a precomputed inverse.
 pub fn linear() -> Result<Vec<BenchResult>, Failure> {
     let mut rows = Vec::new();
@@ -39,20 +62,7 @@ pub fn linear() -> Result<Vec<BenchResult>, Failure> {
     }
     rows.push(at_most("linear_fem_precompute_1009_nodes", "s", median_and_spread(&times), 1.0));
 
-    let free = body.compliance().nodes().to_vec();
-    let start = free.len() / 2;
-    let ten: Result<Vec<_>, _> =
-        (0..10).map(|i| body.hold(Attachment::node(free[start + i], Hold::Point))).collect();
-    let ten = ten.map_err(Failure::internal)?;
-    let mut phase = 0.0_f64;
-    let contact = per_run(500, || {
-        phase += 0.01;
-        for handle in &ten {
-            let target = Vector3::new(0.0, 1e-3 * phase.sin(), 0.0);
-            black_box(body.set_target(*handle, target).is_ok());
-        }
-        black_box(body.solve(&[]).map(|solution| solution.reactions[0]).is_ok());
-    });
+    let contact = contact_of(&mut body, 10)?;
     rows.push(at_most("linear_fem_contact_10_nodes", "µs", scaled(contact, 1e6), 20.0));
     let mut out = Vec::new();
     let surface = per_run(200, || body.surface_displacements(black_box(&mut out)));
@@ -67,6 +77,7 @@ pub fn linear() -> Result<Vec<BenchResult>, Failure> {
     let free = bar.compliance().nodes().to_vec();
     let end = Attachment::node(free[free.len() - 1], Hold::Point);
     let end = bar.hold(end).map_err(Failure::internal)?;
+    let mut phase = 0.0_f64;
     let load = [(free[free.len() / 2], 1.0)];
     let step = per_run(500, || {
         phase += 0.01;
@@ -103,12 +114,17 @@ pub fn dynamic(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
         let tets = body.mesh().tets().len();
         let inputs = Inputs { acceleration: GRAVITY, ..Inputs::default() };
         let (mut ours, mut theirs, mut residual) = (Vec::new(), Vec::new(), 0.0_f64);
+        let (mut solves, mut evaluations) = (0, 0);
         let mut failed = None;
         for _ in 0..BLOCKS {
             let block = secs(|| {
                 for _ in 0..STEPS {
                     match body.step(1e-3, black_box(&inputs)) {
-                        Ok(report) => residual = residual.max(report.residual),
+                        Ok(report) => {
+                            residual = residual.max(report.residual);
+                            solves += report.iterations;
+                            evaluations += report.evaluations;
+                        }
                         Err(error) => failed = Some(error),
                     }
                 }
@@ -130,6 +146,15 @@ pub fn dynamic(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
             }
             None => BenchResult::on_value(&name, "ms (no peer)", figure, None, Better::Lower),
         });
+        // A solve reads the factor there and back. Of an element: its deformation, the polar decomposition, stress, four forces.
+        let per_step = |count: u32| f64::from(count) / (BLOCKS * STEPS) as f64;
+        let (entries, elements) = (body.factor_entries() as f64, tets as f64);
+        let work = Work {
+            operations: per_step(solves) * 4.0 * entries + per_step(evaluations) * 500.0 * elements,
+            single: false,
+            bytes: per_step(solves) * 16.0 * entries + per_step(evaluations) * 200.0 * elements,
+        };
+        rows.push(share(&format!("corotational_{tets}"), figure.0 * 1e-3, work));
         rows.push(at_most(&format!("corotational_{tets}_residual"), "share", (residual, 0.0), 1e-4));
         if let Some(peer) = &mut peer {
             // Both are at rest by now.

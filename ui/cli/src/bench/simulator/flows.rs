@@ -1,15 +1,19 @@
 //! Thread, heat and liquid.
 
+use std::f64::consts::PI;
 use std::hint::black_box;
+use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar::summary::BenchResult;
+use trocar::summary::{BenchResult, Better};
+use trocar_kernel::bench::median_and_spread;
 use trocar_simulator::electrosurgery::{Electrode, Electrosurgery, Mode};
-use trocar_simulator::thread::{Hold, Obstacle, Shape, Surroundings};
+use trocar_simulator::thread::{Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 
 use super::bodies::{GRAVITY, basin, coil, membrane};
+use super::peers::{ElasticaRod, SaggingRod};
 use super::roofline::{Work, share};
-use super::{at_least_hz, at_most, per_run, scaled};
+use super::{BLOCKS, at_least_hz, at_most, per_run, scaled, secs};
 use crate::failure::Failure;
 
 /// Median time of a millisecond of a coil of thread on a table.
@@ -31,12 +35,77 @@ pub fn thread_secs(edges: usize, lying: bool) -> Result<(f64, f64), Failure> {
     failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
 }
 
-/// Thread with contacts among its turns.
-pub fn thread() -> Result<Vec<BenchResult>, Failure> {
-    Ok(vec![
+/// Thread with contacts among its turns, and a rod beside PyElastica's.
+pub fn thread(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
+    let mut rows = vec![
         at_most("thread_100", "ms", scaled(thread_secs(100, false)?, 1e3), 0.3),
         at_most("thread_300", "ms", scaled(thread_secs(300, false)?, 1e3), 1.0),
         at_most("thread_300_lying", "ms", scaled(thread_secs(300, true)?, 1e3), 1.0),
+    ];
+    if let Some(python) = python {
+        rows.extend(beside_elastica(python)?);
+    }
+    Ok(rows)
+}
+
+/// The rod that PyElastica and we let sag.
+const SAGGING: SaggingRod =
+    SaggingRod { edges: 100, length: 0.03, radius: 2e-4, density: 1100.0, young: 5e7, damping: 40.0 };
+/// What PyElastica's explicit steps bear of it \[s\]; ours are a thousand times as long.
+const ELASTICA_STEP: f64 = 1e-6;
+/// Simulated time of a block \[s\]: after all blocks it is at rest.
+const STRETCH: f64 = 0.06;
+
+/// A simulated millisecond of a rod that sags, of ours and of PyElastica's; and how far each is from where the theory of beams
+/// has its end.
+fn beside_elastica(python: &Path) -> Result<Vec<BenchResult>, Failure> {
+    let SaggingRod { edges, length, radius, density, young, damping } = SAGGING;
+    let (area, bending) = (PI * radius.powi(2), 0.25 * PI * radius.powi(4));
+    let material = ThreadMaterial {
+        radius,
+        mass_per_length: density * area,
+        axial_stiffness: young * area,
+        bending_stiffness: young * bending,
+        twisting_stiffness: young / 1.3 * bending,
+        damping: 0.0,
+        drag: damping,
+        ..ThreadMaterial::silk_2_0()
+    };
+    // The clamp of ours is in the middle of its first edge.
+    let edge = length / (edges as f64 - 0.5);
+    let points: Vec<_> = (0..=edges).map(|node| Point3::new((node as f64 - 0.5) * edge, 0.0, 0.0)).collect();
+    let mut rod = Thread::new(material, &points).map_err(Failure::internal)?;
+    let holds = [Hold::fixed(0, points[0]), Hold::fixed(1, points[1])];
+    let around = Surroundings { gravity: GRAVITY, holds: &holds, ..Surroundings::default() };
+    let mut peer = ElasticaRod::start(python, &SAGGING, ELASTICA_STEP)?;
+    let (mut ours, mut theirs, mut failed) = (Vec::new(), Vec::new(), None);
+    let steps = (STRETCH * 1e3).round() as usize;
+    for _ in 0..BLOCKS {
+        let block = secs(|| {
+            for _ in 0..steps {
+                if let Err(error) = rod.step(1e-3, black_box(&around)) {
+                    failed = Some(error);
+                }
+            }
+        });
+        ours.push(block / steps as f64 * 1e3);
+        theirs.push(peer.stretch(STRETCH)?);
+    }
+    failed.map_or(Ok(()), |error| Err(Failure::internal(error)))?;
+    let error = |tip: f64| ((tip / peer.deflection_linear - 1.0).abs(), 0.0);
+    let (figure, floor) = (median_and_spread(&ours), median_and_spread(&theirs).0);
+    let name = "simulator_rod_100_elastica";
+    let own = error(-rod.positions()[edges].z);
+    Ok(vec![
+        BenchResult::on_ratio(name, "ms", figure, floor, Some(0.5), Better::Lower),
+        // One that has lost its numbers is no measure of error, and the theory is none within a hundredth.
+        BenchResult::on_value(
+            &format!("{name}_static_error"),
+            "share",
+            own,
+            peer.tip().map(|tip| error(tip).0.max(0.01)),
+            Better::Lower,
+        ),
     ])
 }
 

@@ -6,7 +6,7 @@ use trocar::summary::{BenchResult, Better};
 use trocar_simulator::dynamic_fem::Inputs;
 
 use super::bodies::GRAVITY;
-use super::{fem, flows, per_run, scaled, secs, soft, told};
+use super::{fem, flows, per_run, rigid, scaled, secs, soft, told};
 use crate::failure::Failure;
 
 /// Median times of steps by size, as rows of a plot \[µs\].
@@ -34,6 +34,12 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
             return Err(Failure::internal(error));
         }
         row("fem_corotational", body.mesh().tets().len(), scaled(figure, 1e6));
+    }
+    for held in [5, 10, 20, 40, 80] {
+        row("fem_contact", held, scaled(fem::contact_secs(held)?, 1e6));
+    }
+    for bodies in [10, 30, 100, 300] {
+        row("rigid", bodies, scaled(rigid::pile_secs(bodies)?, 1e6));
     }
     for n in [16, 32, 64, 128] {
         let triangles = 2 * (n * n) as usize;

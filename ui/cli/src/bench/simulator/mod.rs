@@ -1,5 +1,5 @@
-//! What simulators cost, on one thread: finite elements beside MuJoCo's and position-based bodies beside pypbd's where a
-//! Python has them, cloth, thread, heat, liquid, and how all of it grows with size.
+//! What simulators cost, on one thread: beside finite elements of MuJoCo, position-based bodies of pypbd, rods of
+//! PyElastica and cloth of Bullet where a Python has them; heat, liquid, and how all of it grows with size.
 //!
 //! Times are those of the thread, as its clock of processor time has them: what else the machine does is not counted.
 
@@ -9,6 +9,7 @@ mod flows;
 mod growth;
 mod live;
 mod peers;
+mod rigid;
 mod roofline;
 mod soft;
 
@@ -83,16 +84,16 @@ pub fn elements(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
 /// Cloth and position-based bodies.
 pub fn soft(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     alone(|| {
-        let mut rows = soft::cloth()?;
+        let mut rows = soft::cloth(python)?;
         rows.extend(soft::position_based(python)?);
         Ok(rows)
     })
 }
 
 /// Thread, heat and liquid.
-pub fn flows() -> Result<Vec<BenchResult>, Failure> {
+pub fn flows(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     alone(|| {
-        let mut rows = flows::thread()?;
+        let mut rows = flows::thread(python)?;
         rows.extend(flows::heat()?);
         rows.extend(flows::liquid()?);
         Ok(rows)

@@ -1,4 +1,4 @@
-//! The peers: MuJoCo's flexible bodies, pypbd's position-based solids.
+//! The peers: MuJoCo's flexible bodies, pypbd's position-based solids, PyElastica's rods, Bullet's cloth.
 
 use std::path::Path;
 
@@ -8,6 +8,8 @@ use crate::bench::peer::{Peer, numbers};
 use crate::failure::Failure;
 
 const PYPBD: &str = include_str!("../../../../../tests/peers/simulator_xpbd.py");
+const ELASTICA: &str = include_str!("../../../../../tests/peers/simulator_rod.py");
+const BULLET: &str = include_str!("../../../../../tests/peers/simulator_cloth.py");
 const MUJOCO: &str = include_str!("../../../../../tests/peers/simulator_fem.py");
 
 /// The beam of [`super::fem::beam`] in MuJoCo.
@@ -86,6 +88,94 @@ impl PypbdBeam {
     /// How far its end has come down \[m\]; none when it has lost its numbers.
     pub fn tip(&self) -> Option<f64> {
         self.tip
+    }
+}
+
+/// A rod that is clamped at one end and sags under its weight.
+#[derive(Clone, Copy, Debug)]
+pub struct SaggingRod {
+    /// How many edges.
+    pub edges: usize,
+    /// \[m\].
+    pub length: f64,
+    /// \[m\].
+    pub radius: f64,
+    /// \[kg/m³\].
+    pub density: f64,
+    /// Young's modulus \[Pa\].
+    pub young: f64,
+    /// Share of a velocity that goes in a second \[1/s\].
+    pub damping: f64,
+}
+
+/// A rod in PyElastica.
+pub struct ElasticaRod {
+    peer: Peer,
+    /// Deflection of its end at rest by the theory of slender beams \[m\].
+    pub deflection_linear: f64,
+    tip: Option<f64>,
+}
+
+impl ElasticaRod {
+    /// Starts it with the same rod.
+    ///
+    /// # Errors
+    /// When that Python has no PyElastica, or it does not understand.
+    pub fn start(python: &Path, rod: &SaggingRod, step_secs: f64) -> Result<Self, Failure> {
+        let mut peer = Peer::start(python, ELASTICA)?;
+        let answer = peer.ask(&json!({
+            "edges": rod.edges, "length": rod.length, "radius": rod.radius, "density": rod.density,
+            "young": rod.young, "damping": rod.damping, "dt": step_secs
+        }))?;
+        let deflection_linear = answer["deflection_linear"]
+            .as_f64()
+            .ok_or_else(|| Failure::internal("the peer does not say how far its rod should sag"))?;
+        Ok(Self { peer, deflection_linear, tip: None })
+    }
+
+    /// Mean processor time of a simulated millisecond, of so many seconds \[ms\].
+    ///
+    /// # Errors
+    /// When it does not answer.
+    pub fn stretch(&mut self, secs: f64) -> Result<f64, Failure> {
+        let answer = self.peer.ask(&json!({ "secs": secs }))?;
+        self.tip = answer["tip"].as_f64();
+        answer["ms"].as_f64().ok_or_else(|| Failure::internal("the peer tells no time"))
+    }
+
+    /// How far its end has come down \[m\]; none when it has lost its numbers.
+    pub fn tip(&self) -> Option<f64> {
+        self.tip
+    }
+}
+
+/// A sheet of masses and springs in Bullet, hanging from one edge.
+pub struct BulletCloth(Peer);
+
+impl BulletCloth {
+    /// Starts it: so many squares to a side of 10 cm.
+    ///
+    /// # Errors
+    /// When that Python has no pybullet, or it does not understand.
+    pub fn start(python: &Path, squares: u32) -> Result<Self, Failure> {
+        let mut peer = Peer::start(python, BULLET)?;
+        // As stiff as its explicit steps bear at half of ours.
+        let sheet =
+            json!({ "squares": squares, "size": 0.1, "density": 0.15, "stiffness": 10.0, "dt": 5e-5 });
+        peer.ask(&sheet)?;
+        Ok(Self(peer))
+    }
+
+    /// Mean processor time of so many steps \[ms\].
+    ///
+    /// # Errors
+    /// When it does not answer, or has lost its numbers.
+    pub fn steps(&mut self, count: usize) -> Result<f64, Failure> {
+        let answer = self.0.ask(&json!({ "steps": count }))?;
+        if answer["lowest"].is_null() {
+            return Err(Failure::internal("the peer's cloth has lost its numbers"));
+        }
+        answer["ms"].as_f64().ok_or_else(|| Failure::internal("the peer tells no time"))
     }
 }
 

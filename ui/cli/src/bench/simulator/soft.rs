@@ -9,7 +9,7 @@ use trocar_simulator::mass_spring::{Input, Integrator, LinearSolver, MassSpring,
 use trocar_simulator::xpbd::{XpbdConfig, XpbdInput};
 
 use super::bodies::{GRAVITY, cloth as gauze, position_based as beam};
-use super::peers::{PypbdBeam, SaggingBeam};
+use super::peers::{BulletCloth, PypbdBeam, SaggingBeam};
 use super::roofline::{Work, share};
 use super::{BLOCKS, at_least_hz, at_most, per_run, scaled, secs};
 use crate::failure::Failure;
@@ -44,8 +44,8 @@ pub fn step_secs((mut cloth, dt): (MassSpring, f64), runs: usize) -> Result<(f64
     failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
 }
 
-/// A gauze of 64 × 64 squares.
-pub fn cloth() -> Result<Vec<BenchResult>, Failure> {
+/// A gauze of 64 × 64 squares; a step of it beside one of Bullet's, blocks in turns.
+pub fn cloth(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     let cloth = explicit(64)?;
     let network = cloth.0.network();
     // Of a spring: the way between two nodes and how fast it grows, its length, the force and its two ends. Of a node: its
@@ -57,11 +57,38 @@ pub fn cloth() -> Result<Vec<BenchResult>, Failure> {
         bytes: 24.0 * springs + 48.0 * nodes,
     };
     let figure = step_secs(cloth, 200)?;
-    Ok(vec![
+    let mut rows = vec![
         at_least_hz("cloth_64_explicit", figure, 2_000.0),
         share("cloth_64_explicit", figure.0, work),
         at_most("cloth_64_implicit", "ms", scaled(step_secs(implicit(64)?, 10)?, 1e3), 8.0),
-    ])
+    ];
+    if let Some(python) = python {
+        rows.push(beside_bullet(python)?);
+    }
+    Ok(rows)
+}
+
+/// An explicit step of a sheet of masses and springs, of ours and of Bullet's.
+fn beside_bullet(python: &Path) -> Result<BenchResult, Failure> {
+    let mut peer = BulletCloth::start(python, 64)?;
+    let (mut cloth, dt) = explicit(64)?;
+    let input = Input { gravity: GRAVITY, ..Input::default() };
+    let (mut ours, mut theirs, mut failed) = (Vec::new(), Vec::new(), None);
+    for _ in 0..BLOCKS {
+        let block = secs(|| {
+            for _ in 0..200 {
+                if let Err(error) = cloth.step(dt, black_box(&input)) {
+                    failed = Some(error);
+                }
+            }
+        });
+        ours.push(block / 200.0 * 1e3);
+        theirs.push(peer.steps(50)?);
+    }
+    failed.map_or(Ok(()), |error| Err(Failure::internal(error)))?;
+    let (figure, floor) = (median_and_spread(&ours), median_and_spread(&theirs).0);
+    let name = "simulator_cloth_64_explicit_bullet";
+    Ok(BenchResult::on_ratio(name, "ms", figure, floor, Some(0.5), Better::Lower))
 }
 
 /// Median time of a step of 5 ms with five rounds of constraints, of a block of so many cells of 1 cm.

@@ -1,0 +1,36 @@
+//! Rigid bodies of our own.
+
+use trocar_scene::{Entity, Motion, Pose, RigidBody, Shape, SimTime, Velocity};
+use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings, World};
+
+use super::per_run;
+use crate::failure::Failure;
+
+/// Edge of the boxes \[m\], and how far apart they begin.
+const EDGE: f64 = 0.01;
+const APART: f64 = 0.0105;
+
+/// Median time of a step of boxes that fall on each other and onto a floor, from the first touch on: none sleeps yet.
+pub fn pile_secs(bodies: usize) -> Result<(f64, f64), Failure> {
+    let settings = RigidSettings { floor_height: Some(0.0), ..RigidSettings::default() };
+    let mut world = <ImpulseWorld as World>::new(settings, SimTime::ZERO).map_err(Failure::internal)?;
+    let body = RigidBody { motion: Motion::Dynamic, mass: 0.005, friction: 0.4, ..RigidBody::default() };
+    let shape = Shape::Box { half_extents: [0.5 * EDGE; 3] };
+    // Square layers, one on the other.
+    let side = (bodies as f64).cbrt().ceil() as usize;
+    for index in 0..bodies {
+        let [i, j, k] = [index % side, index / side % side, index / side / side];
+        let at = Pose::at(APART * i as f64, APART * j as f64, 0.5 * EDGE + APART * k as f64);
+        let entity = Entity::new(0, 0, index as u32 + 1);
+        world.insert_body(entity, &body, &shape, &at, &Velocity::default()).map_err(Failure::internal)?;
+    }
+    let mut failed = None;
+    let mut step = || {
+        if let Err(error) = World::step(&mut world) {
+            failed = Some(error);
+        }
+    };
+    (0..20).for_each(|_| step());
+    let figure = per_run(10, step);
+    failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
+}
