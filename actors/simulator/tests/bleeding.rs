@@ -363,3 +363,65 @@ fn what_burns_gives_off_smoke_that_rises_and_goes() {
     assert_eq!(play.measured("smoke.puffs"), 0.0, "it has gone");
     assert!(play.get::<Particles>("smoke").positions.is_empty());
 }
+
+#[test]
+fn an_irrigator_brings_liquid_and_a_sucker_takes_it_while_they_are_switched_on() {
+    let tube = |name: &str, kind: &str, x: f64| {
+        format!(
+            "[[entity]]\nname = \"{name}\"\npose = {{ translation = [{x}, 0.0, 0.03], rotation = [1.0, 0.0, 0.0, 0.0] }}\n\
+             instrument = {{ kind = \"probe\", shaft_length = 0.1, shaft_radius = 0.002, jaw_length = 0.004, jaws = 0 }}\n{kind}\n"
+        )
+    };
+    let text = |sucker: &str| {
+        format!(
+            "{}{}[[entity]]\nname = \"pool\"\nliquid = {{ spacing = 0.003, min = [-0.05, -0.05, 0.0], max = [0.05, 0.05, 0.1] }}\n\
+             particles = {{}}\n\
+             [[entity]]\nname = \"floor\"\nmesh = {{ sheet = {{ size = [0.1, 0.1], cells = [4, 4] }} }}\nliquid_wall = {{}}\n",
+            tube("rinse", "irrigator = { rate = 1e-5, area = 2e-5 }", 0.0),
+            tube("drain", sucker, 0.0)
+        )
+    };
+    let build = |context: &BuildContext<'_>| FluidController::new(GRAVITY, context);
+    let mut stage = Stage::new(scene(&text("sucker = { rate = 2e-5, reach = 0.02 }")), 100.0, build);
+    let switch = |stage: &mut Stage<FluidController>, name: &str, level: f64| {
+        let since = stage.now();
+        stage.put(name, Activation { level, since });
+    };
+    (0..5).for_each(|_| stage.tick());
+    assert_eq!(stage.measured("pool.emitted_m3"), 0.0, "it is off");
+    switch(&mut stage, "rinse", 0.5);
+    (0..100).for_each(|_| stage.tick());
+    stage.rebuild(build);
+    (0..100).for_each(|_| stage.tick());
+    switch(&mut stage, "rinse", 0.0);
+    (0..50).for_each(|_| stage.tick());
+    // Two seconds at half of 10 ml/s.
+    let emitted = stage.measured("pool.emitted_m3");
+    assert!((emitted / 1e-5 - 1.0).abs() < 0.02, "{emitted} m³");
+    assert_eq!(stage.measured("pool.sucked_m3"), 0.0);
+    let there = stage.measured("pool.volume_m3");
+    assert!(there > 0.5 * emitted, "{there} m³");
+    let on_floor = down(0.0, 0.0, 0.003);
+    stage.put("drain", on_floor);
+    switch(&mut stage, "drain", 1.0);
+    (0..20).for_each(|_| stage.tick());
+    let early = stage.measured("pool.sucked_m3");
+    assert!(early > 1e-6 && early <= 2e-5 * 0.2 * 1.01, "{early} m³ of what its rate allows");
+    (0..100).for_each(|_| stage.tick());
+    switch(&mut stage, "drain", 0.0);
+    let sucked = stage.measured("pool.sucked_m3");
+    assert!(sucked > early, "{sucked} m³");
+    (0..20).for_each(|_| stage.tick());
+    assert_eq!(stage.measured("pool.sucked_m3"), sucked);
+    let [emitted, volume, absorbed] =
+        ["emitted_m3", "volume_m3", "absorbed_m3"].map(|what| stage.measured(&format!("pool.{what}")));
+    assert!((emitted - volume - absorbed).abs() < 1e-12 && sucked <= absorbed, "nothing is lost");
+    // One switch cannot say which of two.
+    let both = scene(&text("sucker = {}\nirrigator = {}"));
+    let snapshot = both.snapshot();
+    let me = trocar_scene::Entity::of_writer(0, 7);
+    let context =
+        BuildContext { scene: &snapshot, time: Default::default(), name: "liquid", me, epoch: 1, seed: 1 };
+    let Err(error) = build(&context) else { panic!("one switch for both") };
+    assert!(error.to_string().contains("'drain'"), "{error}");
+}

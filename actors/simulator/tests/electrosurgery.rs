@@ -137,6 +137,36 @@ fn parts(triangles: &[[u32; 3]], removed: &[bool]) -> Vec<usize> {
 }
 
 #[test]
+fn what_goes_does_not_depend_on_the_mesh() {
+    let (material, lattice) = (ThermalMaterial::default(), LatticeConfig::default());
+    let organ = |halves: u32, dt: f64| {
+        let (positions, tets) = block([6, 6, 4].map(|cells| halves * cells), 3e-3 / f64::from(halves));
+        let tissue = Tissue::Volume { positions: &positions, tets: &tets };
+        let mut heat = Electrosurgery::new(&tissue, material, lattice).expect("tissue");
+        let volume = stroke(&mut heat, dt, 1.0, TIP);
+        assert_balanced(&heat, 1e-9);
+        volume * 1e9
+    };
+    let fold = |halves: u32, dt: f64| {
+        let (positions, triangles) = membrane(12 * halves, 1e-3 / f64::from(halves));
+        let tissue = Tissue::Membrane { positions: &positions, triangles: &triangles, thickness: 0.8e-3 };
+        let mut heat = Electrosurgery::new(&tissue, material, lattice).expect("tissue");
+        let volume = stroke(&mut heat, dt, 1.0, TIP);
+        assert_balanced(&heat, 1e-9);
+        volume * 1e9
+    };
+    let (of_organ, of_fold) = (organ(1, 0.01), fold(1, 0.01));
+    assert!(of_organ > 5.0 && of_fold > 1.0, "{of_organ} and {of_fold} mm³");
+    for (what, volume, reference) in [
+        ("an organ of half the edges", organ(2, 0.01), of_organ),
+        ("a membrane of half the edges", fold(2, 0.01), of_fold),
+        ("a membrane at a tenth of the step", fold(1, 0.001), of_fold),
+    ] {
+        assert!((volume / reference - 1.0).abs() < 0.1, "{what}: {volume}, not {reference} mm³");
+    }
+}
+
+#[test]
 fn a_membrane_is_cut_through() {
     let (positions, triangles) = membrane(16, 1e-3);
     let tissue = Tissue::Membrane { positions: &positions, triangles: &triangles, thickness: 0.8e-3 };

@@ -314,6 +314,14 @@ fn lists_graphs_schemas_and_completions_are_printed() {
     }
     let listed: Value = serde_json::from_str(&text(&["list", "scenarios", "--json"])).expect("JSON");
     assert_eq!(listed["scenarios"][0]["name"], "peg-transfer");
+    let listed: Value = serde_json::from_str(&text(&["list", "tissues", "--json"])).expect("JSON");
+    let liver = listed["tissues"].as_array().expect("a list").iter().find(|tissue| tissue["name"] == "liver");
+    let young = &liver.expect("one")["parameters"][0];
+    assert_eq!(
+        (&young["name"], &young["value"], &young["unit"]),
+        (&"young_modulus".into(), &4740.0.into(), &"Pa".into())
+    );
+    assert!(text(&["list", "tissues"]).contains("found to be 2700 to 7800: shear-wave elastography"));
     let listed: Value = serde_json::from_str(&text(&["list", "controllers", "--json"])).expect("JSON");
     let kinds = listed["controllers"].as_array().expect("a list");
     let names: Vec<&str> = kinds.iter().filter_map(|kind| kind["name"].as_str()).collect();

@@ -1,4 +1,5 @@
-//! The controller of a liquid: blood out of every vessel, between the surfaces that it does not pass.
+//! The controller of a liquid: out of every vessel and irrigator, between the surfaces that it does not pass, until a sucker
+//! takes it.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,12 +8,13 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
-    Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
-    EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, RestPositions, Snapshot, SurfaceMesh, Tick,
-    VertexPositions,
+    Access, Activation, BuildContext, Commands, Component, ComponentError, Controller, ControllerError,
+    Entity, EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, RestPositions, Snapshot, SurfaceMesh,
+    Tick, VertexPositions,
 };
 
 use super::bleeding::{VesselState, rest_of};
+use super::irrigation::{self, Irrigator, Sucker, Suction};
 use crate::fluid::walls::{WallSample, sample};
 use crate::fluid::{Fluid, FluidConfig, FluidState, Spout};
 
@@ -90,8 +92,11 @@ impl Component for LiquidWall {
 pub struct LiquidState {
     /// The particles.
     pub fluid: Arc<FluidState>,
-    /// How much came out of each vessel.
+    /// How much came out of each vessel and irrigator.
     pub spouts: Vec<(Entity, Spout)>,
+    /// How much each sucker took.
+    #[serde(default)]
+    pub suctions: Vec<(Entity, Suction)>,
 }
 impl Component for LiquidState {
     const NAME: &'static str = "liquid_state";
@@ -116,6 +121,7 @@ pub struct FluidController {
     fluid: Fluid,
     gravity_in_world: Vector3<f64>,
     spouts: BTreeMap<Entity, Spout>,
+    suctions: BTreeMap<Entity, Suction>,
     walls: Vec<Wall>,
     places: Vec<Point3<f64>>,
     speeds: Vec<Vector3<f64>>,
@@ -148,13 +154,15 @@ impl FluidController {
             ..FluidConfig::default()
         };
         let mut fluid = Fluid::new(config).map_err(|error| wrong(error.to_string()))?;
-        let mut spouts = BTreeMap::new();
+        irrigation::check(scene)?;
+        let (mut spouts, mut suctions) = (BTreeMap::new(), BTreeMap::new());
         if let Some(known) = scene.get::<LiquidState>(liquid) {
             fluid.restore(&known.fluid).map_err(|error| wrong(error.to_string()))?;
             for (entity, spout) in &known.spouts {
                 spout.check().map_err(|error| wrong(error.to_string()))?;
                 spouts.insert(*entity, *spout);
             }
+            suctions.extend(known.suctions.iter().copied());
         }
         let look = scene.get::<Particles>(liquid).cloned().unwrap_or_default();
         Ok(Self {
@@ -163,6 +171,7 @@ impl FluidController {
             fluid,
             gravity_in_world,
             spouts,
+            suctions,
             walls: Vec::new(),
             places: Vec::new(),
             speeds: Vec::new(),
@@ -273,6 +282,8 @@ impl FluidController {
         put("volume_m3", state.numbers.len() as f64 * volume);
         put("particles", state.numbers.len() as f64);
         put("emitted_m3", emitted as f64 * volume);
+        let sucked: u64 = self.suctions.values().map(|suction| suction.taken).sum();
+        put("sucked_m3", sucked as f64 * volume);
         put("absorbed_m3", state.absorbed as f64 * volume);
         // Less than a particle of each is still to come.
         put("emitted_share", if given > 0.0 { emitted as f64 * volume / given } else { 1.0 });
@@ -289,6 +300,9 @@ impl Controller for FluidController {
             .reads::<VertexPositions>()
             .reads::<RestPositions>()
             .reads::<VesselState>()
+            .reads::<Irrigator>()
+            .reads::<Sucker>()
+            .reads::<Activation>()
             .reads::<Pose>()
             .writes::<Particles>(liquid())
             .writes::<LiquidState>(liquid())
@@ -307,6 +321,15 @@ impl Controller for FluidController {
                 let hole = vessel.hole_in(&liquid_from_vessel);
                 self.spouts.entry(entity).or_default().pour(vessel.bleeding.lost, dt, &hole, &mut self.fluid);
             }
+            let liquid_from_world = world_from_liquid.inverse();
+            for (entity, irrigator) in scene.iter::<Irrigator>() {
+                let spout = self.spouts.entry(entity).or_default();
+                irrigator.pour((scene, entity), &liquid_from_world, dt, spout, &mut self.fluid);
+            }
+            for (entity, sucker) in scene.iter::<Sucker>() {
+                let suction = self.suctions.entry(entity).or_default();
+                sucker.suck((scene, entity), &liquid_from_world, dt, suction, &mut self.fluid);
+            }
             if let Err(error) = self.fluid.step(dt) {
                 self.frozen = true;
                 out.put(self.liquid, Frozen { reason: error.to_string(), since: tick.time });
@@ -317,7 +340,9 @@ impl Controller for FluidController {
             if !(was_empty && self.look.positions.is_empty()) || tick.number == 1 {
                 out.put(self.liquid, self.look.clone());
                 let spouts = self.spouts.iter().map(|(entity, spout)| (*entity, *spout)).collect();
-                out.put(self.liquid, LiquidState { fluid: Arc::new(self.fluid.state().clone()), spouts });
+                let suctions = self.suctions.iter().map(|(entity, suction)| (*entity, *suction)).collect();
+                let fluid = Arc::new(self.fluid.state().clone());
+                out.put(self.liquid, LiquidState { fluid, spouts, suctions });
             }
         }
         let mut measured = Measured::default();

@@ -19,6 +19,7 @@ pub mod grafts;
 pub mod grips;
 pub mod heat;
 pub mod instruments;
+pub mod irrigation;
 pub mod linear_fem;
 mod linear_fem_altered;
 mod linear_fem_contacts;
@@ -60,6 +61,7 @@ pub use electrosurgery::{CauterisedBody, ElectrodeTip, ElectrosurgeryController,
 pub use fluid::{FluidController, Liquid, LiquidState, LiquidWall};
 pub use heat::{Coagulated, CoagulatedElements, RemovedElements};
 pub use instruments::{InstrumentsConfig, InstrumentsController};
+pub use irrigation::{Irrigator, Sucker};
 pub use linear_fem::{LinearFemBody, LinearFemController};
 pub use mass_spring::{MassSpringBody, MassSpringController};
 pub use parting::VolumeCuts;
@@ -106,6 +108,8 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<VesselState>()?;
     builder.register::<Liquid>()?;
     builder.register::<LiquidWall>()?;
+    builder.register::<Irrigator>()?;
+    builder.register::<Sucker>()?;
     builder.register::<LiquidState>()?;
     builder.register::<SewnTissue>()?;
     builder.register::<SutureNeedle>()?;

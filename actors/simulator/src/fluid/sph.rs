@@ -241,15 +241,23 @@ impl Fluid {
         Some(number)
     }
 
-    /// Takes the particles within a ball away, as a sucker does; how many.
-    pub fn suck(&mut self, centre: &Point3<f64>, radius: f64) -> u64 {
-        let before = self.state.absorbed;
-        for index in (0..self.state.numbers.len()).rev() {
-            if (self.state.positions[index] - centre).norm() <= radius {
-                self.absorb(index);
-            }
+    /// Takes at most so many particles within a ball away, the nearest first, as a sucker does; how many.
+    pub fn suck(&mut self, centre: &Point3<f64>, radius: f64, most: u64) -> u64 {
+        if most == 0 {
+            return 0;
         }
-        self.state.absorbed - before
+        let distances = self.state.positions.iter().map(|position| (position - centre).norm());
+        let mut near: Vec<(f64, usize)> = distances
+            .enumerate()
+            .filter(|(_, far)| *far <= radius)
+            .map(|(index, far)| (far, index))
+            .collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.truncate(usize::try_from(most).unwrap_or(usize::MAX));
+        // From the end, as the last one takes the place of each that goes.
+        near.sort_by_key(|(_, index)| std::cmp::Reverse(*index));
+        near.iter().for_each(|(_, index)| self.absorb(*index));
+        near.len() as u64
     }
 
     fn is_inside(&self, point: &Point3<f64>) -> bool {

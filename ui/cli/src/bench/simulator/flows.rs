@@ -50,9 +50,9 @@ pub fn thread(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
 
 /// The rod that PyElastica and we let sag.
 const SAGGING: SaggingRod =
-    SaggingRod { edges: 100, length: 0.03, radius: 2e-4, density: 1100.0, young: 5e7, damping: 40.0 };
-/// What PyElastica's explicit steps bear of it \[s\]; ours are a thousand times as long.
-const ELASTICA_STEP: f64 = 1e-6;
+    SaggingRod { edges: 100, length: 0.05, radius: 1e-3, density: 1100.0, young: 1e7, damping: 40.0 };
+/// What PyElastica's explicit steps bear of it \[s\]; ours are five hundred times as long.
+const ELASTICA_STEP: f64 = 2e-6;
 /// Simulated time of a block \[s\]: after all blocks it is at rest.
 const STRETCH: f64 = 0.06;
 
@@ -98,12 +98,13 @@ fn beside_elastica(python: &Path) -> Result<Vec<BenchResult>, Failure> {
     let own = error(-rod.positions()[edges].z);
     Ok(vec![
         BenchResult::on_ratio(name, "ms", figure, floor, Some(0.5), Better::Lower),
-        // One that has lost its numbers is no measure of error, and the theory is none within a hundredth.
+        // One that has lost its numbers is no measure of error, and the theory, which is of small deflections, none within a
+        // few hundredths.
         BenchResult::on_value(
-            &format!("{name}_static_error"),
+            format!("{name}_static_error"),
             "share",
             own,
-            peer.tip().map(|tip| error(tip).0.max(0.01)),
+            peer.tip().map(|tip| error(tip).0.max(0.03)),
             Better::Lower,
         ),
     ])
