@@ -233,9 +233,9 @@ fn a_mesh_of_ones_own_takes_the_place_of_an_organ_by_one_line() {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("my-liver.msh"), file).expect("written");
     let (_, text) = trocar::app::SCENARIOS.iter().find(|(name, _)| *name == "fem-liver").expect("a scenario");
-    let one_line = "mesh = { organ = \"liver\", edge = 0.014 }\nlinear_fem";
+    let one_line = "mesh = { organ = \"liver\", edge = 0.014 }\ntissue";
     assert!(text.contains(one_line));
-    let text = text.replace(one_line, "mesh = { file = \"my-liver.msh\" }\nlinear_fem");
+    let text = text.replace(one_line, "mesh = { file = \"my-liver.msh\" }\ntissue");
     let app = app();
     let scenario = Scenario::parse(&folder.path().join("own.toml"), &text, app.registry());
     let own = finish(&app, &scenario.expect("a valid scenario"), &lockstep(1));

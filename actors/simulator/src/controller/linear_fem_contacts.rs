@@ -214,6 +214,10 @@ impl Body {
     /// Places of the surface are to stay on their side of rods: each of them, or those that patches of the others leave.
     fn keep_out(&self, touched: &[Touch], rods: &[Rod], answers: &mut Vec<Answer>) {
         for touch in touched {
+            // Most are about a place that is there already: only the others are looked at closely.
+            if self.is_covered(touch, answers) {
+                continue;
+            }
             let seen = || self.pressed(touch.rod, rods, &touch.nodes, &touch.weights);
             let touch = if self.kind.contact_radius > 0.0 { seen().unwrap_or(*touch) } else { *touch };
             if !self.is_covered(&touch, answers) {

@@ -29,6 +29,7 @@ pub mod parting;
 pub mod rest_place;
 pub mod rigid_bodies;
 mod rigid_declared;
+mod rigid_geometry;
 pub mod smoke;
 pub mod soft;
 pub mod suture;

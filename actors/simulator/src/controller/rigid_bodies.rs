@@ -6,9 +6,6 @@
 //! the session registers it, the play of the mechanism ([`MechanismState`]).
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
-
-use nalgebra::Point3;
 
 use trocar_scene::access::Access;
 use trocar_scene::commands::Commands;
@@ -23,6 +20,7 @@ use trocar_scene::snapshot::Snapshot;
 use trocar_scene::time::{Revision, SimTime};
 
 use super::rigid_declared::{declared_access, declared_rows, moved_entities};
+use super::rigid_geometry::Geometry;
 use crate::instrument::contact::Contact;
 use crate::instrument::felt::{held_by, is_modelled, modelled_by_others};
 use crate::instrument::grasp::Hold;
@@ -66,40 +64,6 @@ pub struct RigidBodiesController<W: World> {
     newly_frozen: Vec<(Entity, String)>,
     /// Those of which the scene can be told so: the ones that were there at the start; sorted.
     may_be_told_frozen: Vec<Entity>,
-}
-
-/// What a body is made of.
-#[derive(Clone, Debug)]
-enum Geometry {
-    Shape(Shape),
-    /// A surface that has been looked at: contacts are found by others.
-    Surface(Arc<Vec<Point3<f64>>>, Arc<Vec<[u32; 3]>>),
-}
-
-impl Geometry {
-    /// Of an entity; a shape, where it has both.
-    fn of(scene: &Snapshot, entity: Entity) -> Option<Self> {
-        if let Some(shape) = scene.get::<Shape>(entity) {
-            return Some(Self::Shape(shape.clone()));
-        }
-        let (vertices, surface) = (scene.get::<VertexPositions>(entity)?, scene.get::<SurfaceMesh>(entity)?);
-        Some(Self::Surface(vertices.positions.clone(), surface.triangles.clone()))
-    }
-
-    /// Whether an entity has any; asked in every tick, so that nothing is copied.
-    fn is_there(scene: &Snapshot, entity: Entity) -> bool {
-        let surface =
-            || scene.get::<VertexPositions>(entity).is_some() && scene.get::<SurfaceMesh>(entity).is_some();
-        scene.get::<Shape>(entity).is_some() || surface()
-    }
-
-    fn is_same(&self, other: &Self) -> bool {
-        match (self, other) {
-            (Self::Shape(one), Self::Shape(other)) => one == other,
-            (Self::Surface(a, b), Self::Surface(c, d)) => Arc::ptr_eq(a, c) && Arc::ptr_eq(b, d),
-            _ => false,
-        }
-    }
 }
 
 struct KnownBody {
