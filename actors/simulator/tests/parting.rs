@@ -183,10 +183,11 @@ fn is_cut<C: Controller>(body: &str, build: impl Fn(&BuildContext<'_>) -> Result
     // Volume and mass are those of before: every element is there.
     assert_eq!(stage.measured("column.elements_left"), stage.get::<TetMesh>("column").tets.len() as f64);
     let cuts = stage.get::<VolumeCuts>("column");
-    assert_eq!(cuts.origins.len(), count - nodes);
+    assert_eq!(cuts.births.len(), count - nodes);
     let rest = stage.get::<RestPositions>("column").positions;
-    for (node, &origin) in cuts.origins.iter().enumerate() {
-        assert_eq!(rest[nodes + node], rest[origin as usize], "a new vertex is where it was at rest");
+    for (node, birth) in cuts.births.iter().enumerate() {
+        let between = birth.mix(&rest, |a, b, share| a + (b - a) * share);
+        assert_eq!(rest[nodes + node], between, "a new vertex is where it was at rest");
     }
     assert_eq!(sweep(", cut = true", 0.0, true).2, whole, "another life goes on to the bit");
     // The controls: open blades, and what blades do not cut.

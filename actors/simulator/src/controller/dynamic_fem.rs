@@ -14,7 +14,7 @@ use super::tools::Rod;
 use super::touch::{Skin, Touch};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs};
 use crate::elasticity::{Elastic, POISSON_MAX};
-use crate::tet_mesh::{MeshRules, TetMesh};
+use crate::tet_mesh::{Birth, MeshRules, TetMesh};
 
 /// A soft volume: it needs a mesh of tetrahedra, and `anchors` where it is to be held.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -34,7 +34,7 @@ pub struct DynamicFemBody {
     pub stiffness_damping: f64,
     /// Force per depth of a contact \[N/m\].
     pub contact_stiffness: f64,
-    /// Whether blades cut it, along the faces of its elements; then they do not push it.
+    /// Whether blades cut it; then they do not push it.
     pub cut: bool,
     /// Tension that tears it \[Pa\]; without one nothing does.
     pub strength: Option<f64>,
@@ -121,6 +121,10 @@ impl Elements for Solver {
         self.solver.positions()
     }
 
+    fn velocities(&self) -> &[Vector3<f64>] {
+        self.solver.velocities()
+    }
+
     fn remove(&mut self, elements: &[u32]) {
         self.solver.remove(elements);
     }
@@ -129,9 +133,9 @@ impl Elements for Solver {
         elements.iter().for_each(|of| self.solver.alter(of.element, of.stiffness, of.length));
     }
 
-    fn split(&mut self, body: &Deformable, split: &[(u32, u32)], heated: &Heated) -> Result<(), String> {
+    fn split(&mut self, body: &Deformable, born: &[Birth], heated: &Heated) -> Result<(), String> {
         self.memory.take(&self.solver);
-        self.memory.split(split);
+        self.memory.split(born);
         self.solver = self.kind.solver(body, &self.memory, heated)?;
         Ok(())
     }
@@ -153,7 +157,7 @@ impl SoftMethod for DynamicFemMethod {
     fn build(kind: &DynamicFemBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
         let memory = scene.get::<DynamicFemMemory>(body.entity).cloned().unwrap_or_default();
         let parting = Parting::new(body, kind.weakness()?, scene)?;
-        let heated = parting.as_ref().map(|parting| parting.heated().clone()).unwrap_or_default();
+        let heated = parting.as_ref().map(Parting::heated).unwrap_or_default();
         let solver = kind.solver(body, &memory, &heated)?;
         let of = Solver { kind: *kind, solver, memory };
         Ok(Self { of, parting, contacts: Vec::new(), prescribed: Vec::new() })

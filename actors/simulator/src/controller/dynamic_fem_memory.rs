@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError};
 
 use crate::dynamic_fem::{Coupling, DynamicFem, DynamicFemState};
+use crate::tet_mesh::Birth;
 
 /// Where the last step ended beside its positions and velocities: where the next one begins to look, and from where the
 /// factor is that it uses.
@@ -46,10 +47,12 @@ impl DynamicFemMemory {
         self.factor_couplings = factor_couplings;
     }
 
-    /// Vertices have come apart, pairs of a new one and its parent: the factor is none of this body any longer.
-    pub fn split(&mut self, split: &[(u32, u32)]) {
+    /// There are new vertices: the factor is none of this body any longer.
+    pub fn split(&mut self, born: &[Birth]) {
         let accelerations = Arc::make_mut(&mut self.accelerations);
-        split.iter().for_each(|&(_, parent)| accelerations.push(accelerations[parent as usize]));
+        for birth in born {
+            accelerations.push(birth.mix(accelerations, |a, b, share| a + (b - a) * share));
+        }
         *self = Self { accelerations: self.accelerations.clone(), ..Self::default() };
     }
 

@@ -28,7 +28,7 @@ use super::rest_place::rest_place;
 use super::smoke::Plume;
 use super::xpbd::XpbdBody;
 use crate::electrosurgery::{
-    BODY, Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, ThermalMaterial, Tissue,
+    Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, ThermalMaterial, Tissue,
 };
 
 /// Ticks between two states that a later life goes on from; whatever removes tissue is kept at once.
@@ -136,13 +136,11 @@ impl Body {
         let mut body = Deformable::read(scene, entity)?;
         // The first mesh, whatever has come apart since.
         if let Some(cuts) = scene.get::<VolumeCuts>(entity) {
-            let count = body.rest.len().saturating_sub(cuts.origins.len());
-            let first = |node: u32| match (node as usize).checked_sub(count) {
-                Some(at) => cuts.origins.get(at).copied().unwrap_or(node),
-                None => node,
-            };
+            body.tets = Arc::new(cuts.first_tets(body.rest.len(), &body.tets));
+            let count = body.rest.len().saturating_sub(cuts.births.len());
             body.rest = Arc::new(body.rest[..count].to_vec());
-            body.tets = Arc::new(body.tets.iter().map(|tet| tet.map(first)).collect());
+            let volume = TetData { positions: Vec::new(), tets: body.tets.to_vec(), tags: Vec::new() };
+            body.triangles = Arc::new(volume.boundary_triangles());
         }
         let body = body;
         let wrong = |what: String| ControllerError::Scene(format!("'{}': {what}", body.name));
@@ -210,11 +208,10 @@ impl Body {
         let vertices = 0..self.tissue.vertex_count() as u32;
         let (mut celsius, mut omega): (Vec<f64>, Vec<f64>) =
             vertices.filter_map(|vertex| self.tissue.vertex(vertex)).unzip();
-        // What a vertex came apart into is as warm as it.
-        let parted = scene.get::<VolumeCuts>(self.body.entity);
-        for &origin in parted.iter().flat_map(|cuts| cuts.origins.iter()) {
-            celsius.push(celsius.get(origin as usize).copied().unwrap_or(BODY));
-            omega.push(omega.get(origin as usize).copied().unwrap_or_default());
+        // What a vertex came apart into is as warm as it, and what is between two is between.
+        if let Some(cuts) = scene.get::<VolumeCuts>(self.body.entity) {
+            cuts.carry(&mut celsius, |a, b, share| a + (b - a) * share);
+            cuts.carry(&mut omega, |a, b, share| a + (b - a) * share);
         }
         out.put(self.body.entity, Temperature { celsius: Arc::new(celsius) });
         out.put(self.body.entity, Burn { omega: Arc::new(omega) });

@@ -116,7 +116,7 @@ impl LinearFemController {
             let parting = Parting::new(&mut body, weakness, context.scene)
                 .map_err(|why| wrong(&body.name, why))?
                 .map(|parting| {
-                    let altered = Altered::new(mesh.tets().len(), parting.heated());
+                    let altered = Altered::new(mesh.tets().len(), &parting.heated());
                     (parting, altered)
                 });
             let is_pinned = body.stays();
@@ -338,8 +338,8 @@ impl Body {
             self.positions[node] = self.body.rest[node] + displacement;
         }
         if look {
-            let gone = self.parting.as_ref().map_or(&[][..], |(parting, _)| &parting.heated().removed);
-            self.deformation = Deformation::without(&self.mesh, &moved, gone);
+            let heated = self.parting.as_ref().map(|(parting, _)| parting.heated()).unwrap_or_default();
+            self.deformation = Deformation::without(&self.mesh, &moved, &heated.removed);
         }
     }
 

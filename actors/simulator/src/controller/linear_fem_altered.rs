@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use trocar_scene::Tick;
 
 use super::deformable::Deformable;
@@ -12,6 +12,7 @@ use super::linear_fem_jobs::built;
 use super::parting::Elements;
 use crate::elasticity::Alteration;
 use crate::linear_fem::{LinearFem, LinearFemError, REMOVED_MAX};
+use crate::tet_mesh::Birth;
 
 /// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next.
 const TAKEN_MAX: usize = 8;
@@ -156,6 +157,11 @@ impl Elements for AlteredAt<'_> {
         self.positions
     }
 
+    fn velocities(&self) -> &[Vector3<f64>] {
+        // It is not cut.
+        &[]
+    }
+
     fn remove(&mut self, elements: &[u32]) {
         self.altered.remove(elements);
     }
@@ -164,7 +170,7 @@ impl Elements for AlteredAt<'_> {
         self.altered.alter(elements);
     }
 
-    fn split(&mut self, _body: &Deformable, _split: &[(u32, u32)], _heated: &Heated) -> Result<(), String> {
+    fn split(&mut self, _body: &Deformable, _born: &[Birth], _heated: &Heated) -> Result<(), String> {
         Err("a linear organ does not come apart: 'xpbd' and 'dynamic_fem' do".into())
     }
 }

@@ -1,25 +1,27 @@
 //! Volumes that come apart in a scene: what heat takes away, what blades open, what tears.
 //!
-//! Elements keep their numbers, those that are gone too. A node that comes apart gives its new parts numbers behind all
-//! others. Who moves the volume is told; the surface, what holds it and what is drawn on it follow.
+//! Elements keep their numbers, those that are gone too; of an element that a blade has halved one half does. New nodes and
+//! elements are numbered behind all others. Who moves the volume is told; the surface, what holds it and what is drawn on it
+//! follow. What heat has done is told of the elements of the first mesh, and is so for all parts of each.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
-use nalgebra::{Matrix3, Point3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TetMesh,
     TextureCoordinates,
 };
 
+use super::coupling::CoupledBody;
 use super::cuts::swept;
 use super::deformable::Deformable;
 use super::electrosurgery::CauterisedBody;
 use super::heat::{Coagulated, CoagulatedElements, Heated, RemovedElements};
 use super::soft::{Measures, Reshaped, Site};
 use crate::elasticity::cauchy_stress;
-use crate::tet_mesh::{self, FaceOf, MeshRules, Volume, VolumeChange, shape};
+use crate::tet_mesh::{self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape};
 
 /// What the mesh of a volume does not say about how it came apart.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -27,8 +29,14 @@ use crate::tet_mesh::{self, FaceOf, MeshRules, Volume, VolumeChange, shape};
 pub struct VolumeCuts {
     /// Faces between elements that were opened.
     pub opened: Arc<Vec<FaceOf>>,
-    /// Of the nodes that the first mesh did not have: the one of the first mesh that each of them was.
-    pub origins: Arc<Vec<u32>>,
+    /// Where the nodes come from that the first mesh did not have, in order.
+    pub births: Arc<Vec<Birth>>,
+    /// Of the elements that the first mesh did not have: the one that each of them is a part of.
+    pub parts_of: Arc<Vec<u32>>,
+    /// The elements of the first mesh, if some have been halved.
+    pub first: Arc<Vec<[u32; 4]>>,
+    /// Paths of blades that are not done yet.
+    pub slit: Slit,
     /// Of the elements that heat has removed, how many have been taken out.
     pub taken: u32,
     /// Of the opened faces, how many tore.
@@ -43,20 +51,45 @@ impl Component for VolumeCuts {
     }
 }
 
+impl VolumeCuts {
+    /// The elements of the first mesh, by those of now.
+    #[must_use]
+    pub fn first_tets(&self, nodes: usize, tets: &[[u32; 4]]) -> Vec<[u32; 4]> {
+        if !self.first.is_empty() {
+            return self.first.to_vec();
+        }
+        let count = nodes.saturating_sub(self.births.len());
+        let origin = |mut node: u32| {
+            while let Some(birth) = (node as usize).checked_sub(count).and_then(|at| self.births.get(at)) {
+                node = birth.of[0];
+            }
+            node
+        };
+        tets.iter().map(|tet| tet.map(origin)).collect()
+    }
+
+    /// Brings values of the first mesh's nodes up to date.
+    pub fn carry<T>(&self, values: &mut Vec<T>, mix: impl Fn(&T, &T, f64) -> T) {
+        self.births.iter().for_each(|birth| values.push(birth.mix(values, &mix)));
+    }
+}
+
 /// Who moves elements that go, change and come apart.
 pub trait Elements {
     /// Where the nodes are \[m\].
     fn positions(&self) -> &[Point3<f64>];
+    /// How they move \[m/s\].
+    fn velocities(&self) -> &[Vector3<f64>];
     /// These elements are gone.
     fn remove(&mut self, elements: &[u32]);
     /// These are as stiff and as long as that.
     fn alter(&mut self, elements: &[Coagulated]);
-    /// The body has new nodes, where their parents are: pairs of a node and its parent. It is to be moved with the elements
-    /// that it has now; `heated` is all that has happened to them.
+    /// The body has new nodes, and is to be moved with the elements that it has now; `heated` is all that has happened to
+    /// them.
     ///
     /// # Errors
     /// Why it cannot be.
-    fn split(&mut self, body: &Deformable, split: &[(u32, u32)], heated: &Heated) -> Result<(), String>;
+    fn split(&mut self, body: &Deformable, born: &[Birth], heated: &Heated) -> Result<(), String>;
 }
 
 /// By what else than heat a volume comes apart.
@@ -74,10 +107,15 @@ pub struct Weakness {
 pub struct Parting {
     volume: Volume,
     weakness: Weakness,
+    /// Whether others have grown onto its elements, which blades do not halve then: faces between them open.
+    is_grown_upon: bool,
     /// The face that each triangle of the surface is.
     faces: Vec<FaceOf>,
+    /// By elements of the first mesh.
     heated: Heated,
     cuts: VolumeCuts,
+    /// Parts of elements of the first mesh that have been halved, besides those that kept their numbers.
+    parts: BTreeMap<u32, Vec<u32>>,
     pieces: usize,
     /// Edges at rest, inverse; what tears needs them.
     inverse_shapes: Vec<Matrix3<f64>>,
@@ -104,20 +142,38 @@ impl Parting {
             tet_mesh::TetMesh::new(&body.rest, &body.tets, &rules).map_err(|error| error.to_string())?;
         let mut volume = Volume::new(&mesh);
         let cuts = known.unwrap_or_default();
+        let mut parts: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+        let first = body.tets.len().saturating_sub(cuts.parts_of.len()) as u32;
+        cuts.parts_of.iter().zip(first..).for_each(|(of, part)| parts.entry(*of).or_default().push(part));
         // Their nodes have parted already, where they do.
         volume.open(&cuts.opened).map_err(|error| error.to_string())?;
         let heated = Heated::known(scene, body.entity, cuts.taken as usize);
-        let there = heated.removed.iter().copied().filter(|&tet| volume.tet(tet).is_some());
+        let there = all_parts(&parts, &heated.removed).filter(|&tet| volume.tet(tet).is_some());
         let there: Vec<u32> = there.collect();
         volume.take_out(&there).map_err(|error| error.to_string())?;
         body.loose = volume.orphans();
-        body.is_parted = !cuts.origins.is_empty();
+        body.is_parted = !cuts.births.is_empty();
         let inverse_shapes = mesh.inverse_shapes().to_vec();
         let faces = faces_of(&volume, &body.triangles)
             .ok_or("its surface is not that of its volume: what comes apart needs the mesh of one")?;
         let pieces = volume.pieces();
         let told_blades = !cuts.blades.is_empty();
-        Ok(Some(Self { volume, weakness, faces, heated, cuts, pieces, inverse_shapes, told_blades }))
+        let has_grown = |(_, coupled): (Entity, &CoupledBody)| {
+            coupled.with.iter().any(|with| with.body == body.name && with.joined.is_some())
+        };
+        let is_grown_upon = scene.iter::<CoupledBody>().any(has_grown);
+        Ok(Some(Self {
+            volume,
+            weakness,
+            is_grown_upon,
+            faces,
+            heated,
+            cuts,
+            parts,
+            pieces,
+            inverse_shapes,
+            told_blades,
+        }))
     }
 
     /// What a controller of volumes that come apart reads and writes.
@@ -132,10 +188,30 @@ impl Parting {
             .writes::<VolumeCuts>(all())
     }
 
-    /// All that heat has done.
+    /// All that heat has done, by the elements of now.
     #[must_use]
-    pub fn heated(&self) -> &Heated {
-        &self.heated
+    pub fn heated(&self) -> Heated {
+        if self.parts.is_empty() {
+            return self.heated.clone();
+        }
+        let removed = all_parts(&self.parts, &self.heated.removed).collect();
+        let mut coagulated: Vec<Coagulated> = self.all_coagulated(&self.heated.coagulated);
+        coagulated.sort_unstable_by_key(|of| of.element);
+        Heated { removed: Arc::new(removed), coagulated: Arc::new(coagulated) }
+    }
+
+    fn all_coagulated(&self, first: &[Coagulated]) -> Vec<Coagulated> {
+        let parts = |of: &Coagulated| {
+            let of = *of;
+            all_parts(&self.parts, &[of.element]).map(|element| Coagulated { element, ..of }).collect::<Vec<_>>()
+        };
+        first.iter().flat_map(parts).collect()
+    }
+
+    /// The element of the first mesh that an element is a part of.
+    fn origin(&self, tet: u32) -> u32 {
+        let first = self.inverse_shapes.len() - self.cuts.parts_of.len();
+        (tet as usize).checked_sub(first).map_or(tet, |at| self.cuts.parts_of[at])
     }
 
     /// Whether blades open it.
@@ -155,10 +231,11 @@ impl Parting {
         site: &Site<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
-        let (mut gone, changed) = self.heated.news(site.scene, body.entity);
-        gone.retain(|&tet| self.volume.tet(tet).is_some());
+        let (gone, changed) = self.heated.news(site.scene, body.entity);
+        let gone: Vec<u32> =
+            all_parts(&self.parts, &gone).filter(|&tet| self.volume.tet(tet).is_some()).collect();
         if !changed.is_empty() {
-            elements.alter(&changed);
+            elements.alter(&self.all_coagulated(&changed));
         }
         let mut change = VolumeChange::default();
         if !gone.is_empty() {
@@ -170,20 +247,14 @@ impl Parting {
                 self.volume.separate(&mut change);
             }
         }
-        let cut = self.cut(elements.positions(), site);
-        let torn = self.tear(elements.positions());
-        let opened: Vec<FaceOf> = cut.into_iter().chain(torn).collect();
-        if !opened.is_empty() {
-            let more = self.volume.open(&opened).map_err(|error| error.to_string())?;
-            Arc::make_mut(&mut self.cuts.opened).extend(&opened);
-            change.uncovered.extend(more.uncovered);
-            change.split.extend(more.split);
-            change.renamed.extend(more.renamed);
-        }
-        let parts = !(gone.is_empty() && opened.is_empty());
+        let burned = change.uncovered.len();
+        let opened = self.open(elements, site, &mut change).map_err(|error| error.to_string())?;
+        let parts = !(gone.is_empty() && opened.is_empty() && change.halved.is_empty());
         if parts || self.told_blades || !self.cuts.blades.is_empty() {
             self.told_blades = !self.cuts.blades.is_empty();
             self.cuts.taken = self.heated.removed.len() as u32;
+            self.follow(&change, body);
+            Arc::make_mut(&mut self.cuts.opened).extend(&opened);
             self.split(elements, body, site, &change, out)?;
             out.put(body.entity, self.cuts.clone());
         }
@@ -192,25 +263,50 @@ impl Parting {
         }
         self.pieces = self.volume.pieces();
         body.loose = self.volume.orphans();
-        let kept = self.uncover(&change);
+        let reshaped = self.uncover(&change, burned);
         body.triangles = Arc::new(self.faces.iter().map(|face| self.corners(face)).collect());
         out.put(body.entity, SurfaceMesh { triangles: body.triangles.clone() });
-        Ok(Some(Reshaped { kept: Some(kept), parents: Vec::new() }))
+        Ok(Some(reshaped))
     }
 
-    /// Faces that blades have passed between since the last time.
-    fn cut(&mut self, positions: &[Point3<f64>], site: &Site<'_>) -> Vec<FaceOf> {
-        if !self.weakness.cut {
-            return Vec::new();
+    /// Opens what blades have passed through since the last time, or else what tears.
+    fn open(
+        &mut self,
+        elements: &dyn Elements,
+        site: &Site<'_>,
+        change: &mut VolumeChange,
+    ) -> Result<Vec<FaceOf>, VolumeError> {
+        let mut sweeps = Vec::new();
+        if self.weakness.cut {
+            sweeps = swept(&mut self.cuts.blades, site.scene, site.world_from_body);
         }
-        let sweeps = swept(&mut self.cuts.blades, site.scene, site.world_from_body);
-        let mut faces: Vec<FaceOf> = Vec::new();
-        for sweep in sweeps {
-            faces.extend(self.volume.swept(positions, &sweep.before, &sweep.after));
+        let faces = if sweeps.is_empty() || self.is_grown_upon {
+            let mut faces: Vec<FaceOf> = Vec::new();
+            if change.born.is_empty() {
+                let positions = elements.positions();
+                for sweep in sweeps {
+                    faces.extend(self.volume.swept(positions, &sweep.before, &sweep.after));
+                }
+                faces.extend(self.tear(positions));
+            }
+            faces.sort_unstable();
+            faces.dedup();
+            faces
+        } else {
+            // What has just burned apart has nodes that its solver does not know yet.
+            let period = site.period_secs();
+            let moved = elements.velocities().iter().map(|velocity| velocity * period).collect();
+            let mut nodes = Moving { positions: elements.positions().to_vec(), moved };
+            nodes.follow(&change.born);
+            return self.volume.cut(&mut nodes, &sweeps, &mut self.cuts.slit, change);
+        };
+        if !faces.is_empty() {
+            let more = self.volume.open(&faces)?;
+            change.uncovered.extend(more.uncovered);
+            change.born.extend(more.born);
+            change.renamed.extend(more.renamed);
         }
-        faces.sort_unstable();
-        faces.dedup();
-        faces
+        Ok(faces)
     }
 
     /// The face that tears now: the most pulled one, if that is more than it bears. One at a time, so that what is about it
@@ -219,7 +315,7 @@ impl Parting {
         let (strength, lame) = self.weakness.tears?;
         let mut stresses = vec![Matrix3::zeros(); self.inverse_shapes.len()];
         for (tet, nodes) in self.volume.tets() {
-            let heated = self.heated.of(tet);
+            let heated = self.heated.of(self.origin(tet));
             let [stiffness, length] = heated.map_or([1.0; 2], |heated| [heated.stiffness, heated.length]);
             let gradient = shape(positions, &nodes) * self.inverse_shapes[tet as usize] / length;
             stresses[tet as usize] = cauchy_stress(lame, &gradient) * stiffness;
@@ -232,6 +328,39 @@ impl Parting {
         Some(face)
     }
 
+    /// What is known of elements and faces follows those that have been halved.
+    fn follow(&mut self, change: &VolumeChange, body: &Deformable) {
+        if change.halved.is_empty() {
+            return;
+        }
+        if self.cuts.first.is_empty() {
+            self.cuts.first = Arc::new(self.cuts.first_tets(body.rest.len(), &body.tets));
+        }
+        let mut opened: BTreeSet<FaceOf> = self.cuts.opened.iter().copied().collect();
+        for halved in &change.halved {
+            let origin = self.origin(halved.tet);
+            self.parts.entry(origin).or_default().push(halved.child);
+            Arc::make_mut(&mut self.cuts.parts_of).push(origin);
+            self.inverse_shapes.push(Matrix3::zeros());
+            for (face, half) in halved.faces() {
+                if opened.contains(&face) {
+                    opened.insert(half);
+                }
+            }
+            let [face, moved] = halved.moved_face();
+            if opened.remove(&face) {
+                opened.insert(moved);
+            }
+        }
+        for halved in &change.halved {
+            for tet in [halved.tet, halved.child] {
+                let inverse = self.volume.tet(tet).and_then(|nodes| shape(self.volume.rest(), &nodes).try_inverse());
+                self.inverse_shapes[tet as usize] = inverse.unwrap_or_default();
+            }
+        }
+        self.cuts.opened = Arc::new(opened.into_iter().collect());
+    }
+
     /// New nodes, and elements that have them.
     fn split(
         &mut self,
@@ -241,24 +370,31 @@ impl Parting {
         change: &VolumeChange,
         out: &mut Commands,
     ) -> Result<(), String> {
-        if change.split.is_empty() {
+        if change.born.is_empty() {
             return Ok(());
         }
-        let first = self.volume.origins().len() - change.split.len() - self.cuts.origins.len();
-        let origins = Arc::make_mut(&mut self.cuts.origins);
         let texture = site.scene.get::<TextureCoordinates>(body.entity).map(|texture| texture.uv.clone());
         let mut texture = texture.filter(|uv| uv.len() == body.rest.len());
-        for &(_, parent) in &change.split {
-            let of_parent = (parent as usize).checked_sub(first).map_or(parent, |at| origins[at]);
-            origins.push(of_parent);
-            copy_last(&mut body.rest, parent);
-            copy_last(&mut body.positions, parent);
-            copy_last(&mut body.velocities, parent);
-            texture.as_mut().into_iter().for_each(|uv| copy_last(uv, parent));
+        Arc::make_mut(&mut self.cuts.births).extend(&change.born);
+        for birth in &change.born {
+            let rest = birth.mix(&body.rest, |a, b, share| a + (b - a) * share);
+            Arc::make_mut(&mut body.rest).push(rest);
+            let position = birth.mix(&body.positions, |a, b, share| a + (b - a) * share);
+            Arc::make_mut(&mut body.positions).push(position);
+            let velocity = birth.mix(&body.velocities, |a, b, share| a + (b - a) * share);
+            Arc::make_mut(&mut body.velocities).push(velocity);
+            if let Some(uv) = &mut texture {
+                let own = birth.mix(uv, |a, b, share| a + (b - a) * share);
+                Arc::make_mut(uv).push(own);
+            }
         }
         let tets = Arc::make_mut(&mut body.tets);
-        for &tet in &change.renamed {
+        let halves = change.halved.iter().flat_map(|halved| [halved.tet, halved.child]);
+        for tet in change.renamed.iter().copied().chain(halves) {
             if let Some(nodes) = self.volume.tet(tet) {
+                if tets.len() <= tet as usize {
+                    tets.resize(tet as usize + 1, nodes);
+                }
                 tets[tet as usize] = nodes;
             }
         }
@@ -269,23 +405,62 @@ impl Parting {
         if let Some(uv) = texture {
             out.put(body.entity, TextureCoordinates { uv });
         }
-        elements.split(body, &change.split, &self.heated)
+        elements.split(body, &change.born, &self.heated())
     }
 
-    /// The surface after a change: those of its triangles that stay first, then what came to light; the new number of
-    /// each of the old ones.
-    fn uncover(&mut self, change: &VolumeChange) -> Vec<Option<u32>> {
-        let mut kept = Vec::with_capacity(self.faces.len());
-        let mut left: Vec<FaceOf> = Vec::with_capacity(self.faces.len() + change.uncovered.len());
-        for face in &self.faces {
-            let stays = self.volume.tet(face.0).is_some();
-            kept.push(stays.then_some(left.len() as u32));
-            left.extend(stays.then_some(*face));
+    /// The surface after a change: those of its triangles that stay, then what came to light, the first `burned` of it before
+    /// anything was halved, then the other halves of triangles.
+    fn uncover(&mut self, change: &VolumeChange, burned: usize) -> Reshaped {
+        let mut old = std::mem::take(&mut self.faces);
+        let mut bare = change.uncovered[..burned].to_vec();
+        let mut halves: Vec<(FaceOf, Triangle)> = Vec::new();
+        let mut known: BTreeMap<FaceOf, Triangle> = BTreeMap::new();
+        if !change.halved.is_empty() {
+            known.extend(old.iter().enumerate().map(|(at, face)| (*face, Triangle::Old(at))));
+            known.extend(bare.iter().enumerate().map(|(at, face)| (*face, Triangle::Bare(at))));
         }
-        let there = change.uncovered.iter().filter(|(tet, _)| self.volume.tet(*tet).is_some());
-        left.extend(there);
+        for halved in &change.halved {
+            for (face, half) in halved.faces() {
+                let Some(&triangle) = known.get(&face) else { continue };
+                let own = match triangle {
+                    Triangle::Bare(_) => {
+                        bare.push(half);
+                        Triangle::Bare(bare.len() - 1)
+                    }
+                    Triangle::Old(_) | Triangle::Half(_) => {
+                        halves.push((half, triangle));
+                        Triangle::Half(halves.len() - 1)
+                    }
+                };
+                known.insert(half, own);
+            }
+            let [face, moved] = halved.moved_face();
+            if let Some(triangle) = known.remove(&face) {
+                match triangle {
+                    Triangle::Old(at) => old[at] = moved,
+                    Triangle::Bare(at) => bare[at] = moved,
+                    Triangle::Half(at) => halves[at].0 = moved,
+                }
+                known.insert(moved, triangle);
+            }
+        }
+        let is_there = |face: &FaceOf| self.volume.tet(face.0).is_some();
+        let mut kept = Vec::with_capacity(old.len());
+        let mut left: Vec<FaceOf> = Vec::with_capacity(old.len() + change.uncovered.len() + halves.len());
+        for face in &old {
+            kept.push(is_there(face).then_some(left.len() as u32));
+            left.extend(is_there(face).then_some(*face));
+        }
+        left.extend(bare.iter().chain(&change.uncovered[burned..]).filter(|face| is_there(face)));
+        let first_half = left.len() as u32;
+        let parents = halves.iter().map(|(_, triangle)| match *triangle {
+            Triangle::Old(at) => kept[at].unwrap_or_default(),
+            Triangle::Half(at) | Triangle::Bare(at) => first_half + at as u32,
+        });
+        let parents = parents.collect();
+        left.extend(halves.iter().map(|(face, _)| *face));
         self.faces = left;
-        kept
+        Reshaped { kept: Some(kept), parents }
     }
 
     fn corners(&self, &(tet, corner): &FaceOf) -> [u32; 3] {
@@ -301,10 +476,17 @@ impl Parting {
     }
 }
 
-/// What the last vertices of a list become: copies of their parents.
-fn copy_last<T: Copy>(of: &mut Arc<Vec<T>>, parent: u32) {
-    let of = Arc::make_mut(of);
-    of.push(of[parent as usize]);
+/// A triangle of the surface while that changes: one that was there, half of one, or one that came to light.
+#[derive(Clone, Copy)]
+enum Triangle {
+    Old(usize),
+    Half(usize),
+    Bare(usize),
+}
+
+/// Elements of the first mesh and all other parts of them.
+fn all_parts<'a>(parts: &'a BTreeMap<u32, Vec<u32>>, first: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
+    first.iter().flat_map(|tet| std::iter::once(*tet).chain(parts.get(tet).into_iter().flatten().copied()))
 }
 
 /// The faces that triangles are, in their order; `None` of a surface that is not the boundary.

@@ -19,6 +19,7 @@ use super::touch::{Skin, Touch};
 use super::xpbd_island::step_island;
 use crate::elasticity::Alteration;
 use crate::mass_spring::{Contact, LineMaterial, Network, NodeForce, Prescribed, State, SurfaceMaterial};
+use crate::tet_mesh::Birth;
 use crate::xpbd::company::CompanyState;
 use crate::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, distances_of};
 
@@ -80,7 +81,7 @@ pub struct XpbdBody {
     pub contact_stiffness: f64,
     /// Coulomb friction against instruments.
     pub friction: f64,
-    /// Of a volume: whether blades cut it, along the faces of its elements; then they do not push it.
+    /// Of a volume: whether blades cut it; then they do not push it.
     pub cut: bool,
     /// Of a volume: tension that tears it \[Pa\]; without one nothing does.
     pub strength: Option<f64>,
@@ -188,6 +189,10 @@ impl Elements for Solver {
         &self.solver.state().positions
     }
 
+    fn velocities(&self) -> &[Vector3<f64>] {
+        &self.solver.state().velocities
+    }
+
     fn remove(&mut self, elements: &[u32]) {
         self.solver.remove(elements);
     }
@@ -196,7 +201,7 @@ impl Elements for Solver {
         elements.iter().for_each(|of| self.solver.alter(of.element, of.stiffness, of.length));
     }
 
-    fn split(&mut self, body: &Deformable, _split: &[(u32, u32)], heated: &Heated) -> Result<(), String> {
+    fn split(&mut self, body: &Deformable, _born: &[Birth], heated: &Heated) -> Result<(), String> {
         self.solver = self.kind.solver(body, &[])?;
         self.alter(&heated.coagulated);
         self.remove(&heated.removed);

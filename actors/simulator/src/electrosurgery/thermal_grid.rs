@@ -403,3 +403,105 @@ impl ThermalGrid {
         block.site(cell).interpolate(&organ.celsius) + block.excess[cell]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::bar;
+    use super::super::{BODY, Electrosurgery, LatticeConfig, Tissue};
+    use super::*;
+
+    /// A block of tissue that is all on the lattice, warmer than the body by `excess` at each cell's middle \[K\].
+    fn warmed(
+        cells: [u32; 3],
+        mesh: f64,
+        spacing: f64,
+        material: ThermalMaterial,
+        excess: impl Fn([f64; 3]) -> f64,
+    ) -> Electrosurgery {
+        let (positions, tets) = bar(cells, mesh);
+        let tissue = Tissue::Volume { positions: &positions, tets: &tets };
+        let lattice = LatticeConfig { spacing, ..LatticeConfig::default() };
+        let mut heat = Electrosurgery::new(&tissue, material, lattice).expect("tissue");
+        let blocks = cells.map(|count| (f64::from(count) * mesh / spacing / EDGE as f64).ceil() as i32);
+        let mut report = HeatReport::default();
+        for key in (0..blocks.iter().product::<i32>())
+            .map(|at| [at % blocks[0], at / blocks[0] % blocks[1], at / (blocks[0] * blocks[1])])
+        {
+            assert!(heat.grid.activate(key, &mut report), "tissue in block {key:?}");
+        }
+        for index in 0..heat.grid.blocks.len() {
+            for cell in 0..CELLS {
+                let middle = heat.grid.centre(&heat.grid.blocks[index], cell);
+                let block = &mut heat.grid.blocks[index];
+                if block.is_tissue(cell) {
+                    block.excess[cell] = excess([middle.x, middle.y, middle.z]);
+                }
+            }
+        }
+        heat
+    }
+
+    /// Mean excess of the cells that touch a place \[K\].
+    fn excess_at(heat: &Electrosurgery, place: [f64; 3]) -> f64 {
+        let reach = heat.grid.spacing * 0.51;
+        let near = heat.cells().filter(|cell| {
+            (0..3).all(|axis| (cell.middle_in_rest[axis] - place[axis]).abs() <= reach)
+        });
+        let (sum, count) = near.fold((0.0, 0.0), |(sum, count), cell| (sum + cell.celsius - BODY, count + 1.0));
+        sum / count
+    }
+
+    /// Half of space at 100 °C, the other half at 37 °C: their seam stays at the mean, so that each half warms or cools as
+    /// half of space does whose face is held there, with half the reference's rise.
+    #[test]
+    fn beyond_a_seam_at_a_constant_temperature_the_lattice_warms_as_the_error_function() {
+        let bloodless = ThermalMaterial { perfusion: 0.0, ..ThermalMaterial::default() };
+        for (depth, seconds, expected, spacing, half) in [
+            (1e-3, 1.0, 40.4845, 0.125e-3, 8),
+            (2e-3, 5.0, 42.4499, 0.25e-3, 8),
+            (5e-3, 30.0, 42.0533, 0.5e-3, 16),
+        ] {
+            let seam = f64::from(half) * 1e-3;
+            let warm = |[x, _, _]: [f64; 3]| if x < seam { 100.0 - BODY } else { 0.0 };
+            let mut heat = warmed([2 * half, 1, 1], 1e-3, spacing, bloodless, warm);
+            for _ in 0..(seconds / 0.02_f64).round() as u32 {
+                heat.step(0.02, &[]).expect("a step");
+            }
+            let (rise, wanted) = (excess_at(&heat, [seam + depth, 0.5e-3, 0.5e-3]), (expected - BODY) / 2.0);
+            assert!((rise / wanted - 1.0).abs() < 0.02, "{depth} m after {seconds} s: {rise} K, not {wanted} K");
+        }
+    }
+
+    /// A warm spot in tissue with blood: a Gaussian stays one, its variance grows by 2αt, and blood carries off what
+    /// Pennes' equation says. Half the spacing, a quarter of the error.
+    #[test]
+    fn a_warm_spot_spreads_and_is_cooled_by_blood_as_pennes_has_it() {
+        let material = ThermalMaterial::default();
+        let (variance, middle, seconds) = (1.44e-6, 6e-3, 4.0);
+        let capacity = material.wet_capacity();
+        let grown = variance + 2.0 * material.conductivity / capacity * seconds;
+        let kept = (-material.perfusion_loss() / capacity * seconds).exp();
+        let errors = [0.5e-3, 0.25e-3].map(|spacing| {
+            let from = |[x, y, z]: [f64; 3]| {
+                (x - middle).powi(2) + (y - middle).powi(2) + (z - middle).powi(2)
+            };
+            let warm = |at| 6.0 * (-from(at) / (2.0 * variance)).exp();
+            let mut heat = warmed([6; 3], 2e-3, spacing, material, warm);
+            for _ in 0..(seconds / 0.02) as u32 {
+                heat.step(0.02, &[]).expect("a step");
+            }
+            // On the lines between cells, where four or eight of them meet.
+            [0.0, 1e-3, 2e-3].map(|away| {
+                let wanted = 6.0
+                    * (variance / grown).powf(1.5)
+                    * kept
+                    * (-away * away / (2.0 * grown)).exp();
+                excess_at(&heat, [middle + away, middle, middle]) / wanted - 1.0
+            })
+        });
+        for (coarse, fine) in errors[0].iter().zip(errors[1]) {
+            assert!(coarse.abs() < 0.05 && fine.abs() < 0.02, "{errors:?}");
+        }
+        assert!(errors[1][0].abs() < 0.5 * errors[0][0].abs(), "{errors:?}");
+    }
+}

@@ -9,8 +9,10 @@
 mod boundary;
 mod boxes;
 mod defect;
+mod halve;
 mod refine;
 mod repair;
+mod slit;
 mod volume;
 
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -20,7 +22,8 @@ pub use boxes::{BoxCells, box_cells};
 pub use defect::{Defect, MeshError, defects};
 pub use refine::{NodesAndTets, RefineError, refined};
 pub use repair::Repairs;
-pub use volume::{FaceOf, Volume, VolumeChange, VolumeError};
+pub use slit::{Mark, Moving, Slit};
+pub use volume::{Birth, FaceOf, Halved, Volume, VolumeChange, VolumeError};
 
 /// What counts as a bad element.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,6 +5,7 @@
 use std::collections::BTreeSet;
 
 use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::boundary::{OPPOSITE, faces};
@@ -34,15 +35,67 @@ pub enum VolumeError {
         /// What was named.
         corner: u8,
     },
+    /// The mesh has grown as far as it may.
+    #[error("the mesh has {0} elements: it is cut no further")]
+    Full(usize),
+}
+
+/// Where a new node comes from: a share of the way from one node to another, which for a node that came apart are the same.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Birth {
+    /// From and to.
+    pub of: [u32; 2],
+    /// How far, 0 to 1.
+    pub share: f64,
+}
+
+impl Birth {
+    /// Of a node that was another one.
+    pub(super) fn copy(of: u32) -> Self {
+        Self { of: [of; 2], share: 0.0 }
+    }
+
+    /// What the new node has, by what the two others have; `mix` gives a share of the way from the first to the second.
+    pub fn mix<T>(&self, values: &[T], mix: impl Fn(&T, &T, f64) -> T) -> T {
+        let [from, to] = self.of.map(|node| &values[node as usize]);
+        mix(from, to, self.share)
+    }
+}
+
+/// An element that was halved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Halved {
+    /// Which; its second end is the new node now.
+    pub tet: u32,
+    /// The other half, in which the first end is the new node.
+    pub child: u32,
+    /// Corners of the element at the ends of the edge.
+    pub ends: [u8; 2],
+}
+
+impl Halved {
+    /// Faces that are halved too: of the element, and the other half of each.
+    pub fn faces(&self) -> impl Iterator<Item = (FaceOf, FaceOf)> + '_ {
+        let corners = (0..4_u8).filter(|corner| !self.ends.contains(corner));
+        corners.map(|corner| ((self.tet, corner), (self.child, corner)))
+    }
+
+    /// The face that is of the other half now: what it was, and what it is.
+    #[must_use]
+    pub fn moved_face(&self) -> [FaceOf; 2] {
+        [(self.tet, self.ends[0]), (self.child, self.ends[0])]
+    }
 }
 
 /// What a change has done, for those who keep something about the mesh.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct VolumeChange {
     /// Elements that are gone.
     pub removed: Vec<u32>,
-    /// New nodes, in order, and the nodes that they were.
-    pub split: Vec<(u32, u32)>,
+    /// New nodes, numbered behind all others in this order.
+    pub born: Vec<Birth>,
+    /// Elements that were halved, in order.
+    pub halved: Vec<Halved>,
     /// Elements whose corners are others now, ascending.
     pub renamed: Vec<u32>,
     /// Faces that are of the boundary now and were not.
@@ -51,20 +104,18 @@ pub struct VolumeChange {
     pub loosened: BTreeSet<u32>,
 }
 
-/// Elements that may come apart. They keep their numbers; so do nodes.
+/// Elements that may come apart. They keep their numbers, and so do nodes; new ones are numbered behind them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Volume {
-    rest: Vec<Point3<f64>>,
-    /// The node of the first mesh that each node was.
-    origins: Vec<u32>,
-    tets: Vec<Option<[u32; 4]>>,
+    pub(super) rest: Vec<Point3<f64>>,
+    pub(super) tets: Vec<Option<[u32; 4]>>,
     /// Element beyond the face opposite to each corner.
-    neighbours: Vec<[Option<u32>; 4]>,
-    around: Vec<Vec<u32>>,
-    boundary: BTreeSet<FaceOf>,
-    volumes: Vec<f64>,
-    shares: Vec<f64>,
-    left: usize,
+    pub(super) neighbours: Vec<[Option<u32>; 4]>,
+    pub(super) around: Vec<Vec<u32>>,
+    pub(super) boundary: BTreeSet<FaceOf>,
+    pub(super) volumes: Vec<f64>,
+    pub(super) shares: Vec<f64>,
+    pub(super) left: usize,
 }
 
 impl Volume {
@@ -98,7 +149,6 @@ impl Volume {
         }
         Self {
             rest: mesh.rest().to_vec(),
-            origins: (0..nodes as u32).collect(),
             tets: mesh.tets().iter().copied().map(Some).collect(),
             neighbours,
             around,
@@ -113,12 +163,6 @@ impl Volume {
     #[must_use]
     pub fn rest(&self) -> &[Point3<f64>] {
         &self.rest
-    }
-
-    /// The node of the first mesh that each node was.
-    #[must_use]
-    pub fn origins(&self) -> &[u32] {
-        &self.origins
     }
 
     /// Corners of an element; `None` where it is gone.
@@ -338,7 +382,6 @@ impl Volume {
     fn give_own(&mut self, node: u32, part: &BTreeSet<u32>, change: &mut VolumeChange) {
         let own = self.rest.len() as u32;
         self.rest.push(self.rest[node as usize]);
-        self.origins.push(self.origins[node as usize]);
         let mut share = 0.0;
         for &tet in part {
             if let Some(corners) = &mut self.tets[tet as usize] {
@@ -350,7 +393,7 @@ impl Volume {
         self.shares.push(share);
         self.around[node as usize].retain(|tet| !part.contains(tet));
         self.around.push(part.iter().copied().collect());
-        change.split.push((own, node));
+        change.born.push(Birth::copy(node));
     }
 
     /// Faces between elements that a straight edge has passed between on its way, from `before` to `after` \[m\]: those
