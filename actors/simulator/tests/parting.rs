@@ -11,8 +11,8 @@ use trocar_scene::{
     VertexPositions, VertexVelocities,
 };
 use trocar_simulator::controller::{
-    Coagulated, CoagulatedElements, DynamicFemController, MassSpringController, RemovedElements, VolumeCuts,
-    XpbdController,
+    Coagulated, CoagulatedElements, DynamicFemController, MassSpringController, RemovedElements,
+    SurfaceElements, VolumeCuts, XpbdController,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -20,6 +20,14 @@ const XPBD: &str = "xpbd = { matter = { volume = { young_modulus = 2e4, poisson_
                     density = 1000.0 } }, parts = 30, damping = 5.0";
 const FEM: &str =
     "dynamic_fem = { young_modulus = 2e4, poisson_ratio = 0.3, density = 1000.0, mass_damping = 5.0";
+
+/// Springs, by implicit steps; blades always cut them.
+const SPRINGS: &str = "mass_spring = { springs = { volume = { young_modulus = 2e4, density = 1000.0 } }, \
+                       method = \"implicit\", damping = 5.0";
+
+fn springs(context: &BuildContext<'_>) -> Result<MassSpringController, ControllerError> {
+    MassSpringController::new(GRAVITY, context)
+}
 
 fn xpbd(context: &BuildContext<'_>) -> Result<XpbdController, ControllerError> {
     XpbdController::new(GRAVITY, context)
@@ -118,6 +126,7 @@ fn burns_through<C: Controller>(
 fn a_column_that_is_burned_through_comes_down() {
     burns_through(XPBD, xpbd);
     burns_through(FEM, fem);
+    burns_through(SPRINGS, springs);
 }
 
 fn coagulates<C: Controller>(
@@ -153,9 +162,16 @@ fn coagulates<C: Controller>(
 fn coagulated_elements_are_stiffer_and_shorter() {
     coagulates(XPBD, xpbd);
     coagulates(FEM, fem);
+    coagulates(SPRINGS, springs);
 }
 
-fn is_cut<C: Controller>(body: &str, build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy) {
+/// `cut` is what makes blades cut it, `halved` whether they halve its elements.
+fn is_cut<C: Controller>(
+    body: &str,
+    cut: &str,
+    halved: bool,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
     // Closed blades of 4 cm that point along y, from beside the column through it within 40 ticks.
     let sweep = |more: &str, angle: f64, kill: bool| {
         let mut stage = Stage::new(scene(&column(body, more, "scissors")), 200.0, build);
@@ -177,7 +193,7 @@ fn is_cut<C: Controller>(body: &str, build: impl Fn(&BuildContext<'_>) -> Result
         (stage.get::<VertexPositions>("column").positions.len(), lowest(&stage), state(&stage), stage)
     };
     let nodes = 4 * 4 * 10;
-    let (count, low, whole, stage) = sweep(", cut = true", 0.0, false);
+    let (count, low, whole, mut stage) = sweep(cut, 0.0, false);
     assert_eq!(stage.measured("column.pieces"), 2.0);
     assert!(count > nodes && low < -0.06, "{count} vertices, down to {low} m");
     // Volume and mass are those of before: every element is there.
@@ -189,18 +205,50 @@ fn is_cut<C: Controller>(body: &str, build: impl Fn(&BuildContext<'_>) -> Result
         let between = birth.mix(&rest, |a, b, share| a + (b - a) * share);
         assert_eq!(rest[nodes + node], between, "a new vertex is where it was at rest");
     }
-    assert_eq!(sweep(", cut = true", 0.0, true).2, whole, "another life goes on to the bit");
+    assert_eq!(sweep(cut, 0.0, true).2, whole, "another life goes on to the bit");
+    assert_eq!(!cuts.parts_of.is_empty(), halved);
+    if halved {
+        burns_where_it_was_cut(&mut stage, build);
+    }
     // The controls: open blades, and what blades do not cut.
-    for (more, angle) in [(", cut = true", 0.6), ("", 0.0)] {
+    for (more, angle) in [(cut, 0.6)].into_iter().chain((!cut.is_empty()).then_some(("", 0.0))) {
         let (count, low, ..) = sweep(more, angle, false);
         assert!(count == nodes && low > -0.04, "{more} {angle}: {count} vertices, down to {low} m");
     }
 }
 
+/// The lips are where the blades passed, and what goes of an element of the first mesh goes with all its parts.
+fn burns_where_it_was_cut<C: Controller>(
+    stage: &mut Stage<C>,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    let cuts = stage.get::<VolumeCuts>("column");
+    let rest = stage.get::<RestPositions>("column").positions;
+    let first = rest.len() - cuts.births.len();
+    let halves = cuts.births.iter().zip(&rest[first..]).filter(|(birth, _)| birth.of[0] != birth.of[1]);
+    let heights: Vec<f64> = halves.map(|(_, place)| place.z).collect();
+    let mean = heights.iter().sum::<f64>() / heights.len() as f64;
+    let off = heights.iter().map(|z| (z - mean).abs()).fold(0.0, f64::max);
+    // Elements have edges of 7 mm; the column bulges a little where it hangs.
+    assert!(heights.len() > 20 && off < 6e-4, "{} nodes up to {off} m from a plane", heights.len());
+    let of = cuts.parts_of[0];
+    let parts = cuts.parts_of.iter().filter(|part| **part == of).count();
+    let left = stage.measured("column.elements_left");
+    stage.put("column", removed(&[of]));
+    run(stage, 2);
+    assert_eq!(stage.measured("column.elements_left"), left - 1.0 - parts as f64);
+    stage.rebuild(build);
+    run(stage, 2);
+    assert_eq!(stage.measured("column.elements_left"), left - 1.0 - parts as f64, "in another life too");
+}
+
 #[test]
 fn closed_blades_that_pass_through_a_column_cut_it_through() {
-    is_cut(XPBD, xpbd);
-    is_cut(FEM, fem);
+    is_cut(XPBD, ", cut = true", true, xpbd);
+    is_cut(FEM, ", cut = true", true, fem);
+    is_cut(SPRINGS, "", true, springs);
+    // Halved elements would take shorter steps: explicit springs part between elements.
+    is_cut(&SPRINGS.replace("implicit", "explicit"), "", false, springs);
 }
 
 fn tears<C: Controller>(body: &str, build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy) {
@@ -291,6 +339,73 @@ fn a_membrane_that_burns_shrinks_and_comes_apart() {
     );
 }
 
+/// A membrane that has burned in its middle is cut through beside that, by blades that point along y.
+fn is_cut_as_a_membrane<C: Controller>(
+    body: &str,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    let tool = "[[entity]]\nname = \"tool\"\npose = { translation = [0.2, 0.0, 0.0] }\n\
+                instrument = { kind = \"scissors\", shaft_length = 0.1, shaft_radius = 0.002, jaw_length = 0.06, \
+                jaws = 2 }\n";
+    let run_it = |kill: bool, angle: f64| {
+        let text = format!("{tool}{}", membrane(body, "cauterised = { thickness = 0.001 }"));
+        let mut stage = Stage::new(scene(&text), 500.0, build);
+        let turned = nalgebra::UnitQuaternion::rotation_between(&Vector3::z(), &Vector3::y())
+            .expect("a quarter of a turn");
+        let place = |z: f64| Pose::from(Isometry3::from_parts(Vector3::new(0.0091, 0.03, z).into(), turned));
+        stage.put("tool", JawState { angle, rate: 0.0, pad_force: [0.0; 2] });
+        stage.put("tool", place(0.005));
+        let first = stage.get::<SurfaceMesh>("column").triangles;
+        run(&mut stage, 100);
+        let hole: Vec<u32> = (0..2).flat_map(|row| [7, 8].map(|cell| 2 * ((row + 7) * 16 + cell))).collect();
+        stage.put("column", removed(&hole));
+        run(&mut stage, 10);
+        for tick in 0..30_u32 {
+            if kill && tick == 14 {
+                stage.rebuild(build);
+            }
+            stage.put("tool", place(0.005 - 0.02 * f64::from(tick) / 29.0));
+            run(&mut stage, 1);
+        }
+        // What burns now are parts of first elements that the blades have divided.
+        let cuts = stage.get::<SurfaceElements>("column");
+        let mut divided = cuts.elements.to_vec();
+        divided.sort_unstable();
+        let divided = divided.windows(2).find(|two| two[0] == two[1]).map(|two| two[0]);
+        let triangles = stage.get::<SurfaceMesh>("column").triangles.len();
+        if let Some(element) = divided {
+            let parts = cuts.elements.iter().filter(|of| **of == element).count();
+            stage.put("column", removed(&[&hole[..], &[element]].concat()));
+            run(&mut stage, 2);
+            assert_eq!(stage.get::<SurfaceMesh>("column").triangles.len(), triangles - parts);
+        }
+        run(&mut stage, 150);
+        let grown = stage.get::<VertexPositions>("column").positions.len();
+        assert_eq!(grown, 17 * 17 + cuts.births.len());
+        (stage.measured("column.pieces"), lowest(&stage), triangles > first.len() - hole.len(), state(&stage))
+    };
+    let (pieces, low, divided, whole) = run_it(false, 0.0);
+    assert!(pieces >= 2.0 && low < -0.01 && divided, "{pieces} pieces, down to {low} m");
+    assert_eq!(run_it(true, 0.0).3, whole, "another life goes on to the bit");
+    let (pieces, low, divided, _) = run_it(false, 0.6);
+    assert!(pieces == 1.0 && low > -0.005 && !divided, "open blades: {pieces} pieces, down to {low} m");
+}
+
+#[test]
+fn a_membrane_that_has_burned_is_cut_and_one_that_was_cut_burns() {
+    let springs = "membrane_stiffness = 60.0, bending_stiffness = 1e-6, density = 1.0";
+    is_cut_as_a_membrane(
+        &format!("mass_spring = {{ springs = {{ surface = {{ {springs} }} }}, damping = 10.0 }}"),
+        crate::springs,
+    );
+    is_cut_as_a_membrane(
+        &format!(
+            "xpbd = {{ matter = {{ cloth = {{ {springs} }} }}, damping = 10.0, parts = 8, cut = true }}"
+        ),
+        xpbd,
+    );
+}
+
 #[test]
 fn what_burns_otherwise_than_it_moves_is_refused() {
     let refused = |text: &str| {
@@ -302,8 +417,8 @@ fn what_burns_otherwise_than_it_moves_is_refused() {
     let cloth = "xpbd = { matter = { cloth = { membrane_stiffness = 60.0, bending_stiffness = 1e-6, \
                  density = 1.0 } } }";
     assert!(refused(&membrane(cloth, "cauterised = {}")).contains("give 'cauterised' its 'thickness'"));
-    let cut = cloth.replace("} } }", "} }, cut = true }");
-    assert!(refused(&membrane(&cut, "")).contains("are of volumes"));
+    let strong = cloth.replace("} } }", "} }, strength = 1e3 }");
+    assert!(refused(&membrane(&strong, "")).contains("cloth 'tears_at'"));
     let volume = column(XPBD, "", "probe").replace("cauterised = {}", "cauterised = { thickness = 0.001 }");
     assert!(refused(&volume).contains("has no 'thickness'"));
 }

@@ -179,7 +179,10 @@ fn drawn(ticks: u32, slope: f64, drift: Vector3<f64>) -> (Volume, Slit, Point3<f
         agrees(&volume);
         let positions = nodes.positions.iter().zip(volume.rest());
         for (position, rest) in positions {
-            assert!((position - rest - drift * f64::from(tick)).norm() < 1e-12, "new nodes are where they are");
+            assert!(
+                (position - rest - drift * f64::from(tick)).norm() < 1e-12,
+                "new nodes are where they are"
+            );
         }
     }
     assert!((volume.tets().map(|(tet, _)| volume_of(&volume, tet)).sum::<f64>() - 54e-6).abs() < 1e-15);

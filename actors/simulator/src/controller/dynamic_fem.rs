@@ -76,7 +76,12 @@ impl DynamicFemBody {
     fn weakness(&self) -> Result<Weakness, String> {
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let lame = [elastic.lambda(), elastic.mu()];
-        Ok(Weakness { cut: self.cut, hangs_on: false, tears: self.strength.map(|strength| (strength, lame)) })
+        Ok(Weakness {
+            cut: self.cut,
+            halves: true,
+            hangs_on: false,
+            tears: self.strength.map(|strength| (strength, lame)),
+        })
     }
 
     /// Of a body to whose elements that has happened.
@@ -125,12 +130,14 @@ impl Elements for Solver {
         self.solver.velocities()
     }
 
-    fn remove(&mut self, elements: &[u32]) {
+    fn remove(&mut self, elements: &[u32]) -> Result<(), String> {
         self.solver.remove(elements);
+        Ok(())
     }
 
-    fn alter(&mut self, elements: &[Coagulated]) {
+    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
         elements.iter().for_each(|of| self.solver.alter(of.element, of.stiffness, of.length));
+        Ok(())
     }
 
     fn split(&mut self, body: &Deformable, born: &[Birth], heated: &Heated) -> Result<(), String> {

@@ -23,6 +23,7 @@ use super::dynamic_fem::DynamicFemBody;
 use super::heat::{Coagulated, CoagulatedElements, RemovedElements};
 use super::linear_fem::LinearFemBody;
 use super::mass_spring::MassSpringBody;
+use super::membrane::SurfaceElements;
 use super::parting::VolumeCuts;
 use super::rest_place::rest_place;
 use super::smoke::Plume;
@@ -30,6 +31,7 @@ use super::xpbd::XpbdBody;
 use crate::electrosurgery::{
     Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, ThermalMaterial, Tissue,
 };
+use crate::tet_mesh::Birth;
 
 /// Ticks between two states that a later life goes on from; whatever removes tissue is kept at once.
 const STATE_EVERY: u64 = 10;
@@ -103,8 +105,10 @@ impl Component for ElectrodeTip {
 /// What a later life goes on from. Too large to be recorded; what comes of it is.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct HeatState {
-    /// The surface before anything went.
+    /// The surface before anything came apart.
     pub triangles: Arc<Vec<[u32; 3]>>,
+    /// Vertices at rest then \[m\].
+    pub rest: Arc<Vec<Point3<f64>>>,
     /// The tissue.
     pub state: Arc<ElectrosurgeryState>,
 }
@@ -142,9 +146,13 @@ impl Body {
             let volume = TetData { positions: Vec::new(), tets: body.tets.to_vec(), tags: Vec::new() };
             body.triangles = Arc::new(volume.boundary_triangles());
         }
+        let known = scene.get::<HeatState>(entity);
+        if let Some(known) = known {
+            // A blade may have moved some, of a membrane.
+            body.rest = known.rest.clone();
+        }
         let body = body;
         let wrong = |what: String| ControllerError::Scene(format!("'{}': {what}", body.name));
-        let known = scene.get::<HeatState>(entity);
         let triangles = known.map_or_else(|| body.triangles.clone(), |known| known.triangles.clone());
         let tissue = match kind.thickness {
             Some(thickness) => Tissue::Membrane { positions: &body.rest, triangles: &triangles, thickness },
@@ -210,8 +218,10 @@ impl Body {
             vertices.filter_map(|vertex| self.tissue.vertex(vertex)).unzip();
         // What a vertex came apart into is as warm as it, and what is between two is between.
         if let Some(cuts) = scene.get::<VolumeCuts>(self.body.entity) {
-            cuts.carry(&mut celsius, |a, b, share| a + (b - a) * share);
-            cuts.carry(&mut omega, |a, b, share| a + (b - a) * share);
+            grow(&cuts.births, [&mut celsius, &mut omega]);
+        }
+        if let Some(of) = scene.get::<SurfaceElements>(self.body.entity) {
+            grow(&of.births, [&mut celsius, &mut omega]);
         }
         out.put(self.body.entity, Temperature { celsius: Arc::new(celsius) });
         out.put(self.body.entity, Burn { omega: Arc::new(omega) });
@@ -229,7 +239,10 @@ impl Body {
         }
         if went || tick.number.is_multiple_of(STATE_EVERY) {
             let state = Arc::new(self.tissue.state());
-            out.put(self.body.entity, HeatState { triangles: self.triangles.clone(), state });
+            out.put(
+                self.body.entity,
+                HeatState { triangles: self.triangles.clone(), rest: self.body.rest.clone(), state },
+            );
         }
     }
 
@@ -284,6 +297,13 @@ impl Body {
         put("coagulated_elements", self.coagulated.len() as f64);
         put("pieces", self.areas.len() as f64);
         put("largest_piece_share", self.areas.first().unwrap_or(&0.0) / self.area_before.max(1e-12));
+    }
+}
+
+/// Brings values of the first mesh's vertices up to date.
+fn grow(births: &[Birth], values: [&mut Vec<f64>; 2]) {
+    for values in values {
+        births.iter().for_each(|birth| values.push(birth.mix(values, |a, b, share| a + (b - a) * share)));
     }
 }
 
@@ -373,6 +393,7 @@ impl Controller for ElectrosurgeryController {
             .reads::<VertexPositions>()
             .reads::<RestPositions>()
             .reads::<VolumeCuts>()
+            .reads::<SurfaceElements>()
             .reads::<SurfaceMesh>()
             .writes::<SurfaceMesh>(EntitySet::Of(still.clone()))
             .writes::<Frozen>(EntitySet::Of(still))

@@ -162,12 +162,14 @@ impl Elements for AlteredAt<'_> {
         &[]
     }
 
-    fn remove(&mut self, elements: &[u32]) {
+    fn remove(&mut self, elements: &[u32]) -> Result<(), String> {
         self.altered.remove(elements);
+        Ok(())
     }
 
-    fn alter(&mut self, elements: &[Coagulated]) {
+    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
         self.altered.alter(elements);
+        Ok(())
     }
 
     fn split(&mut self, _body: &Deformable, _born: &[Birth], _heated: &Heated) -> Result<(), String> {

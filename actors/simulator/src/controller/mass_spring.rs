@@ -1,27 +1,23 @@
 //! The controller of the bodies of masses and springs.
 
-use std::collections::BTreeMap;
-use std::sync::Arc;
-
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{
-    Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
-};
+use trocar_scene::{Access, Commands, Component, ComponentError, Entity, Snapshot};
 
-use super::burning_surface::BurningSurface;
-use super::cuts::Cuts;
 use super::deformable::Deformable;
 use super::electrosurgery::CauterisedBody;
+use super::heat::{Coagulated, Heated};
+use super::membrane::{Membrane, MembraneWeakness, Parted};
+use super::parting::{Elements, Parting, Weakness};
 use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
 use super::touch::{Skin, Touch};
-use crate::cutting::{Sheet, Sweep, TopologyChange};
 use crate::elasticity::Alteration;
 use crate::mass_spring::{
     Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, Prescribed, State,
     SurfaceMaterial, TooLarge, VolumeMaterial,
 };
+use crate::tet_mesh::Birth;
 
 /// Parts into which a step is divided at most.
 const PARTS_MAX: u32 = 200;
@@ -158,7 +154,8 @@ impl MassSpringBody {
                 )
             }
             Springs::Volume { young_modulus, density } => {
-                Network::from_volume(&body.rest, &body.tets, &VolumeMaterial { young_modulus, density })
+                let material = VolumeMaterial { young_modulus, density };
+                Network::from_altered_volume(&body.rest, &body.tets, &material, altered, &body.loose)
             }
         };
         network.map_err(|error| error.to_string())
@@ -176,93 +173,116 @@ impl MassSpringBody {
     }
 }
 
-/// Masses and springs of one body.
-pub struct MassSpringMethod {
+/// Masses and springs of one body, whose elements may go.
+struct Solver {
     kind: MassSpringBody,
     solver: MassSpring,
+    /// What has become of each tetrahedron of a volume that can come apart.
+    altered: Vec<Alteration>,
+    /// The body as its springs were last derived from.
+    body: Deformable,
+}
+
+impl Solver {
+    /// Derives all springs anew. New nodes are where the body has them.
+    fn derive(&mut self, altered: &[Alteration]) -> Result<(), String> {
+        let network = self.kind.network(&self.body, altered)?;
+        let Deformable { positions, velocities, .. } = &self.body;
+        let derived = self.solver.rebuild(&self.body.staying(), |old, state| {
+            if state.positions.len() != positions.len() {
+                state.positions = positions.to_vec();
+                state.velocities = velocities.to_vec();
+            }
+            *old = network;
+            Ok(())
+        });
+        derived.map_err(|error| error.to_string())
+    }
+
+    /// The same of a volume, some of whose elements have changed.
+    fn derive_volume(&mut self) -> Result<(), String> {
+        let mut used = vec![false; self.body.rest.len()];
+        for (tet, _) in self.body.tets.iter().zip(&self.altered).filter(|(_, of)| **of != Alteration::GONE) {
+            tet.iter().for_each(|&node| used[node as usize] = true);
+        }
+        self.body.loose = (0..used.len() as u32).filter(|&node| !used[node as usize]).collect();
+        let altered = std::mem::take(&mut self.altered);
+        let derived = self.derive(&altered);
+        self.altered = altered;
+        derived
+    }
+
+    fn take(&mut self, heated: &Heated) {
+        self.altered = vec![Alteration::NONE; self.body.tets.len()];
+        for of in heated.coagulated.iter() {
+            self.altered[of.element as usize] = Alteration { stiffness: of.stiffness, length: of.length };
+        }
+        heated.removed.iter().for_each(|&tet| self.altered[tet as usize] = Alteration::GONE);
+    }
+}
+
+impl Elements for Solver {
+    fn positions(&self) -> &[Point3<f64>] {
+        &self.solver.state().positions
+    }
+
+    fn velocities(&self) -> &[Vector3<f64>] {
+        &self.solver.state().velocities
+    }
+
+    fn remove(&mut self, elements: &[u32]) -> Result<(), String> {
+        elements.iter().for_each(|&tet| self.altered[tet as usize] = Alteration::GONE);
+        self.derive_volume()
+    }
+
+    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
+        for of in elements {
+            let known = &mut self.altered[of.element as usize];
+            if *known != Alteration::GONE {
+                *known = Alteration { stiffness: of.stiffness, length: of.length };
+            }
+        }
+        self.derive_volume()
+    }
+
+    fn split(&mut self, body: &Deformable, _born: &[Birth], heated: &Heated) -> Result<(), String> {
+        self.body = body.clone();
+        self.take(heated);
+        self.derive_volume()
+    }
+}
+
+/// Masses and springs of one body.
+pub struct MassSpringMethod {
+    of: Solver,
     contacts: Vec<Contact>,
     prescribed: Vec<Prescribed>,
-    /// A surface can be cut.
-    surface: Option<Surface>,
-    /// Or burned.
-    burning: Option<BurningSurface>,
-}
-
-/// A surface that can be cut, and what has become of it.
-struct Surface {
-    sheet: Sheet,
-    cuts: Cuts,
-    /// Areas of its pieces, the largest first \[m²\].
-    areas: Vec<f64>,
-    changed: bool,
-}
-
-impl Surface {
-    fn new(body: &Deformable, scene: &Snapshot) -> Result<Self, String> {
-        let (rest, triangles) = (body.rest.to_vec(), body.triangles.to_vec());
-        let known = scene.get::<Cuts>(body.entity);
-        let sheet = match known {
-            Some(known) => known.sheet(rest, triangles),
-            None => Sheet::new(rest, triangles),
-        };
-        let sheet = sheet.map_err(|error| error.to_string())?;
-        let mut cuts = known.cloned().unwrap_or_default();
-        cuts.take(sheet.state());
-        Ok(Self { areas: areas(&sheet), sheet, cuts, changed: known.is_none() })
-    }
-}
-
-/// Areas of the pieces of a sheet, the largest first \[m²\].
-fn areas(sheet: &Sheet) -> Vec<f64> {
-    let mut areas: BTreeMap<u32, f64> = BTreeMap::new();
-    for (piece, corners) in sheet.pieces().iter().zip(sheet.triangles()) {
-        let [a, b, c] = corners.map(|vertex| sheet.rest()[vertex as usize]);
-        *areas.entry(*piece).or_default() += 0.5 * (b - a).cross(&(c - a)).norm();
-    }
-    let mut areas: Vec<f64> = areas.into_values().collect();
-    areas.sort_by(|a, b| b.total_cmp(a));
-    areas
+    /// How a surface comes apart.
+    membrane: Option<Membrane>,
+    /// Or a volume.
+    parting: Option<Parting>,
 }
 
 impl MassSpringMethod {
-    /// Cuts where blades have swept, tears where it is drawn too far, and lets springs follow.
-    fn part(&mut self, body: &mut Deformable, sweeps: &[Sweep]) -> Result<Option<TopologyChange>, String> {
-        let (Some(surface), Springs::Surface { membrane_stiffness, bending_stiffness, density }) =
-            (&mut self.surface, self.kind.springs)
-        else {
-            return Ok(None);
+    /// Lets springs follow what has become of a membrane.
+    fn follow(&mut self, body: &Deformable, parted: &Parted) -> Result<(), String> {
+        let Some(membrane) = &self.membrane else { return Ok(()) };
+        if parted.altered {
+            self.of.body = body.clone();
+            return self.of.derive(&membrane.altered());
+        }
+        let Springs::Surface { membrane_stiffness, bending_stiffness, density } = self.of.kind.springs else {
+            return Ok(());
         };
-        let (sheet, positions) = (&mut surface.sheet, &self.solver.state().positions);
-        let mut change = TopologyChange::default();
-        if !sweeps.is_empty() {
-            change = sheet.cut(positions, sweeps).map_err(|error| error.to_string())?;
-        }
-        // A tear runs on from tick to tick.
-        if let Some(stretch) = self.kind.tears_at.filter(|_| change.is_empty()) {
-            change = sheet.tear(positions, stretch).map_err(|error| error.to_string())?;
-        }
-        if change.is_empty() {
-            return Ok(None);
-        }
-        surface.cuts.length += change.length;
-        surface.cuts.take(sheet.state());
-        surface.areas = areas(sheet);
+        let (sheet, change) = (membrane.sheet(), &parted.change);
         let material = SurfaceMaterial { membrane_stiffness, bending_stiffness, density };
-        // Whoever reads the scene anew finds the same ones.
-        let anchored = |point: &Point3<f64>| body.anchors.hold(point);
-        let rest = sheet.rest().iter().enumerate();
-        let pinned: Vec<u32> = rest.filter(|(_, point)| anchored(point)).map(|(at, _)| at as u32).collect();
-        let followed = self.solver.rebuild(&pinned, |network, state| {
+        let followed = self.of.solver.rebuild(&body.staying(), |network, state| {
             change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
             change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
             let about = |vertex| sheet.about(vertex);
             network.update_surface(sheet.rest(), sheet.triangles(), &material, &change.stale, about)
         });
-        followed.map_err(|error| error.to_string())?;
-        body.pinned = pinned;
-        body.rest = Arc::new(sheet.rest().to_vec());
-        body.triangles = Arc::new(sheet.triangles().to_vec());
-        Ok(Some(change))
+        followed.map_err(|error| error.to_string())
     }
 
     fn contact(&self, touch: &Touch) -> Contact {
@@ -272,9 +292,9 @@ impl MassSpringMethod {
             normal: touch.normal,
             depth: touch.depth,
             velocity: touch.velocity,
-            stiffness: self.kind.contact_stiffness,
+            stiffness: self.of.kind.contact_stiffness,
             damping: 0.0,
-            friction: self.kind.friction,
+            friction: self.of.kind.friction,
         }
     }
 }
@@ -284,52 +304,55 @@ impl SoftMethod for MassSpringMethod {
     const CONTROLLER: &'static str = "mass-spring";
 
     fn build(kind: &MassSpringBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
-        let burning = match kind.springs {
-            Springs::Surface { .. } => BurningSurface::new(body, scene)?,
-            _ if scene.get::<CauterisedBody>(body.entity).is_some() => {
-                return Err("'mass_spring' burns as a surface only: 'xpbd', 'dynamic_fem' and 'linear_fem' as volumes".into());
-            }
-            _ => None,
-        };
-        if kind.tears_at.is_some() && (burning.is_some() || !matches!(kind.springs, Springs::Surface { .. }))
-        {
+        let (is_surface, is_volume) =
+            (matches!(kind.springs, Springs::Surface { .. }), matches!(kind.springs, Springs::Volume { .. }));
+        if kind.tears_at.is_some() && !is_surface {
             return Err(
-                "'tears_at' is of surfaces that nothing burns: volumes of 'xpbd' and 'dynamic_fem' tear by \
-                        'strength'"
-                    .into(),
+                "'tears_at' is of surfaces: volumes of 'xpbd' and 'dynamic_fem' tear by 'strength'".into()
             );
         }
-        let altered = burning.as_ref().map(BurningSurface::altered).unwrap_or_default();
-        let network = kind.network(body, &altered)?;
-        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
-        let solver = MassSpring::restore(network, state, &body.staying(), kind.config())
-            .map_err(|error| error.to_string())?;
-        let surface = match kind.springs {
-            Springs::Surface { .. } if burning.is_none() => Some(Surface::new(body, scene)?),
-            _ => None,
+        if !(is_surface || is_volume) && scene.get::<CauterisedBody>(body.entity).is_some() {
+            return Err("a line of 'mass_spring' does not burn: surfaces and volumes do".into());
+        }
+        let membrane = match is_surface {
+            true => Membrane::new(body, MembraneWeakness { cut: true, tears_at: kind.tears_at }, scene)?,
+            false => None,
         };
-        Ok(Self { kind: *kind, solver, contacts: Vec::new(), prescribed: Vec::new(), surface, burning })
+        // Halved elements would take shorter steps.
+        let halves = kind.method == Method::Implicit;
+        let weakness = Weakness { cut: true, halves, ..Weakness::default() };
+        let parting = if is_volume { Parting::new(body, weakness, scene)? } else { None };
+        let altered = membrane.as_ref().map(Membrane::altered).unwrap_or_default();
+        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
+        let solver =
+            MassSpring::restore(kind.network(body, &altered)?, state, &body.staying(), kind.config())
+                .map_err(|error| error.to_string())?;
+        let mut of = Solver { kind: *kind, solver, altered: Vec::new(), body: body.clone() };
+        if let Some(parting) = &parting {
+            of.take(&parting.heated());
+            of.derive_volume()?;
+        }
+        Ok(Self { of, contacts: Vec::new(), prescribed: Vec::new(), membrane, parting })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        let all = || EntitySet::Of(bodies.to_vec());
-        BurningSurface::access(access, bodies).writes::<Cuts>(all()).writes::<TextureCoordinates>(all())
+        Membrane::access(Parting::access(access, bodies), bodies)
     }
 
     fn positions(&self) -> &[Point3<f64>] {
-        &self.solver.state().positions
+        &self.of.solver.state().positions
     }
 
     fn velocities(&self) -> &[Vector3<f64>] {
-        &self.solver.state().velocities
+        &self.of.solver.state().velocities
     }
 
     fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
-        self.kind.skin(body, self.positions())
+        self.of.kind.skin(body, self.positions())
     }
 
     fn is_cut_by_blades(&self) -> bool {
-        self.surface.is_some()
+        self.membrane.is_some() || self.parting.is_some()
     }
 
     fn reshape(
@@ -338,35 +361,14 @@ impl SoftMethod for MassSpringMethod {
         site: &Site<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
-        if let Some(burning) = &mut self.burning {
-            let (changed, reshaped) = burning.burn(body, site, out);
-            if changed {
-                let network = self.kind.network(body, &burning.altered())?;
-                self.solver
-                    .rebuild(&body.staying(), |old, _| {
-                        *old = network;
-                        Ok(())
-                    })
-                    .map_err(|error| error.to_string())?;
-            }
-            return Ok(reshaped);
+        if let Some(parting) = &mut self.parting {
+            return parting.reshape(&mut self.of, body, site, out);
         }
-        let Some(surface) = &mut self.surface else { return Ok(None) };
-        let had_blades = !surface.cuts.blades.is_empty();
-        let sweeps = surface.cuts.sweeps(site.scene, site.world_from_body);
-        surface.changed |= had_blades || !surface.cuts.blades.is_empty();
-        let vertices = body.rest.len();
-        let Some(change) = self.part(body, &sweeps)? else { return Ok(None) };
-        if let Some(texture) = site.scene.get::<TextureCoordinates>(body.entity) {
-            let mut uv = texture.uv.to_vec();
-            if uv.len() == vertices {
-                change.carry(&mut uv, |a, b, share| a + (b - a) * share);
-            }
-            out.put(body.entity, TextureCoordinates { uv: Arc::new(uv) });
-        }
-        body.changed_topology();
-        out.put(body.entity, SurfaceMesh { triangles: body.triangles.clone() });
-        Ok(Some(Reshaped { kept: None, parents: change.triangles }))
+        let Some(membrane) = &mut self.membrane else { return Ok(None) };
+        let positions = &self.of.solver.state().positions;
+        let Some(parted) = membrane.reshape(positions, body, site, out)? else { return Ok(None) };
+        self.follow(body, &parted)?;
+        Ok(parted.reshaped)
     }
 
     fn step(
@@ -388,33 +390,33 @@ impl SoftMethod for MassSpringMethod {
             prescribed: &self.prescribed,
             ..Input::default()
         };
-        self.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
+        self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
         forces.clear();
-        forces.extend_from_slice(self.solver.contact_forces());
+        forces.extend_from_slice(self.of.solver.contact_forces());
         Ok(())
     }
 
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
-        self.solver.pull_on(held)
+        self.of.solver.pull_on(held)
     }
 
     fn publish(&mut self, body: &Deformable, out: &mut Commands) {
-        if let Some(surface) = self.surface.as_mut().filter(|surface| surface.changed) {
-            out.put(body.entity, surface.cuts.clone());
-            surface.changed = false;
+        if let Some(membrane) = &mut self.membrane {
+            membrane.publish(body, out);
         }
     }
 
     fn measure(&self, _body: &Deformable, measures: &mut Measures<'_>) {
-        measures.put("elastic_energy_j", self.solver.elastic_energy());
-        measures.put("kinetic_energy_j", self.solver.kinetic_energy());
+        measures.put("elastic_energy_j", self.of.solver.elastic_energy());
+        measures.put("kinetic_energy_j", self.of.solver.kinetic_energy());
         let heights = || self.positions().iter().map(|position| position.z);
         measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
         measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));
-        if let Some(surface) = &self.surface {
-            measures.put("pieces", surface.areas.len() as f64);
-            measures.put("cut_area_m2", surface.areas.get(1).copied().unwrap_or(0.0));
-            measures.put("cut_length_m", surface.cuts.length);
+        if let Some(membrane) = &self.membrane {
+            membrane.measure(measures);
+        }
+        if let Some(parting) = &self.parting {
+            parting.measure(measures);
         }
     }
 }

@@ -6,7 +6,6 @@
 
 pub mod answering;
 pub mod bleeding;
-pub mod burning_surface;
 pub mod coupled;
 pub mod coupling;
 pub mod cuts;
@@ -25,6 +24,7 @@ mod linear_fem_altered;
 mod linear_fem_contacts;
 mod linear_fem_jobs;
 pub mod mass_spring;
+pub mod membrane;
 pub mod parting;
 pub mod rest_place;
 pub mod rigid_bodies;
@@ -53,7 +53,6 @@ use trocar_scene::{RegistryBuilder, RegistryError};
 use crate::instrument::mechanism::MechanismState;
 
 pub use bleeding::{BleedingController, Vessel, VesselState};
-pub use burning_surface::SurfaceElements;
 pub use coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, Joined, Lies};
 pub use deformable::Deformable;
 pub use dynamic_fem::{DynamicFemBody, DynamicFemController};
@@ -65,6 +64,7 @@ pub use instruments::{InstrumentsConfig, InstrumentsController};
 pub use irrigation::{Irrigator, Sucker};
 pub use linear_fem::{LinearFemBody, LinearFemController};
 pub use mass_spring::{MassSpringBody, MassSpringController};
+pub use membrane::SurfaceElements;
 pub use parting::VolumeCuts;
 pub use rigid_bodies::RigidBodiesController;
 pub use smoke::{Plume, SmokeCloud, SmokeCloudState, SmokeController};

@@ -21,7 +21,9 @@ use super::electrosurgery::CauterisedBody;
 use super::heat::{Coagulated, CoagulatedElements, Heated, RemovedElements};
 use super::soft::{Measures, Reshaped, Site};
 use crate::elasticity::cauchy_stress;
-use crate::tet_mesh::{self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape};
+use crate::tet_mesh::{
+    self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape,
+};
 
 /// What the mesh of a volume does not say about how it came apart.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -67,11 +69,6 @@ impl VolumeCuts {
         };
         tets.iter().map(|tet| tet.map(origin)).collect()
     }
-
-    /// Brings values of the first mesh's nodes up to date.
-    pub fn carry<T>(&self, values: &mut Vec<T>, mix: impl Fn(&T, &T, f64) -> T) {
-        self.births.iter().for_each(|birth| values.push(birth.mix(values, &mix)));
-    }
 }
 
 /// Who moves elements that go, change and come apart.
@@ -81,9 +78,15 @@ pub trait Elements {
     /// How they move \[m/s\].
     fn velocities(&self) -> &[Vector3<f64>];
     /// These elements are gone.
-    fn remove(&mut self, elements: &[u32]);
+    ///
+    /// # Errors
+    /// Why it cannot be moved without them.
+    fn remove(&mut self, elements: &[u32]) -> Result<(), String>;
     /// These are as stiff and as long as that.
-    fn alter(&mut self, elements: &[Coagulated]);
+    ///
+    /// # Errors
+    /// Why it cannot be moved so.
+    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String>;
     /// The body has new nodes, and is to be moved with the elements that it has now; `heated` is all that has happened to
     /// them.
     ///
@@ -97,6 +100,8 @@ pub trait Elements {
 pub struct Weakness {
     /// Whether blades open it.
     pub cut: bool,
+    /// Whether they halve its elements where they pass; else faces between elements open.
+    pub halves: bool,
     /// Whether pieces that hang by nothing but nodes stay there: who moves them cannot let them fall.
     pub hangs_on: bool,
     /// Tension that tears it \[Pa\], and Lamé's constants \[Pa\] by which the tension is known.
@@ -107,8 +112,6 @@ pub struct Weakness {
 pub struct Parting {
     volume: Volume,
     weakness: Weakness,
-    /// Whether others have grown onto its elements, which blades do not halve then: faces between them open.
-    is_grown_upon: bool,
     /// The face that each triangle of the surface is.
     faces: Vec<FaceOf>,
     /// By elements of the first mesh.
@@ -161,19 +164,10 @@ impl Parting {
         let has_grown = |(_, coupled): (Entity, &CoupledBody)| {
             coupled.with.iter().any(|with| with.body == body.name && with.joined.is_some())
         };
-        let is_grown_upon = scene.iter::<CoupledBody>().any(has_grown);
-        Ok(Some(Self {
-            volume,
-            weakness,
-            is_grown_upon,
-            faces,
-            heated,
-            cuts,
-            parts,
-            pieces,
-            inverse_shapes,
-            told_blades,
-        }))
+        // Who has grown onto its elements would not follow.
+        let halves = weakness.halves && !scene.iter::<CoupledBody>().any(has_grown);
+        let weakness = Weakness { halves, ..weakness };
+        Ok(Some(Self { volume, weakness, faces, heated, cuts, parts, pieces, inverse_shapes, told_blades }))
     }
 
     /// What a controller of volumes that come apart reads and writes.
@@ -203,7 +197,9 @@ impl Parting {
     fn all_coagulated(&self, first: &[Coagulated]) -> Vec<Coagulated> {
         let parts = |of: &Coagulated| {
             let of = *of;
-            all_parts(&self.parts, &[of.element]).map(|element| Coagulated { element, ..of }).collect::<Vec<_>>()
+            all_parts(&self.parts, &[of.element])
+                .map(|element| Coagulated { element, ..of })
+                .collect::<Vec<_>>()
         };
         first.iter().flat_map(parts).collect()
     }
@@ -235,11 +231,11 @@ impl Parting {
         let gone: Vec<u32> =
             all_parts(&self.parts, &gone).filter(|&tet| self.volume.tet(tet).is_some()).collect();
         if !changed.is_empty() {
-            elements.alter(&self.all_coagulated(&changed));
+            elements.alter(&self.all_coagulated(&changed))?;
         }
         let mut change = VolumeChange::default();
         if !gone.is_empty() {
-            elements.remove(&gone);
+            elements.remove(&gone)?;
             change = self.volume.take_out(&gone).map_err(|error| error.to_string())?;
             // What hangs by a node or an edge goes on to, so that its solver need not be made anew with every element
             // that burns; but not what hangs by nothing else.
@@ -280,7 +276,7 @@ impl Parting {
         if self.weakness.cut {
             sweeps = swept(&mut self.cuts.blades, site.scene, site.world_from_body);
         }
-        let faces = if sweeps.is_empty() || self.is_grown_upon {
+        let faces = if sweeps.is_empty() || !self.weakness.halves {
             let mut faces: Vec<FaceOf> = Vec::new();
             if change.born.is_empty() {
                 let positions = elements.positions();
@@ -354,7 +350,8 @@ impl Parting {
         }
         for halved in &change.halved {
             for tet in [halved.tet, halved.child] {
-                let inverse = self.volume.tet(tet).and_then(|nodes| shape(self.volume.rest(), &nodes).try_inverse());
+                let inverse =
+                    self.volume.tet(tet).and_then(|nodes| shape(self.volume.rest(), &nodes).try_inverse());
                 self.inverse_shapes[tet as usize] = inverse.unwrap_or_default();
             }
         }

@@ -9,10 +9,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Access, Commands, Component, ComponentError, Entity, Snapshot};
 
-use super::burning_surface::BurningSurface;
 use super::coupled::Coupled;
 use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
+use super::membrane::{Membrane, MembraneWeakness};
 use super::parting::{Elements, Parting, Weakness};
 use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Step};
 use super::touch::{Skin, Touch};
@@ -81,10 +81,12 @@ pub struct XpbdBody {
     pub contact_stiffness: f64,
     /// Coulomb friction against instruments.
     pub friction: f64,
-    /// Of a volume: whether blades cut it; then they do not push it.
+    /// Of a volume or a cloth: whether blades cut it; then they do not push it.
     pub cut: bool,
     /// Of a volume: tension that tears it \[Pa\]; without one nothing does.
     pub strength: Option<f64>,
+    /// Of a cloth: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
+    pub tears_at: Option<f64>,
 }
 
 impl Default for XpbdBody {
@@ -99,6 +101,7 @@ impl Default for XpbdBody {
             friction: 0.3,
             cut: false,
             strength: None,
+            tears_at: None,
         }
     }
 }
@@ -113,7 +116,8 @@ impl Component for XpbdBody {
         ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
         ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
         ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
-        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")?;
+        ComponentError::range("tears_at", self.tears_at.unwrap_or(2.0), 1.01..=100.0, "1.01 to 100")
     }
     fn schema() -> Option<serde_json::Value> {
         Some(schemars::schema_for!(Self).to_value())
@@ -130,6 +134,7 @@ impl XpbdBody {
         let lambda = 2.0 * mu * poisson_ratio / (1.0 - 2.0 * poisson_ratio);
         Weakness {
             cut: self.cut,
+            halves: true,
             hangs_on: false,
             tears: self.strength.map(|strength| (strength, [lambda, mu])),
         }
@@ -193,19 +198,20 @@ impl Elements for Solver {
         &self.solver.state().velocities
     }
 
-    fn remove(&mut self, elements: &[u32]) {
+    fn remove(&mut self, elements: &[u32]) -> Result<(), String> {
         self.solver.remove(elements);
+        Ok(())
     }
 
-    fn alter(&mut self, elements: &[Coagulated]) {
+    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
         elements.iter().for_each(|of| self.solver.alter(of.element, of.stiffness, of.length));
+        Ok(())
     }
 
     fn split(&mut self, body: &Deformable, _born: &[Birth], heated: &Heated) -> Result<(), String> {
         self.solver = self.kind.solver(body, &[])?;
-        self.alter(&heated.coagulated);
-        self.remove(&heated.removed);
-        Ok(())
+        self.alter(&heated.coagulated)?;
+        self.remove(&heated.removed)
     }
 }
 
@@ -213,7 +219,7 @@ impl Elements for Solver {
 pub struct XpbdMethod {
     pub(super) of: Solver,
     parting: Option<Parting>,
-    burning: Option<BurningSurface>,
+    membrane: Option<Membrane>,
     /// If it pulls or presses at others.
     pub(super) coupled: Option<Coupled>,
     pub(super) contacts: Vec<Contact>,
@@ -260,33 +266,44 @@ impl SoftMethod for XpbdMethod {
     const CONTROLLER: &'static str = "xpbd";
 
     fn build(kind: &XpbdBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
-        let comes_apart = kind.cut || kind.strength.is_some();
-        if comes_apart && !matches!(kind.matter, Matter::Volume { .. }) {
-            return Err("'cut' and 'strength' are of volumes: a cloth of 'mass_spring' is cut".into());
+        let of_another = match kind.matter {
+            Matter::Volume { .. } => {
+                kind.tears_at.map(|_| "'tears_at' is of cloth: a volume has a 'strength'")
+            }
+            Matter::Cloth { .. } => kind.strength.map(|_| "'strength' is of volumes: cloth 'tears_at'"),
+            Matter::Rod { .. } if kind.cut => Some("'cut' is of volumes and cloth"),
+            Matter::Rod { .. } => (kind.strength.or(kind.tears_at)).map(|_| "a rod does not tear"),
+        };
+        if let Some(what) = of_another {
+            return Err(what.into());
         }
-        let (parting, burning) = match kind.matter {
+        let (parting, membrane) = match kind.matter {
             Matter::Volume { .. } => (Parting::new(body, kind.weakness(), scene)?, None),
-            Matter::Cloth { .. } => (None, BurningSurface::new(body, scene)?),
+            Matter::Cloth { .. } => {
+                let weakness = MembraneWeakness { cut: kind.cut, tears_at: kind.tears_at };
+                (None, Membrane::new(body, weakness, scene)?)
+            }
             Matter::Rod { .. } => (None, None),
         };
-        let altered = burning.as_ref().map(BurningSurface::altered).unwrap_or_default();
+        let altered = membrane.as_ref().map(Membrane::altered).unwrap_or_default();
         let mut of = Solver { kind: *kind, solver: kind.solver(body, &altered)? };
         if let Some(parting) = &parting {
-            of.alter(&parting.heated().coagulated);
-            of.remove(&parting.heated().removed);
+            of.alter(&parting.heated().coagulated)?;
+            of.remove(&parting.heated().removed)?;
         }
         let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
         let coupled = Coupled::new(body, thickness, scene)?;
         let (contacts, prescribed, forces, tied, island) = Default::default();
-        Ok(Self { of, parting, burning, coupled, contacts, prescribed, forces, tied, island })
+        Ok(Self { of, parting, membrane, coupled, contacts, prescribed, forces, tied, island })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        Coupled::access(BurningSurface::access(Parting::access(access, bodies), bodies), bodies)
+        Coupled::access(Membrane::access(Parting::access(access, bodies), bodies), bodies)
     }
 
     fn is_cut_by_blades(&self) -> bool {
         self.parting.as_ref().is_some_and(Parting::is_cut)
+            || self.membrane.as_ref().is_some_and(Membrane::is_cut)
     }
 
     fn reshape(
@@ -295,12 +312,11 @@ impl SoftMethod for XpbdMethod {
         site: &Site<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
-        if let Some(burning) = &mut self.burning {
-            let (changed, reshaped) = burning.burn(body, site, out);
-            if changed {
-                self.of.solver = self.of.kind.solver(body, &burning.altered())?;
-            }
-            return Ok(reshaped);
+        if let Some(membrane) = &mut self.membrane {
+            let positions = &self.of.solver.state().positions;
+            let Some(parted) = membrane.reshape(positions, body, site, out)? else { return Ok(None) };
+            self.of.solver = self.of.kind.solver(body, &membrane.altered())?;
+            return Ok(parted.reshaped);
         }
         let Some(parting) = &mut self.parting else { return Ok(None) };
         parting.reshape(&mut self.of, body, site, out)
@@ -377,6 +393,7 @@ impl SoftMethod for XpbdMethod {
         measures.put("displacement_max_m", moved.fold(0.0, f64::max));
         let heights = || self.positions().iter().map(|position| position.z);
         self.parting.iter().for_each(|parting| parting.measure(measures));
+        self.membrane.iter().for_each(|membrane| membrane.measure(measures));
         self.coupled.iter().for_each(|coupled| coupled.measure(measures));
         measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
         measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));

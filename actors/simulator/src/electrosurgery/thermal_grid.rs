@@ -444,10 +444,11 @@ mod tests {
     /// Mean excess of the cells that touch a place \[K\].
     fn excess_at(heat: &Electrosurgery, place: [f64; 3]) -> f64 {
         let reach = heat.grid.spacing * 0.51;
-        let near = heat.cells().filter(|cell| {
-            (0..3).all(|axis| (cell.middle_in_rest[axis] - place[axis]).abs() <= reach)
-        });
-        let (sum, count) = near.fold((0.0, 0.0), |(sum, count), cell| (sum + cell.celsius - BODY, count + 1.0));
+        let near = heat
+            .cells()
+            .filter(|cell| (0..3).all(|axis| (cell.middle_in_rest[axis] - place[axis]).abs() <= reach));
+        let (sum, count) =
+            near.fold((0.0, 0.0), |(sum, count), cell| (sum + cell.celsius - BODY, count + 1.0));
         sum / count
     }
 
@@ -469,7 +470,10 @@ mod tests {
             }
             let (rise, wanted) = (excess_at(&heat, [seam + depth, 0.5e-3, 0.5e-3]), (expected - BODY) / 2.0);
             // Of a block that has all but cooled the heat goes to the mesh, which is coarser.
-            assert!((rise / wanted - 1.0).abs() < 0.05, "{depth} m after {seconds} s: {rise} K, not {wanted} K");
+            assert!(
+                (rise / wanted - 1.0).abs() < 0.05,
+                "{depth} m after {seconds} s: {rise} K, not {wanted} K"
+            );
         }
     }
 
@@ -483,9 +487,8 @@ mod tests {
         let grown = variance + 2.0 * material.conductivity / capacity * seconds;
         let kept = (-material.perfusion_loss() / capacity * seconds).exp();
         let errors = [0.5e-3, 0.25e-3].map(|spacing| {
-            let from = |[x, y, z]: [f64; 3]| {
-                (x - middle).powi(2) + (y - middle).powi(2) + (z - middle).powi(2)
-            };
+            let from =
+                |[x, y, z]: [f64; 3]| (x - middle).powi(2) + (y - middle).powi(2) + (z - middle).powi(2);
             let warm = |at| 6.0 * (-from(at) / (2.0 * variance)).exp();
             let mut heat = warmed([6; 3], 2e-3, spacing, material, warm);
             for _ in 0..(seconds / 0.02) as u32 {
@@ -493,10 +496,7 @@ mod tests {
             }
             // On the lines between cells, where four or eight of them meet.
             [0.0, 1e-3, 2e-3].map(|away| {
-                let wanted = 6.0
-                    * (variance / grown).powf(1.5)
-                    * kept
-                    * (-away * away / (2.0 * grown)).exp();
+                let wanted = 6.0 * (variance / grown).powf(1.5) * kept * (-away * away / (2.0 * grown)).exp();
                 excess_at(&heat, [middle + away, middle, middle]) / wanted - 1.0
             })
         });

@@ -15,6 +15,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::error::{Faulty, NetworkError};
+use crate::elasticity::Alteration;
 
 /// Holds two nodes at a distance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -139,6 +140,8 @@ pub(crate) fn check_elements<const N: usize>(
     .refuse(|faulty| NetworkError::Nodes { kind, nodes, faulty })
 }
 
+/// Mass of a node that is of no element \[kg\]: it is pinned, and has one for the sake of form.
+pub(crate) const LOOSE: f64 = 1e-6;
 /// Least positive number that counts as stiffness, density or extent.
 pub(crate) const LEAST: f64 = 1e-30;
 
@@ -204,6 +207,21 @@ impl Network {
         tets: &[[u32; 4]],
         material: &VolumeMaterial,
     ) -> Result<Self, NetworkError> {
+        Self::from_altered_volume(rest, tets, material, &[], &[])
+    }
+
+    /// The same of tetrahedra of which each is as `altered` says, or all as they were where that is empty. Nodes in `loose`
+    /// may be of none that is there: they are to be pinned, and have a mass for the sake of form.
+    ///
+    /// # Errors
+    /// As [`from_volume`](Self::from_volume).
+    pub fn from_altered_volume(
+        rest: &[Point3<f64>],
+        tets: &[[u32; 4]],
+        material: &VolumeMaterial,
+        altered: &[Alteration],
+        loose: &[u32],
+    ) -> Result<Self, NetworkError> {
         parameter("young_modulus", material.young_modulus, LEAST)?;
         parameter("density", material.density, LEAST)?;
         check_elements("tetrahedron", rest, tets)?;
@@ -211,12 +229,16 @@ impl Network {
         Faulty::among(tets.len(), |tet| extent(&tets[tet]) <= LEAST)
             .refuse(|faulty| NetworkError::NoExtent { kind: "tetrahedron", faulty })?;
         let mut network = Self { masses: vec![0.0; rest.len()], rest: rest.to_vec(), ..Self::default() };
-        let mut shares: Vec<([u32; 2], f64)> = Vec::with_capacity(6 * tets.len());
-        for tet in tets {
+        let mut shares: Vec<([u32; 2], f64, Alteration)> = Vec::with_capacity(6 * tets.len());
+        for (index, tet) in tets.iter().enumerate() {
+            let of = altered.get(index).copied().unwrap_or(Alteration::NONE);
+            if of == Alteration::GONE {
+                continue;
+            }
             let extent = extent(tet);
             for (at, &a) in tet.iter().enumerate() {
                 network.masses[a as usize] += 0.25 * material.density * extent;
-                shares.extend(tet[..at].iter().map(|&b| ([a.min(b), a.max(b)], extent)));
+                shares.extend(tet[..at].iter().map(|&b| ([a.min(b), a.max(b)], extent, of)));
             }
         }
         // Stable, so that each sum has one order.
@@ -224,12 +246,20 @@ impl Network {
         for edge in shares.chunk_by(|first, second| first.0 == second.0) {
             let nodes = edge[0].0;
             let squared = (rest[nodes[1] as usize] - rest[nodes[0] as usize]).norm_squared();
-            let about: f64 = edge.iter().map(|share| share.1).sum();
+            // Each tetrahedron makes it as stiff and as long as it is, by its share of the volume.
+            let (about, whole, length) =
+                edge.iter().fold((0.0, 0.0, 0.0), |(about, whole, length), share| {
+                    (about + share.1 * share.2.stiffness, whole + share.1, length + share.1 * share.2.length)
+                });
             network.springs.push(Spring {
                 nodes,
-                rest: squared.sqrt(),
+                rest: squared.sqrt() * (length / whole),
                 stiffness: material.young_modulus * about / squared,
             });
+        }
+        for &node in loose {
+            let mass = &mut network.masses[node as usize];
+            *mass = if *mass > 0.0 { *mass } else { LOOSE };
         }
         network.check(rest.len())?;
         Ok(network)

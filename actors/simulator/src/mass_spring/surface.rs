@@ -4,7 +4,7 @@
 use nalgebra::Point3;
 
 use super::error::{Faulty, NetworkError};
-use super::network::{Hinge, LEAST, Network, Spring, SurfaceMaterial, check_elements, parameter};
+use super::network::{Hinge, LEAST, LOOSE, Network, Spring, SurfaceMaterial, check_elements, parameter};
 use crate::elasticity::Alteration;
 
 /// One side of a triangle, by its edge: the order in which shares are summed.
@@ -17,8 +17,6 @@ fn sides(triangle: u32, corners: &[u32; 3]) -> [Side; 3] {
 
 /// Sine of a fold (as a share of its edge) below which it counts as flat.
 const FLAT: f64 = 1e-6;
-/// Mass of a node that is pinned and of no triangle \[kg\].
-const LOOSE: f64 = 1e-6;
 
 /// Area of a triangle \[m²\].
 pub(crate) fn area(corners: &[u32; 3], positions: &[Point3<f64>]) -> f64 {

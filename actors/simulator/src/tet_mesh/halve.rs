@@ -19,8 +19,7 @@ impl Volume {
         let mut least = f64::INFINITY;
         for nodes in Self::about([a, b], self).into_iter().filter_map(|tet| self.tet(tet)) {
             for end in [a, b] {
-                let places =
-                    nodes.map(|node| if node == end { between } else { self.rest[node as usize] });
+                let places = nodes.map(|node| if node == end { between } else { self.rest[node as usize] });
                 least = least.min(mean_ratio(&places, &[0, 1, 2, 3]));
             }
         }
@@ -52,7 +51,9 @@ impl Volume {
                     halves[0][corner] = Some(child);
                     if let Some(beyond) = sides[corner] {
                         let back = &mut self.neighbours[beyond as usize];
-                        back.iter_mut().filter(|side| **side == Some(tet)).for_each(|side| *side = Some(child));
+                        back.iter_mut()
+                            .filter(|side| **side == Some(tet))
+                            .for_each(|side| *side = Some(child));
                     } else if self.boundary.remove(&(tet, face)) {
                         self.boundary.insert((child, face));
                     }
@@ -84,9 +85,7 @@ impl Volume {
             self.around[node as usize].extend([tet, child]);
             for half in [tet, child] {
                 let corners = replaced(if half == tet { b } else { a });
-                corners
-                    .iter()
-                    .for_each(|&at| self.shares[at as usize] += 0.25 * self.volumes[half as usize]);
+                corners.iter().for_each(|&at| self.shares[at as usize] += 0.25 * self.volumes[half as usize]);
             }
             self.left += 1;
             change.halved.push(Halved { tet, child, ends });

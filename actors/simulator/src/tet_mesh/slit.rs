@@ -169,7 +169,8 @@ impl Volume {
             let by = |axis: usize| ends().map(|end| end[axis]).fold(start, pick) + out;
             [by(0), by(1), by(2)]
         };
-        let (min, max) = (corner(f64::min, f64::INFINITY, -reach), corner(f64::max, f64::NEG_INFINITY, reach));
+        let (min, max) =
+            (corner(f64::min, f64::INFINITY, -reach), corner(f64::max, f64::NEG_INFINITY, reach));
         let mut found = BTreeMap::new();
         for (tet, corners) in self.tets() {
             let places = corners.map(|node| nodes.positions[node as usize]);
@@ -242,7 +243,9 @@ impl Volume {
         for tet in about {
             let Some(nodes) = self.tet(tet) else { continue };
             for (corner, next) in self.neighbours[tet as usize].iter().enumerate() {
-                let Some((next, beyond)) = next.and_then(|next| Some((next, self.tet(next)?))) else { continue };
+                let Some((next, beyond)) = next.and_then(|next| Some((next, self.tet(next)?))) else {
+                    continue;
+                };
                 let marks = OPPOSITE[corner].map(|at| slit.find(nodes[at]));
                 let [Some(one), Some(two), Some(three)] = marks else { continue };
                 if self.passes_between([one, two, three], &nodes, &beyond) {
