@@ -3,6 +3,8 @@
 
 mod stage;
 
+use std::sync::Arc;
+
 use nalgebra::Vector3;
 use stage::{Stage, scene};
 use trocar_scene::{
@@ -200,4 +202,126 @@ fn what_cannot_be_stops_the_one_body_that_it_is_about() {
     stage.rebuild(Both::new);
     (0..20).for_each(|_| stage.tick());
     assert_eq!(stage.get::<VertexPositions>("organ"), organ);
+}
+
+/// Steps of the membrane for one of the organ that is a hundred times as heavy.
+const FLYING_RATE: u64 = 10;
+
+/// Two controllers whose bodies fly: ten ticks are the membrane's, the next one is the organ's and as long as all of them.
+struct Flying(Both);
+
+impl Flying {
+    fn new(context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        Ok(Self(Both {
+            fast: XpbdController::new(Vector3::zeros(), context)?,
+            slow: DynamicFemController::new(Vector3::zeros(), context)?,
+            bodies: context.scene.iter::<VertexPositions>().map(|(entity, _)| entity).collect(),
+        }))
+    }
+}
+
+impl Controller for Flying {
+    fn access(&self) -> Access {
+        self.0.access()
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        if tick.number.is_multiple_of(FLYING_RATE + 1) {
+            let period = trocar_scene::SimTime(tick.period.0 * FLYING_RATE);
+            return self.0.slow.tick(&Tick { period, ..*tick }, scene, out);
+        }
+        self.0.fast.tick(tick, scene, out)
+    }
+}
+
+/// Masses of the vertices of the organ and of the membrane of [`flying`] \[kg\].
+fn masses(stage: &Stage<Flying>) -> [Vec<f64>; 2] {
+    let organ = stage.get::<VertexPositions>("organ").positions;
+    let mut of_organ = vec![0.0; organ.len()];
+    for tet in stage.get::<trocar_scene::TetMesh>("organ").tets.iter() {
+        let [a, b, c, d] = tet.map(|node| organ[node as usize]);
+        let share = 1000.0 * (b - a).cross(&(c - a)).dot(&(d - a)).abs() / 24.0;
+        tet.iter().for_each(|&node| of_organ[node as usize] += share);
+    }
+    let membrane = stage.get::<VertexPositions>("membrane").positions;
+    let mut of_membrane = vec![0.0; membrane.len()];
+    for triangle in stage.get::<trocar_scene::SurfaceMesh>("membrane").triangles.iter() {
+        let [a, b, c] = triangle.map(|node| membrane[node as usize]);
+        let share = 0.3 * (b - a).cross(&(c - a)).norm() / 6.0;
+        triangle.iter().for_each(|&node| of_membrane[node as usize] += share);
+    }
+    [of_organ, of_membrane]
+}
+
+#[test]
+fn controllers_of_a_light_membrane_on_a_heavy_organ_lose_no_momentum_and_gain_no_energy() {
+    let text = "[[entity]]\nname = \"organ\"\nmesh = { block = { size = [0.03, 0.03, 0.03], cells = [3, 3, 3] } }\n\
+                dynamic_fem = { young_modulus = 5e3, poisson_ratio = 0.4, density = 1000.0, mass_damping = 0.0 }\n\
+                [[entity]]\nname = \"membrane\"\npose = { translation = [0.0, 0.0, 0.015] }\n\
+                mesh = { sheet = { size = [0.03, 0.03], cells = [6, 6] } }\n\
+                xpbd = { matter = { cloth = { membrane_stiffness = 100.0, bending_stiffness = 1e-6, \
+                density = 0.3 } }, parts = 4, damping = 0.0 }\n\
+                coupled = { with = [{ body = \"organ\", joined = { within = 0.0005, stiffness = 50.0, \
+                damping = 0.0 } }] }\n";
+    let run = |kill: bool| {
+        let mut stage = Stage::new(scene(text), 1000.0, Flying::new);
+        let [of_organ, of_membrane] = masses(&stage);
+        let total = |masses: &[f64]| masses.iter().sum::<f64>();
+        assert!((total(&of_organ) / total(&of_membrane) - 100.0).abs() < 1e-6);
+        // Until the organ has told of itself it is a wall.
+        (0..2 * (FLYING_RATE + 1)).for_each(|_| stage.tick());
+        let thrown = Vector3::new(0.2, 0.0, 0.3);
+        let rest = stage.get::<VertexPositions>("membrane").positions;
+        let spin = Vector3::new(0.0, 0.0, 10.0);
+        let velocities = rest.iter().map(|at| thrown + spin.cross(&at.coords)).collect();
+        stage.put("membrane", VertexVelocities { velocities: Arc::new(velocities) });
+        stage.rebuild(Flying::new);
+        // Sums over both bodies: momentum, what is under way between them included, and kinetic energy.
+        let sums = |stage: &Stage<Flying>| {
+            let (mut momentum, mut energy) = (Vector3::zeros(), 0.0);
+            for (name, masses) in [("organ", &of_organ), ("membrane", &of_membrane)] {
+                if !stage.has::<VertexVelocities>(name) {
+                    continue;
+                }
+                let velocities = stage.get::<VertexVelocities>(name).velocities;
+                for (velocity, mass) in velocities.iter().zip(masses) {
+                    momentum += velocity * *mass;
+                    energy += 0.5 * mass * velocity.norm_squared();
+                }
+            }
+            if stage.has::<CouplingGiven>("membrane") {
+                momentum +=
+                    stage.get::<CouplingGiven>("membrane").to[0].ghosts.given().iter().sum::<Vector3<f64>>();
+            }
+            if stage.has::<CouplingTaken>("organ") {
+                momentum -= stage.get::<CouplingTaken>("organ").from[0].taken.iter().sum::<Vector3<f64>>();
+            }
+            (momentum, energy)
+        };
+        let (before, first) = sums(&stage);
+        let mut most = 0.0_f64;
+        for tick in 0..11 * 40 {
+            stage.tick();
+            if kill && [100, 101, 257].contains(&tick) {
+                stage.rebuild(Flying::new);
+            }
+            most = most.max(sums(&stage).1);
+        }
+        assert!(!stage.has::<Frozen>("membrane") && !stage.has::<Frozen>("organ"));
+        let exchanged = stage.get::<CouplingGiven>("membrane").to[0].ghosts.exchanged();
+        let organ: Vector3<f64> = stage
+            .get::<VertexVelocities>("organ")
+            .velocities
+            .iter()
+            .zip(&of_organ)
+            .map(|(velocity, mass)| velocity * *mass)
+            .sum();
+        // What the membrane had is the organ's by now, nearly all of it.
+        assert!((organ - before).norm() < 0.2 * before.norm(), "{organ:?} of {before:?} N·s");
+        let lost = (sums(&stage).0 - before).norm();
+        assert!(lost <= 1e-6 * exchanged, "{lost:e} N·s of {exchanged:e} N·s");
+        assert!(most <= first * (1.0 + 1e-9), "{most:e} J of {first:e} J");
+    };
+    run(false);
+    run(true);
 }

@@ -177,7 +177,9 @@ fn is_cut<C: Controller>(
         let mut stage = Stage::new(scene(&column(body, more, "scissors")), 200.0, build);
         let turned = nalgebra::UnitQuaternion::rotation_between(&Vector3::z(), &Vector3::y())
             .expect("a quarter of a turn");
-        let tool = |x: f64| Pose::from(Isometry3::from_parts(Vector3::new(x, 0.02, -0.0041).into(), turned));
+        // Halfway between layers of nodes, or, where nothing is to be halved, nearly at one.
+        let height = if halved { -0.0067 } else { -0.0041 };
+        let tool = |x: f64| Pose::from(Isometry3::from_parts(Vector3::new(x, 0.02, height).into(), turned));
         stage.put("tool", JawState { angle, rate: 0.0, pad_force: [0.0; 2] });
         stage.put("tool", tool(-0.015));
         // It has come to rest.
@@ -352,7 +354,7 @@ fn is_cut_as_a_membrane<C: Controller>(
         let mut stage = Stage::new(scene(&text), 500.0, build);
         let turned = nalgebra::UnitQuaternion::rotation_between(&Vector3::z(), &Vector3::y())
             .expect("a quarter of a turn");
-        let place = |z: f64| Pose::from(Isometry3::from_parts(Vector3::new(0.0091, 0.03, z).into(), turned));
+        let place = |z: f64| Pose::from(Isometry3::from_parts(Vector3::new(0.0088, 0.03, z).into(), turned));
         stage.put("tool", JawState { angle, rate: 0.0, pad_force: [0.0; 2] });
         stage.put("tool", place(0.005));
         let first = stage.get::<SurfaceMesh>("column").triangles;

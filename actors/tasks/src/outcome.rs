@@ -1,15 +1,18 @@
-//! A scene that is judged by what came of it: quantities that simulators measure, within bounds at the end.
+//! A scene that is judged by what came of it: quantities that simulators measure and what hands felt, within bounds at the
+//! end.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
-    Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Frozen, Measured,
-    Snapshot, TaskError, TaskState, Tick,
+    Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Frozen, HapticStatus,
+    Measured, Snapshot, TaskError, TaskState, Tick,
 };
 
 /// Most expectations of a scenario.
 const EXPECTATIONS_MAX: usize = 256;
+/// What a hand feels of what it presses on \[N/m\], behind the hand's name: `hand.left.felt_stiffness_n_per_m`.
+const FELT_STIFFNESS: &str = ".felt_stiffness_n_per_m";
 
 /// Which value of a quantity counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,13 +25,15 @@ pub enum Which {
     Largest,
     /// The smallest that there was.
     Smallest,
+    /// The mean of all that there were. A stiffness is felt only while a hand presses.
+    Mean,
 }
 
 /// What is expected of one quantity.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expectation {
-    /// Its name, as a simulator measures it: `gauze.cut_area_m2`.
+    /// Its name, as a simulator measures it: `gauze.cut_area_m2`; or a hand's and `.felt_stiffness_n_per_m`.
     pub measure: String,
     /// Which value counts.
     #[serde(default)]
@@ -55,6 +60,7 @@ impl Expectation {
             Which::Last => return self.measure.clone(),
             Which::Largest => "largest",
             Which::Smallest => "smallest",
+            Which::Mean => "mean",
         };
         format!("{}.{which}", self.measure)
     }
@@ -101,6 +107,9 @@ impl OutcomeConfig {
 pub struct OutcomeState {
     /// `None` until it has been measured.
     pub values: Vec<Option<f64>>,
+    /// How often each was measured.
+    #[serde(default)]
+    pub counts: Vec<u64>,
     /// Bodies that their simulators had to stop, with the reason.
     pub frozen: Vec<String>,
     /// Whether the judgement has been given.
@@ -126,6 +135,7 @@ impl OutcomeController {
         config.check().map_err(|reason| ControllerError::Scene(format!("outcome: {reason}")))?;
         let mut state = context.scene.get::<OutcomeState>(context.me).cloned().unwrap_or_default();
         state.values.resize(config.expect.len(), None);
+        state.counts.resize(config.expect.len(), 0);
         Ok(Self { config: config.clone(), name: context.name.to_owned(), state })
     }
 
@@ -134,15 +144,16 @@ impl OutcomeController {
         let frozen = scene.iter::<Frozen>();
         let told = |(body, frozen): (_, &Frozen)| format!("{} frozen: {}", scene.name(body), frozen.reason);
         self.state.frozen.extend(frozen.map(told));
-        for (expected, value) in self.config.expect.iter().zip(&mut self.state.values) {
-            let measured =
-                || scene.iter::<Measured>().filter_map(|(_, all)| all.values.get(&expected.measure));
-            let Some(&now) = measured().next() else { continue };
+        let values = self.state.values.iter_mut().zip(&mut self.state.counts);
+        for (expected, (value, count)) in self.config.expect.iter().zip(values) {
+            let Some(now) = measured(scene, &expected.measure) else { continue };
+            *count += 1;
             let before = value.unwrap_or(now);
             *value = Some(match expected.which {
                 Which::Last => now,
                 Which::Largest => before.max(now),
                 Which::Smallest => before.min(now),
+                Which::Mean => before + (now - before) / *count as f64,
             });
         }
     }
@@ -192,11 +203,21 @@ impl OutcomeController {
     }
 }
 
+/// A quantity as it is now, if anybody measures it or any hand feels it.
+fn measured(scene: &Snapshot, name: &str) -> Option<f64> {
+    if let Some(hand) = name.strip_suffix(FELT_STIFFNESS) {
+        let status = scene.get::<HapticStatus>(scene.find(hand)?)?;
+        return Some(status.felt_stiffness).filter(|stiffness| *stiffness > 0.0);
+    }
+    scene.iter::<Measured>().find_map(|(_, all)| all.values.get(name)).copied()
+}
+
 impl Controller for OutcomeController {
     fn access(&self) -> Access {
         Access::new()
             .reads::<Measured>()
             .reads::<Frozen>()
+            .reads::<HapticStatus>()
             .writes::<TaskState>(EntitySet::Own)
             .writes::<OutcomeState>(EntitySet::Own)
     }
@@ -217,6 +238,7 @@ impl Controller for OutcomeController {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use trocar_scene::{EntityAllocator, Name, RegistryBuilder, SimTime, Store};
 
     fn judge(values: &[Option<f64>], over: bool) -> TaskState {
         let expect =
@@ -225,7 +247,7 @@ mod tests {
             seconds: 1.0,
             expect: vec![expect("area_m2", 1.0, 2.0), expect("force_n", f64::MIN, 3.0)],
         };
-        let state = OutcomeState { values: values.to_vec(), frozen: Vec::new(), over };
+        let state = OutcomeState { values: values.to_vec(), over, ..OutcomeState::default() };
         OutcomeController { config, name: "judge".into(), state }.judged(1.0)
     }
 
@@ -242,6 +264,34 @@ mod tests {
         assert!(
             !early.completed && !early.over && early.errors.is_empty() && (early.done, early.steps) == (1, 2)
         );
+    }
+
+    #[test]
+    fn what_a_hand_feels_is_judged_by_its_mean_while_it_feels_it() {
+        let mut builder = RegistryBuilder::new();
+        trocar_scene::components::register(&mut builder).expect("names are free");
+        crate::register(&mut builder).expect("names are free");
+        let mut store = Store::new(builder.build());
+        let mut out = Commands::new(store.view().registry().clone(), EntityAllocator::new(0, 0));
+        let hand = out.spawn();
+        out.put(hand, Name("hand.left".into()));
+        let measure = format!("hand.left{FELT_STIFFNESS}");
+        let expect = vec![Expectation { measure, which: Which::Mean, min: 150.0, max: 250.0 }];
+        let state = OutcomeState { values: vec![None], counts: vec![0], ..OutcomeState::default() };
+        let config = OutcomeConfig { seconds: 1.0, expect };
+        let mut judge = OutcomeController { config, name: "judge".into(), state };
+        for (at, felt_stiffness) in [0.0, 100.0, 0.0, 300.0, 200.0, 0.0].into_iter().enumerate() {
+            out.put(hand, HapticStatus { felt_stiffness, ..HapticStatus::default() });
+            out.seal();
+            store.apply(&mut out, SimTime::from_millis(at as u64));
+            out.clear();
+            judge.look(&store.snapshot());
+        }
+        assert_eq!(judge.state.values, [Some(200.0)]);
+        judge.state.over = true;
+        let judged = judge.judged(1.0);
+        assert!(judged.completed);
+        assert_eq!(judged.metrics["outcome"]["hand.left.felt_stiffness_n_per_m.mean"], 200.0);
     }
 
     #[test]

@@ -1,0 +1,34 @@
+//! The scene with two rates, live: what it comes to and what hands feel is what it is in virtual time. How punctual everybody
+//! is belongs to the machine, and to `trocar bench simulator`.
+
+use trocar::prelude::*;
+use trocar_tests::{app, edited, finish, lockstep};
+
+#[test]
+fn two_rates_come_to_the_same_and_feel_the_same_live_as_in_virtual_time() {
+    let app = app();
+    let scenario = edited(&app, "two-rates", &[]);
+    let live = finish(&app, &scenario, &RunOptions::default());
+    let task = &live.summary.task;
+    assert!(task.completed, "{task:?} {:?}", live.summary.error);
+    let row = |name: &str| live.summary.controllers.iter().find(|row| row.name == name).expect("it acts");
+    for name in ["organ", "membrane", "haptics.left", "haptics.right"] {
+        let row = row(name);
+        assert_eq!((row.restarts, row.rejected), (0, 0), "{name}");
+    }
+    // None waits for another: each has a rate of its own, in the order of their targets.
+    let rates = ["organ", "membrane", "haptics.left"].map(|name| row(name).achieved_hz);
+    assert!(rates.windows(2).all(|pair| pair[0] < pair[1]), "{rates:?} Hz");
+    let lockstep = finish(&app, &scenario, &lockstep(1));
+    let felt = |of: &trocar::run::RunOutcome, measure: &str| of.summary.task.metrics["outcome"][measure];
+    for (measure, tolerance) in [
+        ("hand.left.felt_stiffness_n_per_m.mean", 0.2),
+        ("hand.right.felt_stiffness_n_per_m.mean", 0.2),
+        ("organ.contact_force_n.largest", 0.2),
+        ("membrane.contact_force_n.largest", 0.2),
+    ] {
+        let (found, expected) = (felt(&live, measure), felt(&lockstep, measure));
+        println!("{measure}: {found} live, {expected} in virtual time");
+        assert!((found / expected - 1.0).abs() < tolerance, "{measure}: {found} live, {expected} otherwise");
+    }
+}
