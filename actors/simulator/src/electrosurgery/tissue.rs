@@ -313,11 +313,21 @@ impl TissueLattice {
             ((low[axis] - first[axis]).clamp(0, last + 1), (high[axis] - first[axis]).clamp(-1, last))
         };
         let ((x0, x1), (y0, y1), (z0, z1)) = (range(0), range(1), range(2));
+        // By how much weights, and their sum, differ within the samples of a cell: most cells about a piece lie beyond one of
+        // its sides with all of them, and need not be sampled.
+        let half = 0.5 * self.spacing * f64::from(SAMPLES - 1) / f64::from(SAMPLES);
+        let spread = piece.weights.abs() * Vector3::repeat(half * (1.0 + 1e-9)) + Vector3::repeat(1e-9);
+        let spread_of_sum = piece.weights.row_sum().abs().sum() * half * (1.0 + 1e-9) + 1e-9;
         for (z, y, x) in
             (z0..=z1).flat_map(|z| (y0..=y1).flat_map(move |y| (x0..=x1).map(move |x| (z, y, x))))
         {
             let padded = (x as usize) + PADDED * ((y as usize) + PADDED * (z as usize));
             if taken[padded] == u64::MAX {
+                continue;
+            }
+            let middle = std::array::from_fn(|axis| f64::from(first[axis] + [x, y, z][axis]) + 0.5);
+            let weights = piece.weights * (Point3::<f64>::from(middle) * self.spacing - piece.origin);
+            if (weights + spread).min() < 0.0 || weights.sum() - spread_of_sum > 1.0 {
                 continue;
             }
             let (mut count, mut sum) = (0_u32, Vector3::zeros());
