@@ -130,11 +130,12 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         ("detectors live beside two hands", &collision::live),
         ("growth with the number of triangles", &collision::growth),
     ];
-    let simulator: [(&'static str, Measure<'_>); 5] = [
+    let simulator: [(&'static str, Measure<'_>); 6] = [
         ("finite elements", &|| simulator::elements(args.peers.as_deref())),
         ("cloth and position-based bodies", &|| simulator::soft(args.peers.as_deref())),
         ("thread, heat and liquid", &|| simulator::flows(args.peers.as_deref())),
         ("two rates in one scene, live", &simulator::live),
+        ("every scene, live", &simulator::scenes),
         ("growth with size", &simulator::growth),
     ];
     let parts: &[Part] = match args.suite.as_str() {

@@ -1,5 +1,6 @@
 //! Two rates in one scene, live: an implicit organ at 20 Hz, an explicit membrane at 500 Hz, a reader of all of it at 60 Hz and
-//! two hands at 1 kHz, beside bare timer loops of the same run. What the paper claims: none disturbs another.
+//! two hands at 1 kHz, beside bare timer loops of the same run. What the paper claims: none disturbs another. And every scene
+//! of a kind of matter, live: whether it comes to what its scenario expects.
 
 use std::time::Duration;
 
@@ -66,4 +67,31 @@ pub fn live() -> Result<Vec<BenchResult>, Failure> {
     on_time.ratio = Some(on_time.value / floor).filter(|ratio| ratio.is_finite());
     rows.push(on_time);
     Ok(rows)
+}
+
+/// The scenes of all kinds of matter.
+const SCENES: [&str; 9] = [
+    "cloth-cut",
+    "tube-loop",
+    "fem-liver",
+    "soft-stomach",
+    "knot",
+    "needle-tissue",
+    "cautery",
+    "bleeding",
+    "two-rates",
+];
+
+/// What share of what its scenario expects each scene comes to, with its virtual hands in real time.
+pub fn scenes() -> Result<Vec<BenchResult>, Failure> {
+    let app = App::new();
+    let judged = SCENES.iter().map(|name| {
+        let outcome = trocar::run::run(&app, &app.scenario(name)?, &RunOptions::default(), &mut |_| {})?;
+        let task = &outcome.summary.task;
+        // What was frozen counts against it, too.
+        let share = if task.completed { 1.0 } else { (task.score.unwrap_or(0.0) / 100.0).min(0.99) };
+        let name = format!("simulator_live_scene_{}", name.replace('-', "_"));
+        Ok(BenchResult::on_value(name, "share", (share, 0.0), Some(1.0), Better::Higher))
+    });
+    judged.collect()
 }

@@ -109,3 +109,8 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
 pub fn live() -> Result<Vec<BenchResult>, Failure> {
     live::live()
 }
+
+/// Every scene, live.
+pub fn scenes() -> Result<Vec<BenchResult>, Failure> {
+    live::scenes()
+}
