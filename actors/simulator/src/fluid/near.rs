@@ -175,8 +175,8 @@ impl Near {
         };
     }
 
-    /// Kernels and gradients, the factor times the way \[1/m\], of all that was found; all have the volume of a wall, where one asks. The sum of kernels times
-    /// volumes, of the gradients' squares for particles, and of all gradients.
+    /// Kernels and gradients, the factor times the way \[1/m\], of all that was found; all have the volume of a wall, where
+    /// one asks. The sum of kernels times volumes, of the squares of the gradients to particles, and of all gradients.
     #[inline(always)]
     pub(super) fn weigh(
         &mut self,
