@@ -230,7 +230,8 @@ pub struct BenchArgs {
     #[arg(default_value = "kernel")]
     pub suite: String,
     /// A Python with the peers that are timed beside ours: coal and FCL for the suite `collision`
-    /// (tests/peers/requirements.txt), MuJoCo and pypbd for `simulator` (tests/peers/requirements-simulator.txt)
+    /// (tests/peers/requirements.txt), MuJoCo, pypbd, PyElastica and Bullet for `simulator`
+    /// (tests/peers/requirements-simulator.txt)
     #[arg(long, value_name = "PYTHON")]
     pub peers: Option<PathBuf>,
     /// Also draw how costs grow, as SVG (suites `collision` and `simulator`)

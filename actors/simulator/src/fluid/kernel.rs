@@ -29,7 +29,7 @@ impl Kernel {
     }
 
     /// The same in single precision; 0 beyond the support.
-    #[inline]
+    #[inline(always)]
     pub(super) fn value_and_slope_single(&self, distance: f32) -> (f32, f32) {
         let (inverse, scale) = (self.inverse as f32, self.scale as f32);
         let q = distance * inverse;

@@ -3,7 +3,9 @@
 //! (Dostál and Schöberl, *Minimizing quadratic functions over non-negative cone with the rate of convergence and finite
 //! termination*, 2005), scaled by the diagonal.
 
+use super::near::LANES;
 use super::rows::Rows;
+use crate::wide::wide;
 
 /// Iterations after which the slope is computed from the beginning, if rows were held at their bounds since.
 const RENEWAL: u32 = 10;
@@ -17,7 +19,7 @@ pub(super) struct Solver {
     pub wanted: Vec<f32>,
     /// Whether each row can have a pressure.
     pub is_active: Vec<bool>,
-    /// Room for velocities; their fourth number is 0.
+    /// Room for velocities.
     pub velocities: Vec<[f32; 4]>,
     scale: Vec<f32>,
     scaled: Vec<f32>,
@@ -29,8 +31,31 @@ pub(super) struct Solver {
     drift: usize,
 }
 
+/// Adds up lists side by side, in double precision.
+fn sums<const N: usize>(lists: [&[f32]; N], add: impl Fn([f32; N]) -> f64) -> f64 {
+    wide(
+        #[inline(always)]
+        || {
+            let mut sums = [0.0_f64; LANES];
+            let whole = lists[0].len() / LANES * LANES;
+            for first in (0..whole).step_by(LANES) {
+                let parts = lists.map(|list| &list[first..first + LANES]);
+                for (lane, sum) in sums.iter_mut().enumerate() {
+                    *sum += add(parts.map(|part| part[lane]));
+                }
+            }
+            let rest: f64 = (whole..lists[0].len()).map(|row| add(lists.map(|list| list[row]))).sum();
+            sums.iter().sum::<f64>() + rest
+        },
+    )
+}
+
 fn dot(a: &[f32], b: &[f32]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| f64::from(*x) * f64::from(*y)).sum()
+    sums(
+        [a, b],
+        #[inline(always)]
+        |[x, y]| f64::from(x) * f64::from(y),
+    )
 }
 
 impl Solver {
@@ -56,14 +81,12 @@ impl Solver {
     }
 
     /// `image` = scaled A times `of`: in single precision, as what it corrects is small.
-    fn apply(&mut self, rows: &Rows, dt: f32, of_direction: bool) {
+    fn apply(&mut self, rows: &mut Rows, dt: f32, of_direction: bool) {
         let of = if of_direction { &self.direction } else { &self.scaled };
         for ((pressure, of), scale) in self.pressures.iter_mut().zip(of).zip(&self.scale) {
             *pressure = of * scale;
         }
-        rows.gradient(&self.pressures, &mut self.velocities);
-        // Lanes beyond the third are no part of a place.
-        rows.compression_rate(&self.velocities, &mut self.rates);
+        rows.product(&self.pressures, &mut self.velocities, &mut self.rates);
         for ((image, rate), scale) in self.image.iter_mut().zip(&self.rates).zip(&self.scale) {
             *image = rate * scale * dt * dt;
         }
@@ -77,7 +100,7 @@ impl Solver {
     }
 
     /// Slope at where it is, from the beginning.
-    fn renew_slope(&mut self, rows: &Rows, dt: f32) {
+    fn renew_slope(&mut self, rows: &mut Rows, dt: f32) {
         self.apply(rows, dt, false);
         self.drift = 0;
         for row in 0..self.slope.len() {
@@ -88,24 +111,34 @@ impl Solver {
 
     /// Squares of the free and of the bound part of the slope, and the mean of what is left, as a share.
     fn left(&self, active: usize) -> (f64, f64, f64) {
-        let (mut free, mut bound, mut sum) = (0.0, 0.0, 0.0);
-        for ((slope, value), scale) in self.slope.iter().zip(&self.scaled).zip(&self.scale) {
-            if *scale == 0.0 || (*value <= 0.0 && *slope >= 0.0) {
-                continue;
-            }
-            let square = f64::from(*slope) * f64::from(*slope);
-            if *value > 0.0 {
-                free += square;
-            } else {
-                bound += square;
-            }
-            sum += f64::from((slope / scale).abs());
-        }
+        // Rows without a pressure have no scale and no slope.
+        let lists = [&self.slope[..], &self.scaled];
+        let free = sums(
+            lists,
+            #[inline(always)]
+            |[slope, value]| if value > 0.0 { f64::from(slope) * f64::from(slope) } else { 0.0 },
+        );
+        let bound = sums(
+            lists,
+            #[inline(always)]
+            |[slope, value]| {
+                let rising = if value > 0.0 { 0.0 } else { f64::from(slope.min(0.0)) };
+                rising * rising
+            },
+        );
+        let sum = sums(
+            [&self.slope, &self.scaled, &self.scale],
+            #[inline(always)]
+            |[slope, value, scale]| {
+                let left = if value > 0.0 { slope.abs() } else { -slope.min(0.0) };
+                f64::from(left / scale.max(f32::MIN_POSITIVE))
+            },
+        );
         (free, bound, sum / active as f64)
     }
 
     /// Solves for a part of a step \[s\] until the mean of what is left is at most `tolerance`. Iterations, and what is left.
-    pub(super) fn solve(&mut self, rows: &Rows, dt: f32, tolerance: f64, most: u32) -> (u32, f64) {
+    pub(super) fn solve(&mut self, rows: &mut Rows, dt: f32, tolerance: f64, most: u32) -> (u32, f64) {
         let mut active = 0_usize;
         for row in 0..self.scale.len() {
             self.scale[row] = if self.is_active[row] { 1.0 / (dt * rows.diagonal[row].sqrt()) } else { 0.0 };
@@ -145,7 +178,7 @@ impl Solver {
     }
 
     /// Rows at their bound that want to rise do so.
-    fn leave_bounds(&mut self, rows: &Rows, dt: f32) {
+    fn leave_bounds(&mut self, rows: &mut Rows, dt: f32) {
         for ((direction, slope), (value, scale)) in
             self.direction.iter_mut().zip(&self.slope).zip(self.scaled.iter().zip(&self.scale))
         {
@@ -167,7 +200,7 @@ impl Solver {
     }
 
     /// A step of conjugate gradients, or to the first bound and on; whether there was a way to go.
-    fn advance(&mut self, rows: &Rows, dt: f32) -> bool {
+    fn advance(&mut self, rows: &mut Rows, dt: f32) -> bool {
         self.apply(rows, dt, true);
         let curvature = dot(&self.direction, &self.image);
         if curvature.is_nan() || curvature <= 0.0 {
@@ -183,11 +216,11 @@ impl Solver {
                 self.drift += 1;
             }
         }
-        let turned = self.scaled.iter().zip(&self.slope).zip(&self.image);
-        let sum: f64 = turned
-            .filter(|((value, _), _)| **value > 0.0)
-            .map(|((_, slope), image)| f64::from(*slope) * f64::from(*image))
-            .sum();
+        let sum = sums(
+            [&self.scaled, &self.slope, &self.image],
+            #[inline(always)]
+            |[value, slope, image]| if value > 0.0 { f64::from(slope) * f64::from(image) } else { 0.0 },
+        );
         let share = (sum / curvature) as f32;
         for row in 0..self.direction.len() {
             self.direction[row] =
@@ -201,8 +234,8 @@ impl Solver {
 mod tests {
     use super::*;
     use crate::fluid::kernel::Kernel;
+    use crate::fluid::near::{Axes, Walls};
     use crate::fluid::neighbours::{CellGrid, CellStarts};
-    use crate::fluid::rows::{Axes, Walls};
     use nalgebra::{DMatrix, DVector, Point3};
     use rand::{Rng, SeedableRng};
 
@@ -228,7 +261,7 @@ mod tests {
     }
 
     /// The operator as a matrix, for a step of a second.
-    fn matrix(rows: &Rows) -> DMatrix<f64> {
+    fn matrix(rows: &mut Rows) -> DMatrix<f64> {
         let count = rows.count();
         let mut a = DMatrix::zeros(count, count);
         let mut unit = vec![0.0_f32; count];
@@ -237,8 +270,7 @@ mod tests {
         for column in 0..count {
             unit.fill(0.0);
             unit[column] = 1.0;
-            rows.gradient(&unit, &mut velocities);
-            rows.compression_rate(&velocities, &mut rates);
+            rows.product(&unit, &mut velocities, &mut rates);
             (0..count).for_each(|row| a[(row, column)] = f64::from(rates[row]));
         }
         a
@@ -246,8 +278,8 @@ mod tests {
 
     #[test]
     fn the_operator_is_symmetric_has_its_diagonal_and_no_negative_eigenvalue() {
-        let rows = rows();
-        let a = matrix(&rows);
+        let mut rows = rows();
+        let a = matrix(&mut rows);
         assert!((&a - a.transpose()).amax() < 1e-5 * a.amax());
         for row in 0..rows.count() {
             let diagonal = f64::from(rows.diagonal[row]);
@@ -258,9 +290,39 @@ mod tests {
     }
 
     #[test]
+    fn the_operator_is_the_divergence_of_the_gradient_as_it_stands() {
+        let mut rows = rows();
+        let mut random = rand_pcg::Pcg64::seed_from_u64(9);
+        let pressures: Vec<f32> = (0..rows.count()).map(|_| random.random_range(0.0..1.0)).collect();
+        let mut gradients = vec![[0.0_f32; 4]; rows.count()];
+        rows.each(&mut gradients, |row, links, out| {
+            let sum = links
+                .sum(|other, gradient| gradient.map(|along| (pressures[row] + pressures[other]) * along));
+            *out = [sum.x as f32, sum.y as f32, sum.z as f32, 0.0];
+        });
+        let (mut expected, mut rates) = (vec![0.0; rows.count()], vec![0.0; rows.count()]);
+        rows.compression_rate(&gradients, &mut expected);
+        let mut velocities = vec![[0.0; 4]; rows.count()];
+        rows.product(&pressures, &mut velocities, &mut rates);
+        let most = expected.iter().fold(0.0_f32, |most, rate| most.max(rate.abs()));
+        for row in 0..rows.count() {
+            assert!(
+                (rates[row] - expected[row]).abs() < 1e-5 * most,
+                "{row}: {} {}",
+                rates[row],
+                expected[row]
+            );
+            let apart =
+                (0..3).map(|axis| (velocities[row][axis] - gradients[row][axis]).abs()).fold(0.0, f32::max);
+            let length = gradients[row].iter().fold(0.0_f32, |most, along| most.max(along.abs()));
+            assert!(apart < 1e-4 * length.max(1.0), "{row}: {apart} of {length}");
+        }
+    }
+
+    #[test]
     fn pressures_are_at_their_bounds_or_their_rows_lack_nothing() {
-        let rows = rows();
-        let a = matrix(&rows);
+        let mut rows = rows();
+        let a = matrix(&mut rows);
         let mut random = rand_pcg::Pcg64::seed_from_u64(7);
         let dt = 0.01;
         let mut solver = Solver::default();
@@ -269,7 +331,7 @@ mod tests {
             solver.wanted[row] = random.random_range(-0.02..0.02);
             solver.is_active[row] = row % 17 != 3;
         }
-        let (iterations, left) = solver.solve(&rows, dt, 1e-6, 500);
+        let (iterations, left) = solver.solve(&mut rows, dt, 1e-6, 500);
         assert!(left <= 1e-6 && iterations < 400, "{iterations}: {left}");
         let p = DVector::from_iterator(rows.count(), solver.pressures.iter().map(|p| f64::from(*p)));
         let rest = &a * &p * f64::from(dt * dt);
@@ -289,7 +351,7 @@ mod tests {
         assert!((5..95).contains(&bound), "{bound} of 100 at their bound");
         // From where it is there is nothing left to do.
         let before = solver.pressures.clone();
-        let (iterations, _) = solver.solve(&rows, dt, 1e-5, 500);
+        let (iterations, _) = solver.solve(&mut rows, dt, 1e-5, 500);
         assert_eq!(iterations, 0);
         let far = solver.pressures.iter().zip(&before).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(far < 1e-6 * before.iter().copied().fold(0.0, f32::max), "{far}");

@@ -16,9 +16,10 @@ use nalgebra::{Point3, Vector3};
 use super::config::{FluidConfig, FluidReport, FluidState};
 use super::error::{FluidError, FluidStepError, parameter};
 use super::kernel::Kernel;
+use super::near::{Axes, Walls};
 use super::neighbours::{CellGrid, CellStarts};
 use super::pressure::Solver;
-use super::rows::{Among, Axes, Rows, Walls, in_blocks};
+use super::rows::Rows;
 
 /// Support of the kernel in spacings of particles.
 const SUPPORT: f64 = 2.0;
@@ -405,23 +406,28 @@ impl Fluid {
                 *to = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
             }
             let velocities = &self.solver.velocities;
-            in_blocks(&mut self.change, |first, changes| {
-                for (row, change) in (first..).zip(changes) {
+            rows.each(
+                &mut self.change,
+                #[inline(always)]
+                |row, links, change| {
                     let velocity = velocities[row];
-                    *change += rows.sum(row, Among::Liquid, |other, gradient| {
-                        // With the gradient f x for the way x: f (v·x) x / (x² + softening).
-                        let its = &velocities[other];
-                        let products: [f32; 4] =
-                            std::array::from_fn(|axis| (velocity[axis] - its[axis]) * gradient[axis]);
-                        let approach = products[0] + products[1] + products[2];
-                        let factor = gradient[3];
-                        let squares = gradient.map(|along| along * along);
-                        let square = squares[0] + squares[1] + squares[2] + softening * squares[3];
-                        let push = scale * factor * approach / square.max(f32::MIN_POSITIVE);
-                        gradient.map(|along| push * along)
-                    });
-                }
-            });
+                    *change += links.liquid(rows.particles).sum(
+                        #[inline(always)]
+                        |other, gradient| {
+                            // With the gradient f x for the way x: f (v·x) x / (x² + softening).
+                            let its = &velocities[other];
+                            let products: [f32; 4] =
+                                std::array::from_fn(|axis| (velocity[axis] - its[axis]) * gradient[axis]);
+                            let approach = products[0] + products[1] + products[2];
+                            let factor = gradient[3];
+                            let squares = gradient.map(|along| along * along);
+                            let square = squares[0] + squares[1] + squares[2] + softening * squares[3];
+                            let push = scale * factor * approach / square.max(f32::MIN_POSITIVE);
+                            gradient.map(|along| push * along)
+                        },
+                    );
+                },
+            );
         }
         for (velocity, change) in self.state.velocities.iter_mut().zip(&self.change) {
             *velocity += change;
@@ -472,17 +478,24 @@ impl Fluid {
             let times = pressures[row] + pressures[other];
             gradient.map(|along| times * along)
         };
-        in_blocks(&mut state.velocities, |first, velocities| {
-            for (row, velocity) in (first..).zip(velocities) {
-                *velocity -= rows.sum(row, Among::All, |other, gradient| push(row, other, gradient)) * dt;
-            }
-        });
+        rows.each(
+            &mut state.velocities,
+            #[inline(always)]
+            |row, links, velocity| {
+                *velocity -= links.sum(
+                    #[inline(always)]
+                    |other, gradient| push(row, other, gradient),
+                ) * dt;
+            },
+        );
         let mass = config.density * config.spacing.powi(3);
         for &row in &rows.beside_walls {
-            for (other, gradient) in rows.of(row as usize).filter(|(other, _)| *other >= particles) {
+            for (other, gradient) in
+                rows.of(row as usize).gradients().filter(|(other, _)| *other >= particles)
+            {
                 // As an impulse; divided by the step's time at its end.
                 let wall = rows.wet[other - particles] as usize;
-                let [x, y, z, _] = push(row as usize, other, gradient).map(f64::from);
+                let [x, y, z, _] = push(row as usize, other, &gradient).map(f64::from);
                 self.wall_forces[self.wall_cells.order[wall] as usize] += Vector3::new(x, y, z) * (dt * mass);
             }
         }
@@ -500,7 +513,9 @@ impl Fluid {
         for _ in 0..2 {
             for &a in &self.rows.beside_walls {
                 let a = a as usize;
-                for (other, _) in self.rows.of(a).filter(|(other, _)| *other >= self.rows.particles) {
+                for (other, _) in
+                    self.rows.of(a).gradients().filter(|(other, _)| *other >= self.rows.particles)
+                {
                     let b = self.rows.wet[other - self.rows.particles] as usize;
                     let apart = self.state.positions[a] - self.walls[b];
                     let distance = apart.norm();

@@ -38,7 +38,7 @@ pub const SUITES: [(&str, &str); 6] = [
     ),
     (
         "simulator",
-        "finite elements beside MuJoCo and position-based bodies beside pypbd (--peers), cloth, thread, heat, liquid, growth with size",
+        "finite elements beside MuJoCo, position-based bodies beside pypbd, a rod beside PyElastica, a sheet beside Bullet (--peers), cloth, thread, heat, liquid, growth",
     ),
     ("memory", "what sessions hold over an hour of simulated time; takes about ten minutes"),
 ];
