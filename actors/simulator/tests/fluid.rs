@@ -218,3 +218,15 @@ fn a_state_goes_on_bit_for_bit_and_a_refused_step_changes_nothing() {
     assert!(matches!(other.step(0.01), Err(FluidStepError::TooFast { .. })));
     assert_eq!(other.state(), &wrong);
 }
+
+#[test]
+fn a_drop_that_flies_out_of_the_box_holds_nothing_up() {
+    let config = FluidConfig { parts_max: 128, ..FluidConfig::default() };
+    let mut fluid = tank([8, 8, 12], [8, 8, 4], 2e-3, config);
+    let count = fluid.state().numbers.len();
+    // 267 parts of a sixtieth of a second are a spacing each; it is out of the box after 50.
+    let drop = fluid.add(Point3::new(0.008, 0.008, 0.03), Vector3::new(0.0, 0.0, 32.0)).expect("in the box");
+    let report = fluid.step(1.0 / 60.0).expect("a step");
+    assert!(report.absorbed == 1 && report.parts < 100, "{report:?}");
+    assert!(!fluid.state().numbers.contains(&drop) && fluid.state().numbers.len() == count);
+}

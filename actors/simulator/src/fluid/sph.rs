@@ -317,8 +317,16 @@ impl Fluid {
                     return Err(FluidStepError::NotFinite { number: self.state.numbers[particle] });
                 }
             }
+            self.absorb_what_left();
             left = if left - part < 1e-9 * dt { 0.0 } else { left - part };
         }
+        self.wall_forces.iter_mut().for_each(|force| *force /= dt);
+        report.absorbed = self.state.absorbed - before;
+        Ok(report)
+    }
+
+    /// What has left the box is absorbed at once: a drop that flies out of it does not hold up the rest of the step.
+    fn absorb_what_left(&mut self) {
         for index in (0..self.state.numbers.len()).rev() {
             if !self.is_inside(&self.state.positions[index]) {
                 self.absorb(index);
@@ -328,9 +336,6 @@ impl Fluid {
                 }
             }
         }
-        self.wall_forces.iter_mut().for_each(|force| *force /= dt);
-        report.absorbed = self.state.absorbed - before;
-        Ok(report)
     }
 
     /// How long a part may be. A few drops that fly ahead do not hold up the others: they may go a spacing in it.
