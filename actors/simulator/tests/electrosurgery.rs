@@ -305,6 +305,28 @@ fn a_massive_organ_gets_a_crater_with_char() {
     assert_balanced(&heat, 1e-9);
 }
 
+/// What the scenario `cautery` does to its liver: 4 s into it cutting, then 3 s with the other current.
+#[test]
+fn what_a_cut_leaves_chars_when_the_hook_is_switched_to_coagulate() {
+    let burned = |after: Mode| {
+        let (positions, tets) = block([16, 16, 6], 2e-3);
+        let tissue = Tissue::Volume { positions: &positions, tets: &tets };
+        let mut heat = Electrosurgery::new(&tissue, ThermalMaterial::default(), LatticeConfig::default())
+            .expect("tissue");
+        for step in 0..700 {
+            let z = 0.5e-3 - 6.5e-3 * (f64::from(step) / 400.0).min(1.0);
+            let mode = if step < 400 { Mode::Cut } else { after };
+            heat.step(0.01, &[Electrode { tip_in_rest: Point3::new(0.0, 0.0, z), mode, ..TIP }])
+                .expect("a step");
+        }
+        assert_balanced(&heat, 1e-9);
+        heat.char()
+    };
+    assert_eq!(burned(Mode::Cut), (0, 0.0), "what is cut bursts");
+    let (cells, area) = burned(Mode::Coagulate);
+    assert!(cells >= 20 && area > 2e-6, "{cells} cells, {area} m²");
+}
+
 #[test]
 fn where_tissue_is_coagulated_no_blood_cools_it_and_elsewhere_it_does() {
     let cooled_after = |material: ThermalMaterial| {
