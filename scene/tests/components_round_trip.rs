@@ -256,7 +256,8 @@ fn instruments(formats: &mut Formats) {
         },
         true,
     );
-    formats.check(Activation { level: 0.6, since: SimTime::from_millis(12) }, true);
+    let mode = Some(ActivationMode::Coagulate);
+    formats.check(Activation { level: 0.6, since: SimTime::from_millis(12), mode }, true);
     formats.check(JawState { angle: 0.3, rate: -1.0, pad_force: [0.5, 0.6] }, true);
     formats.check(InstrumentForce { force: v(1.0), torque: v(0.1), at: SimTime(5) }, true);
     formats.check(Grasp { held: e(8), anchor: pose(), since: SimTime(77), assisted: true }, true);
@@ -322,8 +323,14 @@ fn hands_and_tasks(formats: &mut Formats) {
         PersonInput {
             source: 3,
             in_charge: Side::Right,
-            left: PersonHand { moved: [0.1, -0.2, 0.3], rolled: 0.4, opening: Some(0.5), activation: 1.0 },
-            right: PersonHand { moved: [1.0, 2.0, -3.0], rolled: -0.7, opening: None, activation: 0.0 },
+            left: PersonHand {
+                moved: [0.1, -0.2, 0.3],
+                rolled: 0.4,
+                opening: Some(0.5),
+                activation: 1.0,
+                mode: Some(ActivationMode::Coagulate),
+            },
+            right: PersonHand { moved: [1.0, 2.0, -3.0], rolled: -0.7, ..PersonHand::default() },
             held: PersonActions { grip: 0.25, fine: 1.0, ..PersonActions::default() },
             view: Some(PersonView { world_from_view: pose(), field_of_view: 0.9 }),
             sampled_at: SimTime(9),

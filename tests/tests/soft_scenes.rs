@@ -38,6 +38,10 @@ fn two_hands_cut_a_circle_out_of_a_gauze() {
 #[test]
 fn a_hook_cuts_a_membrane_through_and_burns_a_crater() {
     holds("cautery");
+    // Without the other current nothing chars: what is cut bursts.
+    let cut = run("cautery", &[(", mode = \"coagulate\"", "")]);
+    assert!(!cut.summary.task.completed);
+    assert_eq!(outcome(&cut, "liver.charred_cells"), 0.0);
     // A hook that is off burns nothing.
     let off = run("cautery", &[("power = 30.0", "power = 0.0")]);
     assert!(!off.summary.task.completed);

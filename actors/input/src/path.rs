@@ -4,6 +4,7 @@
 use nalgebra::{Point3, Rotation3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+use trocar_scene::ActivationMode;
 
 /// Most steps of a path.
 pub const STEPS_MAX: usize = 10_000;
@@ -46,6 +47,8 @@ pub struct Step {
     pub closing: Option<[f64; 3]>,
     /// Share of full power throughout, 0 to 1.
     pub level: Option<f64>,
+    /// Which of two currents from then on; else the one that the instrument is set to.
+    pub mode: Option<ActivationMode>,
     /// At uniform speed, for what is cut or burned evenly; else it starts and ends at rest.
     pub uniform: bool,
 }
@@ -71,6 +74,8 @@ pub struct Moment {
     pub closing_in_world: Vector3<f64>,
     /// Share of full power.
     pub level: f64,
+    /// Which of two currents.
+    pub mode: Option<ActivationMode>,
 }
 
 /// A checked path: the moment at which each step begins, and how it goes on.
@@ -98,6 +103,7 @@ impl Path {
             if let Some(level) = step.level {
                 moment.level = level;
             }
+            moment.mode = step.mode.or(moment.mode);
             legs.push((secs, moment, *step));
             moment = moment_within(&moment, step, 1.0);
             secs += step.seconds;
@@ -185,7 +191,13 @@ mod tests {
     use super::*;
 
     fn start() -> Moment {
-        Moment { tip_in_world: Point3::origin(), jaw_angle: 0.0, closing_in_world: Vector3::x(), level: 0.0 }
+        Moment {
+            tip_in_world: Point3::origin(),
+            jaw_angle: 0.0,
+            closing_in_world: Vector3::x(),
+            level: 0.0,
+            mode: None,
+        }
     }
 
     #[test]
@@ -198,6 +210,7 @@ mod tests {
                 to: Some([0.1, 0.2, 0.0]),
                 uniform: true,
                 level: Some(0.0),
+                mode: Some(ActivationMode::Coagulate),
                 ..Step::default()
             },
         ];
@@ -207,6 +220,8 @@ mod tests {
         assert!((path.at(1.0).tip_in_world.x - 0.05).abs() < 1e-15);
         assert!((path.at(1.0).jaw_angle - 0.25).abs() < 1e-15);
         assert_eq!((path.at(1.9).level, path.at(2.5).level, path.at(3.5).level), (0.0, 0.7, 0.0));
+        let coagulates = Some(ActivationMode::Coagulate);
+        assert_eq!((path.at(2.5).mode, path.at(3.5).mode, path.at(9.0).mode), (None, coagulates, coagulates));
         assert!((path.at(3.25).tip_in_world.y - 0.05).abs() < 1e-12);
         assert!((path.at(9.0).tip_in_world - Point3::new(0.1, 0.2, 0.0)).norm() < 1e-12);
         // At rest where it starts and ends.

@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::kinematics::coupling::InstrumentCoupling;
 use trocar_scene::kinematics::hand_rig::HandRig;
 use trocar_scene::{
-    Access, Activation, BuildContext, Commands, Controller, ControllerError, Entity, EntitySet, Hand,
-    HandTarget, Snapshot, Tick,
+    Access, Activation, ActivationMode, BuildContext, Commands, Controller, ControllerError, Entity,
+    EntitySet, Hand, HandTarget, Snapshot, Tick,
 };
 
 use crate::path::{Moment, Path, Step};
@@ -30,7 +30,8 @@ pub struct PathController {
     rig: HandRig,
     path: Path,
     activates: bool,
-    level: Option<f64>,
+    /// Level and current that were told last.
+    told: Option<(f64, Option<ActivationMode>)>,
 }
 
 fn wrong(what: impl std::fmt::Display) -> ControllerError {
@@ -58,10 +59,11 @@ impl PathController {
             jaw_angle: config.jaws,
             closing_in_world: home.rotation * nalgebra::Vector3::x(),
             level: 0.0,
+            mode: None,
         };
         let path = Path::new(start, &config.step).map_err(wrong)?;
-        let activates = config.step.iter().any(|step| step.level.is_some());
-        Ok(Self { hand, rig, path, activates, level: None })
+        let activates = config.step.iter().any(|step| step.level.is_some() || step.mode.is_some());
+        Ok(Self { hand, rig, path, activates, told: None })
     }
 
     fn target(&self, moment: &Moment) -> HandTarget {
@@ -94,9 +96,10 @@ impl Controller for PathController {
     fn tick(&mut self, tick: &Tick<'_>, _: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         let moment = self.path.at(tick.time.as_secs_f64());
         out.put(self.hand, self.target(&moment));
-        if self.activates && self.level != Some(moment.level) {
-            self.level = Some(moment.level);
-            out.put(self.rig.instrument, Activation { level: moment.level, since: tick.time });
+        let Moment { level, mode, .. } = moment;
+        if self.activates && self.told != Some((level, mode)) {
+            self.told = Some((level, mode));
+            out.put(self.rig.instrument, Activation { level, since: tick.time, mode });
         }
         Ok(())
     }

@@ -4,18 +4,20 @@
 mod stage;
 
 use std::path::Path;
+use std::sync::Arc;
 
 use nalgebra::{UnitQuaternion, Vector3};
 use stage::{Stage, scene};
 use trocar_scene::{
     Access, Activation, BuildContext, Commands, Controller, ControllerError, Entity, EntityAllocator, Events,
-    Frozen, JawState, Jobs, Measured, ParticleKind, Particles, Pose, SimTime, Store, Tick, VitalSigns,
-    WriterRules,
+    Frozen, JawState, Jobs, Measured, ParticleKind, Particles, Pose, RestPositions, SimTime, Store, TetMesh,
+    Tick, VertexPositions, VitalSigns, WriterRules,
 };
 use trocar_simulator::controller::{
-    BleedingController, ElectrosurgeryController, FluidController, SmokeController, VesselState,
-    VitalSignsController,
+    BleedingController, ElectrosurgeryController, FluidController, RemovedElements, SmokeController,
+    VesselState, VitalSignsController, VolumeCuts,
 };
+use trocar_simulator::tet_mesh::Birth;
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 
@@ -112,6 +114,68 @@ fn closed_scissors_that_sweep_through_a_vessel_cut_it_through_and_open_ones_do_n
     assert!((hole(&stage) - 10.0 / 30.0).abs() < 1e-9, "{}", hole(&stage));
     let began = stage.store.view().events().since(0).filter(|(_, event)| event.name == "bleeding_began");
     assert_eq!(began.count(), 1);
+}
+
+/// An artery along y through the middle of a piece of tissue.
+fn buried() -> Stage<BleedingController> {
+    let text = "[[entity]]\nname = \"liver\"\ncauterised = {}\n\
+        mesh = { block = { size = [0.012, 0.030, 0.012], cells = [12, 30, 12] } }\n\
+        [[entity]]\nname = \"artery\"\nmesh = { line = { length = 0.03, segments = 12, radius = 0.001 } }\n\
+        vessel = { radius = 0.001, wall = 0.0003, tissue = \"liver\" }\n\
+        pose = { rotation = [0.0, 0.0, 0.7071067811865476, 0.7071067811865476] }\n";
+    Stage::new(scene(text), 100.0, BleedingController::new)
+}
+
+#[test]
+fn who_burns_the_tissue_about_a_vessel_burns_the_vessel_and_what_was_cut_counts_as_it_was() {
+    let mut stage = buried();
+    let tets = stage.get::<TetMesh>("liver").tets;
+    let rest = stage.get::<VertexPositions>("liver").positions;
+    let middle = |tet: &[u32; 4]| tet.iter().map(|&n| rest[n as usize].coords).sum::<Vector3<f64>>() / 4.0;
+    // At y = 6 mm: what is beside the vessel, and what lies farther off than its wall.
+    let ring = |tet: &[u32; 4], low: f64, high: f64| {
+        let at = middle(tet);
+        (at.y - 0.006).abs() < 0.001 && (low..high).contains(&at.x.hypot(at.z))
+    };
+    let of = |low: f64, high: f64| -> Vec<u32> {
+        (0..tets.len() as u32).filter(|&tet| ring(&tets[tet as usize], low, high)).collect()
+    };
+    let (near, far) = (of(0.0, 0.0013), of(0.0014, 0.004));
+    assert!(near.len() > 4 && far.len() > 8, "{} and {}", near.len(), far.len());
+    let burned = |stage: &mut Stage<BleedingController>, gone: &[u32]| {
+        stage.put("liver", RemovedElements { elements: Arc::new(gone.to_vec()) });
+        (0..5).for_each(|_| stage.tick());
+        stage.measured("artery.damage_share")
+    };
+    assert_eq!(burned(&mut stage, &far), 0.0, "too far off");
+    let one = burned(&mut stage, &[&far[..], &near[..1]].concat());
+    // An element of a sixth of 1 mm³, against the section.
+    let ball = std::f64::consts::PI * (0.75e-9 / 6.0 / std::f64::consts::PI).powf(2.0 / 3.0);
+    let section = std::f64::consts::PI * 1e-6;
+    assert!((one - ball / section).abs() < 1e-9, "{one}");
+    assert!(stage.measured("artery.rate_m3_per_s") > 0.0 && stage.measured("artery.lost_m3") > 0.0);
+    let hole = stage.get::<VesselState>("artery").place;
+    let hole = stage.store.view().world_pose(stage.entity("artery")) * hole;
+    assert!((hole.y - 0.006).abs() < 0.0011 && hole.x.abs() < 1e-9, "{hole}");
+    // Another life does not count it again.
+    stage.rebuild(BleedingController::new);
+    assert_eq!(burned(&mut stage, &[&far[..], &near[..1]].concat()), one);
+    let all = burned(&mut stage, &[&far[..], &near[..]].concat());
+    assert!((all - (near.len() as f64 * one).min(1.0)).abs() < 1e-9, "{all}");
+    // Of an element that blades have halved the scene's mesh has two; what burned is the whole.
+    let mut cut = buried();
+    let (mut halves, mut positions) = (tets.to_vec(), rest.to_vec());
+    let [a, b, c, d] = halves[near[0] as usize];
+    let half = positions.len() as u32;
+    positions.push(nalgebra::center(&rest[a as usize], &rest[b as usize]));
+    halves[near[0] as usize] = [half, b, c, d];
+    halves.push([a, half, c, d]);
+    cut.put("liver", TetMesh { tets: Arc::new(halves) });
+    cut.put("liver", RestPositions { positions: Arc::new(positions) });
+    let births = Arc::new(vec![Birth { of: [a, b], share: 0.5 }]);
+    let parts_of = Arc::new(vec![near[0]]);
+    cut.put("liver", VolumeCuts { births, parts_of, first: tets, ..VolumeCuts::default() });
+    assert_eq!(burned(&mut cut, &near[..1]), one);
 }
 
 #[test]
@@ -256,7 +320,7 @@ fn hands(clamps: bool, burns: bool) -> impl FnMut(f64, &mut Commands, &Find<'_>)
         out.put(grasper, jaws(if closed { 0.0 } else { 0.5 }));
         let on = burns && (0.8..2.6).contains(&secs);
         out.put(hook, if on { down(0.0, 0.010, 0.0004) } else { down(0.02, 0.015, 0.05) });
-        out.put(hook, Activation { level: f64::from(u8::from(on)), since: SimTime::ZERO });
+        out.put(hook, Activation { level: f64::from(u8::from(on)), ..Activation::default() });
     }
 }
 
@@ -333,7 +397,7 @@ fn what_burns_gives_off_smoke_that_rises_and_goes() {
     let mut play = Play::new(store, &[CAST[0], CAST[4]]);
     let act = |secs: f64, out: &mut Commands, find: &dyn Fn(&str) -> Entity| {
         let level = if (0.5..2.0).contains(&secs) { 1.0 } else { 0.0 };
-        out.put(find("hook"), Activation { level, since: SimTime::ZERO });
+        out.put(find("hook"), Activation { level, ..Activation::default() });
     };
     for _ in 0..90 {
         play.tick(act);
@@ -385,7 +449,7 @@ fn an_irrigator_brings_liquid_and_a_sucker_takes_it_while_they_are_switched_on()
     let mut stage = Stage::new(scene(&text("sucker = { rate = 2e-5, reach = 0.02 }")), 100.0, build);
     let switch = |stage: &mut Stage<FluidController>, name: &str, level: f64| {
         let since = stage.now();
-        stage.put(name, Activation { level, since });
+        stage.put(name, Activation { level, since, mode: None });
     };
     (0..5).for_each(|_| stage.tick());
     assert_eq!(stage.measured("pool.emitted_m3"), 0.0, "it is off");

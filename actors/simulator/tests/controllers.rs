@@ -13,8 +13,8 @@ use trocar_scene::{
 use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::xpbd::Matter;
 use trocar_simulator::controller::{
-    DynamicFemBody, DynamicFemController, ElectrosurgeryController, InstrumentsConfig, InstrumentsController,
-    LinearFemBody, MassSpringController, XpbdBody,
+    CauterisedBody, DynamicFemBody, DynamicFemController, ElectrosurgeryController, InstrumentsConfig,
+    InstrumentsController, LinearFemBody, MassSpringController, XpbdBody,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -46,7 +46,7 @@ fn an_electrode_heats_burns_and_removes_while_it_is_switched_on_and_another_life
     stage.put("rod", down(0.0, 0.0, 0.0005));
     stage.tick();
     assert_eq!(stage.measured("fold.heat_supplied_j"), 0.0, "it is off");
-    stage.put("rod", Activation { level: 1.0, since: stage.now() });
+    stage.put("rod", Activation { level: 1.0, since: stage.now(), mode: None });
     for _ in 0..20 {
         stage.tick();
     }
@@ -65,6 +65,63 @@ fn an_electrode_heats_burns_and_removes_while_it_is_switched_on_and_another_life
     assert!(stage.get::<SurfaceMesh>("fold").triangles.len() < before, "there is a hole");
     assert!(stage.measured("fold.heat_missing_share") < 0.01);
     assert!(!stage.has::<Frozen>("fold"));
+}
+
+/// Draws a hook of 30 W along x at 4 mm/s for a second; what each body took of it \[J\], and what went of it \[mm³\].
+fn drawn_over(entities: &str, bodies: &[&str], z: f64) -> Vec<[f64; 2]> {
+    let text = format!("{ROD}electrode = {{ power = 30.0, contact_area = 1e-6 }}\n{entities}");
+    let mut stage = Stage::new(scene(&text), 100.0, ElectrosurgeryController::new);
+    stage.put("rod", Activation { level: 1.0, since: stage.now(), mode: None });
+    for tick in 0..100 {
+        stage.put("rod", down(-0.002 + 4e-5 * f64::from(tick), 0.0001, z));
+        stage.tick();
+    }
+    let measured = |body: &&str| {
+        assert!(stage.measured(&format!("{body}.heat_missing_share")) < 0.01);
+        let of = |what: &str| stage.measured(&format!("{body}.{what}"));
+        [of("heat_supplied_j"), 1e9 * of("removed_volume_m3")]
+    };
+    bodies.iter().map(measured).collect()
+}
+
+#[test]
+fn bodies_that_one_tip_is_at_share_what_the_generator_gives_and_one_alone_gets_all() {
+    let block = |name: &str, y: f64| {
+        format!(
+            "[[entity]]\nname = \"{name}\"\npose = {{ translation = [0.0, {y}, -0.0055] }}\ncauterised = {{}}\n\
+             mesh = {{ block = {{ size = [0.02, 0.01, 0.01], cells = [10, 5, 5] }} }}\n"
+        )
+    };
+    let fold = "[[entity]]\nname = \"fold\"\ncauterised = { thickness = 0.001 }\n\
+                mesh = { sheet = { size = [0.02, 0.02], cells = [40, 40] } }\n";
+    // Its top is at −0.5 mm.
+    let alone = drawn_over(&block("a", 0.0), &["a"], -0.0005)[0];
+    assert!((20.0..=30.3).contains(&alone[0]) && (5.0..15.0).contains(&alone[1]), "{alone:?}");
+    let sum = |of: &[[f64; 2]]| of.iter().fold([0.0, 0.0], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
+    // Along the seam of two: half to each.
+    let seam = format!("{}{}", block("a", -0.0049), block("b", 0.0051));
+    let seam = drawn_over(&seam, &["a", "b"], -0.0005);
+    assert!(seam.iter().all(|one| one[0] > 0.3 * sum(&seam)[0]), "{seam:?}");
+    // Through a membrane that lies on one: first it, then what is beneath.
+    let laid = format!("{fold}{}", block("a", 0.0));
+    let laid = drawn_over(&laid, &["fold", "a"], -0.0002);
+    assert!(laid.iter().all(|one| one[0] > 1.0), "{laid:?}");
+    for both in [sum(&seam), sum(&laid)] {
+        assert!((20.0..=30.3).contains(&both[0]), "{both:?} J and mm³ of 30 J");
+        assert!((5.0..=15.0).contains(&both[1]), "{both:?} J and mm³ in a second");
+        assert!(both[1] < 1.3 * alone[1], "{both:?}, and {alone:?} alone");
+    }
+    // Two such controllers would each give it: they write the same, which is refused.
+    let store = scene(&format!("{ROD}{fold}"));
+    let rules = [7, 8].map(|me| {
+        let me = trocar_scene::Entity::of_writer(0, me);
+        let (scene, time) = (store.view(), trocar_scene::SimTime::ZERO);
+        let context = trocar_scene::BuildContext { scene, time, name: "heat", me, epoch: 1, seed: 1 };
+        let controller = ElectrosurgeryController::new(&context).expect("a membrane");
+        let access = trocar_scene::Controller::access(&controller);
+        trocar_scene::WriterRules::compile(&access, scene.registry(), me).expect("its access is right")
+    });
+    assert!(rules[0].overlap(&rules[1]).is_some());
 }
 
 /// A rod pressed on a soft body pushes it down, and is told what that takes.
@@ -276,16 +333,25 @@ fn a_tissue_fills_in_what_its_components_leave_open_and_doubts_what_it_is_known_
     };
     let (snapshot, organ) = has("linear_fem = {}\ndynamic_fem = { young_modulus = 6000.0 }\n\
          xpbd = { matter = { volume = {} } }\ncauterised = {}");
+    let organ_of_liver = organ;
     let linear = snapshot.get::<LinearFemBody>(organ).expect("one").young_modulus;
     let dynamic = *snapshot.get::<DynamicFemBody>(organ).expect("one");
-    assert_eq!((linear, dynamic.young_modulus, dynamic.density), (4740.0, 6000.0, 1060.0));
+    assert_eq!((linear, dynamic.young_modulus, dynamic.density), (4740.0, 6000.0, 1079.0));
     let Matter::Volume { young_modulus, poisson_ratio, density } =
         snapshot.get::<XpbdBody>(organ).expect("one").matter
     else {
         panic!("it is a volume")
     };
-    assert_eq!([young_modulus, poisson_ratio, density], [4740.0, 0.45, 1060.0]);
+    assert_eq!([young_modulus, poisson_ratio, density], [4740.0, 0.45, 1079.0]);
     assert!(snapshot.get::<Doubtful>(organ).is_none());
+    let kidney = scene(&body("cauterised = { charring = 250.0 }").replace("liver", "kidney"));
+    let organ = kidney.view().find("organ").expect("it");
+    let burns = *kidney.view().get::<CauterisedBody>(organ).expect("one");
+    assert_eq!((burns.conductivity, burns.heat_capacity, burns.density), (0.53, 3763.0, 1066.0));
+    assert_eq!((burns.perfusion, burns.water, burns.charring), (0.067, 0.79, 250.0));
+    // What is not known of it is liver's, and the table's liver is the solver's.
+    let table = snapshot.get::<CauterisedBody>(organ_of_liver).expect("one");
+    assert_eq!((*table, burns.damage_energy), (CauterisedBody::default(), table.damage_energy));
     let (snapshot, organ) = has("linear_fem = { young_modulus = 1e5 }");
     let doubt = &snapshot.get::<Doubtful>(organ).expect("no such liver").reason;
     assert!(doubt.contains("young_modulus of 100000 Pa") && doubt.contains("2700 to 7800 Pa"), "{doubt}");

@@ -67,6 +67,13 @@ fn stroke(heat: &mut Electrosurgery, dt: f64, seconds: f64, tip: Electrode) -> f
     volume
 }
 
+/// Leaves the tip where it is; the volume that goes \[m³\].
+fn rest(heat: &mut Electrosurgery, dt: f64, seconds: f64, tip: Electrode) -> f64 {
+    let steps = (seconds / dt).round() as u32;
+    let tip = Electrode { tip_in_rest: Point3::new(0.1e-3, 0.1e-3, 0.0), ..tip };
+    (0..steps).map(|_| heat.step(dt, &[tip]).expect("a step").removed_volume).sum()
+}
+
 fn assert_balanced(heat: &Electrosurgery, tolerance: f64) {
     let ledger = heat.ledger();
     let missing = ledger.missing(heat.stored());
@@ -97,17 +104,46 @@ fn without_latent_heat_tissue_goes_several_times_too_easily() {
 
 #[test]
 fn what_goes_depends_neither_on_the_step_nor_on_the_lattice() {
-    let run = |spacing: f64, dt: f64| {
+    // Coagulating, more of the heat stays: a tip that stands still.
+    let spray = Electrode { mode: Mode::Coagulate, power: 40.0, ..TIP };
+    let run = |tip: Electrode, spacing: f64, dt: f64| {
         let mut heat = liver_block(spacing, ThermalMaterial::default());
-        let volume = stroke(&mut heat, dt, 1.0, TIP);
+        let volume = match tip.mode {
+            Mode::Cut => stroke(&mut heat, dt, 1.0, tip),
+            Mode::Coagulate => rest(&mut heat, dt, 2.0, tip),
+        };
         assert_balanced(&heat, 1e-9);
         volume * 1e9
     };
-    let reference = run(0.5e-3, 0.01);
-    for (spacing, dt) in [(0.5e-3, 0.001), (0.5e-3, 0.1), (0.25e-3, 0.01)] {
-        let volume = run(spacing, dt);
-        assert!((volume / reference - 1.0).abs() < 0.1, "{spacing} m, {dt} s: {volume}, not {reference} mm³");
+    for (tip, others) in [
+        (TIP, &[(0.5e-3, 0.001), (0.5e-3, 0.1), (0.25e-3, 0.01)][..]),
+        (spray, &[(0.5e-3, 0.001), (0.5e-3, 0.1)]),
+    ] {
+        let reference = run(tip, 0.5e-3, 0.01);
+        assert!(reference > 4.0, "{reference} mm³");
+        for &(spacing, dt) in others {
+            let (volume, mode) = (run(tip, spacing, dt), tip.mode);
+            assert!(
+                (volume / reference - 1.0).abs() < 0.1,
+                "{mode:?}, {spacing} m, {dt} s: {volume}, not {reference} mm³"
+            );
+        }
     }
+}
+
+#[test]
+fn the_deeper_a_tip_is_pressed_the_more_of_it_is_in_contact_and_the_wider_its_heat_is_spread() {
+    let pressed = |z: f64| {
+        let mut heat = liver_block(0.25e-3, ThermalMaterial::default());
+        let tip = Electrode { tip_in_rest: Point3::new(0.1e-3, 0.1e-3, z), mode: Mode::Coagulate, ..TIP };
+        let report = heat.step(0.002, &[tip]).expect("a step");
+        assert!((29.9..=30.0).contains(&report.absorbed), "all of the power: {} W", report.absorbed);
+        (report.contact_area, report.hottest)
+    };
+    let radius = TIP.contact_radius();
+    let (touching, deep) = (pressed(radius), pressed(0.0));
+    assert!(touching.0 < 0.6e-6 && deep.0 == 1e-6, "{touching:?} {deep:?}");
+    assert!(touching.1 - BODY > 1.3 * (deep.1 - BODY), "{touching:?} {deep:?}");
 }
 
 /// Parts of what is left of the mesh that hang together over edges.
@@ -136,33 +172,72 @@ fn parts(triangles: &[[u32; 3]], removed: &[bool]) -> Vec<usize> {
     sizes
 }
 
+/// What goes of the lattice and of the mesh \[mm³\].
+#[derive(Clone, Copy, Debug)]
+struct Gone {
+    cells: f64,
+    elements: f64,
+}
+
+fn gone(heat: &Electrosurgery, volume_of: impl Fn(usize) -> f64, cells: f64) -> Gone {
+    assert_balanced(heat, 1e-9);
+    let removed = heat.removed().iter().enumerate().filter(|(_, removed)| **removed);
+    Gone { cells: cells * 1e9, elements: removed.map(|(element, _)| volume_of(element)).sum::<f64>() * 1e9 }
+}
+
+fn of_organ(mesh: f64, spacing: f64, dt: f64, mode: Mode) -> Gone {
+    let cells = [18e-3, 18e-3, 9e-3].map(|size: f64| (size / mesh).round() as u32);
+    let (positions, tets) = block(cells, mesh);
+    let tissue = Tissue::Volume { positions: &positions, tets: &tets };
+    let lattice = LatticeConfig { spacing, ..LatticeConfig::default() };
+    let mut heat = Electrosurgery::new(&tissue, ThermalMaterial::default(), lattice).expect("tissue");
+    let volume = match mode {
+        Mode::Cut => stroke(&mut heat, dt, 1.0, TIP),
+        Mode::Coagulate => rest(&mut heat, dt, 3.0, Electrode { mode, power: 60.0, ..TIP }),
+    };
+    gone(&heat, |_| mesh.powi(3) / 6.0, volume)
+}
+
+fn of_fold(mesh: f64, spacing: f64, dt: f64, mode: Mode) -> Gone {
+    let thickness = 1e-3;
+    let (positions, triangles) = membrane((12e-3 / mesh).round() as u32, mesh);
+    let tissue = Tissue::Membrane { positions: &positions, triangles: &triangles, thickness };
+    let lattice = LatticeConfig { spacing, ..LatticeConfig::default() };
+    let mut heat = Electrosurgery::new(&tissue, ThermalMaterial::default(), lattice).expect("tissue");
+    let volume = match mode {
+        Mode::Cut => stroke(&mut heat, dt, 1.0, TIP),
+        Mode::Coagulate => rest(&mut heat, dt, 2.0, Electrode { mode, power: 40.0, ..TIP }),
+    };
+    gone(&heat, |_| mesh * mesh / 2.0 * thickness, volume)
+}
+
 #[test]
 fn what_goes_does_not_depend_on_the_mesh() {
-    let (material, lattice) = (ThermalMaterial::default(), LatticeConfig::default());
-    let organ = |halves: u32, dt: f64| {
-        let (positions, tets) = block([6, 6, 4].map(|cells| halves * cells), 3e-3 / f64::from(halves));
-        let tissue = Tissue::Volume { positions: &positions, tets: &tets };
-        let mut heat = Electrosurgery::new(&tissue, material, lattice).expect("tissue");
-        let volume = stroke(&mut heat, dt, 1.0, TIP);
-        assert_balanced(&heat, 1e-9);
-        volume * 1e9
-    };
-    let fold = |halves: u32, dt: f64| {
-        let (positions, triangles) = membrane(12 * halves, 1e-3 / f64::from(halves));
-        let tissue = Tissue::Membrane { positions: &positions, triangles: &triangles, thickness: 0.8e-3 };
-        let mut heat = Electrosurgery::new(&tissue, material, lattice).expect("tissue");
-        let volume = stroke(&mut heat, dt, 1.0, TIP);
-        assert_balanced(&heat, 1e-9);
-        volume * 1e9
-    };
-    let (of_organ, of_fold) = (organ(1, 0.01), fold(1, 0.01));
-    assert!(of_organ > 5.0 && of_fold > 1.0, "{of_organ} and {of_fold} mm³");
-    for (what, volume, reference) in [
-        ("an organ of half the edges", organ(2, 0.01), of_organ),
-        ("a membrane of half the edges", fold(2, 0.01), of_fold),
-        ("a membrane at a tenth of the step", fold(1, 0.001), of_fold),
-    ] {
-        assert!((volume / reference - 1.0).abs() < 0.1, "{what}: {volume}, not {reference} mm³");
+    type Of = fn(f64, f64, f64, Mode) -> Gone;
+    for (what, of, mesh) in [("an organ", of_organ as Of, 1e-3), ("a membrane", of_fold as Of, 0.5e-3)] {
+        for mode in [Mode::Cut, Mode::Coagulate] {
+            let reference = of(mesh, 0.5e-3, 0.01, mode);
+            assert!(reference.cells > 1.0, "{what} {mode:?}: {reference:?}");
+            for (other, spacing, dt) in [
+                (mesh / 2.0, 0.5e-3, 0.01),
+                (mesh, 0.5e-3, 0.001),
+                (mesh, 0.5e-3, 0.1),
+                (mesh, 0.25e-3, 0.01),
+            ] {
+                // The layer that dries before it chars is thinner than a cell: coagulating, a finer lattice resolves more.
+                if mode == Mode::Coagulate && spacing < 0.5e-3 {
+                    continue;
+                }
+                let now = of(other, spacing, dt, mode);
+                for (now, reference) in [(now.cells, reference.cells), (now.elements, reference.elements)] {
+                    let off = (now / reference - 1.0).abs();
+                    assert!(
+                        off < 0.1,
+                        "{what} {mode:?}, edges of {other} m, cells of {spacing} m, {dt} s: {now}, not {reference} mm³"
+                    );
+                }
+            }
+        }
     }
 }
 
@@ -209,6 +284,8 @@ fn a_massive_organ_gets_a_crater_with_char() {
     let charred: Vec<_> = heat.cells().filter(|cell| cell.is_charred && !cell.is_removed).collect();
     let coagulated = heat.cells().filter(|cell| cell.damage >= 1.0 && !cell.is_removed).count();
     assert!(!charred.is_empty() && coagulated > 5 * charred.len(), "{} {coagulated}", charred.len());
+    let (cells, area) = heat.char();
+    assert!(cells == charred.len() && area > 1e-6 && area < 6.0 * 0.25e-6 * cells as f64, "{cells} {area}");
     // Char lines the crater: there is removed tissue next to most of it.
     let gone: Vec<_> = heat.cells().filter(|cell| cell.is_removed).map(|cell| cell.middle_in_rest).collect();
     let lining =
@@ -226,6 +303,28 @@ fn a_massive_organ_gets_a_crater_with_char() {
     let top = (0..positions.len() as u32).filter_map(|v| heat.vertex(v)).map(|at| at.0).fold(0.0, f64::max);
     assert!(top > 95.0, "vertices at the crater are hot: {top}");
     assert_balanced(&heat, 1e-9);
+}
+
+/// What the scenario `cautery` does to its liver: 4 s into it cutting, then 3 s with the other current.
+#[test]
+fn what_a_cut_leaves_chars_when_the_hook_is_switched_to_coagulate() {
+    let burned = |after: Mode| {
+        let (positions, tets) = block([16, 16, 6], 2e-3);
+        let tissue = Tissue::Volume { positions: &positions, tets: &tets };
+        let mut heat = Electrosurgery::new(&tissue, ThermalMaterial::default(), LatticeConfig::default())
+            .expect("tissue");
+        for step in 0..700 {
+            let z = 0.5e-3 - 6.5e-3 * (f64::from(step) / 400.0).min(1.0);
+            let mode = if step < 400 { Mode::Cut } else { after };
+            heat.step(0.01, &[Electrode { tip_in_rest: Point3::new(0.0, 0.0, z), mode, ..TIP }])
+                .expect("a step");
+        }
+        assert_balanced(&heat, 1e-9);
+        heat.char()
+    };
+    assert_eq!(burned(Mode::Cut), (0, 0.0), "what is cut bursts");
+    let (cells, area) = burned(Mode::Coagulate);
+    assert!(cells >= 20 && area > 2e-6, "{cells} cells, {area} m²");
 }
 
 #[test]

@@ -7,7 +7,7 @@ use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, CollisionList, ControllerError, Doubtful, Frozen, JawState, Pose, VertexPositions,
 };
-use trocar_simulator::controller::{LinearFemController, RemovedElements};
+use trocar_simulator::controller::{Coagulated, CoagulatedElements, LinearFemController, RemovedElements};
 
 const HZ: f64 = 60.0;
 
@@ -221,6 +221,54 @@ fn elements_that_burn_are_gone_at_once_and_the_next_inverse_takes_over_unfelt() 
     let apart = nodes.map(|node| (now[node] - before.1[node]).norm()).fold(0.0, f64::max);
     assert!(apart < 1e-8, "another life finds the same to {apart} m");
     assert!(!stage.has::<Frozen>("pad"));
+}
+
+#[test]
+fn what_is_stiffened_and_more_than_can_be_corrected_for_are_blended_in_unfelt() {
+    let text = format!("{}cauterised = {{}}\n", block(5000.0));
+    // The forces after the tick in which something happened, and the one long after that.
+    let changed = |coagulates: bool, more: usize| {
+        let mut stage = Stage::new(scene(&text), HZ, build);
+        press(&mut stage, 30);
+        let mesh = stage.get::<trocar_scene::TetMesh>("pad").tets;
+        let rest = stage.get::<trocar_scene::RestPositions>("pad").positions;
+        let middle =
+            |tet: &[u32; 4]| tet.iter().map(|&n| rest[n as usize].coords).sum::<Vector3<f64>>() / 4.0;
+        // A crater beside the rod, and what is about it and under the rod is coagulated.
+        let all = 0..mesh.len() as u32;
+        let beside = |x: f64, at: Vector3<f64>| at.x > x && at.y.abs() < 0.012 && at.z > 0.002;
+        let gone: Vec<u32> = all.clone().filter(|&tet| beside(0.004, middle(&mesh[tet as usize]))).collect();
+        assert!(gone.len() > 64 + more, "{}", gone.len());
+        let gone = &gone[..8 + more];
+        let stiff = all.filter(|tet| !gone.contains(tet) && beside(-0.006, middle(&mesh[*tet as usize])));
+        let stiff = stiff.map(|element| Coagulated { element, stiffness: 7.0, length: 0.99 });
+        if coagulates {
+            stage.put("pad", CoagulatedElements { elements: std::sync::Arc::new(stiff.collect()) });
+        }
+        stage.put("pad", RemovedElements { elements: std::sync::Arc::new(gone.to_vec()) });
+        let mut forces = Vec::new();
+        for _ in 0..300 {
+            at(&mut stage, -0.0015);
+            forces.push(force_on_body(&stage).norm());
+        }
+        assert_eq!(stage.measured("pad.elements_waiting"), 0.0);
+        assert!(!stage.has::<Frozen>("pad"));
+        // Another life has the last inverse and nothing else, and finds the same.
+        stage.rebuild(build);
+        (0..5).for_each(|_| at(&mut stage, -0.0015));
+        let (last, again) = (forces[forces.len() - 1], force_on_body(&stage).norm());
+        assert!((last - again).abs() < 1e-4 * last, "{last} N and {again} N");
+        forces
+    };
+    for (coagulates, more) in [(true, 0), (false, 72), (true, 72)] {
+        let forces = changed(coagulates, more);
+        let jumps = forces.windows(2).map(|pair| (pair[1] / pair[0] - 1.0).abs());
+        let jump = jumps.fold(0.0, f64::max);
+        let in_all = forces[forces.len() - 1] / forces[0];
+        assert!(jump < 0.05, "coagulated {coagulates}, {more} more: a jump by {jump}");
+        // The control: at once it would be one.
+        assert!((in_all - 1.0).abs() > 0.1, "coagulated {coagulates}, {more} more: {in_all} in all");
+    }
 }
 
 #[test]

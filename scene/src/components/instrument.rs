@@ -207,6 +207,16 @@ pub struct JawState {
 }
 super::component!(JawState, "jaw_state");
 
+/// Which of two currents a generator gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ActivationMode {
+    /// The yellow pedal's: tissue bursts and parts.
+    Cut,
+    /// The blue pedal's: tissue dries, draws together and chars.
+    Coagulate,
+}
+
 /// What is switched on at an instrument: by a pedal, a button, or whoever plays the hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -215,6 +225,8 @@ pub struct Activation {
     pub level: f64,
     /// Since when it has been at that level.
     pub since: SimTime,
+    /// Which of two currents, of an electrode; none: the one that the instrument is set to.
+    pub mode: Option<ActivationMode>,
 }
 impl Component for Activation {
     const NAME: &'static str = "activation";

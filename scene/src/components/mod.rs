@@ -20,8 +20,8 @@ pub use device::{DeviceForce, DeviceInfo, DeviceState, Hand, HandTarget, HapticS
 pub use field::{ScalarField, ScalarFields};
 pub use graph::{Name, Parent, Pose, Velocity};
 pub use instrument::{
-    Activation, ContactPlane, Grasp, Instrument, InstrumentForce, InstrumentKind, InstrumentTarget, JawState,
-    LocalContactModel, Port,
+    Activation, ActivationMode, ContactPlane, Grasp, Instrument, InstrumentForce, InstrumentKind,
+    InstrumentTarget, JawState, LocalContactModel, Port,
 };
 pub use matter::{Burn, Motion, Parameter, RigidBody, Temperature, Tissue};
 pub use mesh::{

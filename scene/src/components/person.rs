@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::component::{Component, ComponentError};
 use crate::components::device::Side;
 use crate::components::graph::{Pose, check_rotation};
+use crate::components::instrument::ActivationMode;
 use crate::finite;
 use crate::time::SimTime;
 
@@ -76,6 +77,7 @@ actions! {
     JawClose, jaw_close, "makes the opening of the released jaws smaller";
     JawOpen, jaw_open, "makes the opening of the released jaws larger";
     Activate, activate, "switches the instrument on, as a pedal does, until it is released";
+    Coagulate, coagulate, "switches the instrument on to coagulate, as the second pedal does, until it is released";
     Turn, turn, "makes the pointer roll the instrument instead of moving it";
     Clutch, clutch, "lets pointer and wheel move without the hand";
     Fine, fine, "makes every motion a fifth as large";
@@ -95,6 +97,8 @@ pub struct PersonHand {
     pub opening: Option<f64>,
     /// How far the instrument is switched on, 0 to 1: only ever while something is held down.
     pub activation: f64,
+    /// Which of two currents; none: the one that the instrument is set to.
+    pub mode: Option<ActivationMode>,
 }
 
 /// From where a person looks.

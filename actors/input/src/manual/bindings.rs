@@ -95,7 +95,7 @@ impl Default for Bindings {
 }
 
 /// The controls of each action, unless a file says something else.
-const DEFAULTS: [(PersonAction, &[&str]); 16] = [
+const DEFAULTS: [(PersonAction, &[&str]); 17] = [
     (PersonAction::MoveLeft, &["KeyA", "ArrowLeft", "PadLeftStickLeft"]),
     (PersonAction::MoveRight, &["KeyD", "ArrowRight", "PadLeftStickRight"]),
     (PersonAction::MoveUp, &["KeyW", "ArrowUp", "PadLeftStickUp"]),
@@ -108,6 +108,7 @@ const DEFAULTS: [(PersonAction, &[&str]); 16] = [
     (PersonAction::JawClose, &["KeyZ", "PadDown"]),
     (PersonAction::JawOpen, &["KeyX", "PadUp"]),
     (PersonAction::Activate, &["KeyB", "PadSouth"]),
+    (PersonAction::Coagulate, &["KeyN", "PadEast"]),
     (PersonAction::Turn, &["MouseRight"]),
     (PersonAction::Clutch, &["Space", "PadLeftTrigger"]),
     (PersonAction::Fine, &["ShiftLeft", "ShiftRight", "PadLeftShoulder"]),

@@ -192,10 +192,11 @@ impl Controller for ManualController {
             let handle_in_device = place.handle_in_device.into();
             out.put(entity, HandTarget { handle_in_device, gripper: place.gripper });
             // Nobody there: nothing is on.
-            let level = input.map_or(0.0, |input| input.hand(side).activation);
-            let before = scene.get::<Activation>(rig.instrument).map_or(0.0, |before| before.level);
-            if level != before {
-                out.put(rig.instrument, Activation { level, since: tick.time });
+            let asked = input.map(|input| input.hand(side));
+            let (level, mode) = asked.map_or((0.0, None), |asked| (asked.activation, asked.mode));
+            let before = scene.get::<Activation>(rig.instrument).copied().unwrap_or_default();
+            if (level, mode) != (before.level, before.mode) {
+                out.put(rig.instrument, Activation { level, since: tick.time, mode });
             }
         }
         self.state.stepped_at = tick.time;

@@ -7,7 +7,8 @@
 
 use trocar_devices::gamepad::{GamepadButton, GamepadState};
 use trocar_scene::{
-    Hand, PERSON_TOTAL_MAX, PersonAction, PersonHand, PersonInput, PersonView, Side, SimTime, Snapshot,
+    ActivationMode, Hand, PERSON_TOTAL_MAX, PersonAction, PersonHand, PersonInput, PersonView, Side, SimTime,
+    Snapshot,
 };
 
 use super::bindings::Bindings;
@@ -34,8 +35,8 @@ pub struct Controls {
     released: [f64; 2],
     /// Whether the press of the grip belongs to the hand in charge; one that another hand began is nobody's.
     owns_grip: bool,
-    /// Likewise of the press that switches the instrument on.
-    owns_activation: bool,
+    /// Likewise the press that switches the instrument on: of two pedals the one that was pressed last.
+    owns_activation: Option<PersonAction>,
     pad: GamepadState,
 }
 
@@ -71,7 +72,7 @@ impl Controls {
             hands,
             released,
             owns_grip: false,
-            owns_activation: false,
+            owns_activation: None,
             pad: GamepadState::default(),
         }
     }
@@ -97,7 +98,7 @@ impl Controls {
         match action {
             PersonAction::SwitchHand if before < DOWN_FROM && asked >= DOWN_FROM => self.switch_hand(),
             PersonAction::Grip => self.grip(before, asked),
-            PersonAction::Activate => self.activate(before, asked),
+            PersonAction::Activate | PersonAction::Coagulate => self.activate(action, before, asked),
             _ => {}
         }
         true
@@ -202,8 +203,8 @@ impl Controls {
             // Only ever after days: what is lost is the motion of the last few milliseconds.
             self.input.source = self.input.source.wrapping_add(1);
             for hand in [&mut self.input.left, &mut self.input.right] {
-                let PersonHand { opening, activation, .. } = *hand;
-                *hand = PersonHand { opening, activation, ..PersonHand::default() };
+                let PersonHand { opening, activation, mode, .. } = *hand;
+                *hand = PersonHand { opening, activation, mode, ..PersonHand::default() };
             }
         }
         self.input.view = view;
@@ -249,22 +250,25 @@ impl Controls {
         }
     }
 
-    fn activate(&mut self, before: f64, asked: f64) {
+    fn activate(&mut self, pedal: PersonAction, before: f64, asked: f64) {
         if before < RELEASED_BELOW && asked >= RELEASED_BELOW {
-            self.owns_activation = true;
+            self.owns_activation = Some(pedal);
         }
-        if self.owns_activation {
+        if self.owns_activation == Some(pedal) {
             let level = if asked < RELEASED_BELOW { 0.0 } else { asked };
-            self.input.hand_mut(self.input.in_charge).activation = level;
-            self.owns_activation = level > 0.0;
+            let coagulates = level > 0.0 && pedal == PersonAction::Coagulate;
+            let hand = self.input.hand_mut(self.input.in_charge);
+            (hand.activation, hand.mode) = (level, coagulates.then_some(ActivationMode::Coagulate));
+            self.owns_activation = (level > 0.0).then_some(pedal);
         }
     }
 
     /// Nothing is switched on by a press that nobody watches any more.
     fn switch_off(&mut self) {
-        self.owns_activation = false;
-        self.input.left.activation = 0.0;
-        self.input.right.activation = 0.0;
+        self.owns_activation = None;
+        for hand in [&mut self.input.left, &mut self.input.right] {
+            (hand.activation, hand.mode) = (0.0, None);
+        }
     }
 
     fn grip(&mut self, before: f64, asked: f64) {
@@ -349,6 +353,20 @@ mod tests {
         let input = state(&mut controls);
         assert!((input.left.moved[0] - 0.25 * 0.004).abs() < 1e-15);
         assert_eq!(input.held.move_right, 0.0);
+    }
+
+    #[test]
+    fn of_two_pedals_the_one_that_was_pressed_last_says_which_current_and_its_release_ends_it() {
+        let mut controls = controls();
+        let mut after = |name: &str, amount: f64| {
+            controls.press(control(name), amount);
+            let left = state(&mut controls).left;
+            (left.activation, left.mode)
+        };
+        assert_eq!(after("KeyB", 1.0), (1.0, None));
+        assert_eq!(after("KeyN", 1.0), (1.0, Some(ActivationMode::Coagulate)));
+        assert_eq!(after("KeyB", 0.0), (1.0, Some(ActivationMode::Coagulate)));
+        assert_eq!(after("KeyN", 0.0), (0.0, None));
     }
 
     #[test]

@@ -1,6 +1,8 @@
 //! The controller of vessels: what cuts or burns them opens them, jaws close them, coagulation of the tissue about the hole
 //! seals them. What comes out is told as a total, from which the liquid and the patient take what is theirs.
 
+use std::sync::Arc;
+
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -14,6 +16,7 @@ use super::cuts::swept;
 use super::electrosurgery::HeatState;
 use super::grips::holds;
 use super::heat::RemovedElements;
+use super::parting::VolumeCuts;
 use super::vital_signs::PatientState;
 use crate::electrosurgery::BODY;
 use crate::fluid::bleeding::{Bleeding, BleedingState, Vessel as Pipe};
@@ -201,11 +204,15 @@ impl Body {
         let (Some(gone), Some(rest)) = (scene.get::<RemovedElements>(tissue), rest_of(scene, tissue)) else {
             return;
         };
+        let first = (self.state.burned as usize).min(gone.elements.len());
+        if first == gone.elements.len() {
+            return;
+        }
+        let elements = FirstElements::read(scene, tissue);
         let reach = self.vessel.radius + self.vessel.wall;
         let section = std::f64::consts::PI * self.vessel.radius.powi(2);
-        let first = (self.state.burned as usize).min(gone.elements.len());
         for &element in &gone.elements[first..] {
-            let corners = corners_of(scene, tissue, element as usize);
+            let corners = elements.corners(element as usize);
             let places: Vec<Point3<f64>> = corners
                 .iter()
                 .filter_map(|node| rest.get(*node as usize))
@@ -312,13 +319,31 @@ pub(super) fn rest_of(scene: &Snapshot, tissue: Entity) -> Option<&[Point3<f64>]
     rest.or_else(|| scene.get::<VertexPositions>(tissue).map(|now| &now.positions)).map(|all| all.as_slice())
 }
 
-/// Corners of an element as [`RemovedElements`] counts them.
-fn corners_of(scene: &Snapshot, tissue: Entity, element: usize) -> Vec<u32> {
-    if let Some(volume) = scene.get::<TetMesh>(tissue) {
-        return volume.tets.get(element).map(|tet| tet.to_vec()).unwrap_or_default();
+/// Elements as [`RemovedElements`] counts them: of the first mesh, whatever has been cut since.
+enum FirstElements {
+    Tets(Arc<Vec<[u32; 4]>>),
+    Triangles(Arc<Vec<[u32; 3]>>),
+}
+
+impl FirstElements {
+    fn read(scene: &Snapshot, tissue: Entity) -> Self {
+        let Some(volume) = scene.get::<TetMesh>(tissue) else {
+            let heat = scene.get::<HeatState>(tissue);
+            return Self::Triangles(heat.map(|heat| heat.triangles.clone()).unwrap_or_default());
+        };
+        let nodes = rest_of(scene, tissue).map_or(0, <[_]>::len);
+        Self::Tets(match scene.get::<VolumeCuts>(tissue) {
+            Some(cuts) => Arc::new(cuts.first_tets(nodes, &volume.tets)),
+            None => volume.tets.clone(),
+        })
     }
-    let surface = scene.get::<HeatState>(tissue).and_then(|heat| heat.triangles.get(element).copied());
-    surface.map(|triangle| triangle.to_vec()).unwrap_or_default()
+
+    fn corners(&self, element: usize) -> &[u32] {
+        match self {
+            Self::Tets(tets) => tets.get(element).map_or(&[], |tet| &tet[..]),
+            Self::Triangles(triangles) => triangles.get(element).map_or(&[], |triangle| &triangle[..]),
+        }
+    }
 }
 
 impl BleedingController {
@@ -353,6 +378,7 @@ impl Controller for BleedingController {
             .reads::<JawState>()
             .reads::<Temperature>()
             .reads::<RemovedElements>()
+            .reads::<VolumeCuts>()
             .reads::<HeatState>()
             .reads::<PatientState>()
             .writes::<VesselState>(EntitySet::Of(vessels))

@@ -9,15 +9,15 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::Point3;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::mesh::TetData;
 use trocar_scene::{
-    Access, Activation, BuildContext, Burn, Commands, Component, ComponentError, Controller, ControllerError,
+    Access, Activation, ActivationMode, BuildContext, Burn, Commands, Component, Controller, ControllerError,
     Entity, EntitySet, Frozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy, RestPositions,
     Snapshot, SurfaceMesh, Temperature, Tick, VertexPositions,
 };
 
+use super::cauterised::{CauterisedBody, ElectrodeTip};
 use super::deformable::Deformable;
 use super::dynamic_fem::DynamicFemBody;
 use super::heat::{Coagulated, CoagulatedElements, RemovedElements};
@@ -29,7 +29,7 @@ use super::rest_place::rest_place;
 use super::smoke::Plume;
 use super::xpbd::XpbdBody;
 use crate::electrosurgery::{
-    Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, ThermalMaterial, Tissue,
+    Contact, Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, Tissue, shares,
 };
 use crate::tet_mesh::Birth;
 
@@ -38,69 +38,10 @@ const STATE_EVERY: u64 = 10;
 /// Change of an element's stiffness, relative to what it was at first, that is worth a new factor.
 const COAGULATED_CHANGE: f64 = 0.05;
 
-/// Tissue that electrodes burn: a volume, or, with a thickness, a membrane.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct CauterisedBody {
-    /// Thickness of a membrane \[m\]; a volume has none.
-    pub thickness: Option<f64>,
-    /// Edge of the cells at the tip \[m\]; 0.5 mm or less carries its field.
-    pub spacing: f64,
-    /// Whether boiling takes heat.
-    pub latent_heat: bool,
-    /// Blood that passes, by volume \[1/s\].
-    pub perfusion: f64,
-}
-
-impl Default for CauterisedBody {
-    fn default() -> Self {
-        let perfusion = ThermalMaterial::default().perfusion;
-        Self { thickness: None, spacing: LatticeConfig::default().spacing, latent_heat: true, perfusion }
-    }
-}
-
-impl Component for CauterisedBody {
-    const NAME: &'static str = "cauterised";
-    fn check(&self) -> Result<(), ComponentError> {
-        trocar_scene::finite::check(self)?;
-        ComponentError::range("spacing", self.spacing, 5e-5..=5e-3, "5e-5 to 5e-3 m")?;
-        ComponentError::range("thickness", self.thickness.unwrap_or(1e-3), 1e-5..=0.05, "1e-5 to 0.05 m")?;
-        ComponentError::range("perfusion", self.perfusion, 0.0..=1.0, "0 to 1 1/s")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
-}
-
-/// An instrument that burns while it is switched on.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct ElectrodeTip {
-    /// Power at full activation \[W\].
-    pub power: f64,
-    /// Whether it coagulates; else it cuts.
-    pub coagulates: bool,
-    /// Area in contact with tissue \[m²\].
-    pub contact_area: f64,
-}
-
-impl Default for ElectrodeTip {
-    /// A hook: 30 W, about 1 mm².
-    fn default() -> Self {
-        Self { power: 30.0, coagulates: false, contact_area: 1e-6 }
-    }
-}
-
-impl Component for ElectrodeTip {
-    const NAME: &'static str = "electrode";
-    fn check(&self) -> Result<(), ComponentError> {
-        ComponentError::range("power", self.power, 0.0..=400.0, "0 to 400 W")?;
-        ComponentError::range("contact_area", self.contact_area, 1e-8..=1e-4, "1e-8 to 1e-4 m²")
-    }
-    fn schema() -> Option<serde_json::Value> {
-        Some(schemars::schema_for!(Self).to_value())
-    }
-}
+/// Ω that stands for tissue that is denatured, all but 0.005 % of it, and for tissue that is char: a third-degree burn
+/// (Henriques and Moritz, *Studies of thermal injury*, 1947).
+const DENATURED: f64 = 10.0;
+const CHARRED: f64 = 1e4;
 
 /// What a later life goes on from. Too large to be recorded; what comes of it is.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -133,6 +74,8 @@ struct Body {
     area_before: f64,
     areas: Vec<f64>,
     frozen: bool,
+    /// What is on at it in this tick.
+    electrodes: Vec<Electrode>,
 }
 
 impl Body {
@@ -163,11 +106,7 @@ impl Body {
                 if kind.thickness.is_some() { "surface" } else { "volume; a membrane has a 'thickness'" };
             return Err(wrong(format!("'cauterised' needs a mesh with a {what}")));
         }
-        let material = ThermalMaterial {
-            has_latent_heat: kind.latent_heat,
-            perfusion: kind.perfusion,
-            ..ThermalMaterial::default()
-        };
+        let material = kind.material();
         let lattice = LatticeConfig { spacing: kind.spacing, ..LatticeConfig::default() };
         let heated = match known {
             Some(known) => Electrosurgery::restore(&tissue, material, lattice, &known.state),
@@ -195,6 +134,7 @@ impl Body {
             area_before,
             areas,
             frozen,
+            electrodes: Vec::new(),
         };
         this.areas = pieces(&this.surface(), &this.body.rest);
         Ok(this)
@@ -216,6 +156,11 @@ impl Body {
         let vertices = 0..self.tissue.vertex_count() as u32;
         let (mut celsius, mut omega): (Vec<f64>, Vec<f64>) =
             vertices.filter_map(|vertex| self.tissue.vertex(vertex)).unzip();
+        // Beyond what is denatured the law of damage says nothing more: what is char the lattice knows.
+        for (vertex, omega) in omega.iter_mut().enumerate() {
+            let is_charred = self.tissue.is_charred(vertex as u32);
+            *omega = if is_charred { omega.max(CHARRED) } else { omega.min(DENATURED) };
+        }
         // What a vertex came apart into is as warm as it, and what is between two is between.
         if let Some(cuts) = scene.get::<VolumeCuts>(self.body.entity) {
             grow(&cuts.births, [&mut celsius, &mut omega]);
@@ -294,6 +239,9 @@ impl Body {
         put("hottest_celsius", self.hottest);
         put("smoke_kg", self.plume.emitted);
         put("heat_frozen", f64::from(u8::from(self.frozen)));
+        let (cells, area) = self.tissue.char();
+        put("charred_cells", cells as f64);
+        put("charred_area_m2", area);
         put("coagulated_elements", self.coagulated.len() as f64);
         put("pieces", self.areas.len() as f64);
         put("largest_piece_share", self.areas.first().unwrap_or(&0.0) / self.area_before.max(1e-12));
@@ -346,10 +294,11 @@ fn pieces(triangles: &[[u32; 3]], positions: &[Point3<f64>]) -> Vec<f64> {
     areas
 }
 
-/// Heats every body that carries [`CauterisedBody`].
+/// Heats every body that carries [`CauterisedBody`]. There is one: another would write the same temperatures, and is refused.
 pub struct ElectrosurgeryController {
     bodies: Vec<Body>,
-    electrodes: Vec<Electrode>,
+    /// How the electrode in question lies to each of them.
+    contacts: Vec<Contact>,
 }
 
 impl ElectrosurgeryController {
@@ -372,7 +321,44 @@ impl ElectrosurgeryController {
         if bodies.is_empty() {
             return Err(ControllerError::Scene("electrosurgery: no entity is 'cauterised'".into()));
         }
-        Ok(Self { bodies, electrodes: Vec::new() })
+        Ok(Self { bodies, contacts: Vec::new() })
+    }
+
+    /// What is on at each body: of a tip that is at several, each gets its share of what the generator gives.
+    fn switch_on(&mut self, scene: &Snapshot) {
+        self.bodies.iter_mut().for_each(|body| body.electrodes.clear());
+        for (entity, tip) in scene.iter::<ElectrodeTip>() {
+            let Activation { level, mode, .. } = scene.get::<Activation>(entity).copied().unwrap_or_default();
+            let mode = match mode {
+                Some(ActivationMode::Cut) => Mode::Cut,
+                Some(ActivationMode::Coagulate) => Mode::Coagulate,
+                None if tip.coagulates => Mode::Coagulate,
+                None => Mode::Cut,
+            };
+            let burns = scene
+                .get::<Instrument>(entity)
+                .is_none_or(|instrument| instrument.kind == InstrumentKind::HookCautery);
+            if level <= 0.0 || !burns {
+                continue;
+            }
+            let tip_in_world = Point3::from(scene.world_pose(entity).translation.vector);
+            self.contacts.clear();
+            for body in &mut self.bodies {
+                let tip_in_body = scene.world_pose(body.body.entity).inverse() * tip_in_world;
+                let electrode = Electrode {
+                    tip_in_rest: body.at_rest(&tip_in_body, scene),
+                    power: tip.power * level,
+                    mode,
+                    contact_area: tip.contact_area,
+                };
+                let contact = if body.frozen { Contact::NONE } else { body.tissue.contact(&electrode) };
+                self.contacts.push(contact);
+                body.electrodes.push(electrode);
+            }
+            for (body, share) in self.bodies.iter_mut().zip(shares(&self.contacts)) {
+                body.electrodes.iter_mut().rev().take(1).for_each(|electrode| electrode.power *= share);
+            }
+        }
     }
 }
 
@@ -406,26 +392,10 @@ impl Controller for ElectrosurgeryController {
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         let mut measured = Measured::default();
+        self.switch_on(scene);
         for body in &mut self.bodies {
-            let body_from_world = scene.world_pose(body.body.entity).inverse();
-            self.electrodes.clear();
-            for (entity, tip) in scene.iter::<ElectrodeTip>() {
-                let level = scene.get::<Activation>(entity).map_or(0.0, |activation| activation.level);
-                let burns = scene
-                    .get::<Instrument>(entity)
-                    .is_none_or(|instrument| instrument.kind == InstrumentKind::HookCautery);
-                if level > 0.0 && burns {
-                    let tip_in_world = Point3::from(scene.world_pose(entity).translation.vector);
-                    self.electrodes.push(Electrode {
-                        tip_in_rest: body.at_rest(&(body_from_world * tip_in_world), scene),
-                        power: tip.power * level,
-                        mode: if tip.coagulates { Mode::Coagulate } else { Mode::Cut },
-                        contact_area: tip.contact_area,
-                    });
-                }
-            }
             if !body.frozen {
-                match body.tissue.step(tick.period.as_secs_f64(), &self.electrodes) {
+                match body.tissue.step(tick.period.as_secs_f64(), &body.electrodes) {
                     Ok(report) => {
                         body.volume_removed += report.removed_volume;
                         body.hottest = body.hottest.max(report.hottest);

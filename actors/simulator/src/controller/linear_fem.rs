@@ -24,6 +24,7 @@ use super::deformable::Deformable;
 use super::grips::Grips;
 use super::linear_fem_altered::{Altered, AlteredAt};
 use super::linear_fem_contacts::{Answer, By, Contacts, Held};
+use super::linear_fem_fading::Fading;
 use super::linear_fem_jobs::{altered_as_job, built, built_as_job};
 use super::parting::{Parting, Weakness};
 use super::soft::{Measures, Site};
@@ -76,6 +77,8 @@ pub(super) struct Body {
     pub(super) kind: LinearFemBody,
     mesh: TetMesh,
     pub(super) solver: Option<Box<LinearFem>>,
+    /// The inverse before that, as long as it is felt.
+    pub(super) fading: Option<Fading>,
     submitted: bool,
     /// Of a body that heat changes.
     parting: Option<(Parting, Altered)>,
@@ -124,6 +127,7 @@ impl LinearFemController {
                 kind,
                 mesh,
                 solver: None,
+                fading: None,
                 submitted: false,
                 parting,
                 progress: Arc::default(),
@@ -242,6 +246,9 @@ impl Body {
         self.contacts.keep(&answers, site.rods, self.kind.contact_radius);
         // What a last look has found is for the next tick.
         self.look_inside(site.tick);
+        if !self.parting.as_ref().is_some_and(|(_, altered)| altered.is_behind()) {
+            self.fading.take_if(Fading::is_over);
+        }
         Ok(answers)
     }
 
@@ -256,7 +263,7 @@ impl Body {
             self.contacts = Contacts::default();
         }
         let Some(solver) = &mut self.solver else { return Ok(()) };
-        if let Some(alterations) = altered.follow(key, solver, site.tick)? {
+        if let Some(alterations) = altered.follow(key, solver, &mut self.fading, site.tick)? {
             let material = [self.kind.young_modulus, self.kind.poisson_ratio];
             let job =
                 altered_as_job(key, &self.mesh, material, &self.body.pinned, alterations, &self.progress);
@@ -291,7 +298,7 @@ impl Body {
         while let Some(held) = solver.held().last().map(|held| held.handle) {
             solver.release(held)?;
         }
-        Ok(())
+        self.fading.as_mut().map_or(Ok(()), Fading::let_go)
     }
 
     /// Holds what is not held yet, and solves for all of it.
@@ -306,6 +313,9 @@ impl Body {
                 Ok(handle) => {
                     solver.set_target(handle, answer.target)?;
                     holding.push(index);
+                    if let Some(fading) = &mut self.fading {
+                        fading.hold(index, &answer.attachment, answer.target)?;
+                    }
                 }
                 // Two jaws have the same vertex: the first one has it.
                 Err(LinearFemError::Dependent { .. }) => {}
@@ -316,10 +326,16 @@ impl Body {
         for (index, reaction) in holding.iter().zip(solver.solve(&[])?.reactions) {
             answers[*index].force = reaction.force;
         }
+        if let Some(fading) = &mut self.fading {
+            fading.blend_forces(answers)?;
+        }
         let mut moved = Vec::new();
         solver.surface_displacements(&mut moved);
         for (&node, displacement) in solver.compliance().nodes().iter().zip(&moved) {
             self.positions[node as usize] = self.body.rest[node as usize] + displacement;
+        }
+        if let Some(fading) = &mut self.fading {
+            fading.blend_surface(solver.compliance().nodes(), &self.body.rest, &mut self.positions);
         }
         Ok(())
     }
@@ -329,11 +345,14 @@ impl Body {
     fn look_inside(&mut self, tick: &Tick<'_>) {
         let Some(solver) = &mut self.solver else { return };
         let look = tick.number.is_multiple_of(INSIDE_EVERY);
-        if !look && solver.removed().is_empty() {
+        if !look && solver.removed().is_empty() && self.fading.is_none() {
             return;
         }
         let mut moved = Vec::new();
         solver.displacements(&mut moved);
+        if let Some(fading) = &mut self.fading {
+            fading.blend_all(&mut moved);
+        }
         for (node, displacement) in moved.iter().enumerate() {
             self.positions[node] = self.body.rest[node] + displacement;
         }
@@ -432,7 +451,7 @@ impl Body {
         if let Some((parting, altered)) = &self.parting {
             let mut measures = Measures::new(name, values);
             parting.measure(&mut measures);
-            measures.put("elements_waiting", altered.waiting() as f64);
+            measures.put("elements_waiting", altered.waiting(self.fading.as_ref()) as f64);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! A linear organ that burns: elements leave its inverse by a correction of low rank, at once and exactly, while a job computes
-//! the inverse of what it has become. What shrinks does so at once, too; that it is stiffer comes with the job.
+//! the inverse of what it has become. What shrinks does so at once, too; that it is stiffer comes with the job, and is blended
+//! in ([`Fading`]).
 
 use std::collections::BTreeSet;
 
@@ -8,6 +9,7 @@ use trocar_scene::Tick;
 
 use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
+use super::linear_fem_fading::Fading;
 use super::linear_fem_jobs::built;
 use super::parting::Elements;
 use crate::elasticity::Alteration;
@@ -30,6 +32,10 @@ pub(super) struct Altered {
     /// Whether anything has shrunk since the inverse that serves was told.
     shrinks: bool,
     submitted: bool,
+    /// Whether the inverse that serves will have caught up with what went in a tick or a few.
+    behind: bool,
+    /// The new inverse, which has to wait until the last one is blended in.
+    next: Option<Box<LinearFem>>,
 }
 
 impl Altered {
@@ -42,6 +48,8 @@ impl Altered {
             stale: false,
             shrinks: false,
             submitted: false,
+            behind: false,
+            next: None,
         };
         this.alter(&heated.coagulated);
         this.remove(&heated.removed);
@@ -78,7 +86,7 @@ impl Altered {
         }
     }
 
-    /// Lets the inverse follow: takes a new one when it has come, corrects the one that serves. What cannot be corrected for
+    /// Lets the inverse follow: takes a new one when it has come, which lets the other fade; corrects the one that serves. What cannot be corrected for
     /// waits for the next one. Answers what that is to be computed from, where it is time to begin.
     ///
     /// # Errors
@@ -87,17 +95,21 @@ impl Altered {
         &mut self,
         key: u64,
         solver: &mut Box<LinearFem>,
+        fading: &mut Option<Fading>,
         tick: &Tick<'_>,
     ) -> Result<Option<Vec<Alteration>>, String> {
-        if self.submitted
-            && let Some(new) = built(tick, key)?
+        if self.submitted && self.next.is_none() {
+            self.next = built(tick, key)?.map(Box::new);
+        }
+        if fading.is_none()
+            && let Some(new) = self.next.take()
         {
-            **solver = new;
+            *fading = Some(Fading::new(std::mem::replace(solver, new)));
             self.submitted = false;
             self.pending.clone_from(&self.since);
             self.shrinks = self.stale;
         }
-        let done = self.correct(solver).and_then(|()| {
+        let done = self.correct(solver, fading).and_then(|()| {
             if std::mem::take(&mut self.shrinks) { solver.shrink(&self.alterations) } else { Ok(()) }
         });
         done.map_err(|error| error.to_string())?;
@@ -113,11 +125,12 @@ impl Altered {
         }
     }
 
-    fn correct(&mut self, solver: &mut LinearFem) -> Result<(), LinearFemError> {
+    fn correct(&mut self, solver: &mut LinearFem, fading: &mut Option<Fading>) -> Result<(), LinearFemError> {
         let (mut later, mut allowed) = (Vec::new(), TAKEN_MAX);
         let mut next = std::mem::take(&mut self.pending);
         // The first inverse may have been computed after they went.
         next.retain(|&tet| !solver.is_out(tet));
+        fading.as_mut().map_or(Ok(()), |fading| fading.remove(&next, TAKEN_MAX))?;
         while !next.is_empty() {
             let room = (REMOVED_MAX - solver.removed().len()).min(allowed);
             let batch: Vec<u32> = next.drain(..room.min(next.len())).collect();
@@ -135,14 +148,20 @@ impl Altered {
                 Err(error) => return Err(error),
             }
         }
+        self.behind = allowed == 0 && !next.is_empty() && solver.removed().len() < REMOVED_MAX;
         later.extend(next);
         self.pending = later;
         Ok(())
     }
 
     /// Elements that went and are still felt, until the next inverse.
-    pub fn waiting(&self) -> usize {
-        self.pending.len()
+    pub fn waiting(&self, fading: Option<&Fading>) -> usize {
+        self.pending.iter().filter(|tet| !fading.is_some_and(|fading| fading.hides(**tet))).count()
+    }
+
+    /// Whether a new inverse still has to catch up with what went while it was computed.
+    pub fn is_behind(&self) -> bool {
+        self.behind
     }
 }
 

@@ -262,7 +262,11 @@ impl Body {
             if beyond.abs() > PENETRATION_MAX {
                 answer.lag += beyond;
                 let handle = solver.held()[at].handle;
-                solver.set_target(handle, answer.target - touch.normal * answer.lag)?;
+                let target = answer.target - touch.normal * answer.lag;
+                solver.set_target(handle, target)?;
+                if let Some(fading) = &mut self.fading {
+                    fading.set_target(index, target)?;
+                }
                 moves = true;
             }
         }

@@ -5,8 +5,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Access, Commands, Component, ComponentError, Entity, Snapshot};
 
+use super::cauterised::CauterisedBody;
 use super::deformable::Deformable;
-use super::electrosurgery::CauterisedBody;
 use super::heat::{Coagulated, Heated};
 use super::membrane::{Membrane, MembraneWeakness, Parted};
 use super::parting::{Elements, Parting, Weakness};

@@ -10,9 +10,9 @@ use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
 };
 
+use super::cauterised::CauterisedBody;
 use super::cuts::Cuts;
 use super::deformable::Deformable;
-use super::electrosurgery::CauterisedBody;
 use super::heat::{CoagulatedElements, Heated, RemovedElements};
 use super::soft::{Measures, Reshaped, Site};
 use crate::cutting::{Sheet, SheetState, TopologyChange, VertexChange};

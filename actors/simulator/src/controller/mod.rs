@@ -6,6 +6,7 @@
 
 pub mod answering;
 pub mod bleeding;
+pub mod cauterised;
 pub mod coupled;
 pub mod coupling;
 pub mod cuts;
@@ -22,6 +23,7 @@ pub mod irrigation;
 pub mod linear_fem;
 mod linear_fem_altered;
 mod linear_fem_contacts;
+mod linear_fem_fading;
 mod linear_fem_jobs;
 pub mod mass_spring;
 pub mod membrane;
@@ -53,11 +55,12 @@ use trocar_scene::{RegistryBuilder, RegistryError};
 use crate::instrument::mechanism::MechanismState;
 
 pub use bleeding::{BleedingController, Vessel, VesselState};
+pub use cauterised::{CauterisedBody, ElectrodeTip};
 pub use coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, Joined, Lies};
 pub use deformable::Deformable;
 pub use dynamic_fem::{DynamicFemBody, DynamicFemController};
 pub use dynamic_fem_memory::DynamicFemMemory;
-pub use electrosurgery::{CauterisedBody, ElectrodeTip, ElectrosurgeryController, HeatState};
+pub use electrosurgery::{ElectrosurgeryController, HeatState};
 pub use fluid::{FluidController, Liquid, LiquidState, LiquidWall};
 pub use heat::{Coagulated, CoagulatedElements, RemovedElements};
 pub use instruments::{InstrumentsConfig, InstrumentsController};

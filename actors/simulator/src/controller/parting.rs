@@ -14,10 +14,10 @@ use trocar_scene::{
     TextureCoordinates,
 };
 
+use super::cauterised::CauterisedBody;
 use super::coupling::CoupledBody;
 use super::cuts::swept;
 use super::deformable::Deformable;
-use super::electrosurgery::CauterisedBody;
 use super::heat::{Coagulated, CoagulatedElements, Heated, RemovedElements};
 use super::soft::{Measures, Reshaped, Site};
 use crate::elasticity::cauchy_stress;

@@ -1,12 +1,18 @@
 //! What heat did to the elements of the mesh: how much of each is coagulated, charred, gone. A mechanical solver takes
 //! factors of stiffness and shrinkage from here, and the elements to take away.
+//!
+//! Elements go whole, cells of the lattice bit by bit. So that what goes of a volume's mesh is what goes of the lattice, however
+//! coarse the mesh is, the remainder is carried over: an element that is due, but of which something is left, waits while more
+//! of the mesh is gone than of the lattice, and where a whole element's worth is owed and none is due, the one that has lost the largest share goes.
 
 use super::error::ElectrosurgeryError;
 use super::thermal_grid::EDGE;
 use super::tissue::Tissue;
 
-/// An element goes when this share of its volume is gone.
+/// An element is due when this share of its volume is gone.
 const GONE: f64 = 0.5;
+/// An element that is due does not wait when this share of it is gone.
+const NOTHING_LEFT: f64 = 0.9;
 /// Elements of less than so many cells are told by the cell in which their middle lies.
 const SMALL: f64 = 4.0;
 
@@ -17,10 +23,18 @@ pub(super) struct ElementBurns {
     pub removed: Vec<f64>,
     pub coagulated: Vec<f64>,
     pub charred: Vec<f64>,
+    /// Volume of cells that went of which each element has the most \[m³\].
+    pub touched: Vec<f64>,
+    /// What went of the lattice and is not gone of the mesh \[m³\]; negative where more is gone.
+    pub owed: f64,
+    /// Elements that are to go next, in their order.
+    pub due: Vec<u32>,
     pub is_removed: Vec<bool>,
     /// Of small elements: the cell of the middle, sorted.
     middles: Vec<([i32; 3], u32)>,
     is_small: Vec<bool>,
+    /// Whether the remainder is carried over: not of a membrane, whose cut would be bridged by what waits.
+    carries: bool,
     /// Removed since the step began.
     pub gone: Vec<u32>,
     /// All that were removed, in their order.
@@ -63,9 +77,13 @@ impl ElementBurns {
             removed: vec![0.0; count],
             coagulated: vec![0.0; count],
             charred: vec![0.0; count],
+            touched: vec![0.0; count],
+            owed: 0.0,
+            due: Vec::new(),
             is_removed: vec![false; count],
             middles,
             is_small,
+            carries: matches!(tissue, Tissue::Volume { .. }),
             gone: Vec::new(),
             order: Vec::new(),
         })
@@ -74,6 +92,10 @@ impl ElementBurns {
     /// Books what happened to a cell of that volume \[m³\], of which `element` has the most.
     pub(super) fn book(&mut self, number: [i32; 3], element: u32, volume: f64, event: CellEvent) {
         let element = element as usize;
+        if matches!(event, CellEvent::Removed { .. }) {
+            self.touched[element] += volume;
+            self.owed += volume;
+        }
         if !self.is_small[element] {
             self.add(element, volume, event);
         }
@@ -93,11 +115,40 @@ impl ElementBurns {
                 self.removed[element] += volume;
                 self.coagulated[element] -= if was_coagulated { volume } else { 0.0 };
                 self.charred[element] -= if was_charred { volume } else { 0.0 };
-                if self.removed[element] >= GONE * self.volume[element] && !self.is_removed[element] {
-                    self.is_removed[element] = true;
-                    self.gone.push(element as u32);
-                    self.order.push(element as u32);
+                let is_due = self.removed[element] >= GONE * self.volume[element];
+                if is_due && !self.is_removed[element] && !self.due.contains(&(element as u32)) {
+                    self.due.push(element as u32);
                 }
+            }
+        }
+    }
+
+    /// Lets elements go, until as much of the mesh is gone as of the lattice, to one element. What has lost most goes first:
+    /// what waits is at the rim.
+    pub(super) fn settle(&mut self) {
+        loop {
+            let lost = |element: usize| self.touched[element] / self.volume[element];
+            let more = |a: usize, b: usize| lost(a).total_cmp(&lost(b)).then(b.cmp(&a));
+            let due = (0..self.due.len()).max_by(|a, b| more(self.due[*a] as usize, self.due[*b] as usize));
+            let element = if let Some(at) = due {
+                let volume = self.volume[self.due[at] as usize];
+                let waits = self.carries && self.owed <= -0.5 * volume;
+                if waits && lost(self.due[at] as usize) < NOTHING_LEFT {
+                    break;
+                }
+                self.due.remove(at)
+            } else {
+                let touched = (0..self.volume.len())
+                    .filter(|element| self.touched[*element] > 0.0 && !self.is_removed[*element]);
+                let most = touched.max_by(|a, b| more(*a, *b));
+                let owed = |most: &usize| self.carries && self.volume[*most] <= self.owed;
+                let Some(most) = most.filter(owed) else { break };
+                most as u32
+            };
+            if !std::mem::replace(&mut self.is_removed[element as usize], true) {
+                self.owed -= self.volume[element as usize];
+                self.gone.push(element);
+                self.order.push(element);
             }
         }
     }

@@ -56,36 +56,27 @@ pub struct Electrode {
     pub power: f64,
     /// How it gives it.
     pub mode: Mode,
-    /// Area in contact with tissue \[m²\].
+    /// Area of its bare metal \[m²\]: so much is in contact with tissue at most.
     pub contact_area: f64,
 }
 
 impl Electrode {
-    /// Radius of a disc with the contact's area \[m\]; the metal is a ball of that radius about the tip.
+    /// Radius of a disc with the area of the bare metal \[m\]; the metal is a ball of that radius about the tip.
     #[must_use]
     pub fn contact_radius(&self) -> f64 {
         (self.contact_area / std::f64::consts::PI).sqrt()
     }
 
-    /// Radius about which heat is deposited \[m\]: the contact's, spread as the mode spreads it.
+    /// Radius about which heat is deposited by so much area in contact \[m\]: that of a disc, spread as the mode spreads it.
     #[must_use]
-    pub fn radius(&self) -> f64 {
-        self.contact_radius() * self.mode.spread()
+    pub fn radius(&self, area: f64) -> f64 {
+        (area / std::f64::consts::PI).sqrt() * self.mode.spread()
     }
 
     /// Share of the power that arrives over a gap \[m\]: all of it in contact, none where no spark reaches.
     #[must_use]
     pub fn efficiency(&self, gap: f64) -> f64 {
         (1.0 - gap.max(0.0) / self.mode.spark()).clamp(0.0, 1.0)
-    }
-
-    /// How much heat is deposited, relative to where it is most, at a distance \[m\] from there.
-    #[inline]
-    #[must_use]
-    pub fn profile(&self, distance: f64) -> f64 {
-        let ratio = distance / self.radius();
-        let bell = 1.0 / (1.0 + ratio * ratio);
-        bell * bell
     }
 
     pub(super) fn check(&self) -> Result<(), HeatStepError> {
@@ -97,6 +88,15 @@ impl Electrode {
     }
 }
 
+/// How much heat is deposited, relative to where it is most, at a distance from there, about a radius \[m\].
+#[inline]
+#[must_use]
+pub(super) fn profile(distance: f64, radius: f64) -> f64 {
+    let ratio = distance / radius;
+    let bell = 1.0 / (1.0 + ratio * ratio);
+    bell * bell
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -106,8 +106,8 @@ mod tests {
         let area = std::f64::consts::PI * 1e-6;
         let cut =
             Electrode { tip_in_rest: Point3::origin(), power: 30.0, mode: Mode::Cut, contact_area: area };
-        assert!((cut.radius() - 1e-3).abs() < 1e-15);
-        assert!((cut.profile(20e-3) / cut.profile(40e-3) - 16.0).abs() < 0.1);
+        assert!((cut.radius(area) - 1e-3).abs() < 1e-15);
+        assert!((profile(20e-3, 1e-3) / profile(40e-3, 1e-3) - 16.0).abs() < 0.1);
         assert_eq!((cut.efficiency(-1.0), cut.efficiency(1.0)), (1.0, 0.0));
         let spray = Electrode { mode: Mode::Coagulate, ..cut };
         assert!(spray.efficiency(1e-3) > 0.5 && cut.efficiency(1e-3) == 0.0);

@@ -37,6 +37,8 @@ pub struct HeatReport {
     pub absorbed: f64,
     /// From the metal of the nearest electrode that is on to tissue \[m\]; infinite where there is none in reach.
     pub gap: f64,
+    /// Area of metal that is in contact with tissue when the step begins \[m²\], of all electrodes that are on.
+    pub contact_area: f64,
     /// Volume of tissue removed \[m³\].
     pub removed_volume: f64,
     /// Cells of the lattice removed.

@@ -6,7 +6,7 @@
 //! | Its properties | `material.rs` |
 //! | Boiling: the enthalpy method | `enthalpy.rs` |
 //! | Damage | `arrhenius.rs` |
-//! | The electrode, and how it heats cells | `electrode.rs`, `source.rs` |
+//! | The electrode, how it lies to tissue, and how it heats cells | `electrode.rs`, `contact.rs`, `source.rs` |
 //! | Heat on the lattice at the tip | `thermal_grid.rs`, `block.rs` |
 //! | Heat in the organ's mesh | `organ_heat.rs` |
 //! | What became of the elements | `burn.rs` |
@@ -15,6 +15,7 @@
 pub mod arrhenius;
 mod block;
 mod burn;
+mod contact;
 mod electrode;
 mod enthalpy;
 mod error;
@@ -31,6 +32,7 @@ mod tissue;
 use nalgebra::{Point3, Vector4};
 
 pub use arrhenius::Arrhenius;
+pub use contact::{Contact, shares};
 pub use electrode::{Electrode, Mode};
 pub use error::{ElectrosurgeryError, HeatStepError};
 pub use ledger::{HeatLedger, HeatReport};
@@ -38,7 +40,7 @@ pub use material::{BODY, ThermalMaterial};
 pub use state::{BlockState, ElectrosurgeryState};
 pub use tissue::Tissue;
 
-use block::{CELLS, CHARRED};
+use block::{Block, CELLS, CHARRED};
 use burn::ElementBurns;
 use organ_heat::OrganHeat;
 use source::Source;
@@ -47,6 +49,9 @@ use tissue::TissueLattice;
 
 /// Electrodes at a time.
 const ELECTRODES_MAX: usize = 16;
+
+/// Longest time for which an electrode heats before heat spreads \[s\].
+const TURN: f64 = 0.01;
 
 /// The lattice of a session.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -180,25 +185,26 @@ impl Electrosurgery {
         for electrode in active() {
             let gap = self.source.prepare(&mut self.grid, electrode, dt, &mut books)?;
             books.report.gap = books.report.gap.min(gap);
+            books.report.contact_area += self.source.area;
         }
         let organ = books.organ.step(dt)?;
         books.ledger.perfusion += organ.perfusion;
         books.ledger.held += organ.held;
-        for electrode in active() {
-            // What was prepared last is still about the only one.
-            if active().count() > 1 {
-                self.source.prepare(&mut self.grid, electrode, dt, &mut books)?;
-            }
-            books.bursts = electrode.mode == Mode::Cut;
-            let joules = self.source.heat(&mut self.grid, electrode, dt, &mut books);
-            books.report.absorbed += joules / dt;
-        }
-        books.bursts = active().any(|electrode| electrode.mode == Mode::Cut);
-        let parts = (dt / self.grid.step_max()).ceil().max(1.0);
+        // Heat comes and spreads by turns, so that no long step lets it pile up at the tip.
+        let longest = if active().next().is_some() { TURN } else { f64::INFINITY };
+        let parts = (dt / self.grid.step_max().min(longest)).ceil().max(1.0);
         for _ in 0..parts as u32 {
+            for electrode in active() {
+                self.source.gather(&mut self.grid, electrode, books.report);
+                books.bursts = electrode.mode == Mode::Cut;
+                let joules = self.source.heat(&mut self.grid, electrode, dt / parts, &mut books);
+                books.report.absorbed += joules / dt;
+            }
+            books.bursts = active().any(|electrode| electrode.mode == Mode::Cut);
             self.grid.diffuse(dt / parts, &mut books);
             self.grid.settle(dt / parts, &mut books);
         }
+        books.burns.settle();
         for (damage, celsius) in self.organ_damage.iter_mut().zip(&self.organ.celsius) {
             *damage += dt * self.material.damage.rate(*celsius);
         }
@@ -211,6 +217,14 @@ impl Electrosurgery {
         report.active_blocks = self.grid.blocks.iter().filter(|block| block.is_active).count() as u32;
         self.plume_in_rest = (plume.w > 0.0).then(|| Point3::from(plume.xyz() / plume.w));
         Ok(report)
+    }
+
+    /// How the metal of an electrode lies to this tissue, for [`shares`]; one that is no electrode is at none.
+    pub fn contact(&mut self, electrode: &Electrode) -> Contact {
+        if electrode.check().is_err() {
+            return Contact::NONE;
+        }
+        self.source.contact(&mut self.grid, electrode, &mut HeatReport::default())
     }
 
     /// Elements (tetrahedra or triangles) that went in the last step, in the order in which they went.
@@ -259,6 +273,29 @@ impl Electrosurgery {
             }
             None => (celsius, damage),
         })
+    }
+
+    /// Whether a vertex lies where tissue is charred.
+    #[must_use]
+    pub fn is_charred(&self, vertex: u32) -> bool {
+        let place = self.positions.get(vertex as usize);
+        place.and_then(|place| self.grid.cell_near(place)).is_some_and(|(block, cell)| {
+            let block = &self.grid.blocks[block];
+            block.flags[cell] & CHARRED != 0 && block.is_tissue(cell)
+        })
+    }
+
+    /// Charred cells that are left, and the area that they show where tissue is gone or ends \[m²\].
+    #[must_use]
+    pub fn char(&self) -> (usize, f64) {
+        let charred = |block: &Block, cell: usize| block.flags[cell] & CHARRED != 0 && block.is_tissue(cell);
+        let all = self.grid.blocks.iter().flat_map(|block| (0..CELLS).map(move |cell| (block, cell)));
+        let (mut cells, mut sides) = (0, 0.0);
+        for (block, cell) in all.filter(|(block, cell)| charred(block, *cell)) {
+            cells += 1;
+            sides += f64::from(self.grid.bare_sides(block, cell));
+        }
+        (cells, sides * self.grid.spacing.powi(2))
     }
 
     /// Number of vertices.

@@ -2,8 +2,10 @@
 //! has too much of when it goes does not matter.
 
 use super::block::CELLS;
-use super::electrode::{Electrode, Mode, REACH};
+use super::contact::Contact;
+use super::electrode::{Electrode, Mode, REACH, profile};
 use super::error::HeatStepError;
+use super::ledger::HeatReport;
 use super::thermal_grid::{Books, EDGE, ThermalGrid};
 
 /// Share of the heat that vaporises a cell that it may get in one part.
@@ -26,6 +28,10 @@ struct Near {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Source {
     near: Vec<Near>,
+    /// How many of them there were when it was seen how the metal lies to them.
+    faced: usize,
+    /// Area of the metal that faces them \[m²\].
+    pub area: f64,
 }
 
 impl Source {
@@ -41,8 +47,41 @@ impl Source {
         if electrode.power == 0.0 {
             return Ok(f64::INFINITY);
         }
-        let reach =
-            REACH * electrode.radius() + electrode.contact_radius() + electrode.mode.spark() + grid.spacing;
+        self.gather(grid, electrode, books.report);
+        let gap = self.aim(grid, electrode, books.material.dry_current);
+        let energy = electrode.power * electrode.efficiency(gap) * dt;
+        let density = self.density(grid);
+        let parts = energy * density / (PART * grid.enthalpy.vaporisation());
+        if parts > f64::from(PARTS_MAX) {
+            return Err(HeatStepError::TooStrong { dt, parts: parts.ceil(), most: PARTS_MAX });
+        }
+        Ok(gap)
+    }
+
+    /// How the metal of an electrode lies to the tissue; blocks about it are taken into use.
+    pub(super) fn contact(
+        &mut self,
+        grid: &mut ThermalGrid,
+        electrode: &Electrode,
+        report: &mut HeatReport,
+    ) -> Contact {
+        self.gather(grid, electrode, report);
+        self.facing(grid, electrode)
+    }
+
+    fn facing(&self, grid: &ThermalGrid, electrode: &Electrode) -> Contact {
+        let middles = self.near.iter().map(|near| grid.centre(&grid.blocks[near.block], near.cell));
+        Contact::with_cells(electrode, grid.spacing, middles)
+    }
+
+    /// The cells about an electrode that are tissue.
+    pub(super) fn gather(&mut self, grid: &mut ThermalGrid, electrode: &Electrode, report: &mut HeatReport) {
+        self.near.clear();
+        self.faced = usize::MAX;
+        let reach = REACH * electrode.radius(electrode.contact_area)
+            + electrode.contact_radius()
+            + electrode.mode.spark()
+            + grid.spacing;
         let edge = EDGE as f64 * grid.spacing;
         let tip = electrode.tip_in_rest;
         let [low, high] =
@@ -51,7 +90,7 @@ impl Source {
             (low[1]..=high[1]).flat_map(move |y| (low[2]..=high[2]).map(move |z| [x, y, z]))
         });
         for key in keys.clone() {
-            grid.activate(key, books.report);
+            grid.activate(key, report);
         }
         for key in keys {
             let Ok(index) = grid.find(key) else { continue };
@@ -66,14 +105,6 @@ impl Source {
                 }
             }
         }
-        let gap = self.aim(grid, electrode, books.material.dry_current);
-        let energy = electrode.power * electrode.efficiency(gap) * dt;
-        let density = self.density(grid);
-        let parts = energy * density / (PART * grid.enthalpy.vaporisation());
-        if parts > f64::from(PARTS_MAX) {
-            return Err(HeatStepError::TooStrong { dt, parts: parts.ceil(), most: PARTS_MAX });
-        }
-        Ok(gap)
     }
 
     /// Heat that the hottest place gets for each joule of the whole \[1/m³\].
@@ -86,10 +117,15 @@ impl Source {
     /// Shares of the cells that are still there; the gap from the tip to the nearest \[m\].
     fn aim(&mut self, grid: &ThermalGrid, electrode: &Electrode, dry: f64) -> f64 {
         self.near.retain(|near| grid.blocks[near.block].is_tissue(near.cell));
+        if self.near.len() != self.faced {
+            self.faced = self.near.len();
+            self.area = self.facing(grid, electrode).area(electrode);
+        }
+        let radius = electrode.radius(self.area);
         let nearest = self.near.iter().map(|near| near.distance).fold(f64::INFINITY, f64::min);
         // From the metal, a ball with the contact's radius, to about the side of the nearest cell.
         let gap = nearest - electrode.contact_radius() - grid.spacing / 2.0;
-        let reach = REACH * electrode.radius();
+        let reach = REACH * radius;
         let mut sum = 0.0;
         for near in &mut self.near {
             let beyond = near.distance - nearest;
@@ -102,7 +138,7 @@ impl Source {
                     Mode::Cut => 1.0,
                     Mode::Coagulate => dry + (1.0 - dry) * block.water[near.cell],
                 };
-                electrode.profile(beyond) * block.share(near.cell) * conducts
+                profile(beyond, radius) * block.share(near.cell) * conducts
             };
             sum += near.share;
         }

@@ -42,6 +42,12 @@ pub struct ElectrosurgeryState {
     pub held: Vec<bool>,
     /// Volumes of each element that are removed, coagulated, charred \[m³\].
     pub burns: Vec<[f64; 3]>,
+    /// Volume of cells that went of each element \[m³\].
+    pub touched: Vec<f64>,
+    /// What went of the lattice and is not gone of the mesh \[m³\].
+    pub owed: f64,
+    /// Elements that are to go next.
+    pub due: Vec<u32>,
     /// Elements that are gone, in the order in which they went.
     pub removed: Vec<u32>,
     /// Blocks in the order of their keys.
@@ -101,6 +107,9 @@ impl Electrosurgery {
             perfusion: self.organ.perfusion.clone(),
             held: self.organ.held.clone(),
             burns: (0..removed.len()).map(|e| [removed[e], coagulated[e], charred[e]]).collect(),
+            touched: self.burns.touched.clone(),
+            owed: self.burns.owed,
+            due: self.burns.due.clone(),
             removed: self.burns.order.clone(),
             blocks: self.grid.blocks.iter().map(BlockState::of).collect(),
             ledger: self.ledger,
@@ -131,8 +140,12 @@ impl Electrosurgery {
         }
         let burns: Vec<f64> = state.burns.iter().flatten().copied().collect();
         fits("burns", &burns, 3 * elements, f64::MIN)?;
-        if let Some(alien) = state.removed.iter().find(|element| **element as usize >= elements) {
-            return wrong(format!("removed: element {alien}, 0 to {elements} - 1 are valid"));
+        fits("touched", &state.touched, elements, 0.0)?;
+        fits("owed", &[state.owed], 1, f64::MIN)?;
+        if let Some(alien) =
+            state.removed.iter().chain(&state.due).find(|element| **element as usize >= elements)
+        {
+            return wrong(format!("removed or due: element {alien}, 0 to {elements} - 1 are valid"));
         }
         let is_sorted = state.blocks.windows(2).all(|pair| pair[0].key < pair[1].key);
         if !is_sorted || state.blocks.len() > lattice.blocks_max {
@@ -163,6 +176,9 @@ impl Electrosurgery {
             restored.organ.disconnect(&corners[..restored.corners], conduction);
         }
         restored.burns.order.clone_from(&state.removed);
+        restored.burns.touched.clone_from(&state.touched);
+        restored.burns.due.clone_from(&state.due);
+        restored.burns.owed = state.owed;
         for block in &state.blocks {
             block.check()?;
             let Some(kept) = restored.grid.remember(block.key) else {

@@ -389,6 +389,28 @@ impl ThermalGrid {
         best.map(|(_, _, index, cell)| (index, cell))
     }
 
+    /// How many sides of a cell have no tissue beyond.
+    pub(super) fn bare_sides(&self, block: &Block, cell: usize) -> u32 {
+        let own = xyz(cell).map(|at| at as i32);
+        let bare = SIDES.into_iter().filter(|(axis, way)| {
+            let mut at: [i32; 3] = std::array::from_fn(|axis| block.key[axis] * EDGE as i32 + own[axis]);
+            at[*axis] += way;
+            let within = at.map(|cell| cell.rem_euclid(EDGE as i32) as usize);
+            let beyond = within[0] + EDGE * (within[1] + EDGE * within[2]);
+            let found = self.find(at.map(|cell| cell.div_euclid(EDGE as i32)));
+            // Of a block that was never in use, what its neighbour knows of it.
+            !found.map_or_else(
+                |_| {
+                    let padded =
+                        padded(cell) as i32 + way * [1, PADDED as i32, (PADDED * PADDED) as i32][*axis];
+                    block.raster.share[padded as usize] > 0.0
+                },
+                |index| self.blocks[index].is_tissue(beyond),
+            )
+        });
+        bare.count() as u32
+    }
+
     /// Middle of a cell, in the tissue's rest frame \[m\].
     pub(super) fn centre(&self, block: &Block, cell: usize) -> nalgebra::Point3<f64> {
         let within = xyz(cell);

@@ -1,0 +1,135 @@
+//! A linear organ between two inverses: what a new one says is blended in, so that a hand does not feel the change. What has
+//! burned away is out of both; what the new one brings is what coagulation has stiffened meanwhile, and what was too much to
+//! be corrected for.
+//!
+//! Both answer the same contacts, and what is felt goes from the one's forces to the other's, in each tick by no more than a
+//! share of what is felt. Nothing of it is in the scene: another life begins with the new inverse.
+
+use nalgebra::{Point3, Vector3};
+
+use super::linear_fem_contacts::Answer;
+use crate::linear_fem::{Attachment, Handle, LinearFem, LinearFemError};
+
+/// Change of what is felt in a tick, as a share of it.
+const CHANGE: f64 = 0.02;
+/// What is felt at least, for that \[N\].
+const FELT_MIN: f64 = 1e-3;
+/// Smallest and largest step towards the new inverse: 500 ticks at most.
+const STEP: [f64; 2] = [0.002, 0.25];
+
+/// An inverse that fades.
+pub(super) struct Fading {
+    old: Box<LinearFem>,
+    /// Of the new inverse in what is felt.
+    share: f64,
+    /// Place of each answer that the old one holds, and by which name.
+    handles: Vec<(usize, Handle)>,
+    /// Size of what is felt, and by how much the two inverses differ in it \[N\].
+    felt: f64,
+    change: f64,
+    moved: Vec<Vector3<f64>>,
+}
+
+impl Fading {
+    /// Of an inverse that a new one has just replaced.
+    pub fn new(old: Box<LinearFem>) -> Self {
+        Self { old, share: 0.0, handles: Vec::new(), felt: 0.0, change: 0.0, moved: Vec::new() }
+    }
+
+    /// Takes elements out of the old one, too, so many at most and as far as it bears that: what it does not, fades with it.
+    pub fn remove(&mut self, tets: &[u32], most: usize) -> Result<(), LinearFemError> {
+        let left = tets.iter().copied().filter(|tet| !self.old.is_out(*tet));
+        let left: Vec<u32> = left.take(most).collect();
+        let mut left = &left[..];
+        while !left.is_empty() {
+            match self.old.remove(left) {
+                Err(LinearFemError::Apart { tet }) => {
+                    let at = left.iter().position(|of| *of == tet).map_or(left.len(), |at| at + 1);
+                    left = &left[at..];
+                }
+                Ok(()) | Err(LinearFemError::TooManyRemoved) => break,
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether nothing of the new one is felt yet, and the element is out of the old one.
+    pub fn hides(&self, tet: u32) -> bool {
+        self.share == 0.0 && self.old.is_out(tet)
+    }
+
+    /// Lets go of everything, for a new tick.
+    pub fn let_go(&mut self) -> Result<(), LinearFemError> {
+        self.handles.clear();
+        while let Some(held) = self.old.held().last().map(|held| held.handle) {
+            self.old.release(held)?;
+        }
+        Ok(())
+    }
+
+    /// Holds what the new one holds, too.
+    pub fn hold(
+        &mut self,
+        place: usize,
+        attachment: &Attachment,
+        target: Vector3<f64>,
+    ) -> Result<(), LinearFemError> {
+        match self.old.hold(attachment.clone()) {
+            Ok(handle) => {
+                self.handles.push((place, handle));
+                self.old.set_target(handle, target)
+            }
+            Err(LinearFemError::Dependent { .. }) => Ok(()),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Moves what is held.
+    pub fn set_target(&mut self, place: usize, target: Vector3<f64>) -> Result<(), LinearFemError> {
+        match self.handles.iter().find(|(held, _)| *held == place) {
+            Some((_, handle)) => self.old.set_target(*handle, target),
+            None => Ok(()),
+        }
+    }
+
+    /// Blends the old one's forces into answers that have the new one's.
+    pub fn blend_forces(&mut self, answers: &mut [Answer]) -> Result<(), LinearFemError> {
+        (self.felt, self.change) = (0.0, 0.0);
+        let reactions = self.old.solve(&[])?.reactions;
+        for (place, reaction) in self.handles.iter().map(|(place, _)| *place).zip(reactions) {
+            let new = answers[place].force;
+            answers[place].force = reaction.force.lerp(&new, self.share);
+            self.felt += answers[place].force.norm();
+            self.change += (new - reaction.force).norm();
+        }
+        Ok(())
+    }
+
+    /// Blends in where the old one has nodes of the surface, of which the new one has `nodes`, ascending.
+    pub fn blend_surface(&mut self, nodes: &[u32], rest: &[Point3<f64>], positions: &mut [Point3<f64>]) {
+        self.old.surface_displacements(&mut self.moved);
+        for (node, moved) in self.old.compliance().nodes().iter().zip(&self.moved) {
+            if nodes.binary_search(node).is_ok() {
+                let (node, new) = (*node as usize, positions[*node as usize]);
+                positions[node] = (rest[node] + moved).lerp(&new, self.share);
+            }
+        }
+    }
+
+    /// Blends in how far the old one has moved all nodes.
+    pub fn blend_all(&mut self, moved: &mut [Vector3<f64>]) {
+        self.old.displacements(&mut self.moved);
+        for (new, old) in moved.iter_mut().zip(&self.moved) {
+            *new = old.lerp(new, self.share);
+        }
+    }
+
+    /// Goes on for the next tick; whether nothing of the old one is left.
+    pub fn is_over(&mut self) -> bool {
+        let [least, most] = STEP;
+        let step = CHANGE * self.felt.max(FELT_MIN) / self.change.max(f64::MIN_POSITIVE);
+        self.share += step.clamp(least, most);
+        self.share >= 1.0
+    }
+}
