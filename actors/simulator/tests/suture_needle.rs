@@ -333,7 +333,7 @@ fn arc() -> (NeedleShape, Isometry3<f64>, impl Fn(f64) -> Isometry3<f64>) {
 }
 
 #[test]
-fn along_its_own_arc_it_hardly_moves_the_tissue_and_straight_on_it_tears() {
+fn along_its_own_arc_it_hardly_moves_the_tissue_and_straight_on_it_presses_across() {
     let (shape, start, turned) = arc();
     let resistance =
         Resistance { puncture_force: 0.05, cutting_force: 0.02, needle_grip: 1.0, ..Resistance::default() };

@@ -7,7 +7,7 @@ use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, Collision, CollisionList, ControllerError, Frozen, JawState, Pose, VertexPositions,
 };
-use trocar_simulator::controller::{ThreadController, ThreadMemory};
+use trocar_simulator::controller::{KnotState, ThreadController, ThreadMemory};
 
 const HZ: f64 = 500.0;
 
@@ -178,6 +178,51 @@ fn a_thread_is_laid_tied_and_told_which_knot_it_is() {
     let points = stage.get::<VertexPositions>("thread").positions;
     let top = points.iter().map(|point| point.z).fold(0.0, f64::max);
     assert!((top - 0.02).abs() < 1e-3, "{top} m");
+}
+
+/// A thread laid in throws and held where it lies, after so many ticks; another life begins after `between`.
+fn told(half_turns: &[i32], ticks: u32, between: u32) -> Stage<ThreadController> {
+    let laid = format!(
+        "[[entity]]\nname = \"thread\"\nmesh = {{ line = {{ length = 0.04, segments = 40, radius = 0.00015 }} }}\n\
+         anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, 1.0] }} }}] }}\n\
+         [entity.thread]\nstep = 2e-3\n[entity.thread.laid.throws]\nhalf_turns = {half_turns:?}\narm = 0.001\near = 0.004\n\
+         around = [[-0.004, 0.0, -0.006], [0.004, 0.0, -0.006]]\n"
+    );
+    let mut stage = Stage::new(scene(&laid), HZ, build);
+    for tick in 0..ticks {
+        if tick == between {
+            stage.rebuild(build);
+        }
+        stage.tick();
+    }
+    stage
+}
+
+#[test]
+fn throws_are_told_in_their_order_and_with_their_hands() {
+    for (half_turns, alternates, notation, signature) in [
+        (&[3, -3, 3][..], 1.0, "1=1=1", -2),
+        (&[-3, 3, -3], 1.0, "1=1=1", 2),
+        (&[3, 3, 3], 0.0, "1x1x1", -6),
+        (&[3, 3, -3], 0.0, "1x1=1", -2),
+        (&[-5, 3], 1.0, "2=1", 2),
+    ] {
+        let stage = told(half_turns, 400, 90);
+        let knot = stage.get::<KnotState>("thread");
+        assert!(knot.in_order && knot.reading.is_none(), "{half_turns:?}: {knot:?}");
+        assert_eq!((&knot.throws[..], &knot.notation[..]), (half_turns, notation), "{knot:?}");
+        assert_eq!(knot.signature, signature, "{half_turns:?}: {knot:?}");
+        // The code cannot tell them apart, which is why there are more measures.
+        let measured = |what: &str| stage.measured(&format!("thread.{what}"));
+        assert_eq!(measured("knot"), if half_turns.len() == 3 { 6.0 } else { 5.0 });
+        assert_eq!(measured("knot_throws"), half_turns.len() as f64);
+        assert_eq!(measured("knot_alternates"), alternates, "{half_turns:?}");
+        assert_eq!(measured("knot_hand"), f64::from(half_turns[0].signum()), "{half_turns:?}");
+        assert_eq!(measured("knot_signature"), f64::from(signature), "{half_turns:?}");
+    }
+    // A life that ends while they are read goes on where it was.
+    let [whole, other] = [u32::MAX, 90].map(|between| told(&[3, 3, -3], 150, between));
+    assert_eq!(whole.get::<KnotState>("thread"), other.get::<KnotState>("thread"));
 }
 
 #[test]

@@ -14,9 +14,9 @@ use trocar_scene::{
 
 use super::deformable::Deformable;
 use super::grips::{CLOSED, holds};
+use super::knot_state::KnotState;
 use super::suture_body::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};
-use super::thread::{KNOT_EVERY, knot_code};
-use super::thread_body::ThreadBody;
+use super::thread_edges::{EDGES_EVERY, fineness, follow, held};
 use super::thread_grips::{Leading, Pull, SPARED, pulls, update};
 use super::thread_memory::Met;
 use super::thread_obstacles::Parts;
@@ -26,7 +26,6 @@ use crate::elasticity::Elastic;
 use crate::needle::NeedleState;
 use crate::suture::{Around, Grip, Suture, SutureReport, SutureState, Tissue};
 use crate::tet_mesh::{MeshRules, TetMesh};
-use crate::thread::knot::identify;
 use crate::thread::{Obstacle, Reaction, ThreadState};
 
 /// Longest step of the island \[s\].
@@ -47,6 +46,8 @@ pub struct SutureController {
     kind: SutureNeedle,
     suture: Suture,
     memory: SutureMemory,
+    knot: KnotState,
+    has_knot: bool,
     report: SutureReport,
     grips: Vec<Grip>,
     parts: Parts,
@@ -77,7 +78,7 @@ impl SutureController {
             )));
         };
         let (Some(kind), Some(sewn)) =
-            (scene.get::<SutureNeedle>(*needle).copied(), scene.get::<SewnTissue>(*tissue).copied())
+            (scene.get::<SutureNeedle>(*needle).cloned(), scene.get::<SewnTissue>(*tissue).copied())
         else {
             return Err(wrong("needle or tissue is gone".into()));
         };
@@ -90,13 +91,12 @@ impl SutureController {
         let elastic =
             Elastic::new(sewn.young_modulus, sewn.poisson_ratio).map_err(|error| wrong(error.to_string()))?;
         let soft = Tissue::new(mesh, &elastic, &body.pinned).map_err(|error| wrong(error.to_string()))?;
-        let material = ThreadBody { suture: kind.suture, ..ThreadBody::default() }.material();
         let memory = scene.get::<SutureMemory>(*needle).cloned().unwrap_or_default();
         let (state, is_new) = match &memory.state {
             Some(state) => (state.clone(), false),
             None => (begin(&kind, &scene.world_pose(*needle)).map_err(wrong)?, true),
         };
-        let mut suture = Suture::new(&kind.shape(), Some(material), sewn.resistance(), soft, state)
+        let mut suture = Suture::new(&kind.shape(), Some(kind.material()), sewn.resistance(), soft, state)
             .map_err(|error| wrong(error.to_string()))?;
         if is_new {
             suture.swage();
@@ -113,6 +113,8 @@ impl SutureController {
             kind,
             suture,
             memory,
+            knot: scene.get::<KnotState>(*needle).cloned().unwrap_or_default(),
+            has_knot: false,
             report: SutureReport::default(),
             grips: Vec::new(),
             parts: Parts::default(),
@@ -150,7 +152,9 @@ impl SutureController {
         let busy: Vec<Entity> = self.memory.held.iter().map(|held| held.instrument).collect();
         if let Some(thread) = &self.suture.state().thread {
             let radius = self.suture.thread_radius();
-            update(&mut self.memory.grips, &self.parts, scene, thread, radius, period, &busy);
+            if update(&mut self.memory.grips, &self.parts, scene, thread, radius, period, &busy) {
+                self.memory.loop_min = None;
+            }
             self.leading.spare(&self.memory.grips, &self.parts, thread);
             for held in &self.memory.held {
                 // The thread behind the tail lies in jaws that hold the needle there.
@@ -177,6 +181,22 @@ impl SutureController {
         places.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(along, _)| along)
     }
 
+    /// Makes edges of the thread as short as they have to be where it is tied, and no shorter elsewhere.
+    fn adapt(&mut self, world_from_needle: &Isometry3<f64>) -> Result<(), String> {
+        let fineness =
+            fineness([self.kind.knot_edge, self.kind.thread_edge], 2.0 * self.suture.thread_radius());
+        let keep: Vec<usize> = held(&self.memory.grips).collect();
+        let Some(now) = self.suture.adapt(&fineness, keep).map_err(|error| error.to_string())? else {
+            return Ok(());
+        };
+        follow(&mut self.memory.grips, &now);
+        let mut nodes = Vec::new();
+        line_of(&self.suture, world_from_needle, &mut nodes);
+        self.needle.lie(nodes);
+        self.has_line = false;
+        Ok(())
+    }
+
     /// One tick; what instruments are told is left in `forces`, `reactions` and `pulls`.
     fn step(&mut self, scene: &Snapshot, tick: &Tick<'_>) -> Result<(), String> {
         let period = tick.period.as_secs_f64();
@@ -185,6 +205,9 @@ impl SutureController {
             && let Some(contacts) = self.suture.contacts_mut()
         {
             self.parts.renumber(&self.memory.met, contacts);
+        }
+        if tick.number.is_multiple_of(EDGES_EVERY) {
+            self.adapt(&scene.world_pose(self.needle.entity))?;
         }
         self.update(scene, period);
         let count = (period / STEP - 1e-9).ceil().max(1.0);
@@ -246,9 +269,14 @@ impl SutureController {
         if let Some(thread) = &self.suture.state().thread {
             let forces = self.suture.hold_forces();
             self.pulls = pulls(&mut self.memory.grips, &self.parts, scene, thread, forces);
-            if tick.number % KNOT_EVERY == 1 {
-                let found = identify(&thread.positions).ok();
-                self.memory.knot = knot_code(found.as_ref().map(|knot| &knot.kind));
+            let looked = self.knot.look(&thread.positions, tick.number);
+            self.has_knot &= !looked.changed;
+            if looked.is_another {
+                self.memory.loop_min = None;
+            }
+            if let Some(strands) = thread.strands() {
+                let now = strands.loop_length();
+                self.memory.loop_min = Some(self.memory.loop_min.map_or(now, |least| least.min(now)));
             }
         }
         self.memory.met.clear();
@@ -299,6 +327,10 @@ impl SutureController {
         let still = vec![Vector3::zeros(); positions.len()];
         self.tissue.write(&positions, &still, out);
         out.put(line, self.memory.clone());
+        if !self.has_knot {
+            self.has_knot = true;
+            out.put(line, self.knot.clone());
+        }
     }
 
     fn measure(&self, world_from_needle: &Isometry3<f64>, measured: &mut Measured) {
@@ -321,7 +353,11 @@ impl SutureController {
         put("held_by", (self.memory.held.len() + self.memory.grips.len()) as f64);
         let tensions = state.thread.iter().flat_map(|thread| thread.tensions.iter().copied());
         put("thread_tension_n", tensions.fold(0.0, f64::max));
-        put("knot", self.memory.knot);
+        let loop_now =
+            state.thread.as_ref().and_then(|thread| thread.strands()).map(|strands| strands.loop_length());
+        put("loop_m", loop_now.unwrap_or(0.0));
+        put("slip_m", loop_now.zip(self.memory.loop_min).map_or(0.0, |(now, least)| now - least));
+        put("thread_held_nodes", held(&self.memory.grips).count() as f64);
         put("contacts", self.report.contacts as f64);
         put("contact_force_n", self.reactions.iter().map(|reaction| reaction.force.norm()).sum());
         put("surface_force_n", state.presses.iter().map(|press| press.force.norm()).sum());
@@ -335,6 +371,7 @@ impl SutureController {
             put("exit_off_plan_m", off.fold(f64::INFINITY, f64::min).min(1.0));
         }
         put("frozen", f64::from(u8::from(self.frozen)));
+        self.knot.measure(name, &mut measured.values);
     }
 }
 
@@ -351,7 +388,8 @@ impl Controller for SutureController {
             .reads::<Shape>()
             .reads::<SurfaceMesh>()
             .writes::<LineMesh>(needle.clone())
-            .writes::<SutureMemory>(needle)
+            .writes::<SutureMemory>(needle.clone())
+            .writes::<KnotState>(needle)
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
     }

@@ -3,14 +3,16 @@
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_scene::components::Parameter;
 use trocar_scene::{Component, ComponentError, Entity};
 
-use super::thread_body::Suture;
+use super::thread_body::{Suture, ThreadBody};
 use super::thread_grips::Grip;
 use super::thread_memory::Met;
 use crate::elasticity::POISSON_MAX;
 use crate::needle::NeedleShape;
 use crate::suture::{Resistance, SutureState};
+use crate::thread::ThreadMaterial;
 use crate::thread::frame::perpendicular;
 
 /// Tissue that a needle goes through: it needs a mesh of tetrahedra, and `anchors` where it is held. See [`Resistance`] for
@@ -103,7 +105,7 @@ const BEND: f64 = 4e-3;
 
 /// A needle with a thread swaged to it. It needs a mesh of a line, which then follows needle and thread; places are in the
 /// frame of the entity, which stays where it is.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SutureNeedle {
     /// Of the arc \[m\].
@@ -122,14 +124,22 @@ pub struct SutureNeedle {
     pub side: [f64; 3],
     /// Which thread.
     pub suture: Suture,
+    /// Coulomb's coefficient of it on itself, where it is known otherwise.
+    pub friction: Option<Parameter>,
+    /// Its `EI` \[N·m²\], where it is known otherwise.
+    pub bending_stiffness: Option<Parameter>,
+    /// Its `GJ` \[N·m²\], where it is known otherwise.
+    pub twisting_stiffness: Option<Parameter>,
     /// How much of it \[m\]; it lies straight behind the tail at the beginning, or as far as `thread_to` says.
     pub thread_length: f64,
     /// Where it leads to at the beginning, once it has left the tail in a bend.
     pub thread_to: Option<[f64; 3]>,
     /// Coulomb's coefficient of the thread on instruments.
     pub tool_friction: f64,
-    /// Of the thread's edges \[m\].
+    /// Of the thread's edges \[m\]; where strands come near to each other or it bends sharply they become shorter.
     pub thread_edge: f64,
+    /// Of those, in diameters of the thread.
+    pub knot_edge: f64,
     /// That jaws can hold the needle with, along each axis \[N\].
     pub jaw_force: f64,
     /// And about each axis \[N·m\].
@@ -152,10 +162,14 @@ impl Default for SutureNeedle {
             ahead: [0.0, 0.0, -1.0],
             side: [0.0, 1.0, 0.0],
             suture: Suture::default(),
+            friction: None,
+            bending_stiffness: None,
+            twisting_stiffness: None,
             thread_length: 0.06,
             thread_to: None,
             tool_friction: 0.2,
             thread_edge: 1.5e-3,
+            knot_edge: 1.5,
             jaw_force: 10.0,
             jaw_torque: 0.05,
             planned_exit: None,
@@ -174,6 +188,24 @@ impl SutureNeedle {
             taper: self.taper,
             ..NeedleShape::half_circle_26()
         }
+    }
+
+    /// Its thread as one without a needle.
+    fn thread(&self) -> ThreadBody {
+        ThreadBody {
+            suture: self.suture,
+            friction: self.friction.clone(),
+            bending_stiffness: self.bending_stiffness.clone(),
+            twisting_stiffness: self.twisting_stiffness.clone(),
+            tool_friction: self.tool_friction,
+            ..ThreadBody::default()
+        }
+    }
+
+    /// Of what its thread is made.
+    #[must_use]
+    pub fn material(&self) -> ThreadMaterial {
+        self.thread().material()
     }
 
     /// Nodes of its thread at the beginning, behind a tail that points `back`, in the world \[m\].
@@ -237,7 +269,8 @@ impl Component for SutureNeedle {
         ComponentError::range("wire_radius", self.wire_radius, 2e-5..=5e-3, "20 µm to 5 mm")?;
         ComponentError::range("thread_length", self.thread_length, 5e-3..=0.5, "5 mm to 0.5 m")?;
         ComponentError::range("thread_edge", self.thread_edge, 2e-4..=0.02, "0.2 to 20 mm")?;
-        ComponentError::range("tool_friction", self.tool_friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("knot_edge", self.knot_edge, 0.5..=20.0, "0.5 to 20 diameters")?;
+        self.thread().check()?;
         ComponentError::range("jaw_force", self.jaw_force, 0.0..=1e3, "0 to 1000 N")?;
         ComponentError::range("jaw_torque", self.jaw_torque, 0.0..=10.0, "0 to 10 N·m")
     }
@@ -275,8 +308,9 @@ pub struct SutureMemory {
     pub met: Vec<Met>,
     /// How deep a contact of the thread has been at most since the beginning \[m\].
     pub penetration_max: f64,
-    /// Which knot the thread was found to be, as [`super::thread::knot_code`] tells.
-    pub knot: f64,
+    /// The shortest that the thread's loop has been since it became the knot that it is, and since anybody has taken hold of
+    /// the thread or let it go \[m\]; none as long as there is no loop.
+    pub loop_min: Option<f64>,
 }
 
 impl Component for SutureMemory {

@@ -16,6 +16,7 @@ use trocar_scene::{
 };
 
 use super::deformable::Deformable;
+use super::knot_state::KnotState;
 use super::thread_body::ThreadBody;
 use super::thread_edges::{EDGES_EVERY, adapt};
 use super::thread_grips::{Leading, Pull, pulls, update};
@@ -25,28 +26,7 @@ use super::thread_tied::{Tied, TiedBody};
 use super::thread_told::Told;
 use super::touch::COLLISIONS_MAX;
 use crate::linear_fem::Cache;
-use crate::thread::knot::{KnotKind, identify};
 use crate::thread::{Elastic, Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
-
-/// Ticks from one look at its knot to the next.
-pub(super) const KNOT_EVERY: u64 = 50;
-
-/// The knot as a measure: 0 none, 1 a single throw, 2 a figure-eight, 3 square, 4 granny, 5 surgeon's, 6 other throws one
-/// after the other, 7 one without a name, −1 one that cannot be told.
-#[must_use]
-pub fn knot_code(kind: Option<&KnotKind>) -> f64 {
-    match kind {
-        Some(KnotKind::Unknot) => 0.0,
-        Some(KnotKind::Trefoil(_)) => 1.0,
-        Some(KnotKind::FigureEight) => 2.0,
-        Some(KnotKind::Square) => 3.0,
-        Some(KnotKind::Granny(_)) => 4.0,
-        Some(KnotKind::Surgeon(_)) => 5.0,
-        Some(KnotKind::Throws(_)) => 6.0,
-        Some(KnotKind::Other) => 7.0,
-        None => -1.0,
-    }
-}
 
 struct Body {
     body: Deformable,
@@ -54,6 +34,9 @@ struct Body {
     thread: Thread,
     tied: Option<Tied>,
     memory: ThreadMemory,
+    knot: KnotState,
+    /// Whether the scene has that already.
+    has_knot: bool,
     parts: Parts,
     leading: Leading,
     report: ThreadReport,
@@ -118,7 +101,8 @@ impl Controller for ThreadController {
             .reads::<Shape>()
             .reads::<SurfaceMesh>()
             .writes::<LineMesh>(EntitySet::Of(bodies.clone()))
-            .writes::<ThreadMemory>(EntitySet::Of(bodies))
+            .writes::<ThreadMemory>(EntitySet::Of(bodies.clone()))
+            .writes::<KnotState>(EntitySet::Of(bodies))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
     }
@@ -200,6 +184,8 @@ impl Body {
             memory: known
                 .cloned()
                 .unwrap_or_else(|| ThreadMemory { loop_min: -1.0, ..ThreadMemory::default() }),
+            knot: scene.get::<KnotState>(body.entity).cloned().unwrap_or_default(),
+            has_knot: known.is_some(),
             has_line: known.is_some(),
             frozen: scene.get::<Frozen>(body.entity).is_some(),
             parts,
@@ -313,15 +299,12 @@ impl Body {
 
     /// Which knot it is, and how long its loop has been at the shortest since.
     fn look(&mut self, number: u64) {
-        if number % KNOT_EVERY == 1 {
-            let found = identify(self.thread.positions()).ok();
-            let code = knot_code(found.as_ref().map(|knot| &knot.kind));
-            if code != self.memory.knot {
-                self.memory.knot = code;
-                self.memory.loop_min = -1.0;
-            }
+        let looked = self.knot.look(self.thread.positions(), number);
+        self.has_knot &= !looked.changed;
+        if looked.is_another {
+            self.memory.loop_min = -1.0;
         }
-        if let Some(strands) = self.thread.strands() {
+        if let Some(strands) = self.thread.state().strands() {
             let (now, least) = (strands.loop_length(), self.memory.loop_min);
             self.memory.loop_min = if least < 0.0 { now } else { least.min(now) };
         }
@@ -334,6 +317,10 @@ impl Body {
                 self.body.entity,
                 LineMesh { segments: self.body.segments.clone(), radius: self.body.radius },
             );
+        }
+        if !self.has_knot {
+            self.has_knot = true;
+            out.put(self.body.entity, self.knot.clone());
         }
         let state = self.thread.state();
         self.body.write(&state.positions, &state.velocities, out);
@@ -352,8 +339,7 @@ impl Body {
         put("held_nodes", self.memory.grips.iter().map(|grip| grip.nodes.len()).sum::<usize>() as f64);
         put("held_force_n", self.pulls.iter().map(|(_, pull)| pull.force.norm()).sum());
         put("contact_force_n", self.reactions.iter().map(|reaction| reaction.force.norm()).sum());
-        put("knot", self.memory.knot);
-        let now = self.thread.strands().map_or(0.0, |strands| strands.loop_length());
+        let now = state.strands().map_or(0.0, |strands| strands.loop_length());
         put("loop_m", now);
         put("slip_m", if self.memory.loop_min < 0.0 { 0.0 } else { now - self.memory.loop_min });
         put("penetration_m", self.memory.penetration_max);
@@ -361,6 +347,7 @@ impl Body {
         put("contacts", self.report.contacts as f64);
         put("iterations", self.report.iterations as f64);
         put("frozen", f64::from(u8::from(self.frozen)));
+        self.knot.measure(&self.body.name, &mut measured.values);
         if let Some(tied) = &self.tied {
             let pressing = state.contacts.iter().filter(|contact| contact.key.with == 1);
             let tension = |edge: u32| state.tensions.get(edge as usize).copied().unwrap_or(0.0);

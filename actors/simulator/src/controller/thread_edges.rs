@@ -27,14 +27,30 @@ pub fn adapt(
     body: &mut Deformable,
     grips: &mut [Grip],
 ) -> Result<bool, String> {
-    let fine = kind.edges[0] * thread.material().diameter() / TOLERATED;
-    let coarse = kind.edges[1].max(fine);
-    let fineness = Fineness { fine, coarse, reach: REACH, nodes_max: NODES_MAX };
-    let held = grips.iter().flat_map(|grip| &grip.nodes).map(|held| held.node);
-    let keep: Vec<usize> = held.chain(body.pinned.iter().copied()).map(|node| node as usize).collect();
+    let fineness = fineness(kind.edges, thread.material().diameter());
+    let pinned = body.pinned.iter().map(|node| *node as usize);
+    let keep: Vec<usize> = held(grips).chain(pinned).collect();
     let Some(now) = thread.adapt(&fineness, &keep).map_err(|error| error.to_string())? else {
         return Ok(false);
     };
+    follow(grips, &now);
+    body.lie(rest(&body.rest, &now));
+    Ok(true)
+}
+
+/// What edges are to be as long as where strands are near, in diameters \[m\], and elsewhere \[m\].
+pub fn fineness(edges: [f64; 2], diameter: f64) -> Fineness {
+    let fine = edges[0] * diameter / TOLERATED;
+    Fineness { fine, coarse: edges[1].max(fine), reach: REACH, nodes_max: NODES_MAX }
+}
+
+/// Nodes that are held.
+pub fn held(grips: &[Grip]) -> impl Iterator<Item = usize> {
+    grips.iter().flat_map(|grip| &grip.nodes).map(|held| held.node as usize)
+}
+
+/// What is held has other numbers now.
+pub fn follow(grips: &mut [Grip], now: &Renumbered) {
     for grip in grips {
         grip.nodes.retain_mut(|held| match now.nodes.get(held.node as usize) {
             Some(Some(node)) => {
@@ -47,8 +63,6 @@ pub fn adapt(
             held.edge = now.edges.get(held.edge as usize).map_or(held.edge, |[first, _]| *first);
         }
     }
-    body.lie(rest(&body.rest, &now));
-    Ok(true)
 }
 
 /// Where the nodes lie at rest, of those that did before: new ones evenly between them.

@@ -41,9 +41,7 @@ pub struct ThreadMemory {
     pub grips: Vec<Grip>,
     /// What presses the elastic body that it is tied around.
     pub presses: Vec<Press>,
-    /// Which knot it was found to be, as [`super::thread::knot_code`] tells.
-    pub knot: f64,
-    /// The shortest that its loop has been since then and since anybody has taken hold of the thread or let it
+    /// The shortest that its loop has been since it became the knot that it is, and since anybody has taken hold of the thread or let it
     /// go \[m\]; below 0 as long as there is none.
     pub loop_min: f64,
     /// How deep a contact has been at most since the beginning \[m\].

@@ -50,8 +50,8 @@ use crate::needle::{NeedleShape, Solid};
 use crate::thread::island::Island;
 use crate::thread::island::companion::Tied;
 use crate::thread::{
-    ContactMemory, Hold, Load, Obstacle, Reaction, SWEEPS, Shape, Spared, Surroundings, ThreadMaterial,
-    ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
+    ContactMemory, Fineness, Hold, Load, Obstacle, Reaction, Renumbered, SWEEPS, Shape, Spared, Surroundings,
+    ThreadMaterial, ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
 };
 use sewing::{Room, Sewing};
 
@@ -220,6 +220,26 @@ impl Suture {
     /// after all obstacles.
     pub fn contacts_mut(&mut self) -> Option<&mut Vec<ContactMemory>> {
         self.state.thread.as_mut().map(|thread| &mut thread.contacts)
+    }
+
+    /// Makes edges of the thread as short as they have to be, and no shorter where they need not. The nodes in `keep` stay, and
+    /// so do those in the tissue and the second one, which turns with the needle. `None` when all are as they should be.
+    ///
+    /// # Errors
+    /// A fineness that makes no sense, by name. The thread is then what it was.
+    pub fn adapt(
+        &mut self,
+        fineness: &Fineness,
+        mut keep: Vec<usize>,
+    ) -> Result<Option<Renumbered>, SutureError> {
+        keep.push(1);
+        let length = self.solid.shape().length();
+        surface::nodes_in_tissue(&self.state, length, &self.resistance, &mut keep);
+        let radius = self.thread_radius();
+        match &mut self.state.thread {
+            Some(thread) => Ok(thread.adapt(radius, fineness, &keep)?),
+            None => Ok(None),
+        }
     }
 
     /// Of the thread \[m\]; 0 where there is none.

@@ -76,6 +76,25 @@ pub(super) fn in_tissue(
     });
 }
 
+/// Nodes of the thread that are in the tissue or at its holes.
+pub(super) fn nodes_in_tissue(
+    state: &SutureState,
+    length: f64,
+    resistance: &Resistance,
+    nodes: &mut Vec<usize>,
+) {
+    let Some(thread) = &state.thread else { return };
+    buried(state, length, resistance.spacing, |low, high| {
+        let mut along = 0.0;
+        for (node, rest) in thread.rest_lengths.iter().enumerate() {
+            if (low..=high).contains(&along) {
+                nodes.push(node);
+            }
+            along -= rest;
+        }
+    });
+}
+
 /// Lists the places of the needle's side that may touch the surface in a part of `dt`; the surface as it is when it begins.
 pub(super) fn sides(
     solid: &Solid,

@@ -77,13 +77,28 @@ impl Thread {
     /// # Errors
     /// A fineness that makes no sense, by name. The thread is then what it was.
     pub fn adapt(&mut self, fineness: &Fineness, keep: &[usize]) -> Result<Option<Renumbered>, ThreadError> {
+        self.state.adapt(self.material.radius, fineness, keep)
+    }
+}
+
+impl ThreadState {
+    /// The same of the state of a thread of `radius` \[m\].
+    ///
+    /// # Errors
+    /// A fineness that makes no sense, by name. The state is then what it was.
+    pub fn adapt(
+        &mut self,
+        radius: f64,
+        fineness: &Fineness,
+        keep: &[usize],
+    ) -> Result<Option<Renumbered>, ThreadError> {
         fineness.check()?;
-        let wanted = wanted_lengths(&self.state, self.material.radius, fineness);
-        let Some((state, renumbered)) = divided(&self.state, &wanted, fineness.nodes_max, keep) else {
+        let wanted = wanted_lengths(self, radius, fineness);
+        let Some((state, renumbered)) = divided(self, &wanted, fineness.nodes_max, keep) else {
             return Ok(None);
         };
-        state.check(self.material.radius)?;
-        self.state = state;
+        state.check(radius)?;
+        *self = state;
         Ok(Some(renumbered))
     }
 }

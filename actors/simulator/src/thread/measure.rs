@@ -2,8 +2,8 @@
 
 use trocar_collision::primitive::closest_segments;
 
-use super::Thread;
 use super::contact::nearest_segments;
+use super::{Thread, ThreadState};
 
 /// The two strands of a knot, each as the middle of the places where it touches, weighed by how hard it is pressed there;
 /// along the thread from its first node, without strain \[m\].
@@ -23,11 +23,11 @@ impl Strands {
     }
 }
 
-impl Thread {
+impl ThreadState {
     /// The strands of a thread that touches itself, the loop being the longest part between two touches.
     #[must_use]
     pub fn strands(&self) -> Option<Strands> {
-        let state = self.state();
+        let state = self;
         let mut arcs = vec![0.0];
         for rest in &state.rest_lengths {
             arcs.push(arcs[arcs.len() - 1] + rest);

@@ -4,8 +4,9 @@
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use trocar_simulator::elasticity::Elastic;
 use trocar_simulator::needle::{NeedleShape, NeedleState};
-use trocar_simulator::suture::{Grip, Resistance, Suture, SutureState, Tissue};
+use trocar_simulator::suture::{Bite, ChannelPoint, Grip, Resistance, Suture, SutureState, Tissue};
 use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
+use trocar_simulator::thread::laid::{self, Throws};
 use trocar_simulator::thread::{ThreadMaterial, ThreadState};
 
 /// Young's modulus \[Pa\] of the blocks: soft tissue.
@@ -115,4 +116,95 @@ pub fn threaded(
 /// Far below everything.
 pub fn nowhere() -> Tissue {
     tissue(block([0.01, 0.01, 0.01], [1, 1, 1], [0.0, 0.0, -10.0]))
+}
+
+/// Young's modulus \[Pa\]: skin, 0.1 to 1 MPa.
+pub const SKIN: f64 = 5e5;
+/// How far from the middle the thread goes in and out, and how deep it goes \[m\].
+const HOLE: f64 = 4.5e-3;
+const DEEP: f64 = 4e-3;
+
+/// Two edges of a wound with 2 mm between them.
+pub fn wound() -> (TetMesh, Vec<u32>) {
+    blocks(&[
+        ([0.008, 0.012, 0.010], [4, 6, 5], [-0.009, -0.006, -0.010]),
+        ([0.008, 0.012, 0.010], [4, 6, 5], [0.001, -0.006, -0.010]),
+    ])
+}
+
+/// Skin with a wound, and a thread that goes through both of its edges and is tied loosely over it by throws of as many half
+/// turns.
+pub fn stitch(half_turns: &[i32], friction: f64) -> Suture {
+    let tissue = tissue_of(wound(), SKIN);
+    let resistance = Resistance::default();
+    let material = ThreadMaterial { friction, ..ThreadMaterial::silk_2_0() };
+    let height = 6e-3;
+    let around = [[-HOLE, 0.0], [-HOLE + 1.5e-3, -DEEP], [HOLE - 1.5e-3, -DEEP], [HOLE, 0.0]]
+        .map(|[x, z]| Point3::new(x, 0.3e-3, z - height));
+    let nodes: Vec<_> = laid::throws(&Throws {
+        half_turns,
+        around: &around,
+        radius: material.radius,
+        apart: 0.0,
+        arm: 1.5e-3,
+        ear: 12e-3,
+        edges: [3.0 * material.radius, 1e-3],
+    })
+    .into_iter()
+    .map(|point| point + Vector3::z() * height)
+    .collect();
+    let shape = NeedleShape::half_circle_26();
+    let solid = shape.solid().expect("a needle");
+    let mut state =
+        SutureState::new(NeedleState::at_rest(&Isometry3::identity()), Some(ThreadState::at_rest(&nodes)));
+    let back = (nodes[1] - nodes[0]).normalize();
+    let turn = UnitQuaternion::rotation_between(&-solid.tangent(0.0), &back).expect("a turn");
+    state.needle =
+        NeedleState::at_rest(&Isometry3::from_parts((nodes[0] - turn * solid.point(0.0)).into(), turn));
+    // Arc lengths at which the thread is in the tissue: below its top, and within one of its edges.
+    let mut arc = vec![0.0];
+    for pair in nodes.windows(2) {
+        arc.push(arc[arc.len() - 1] + (pair[1] - pair[0]).norm());
+    }
+    let at = |distance: f64| {
+        let edge = arc.partition_point(|arc| *arc <= distance).clamp(1, nodes.len() - 1) - 1;
+        nodes[edge] + (nodes[edge + 1] - nodes[edge]).normalize() * (distance - arc[edge])
+    };
+    let inside = |distance: &f64| {
+        let point = at(*distance);
+        point.z < 1e-6 && point.x.abs() > 1e-3 - 1e-6
+    };
+    let steps: Vec<f64> =
+        (0..=(arc[arc.len() - 1] / 1e-5) as usize).map(|i| i as f64 * 1e-5).filter(inside).collect();
+    let mut bites: Vec<[f64; 2]> = Vec::new();
+    for step in steps {
+        match bites.last_mut() {
+            Some(bite) if step - bite[1] < 1.5e-5 => bite[1] = step,
+            _ => bites.push([step, step]),
+        }
+    }
+    assert_eq!(bites.len(), 2, "{bites:?}");
+    for (number, [from, to]) in bites.iter().enumerate() {
+        let count = ((to - from) / resistance.spacing).round() as usize;
+        let places: Vec<_> = (0..=count)
+            .map(|i| to - (to - from) * i as f64 / count as f64)
+            .map(|distance| (tissue.locate(&at(distance)), -distance))
+            .collect();
+        let number = number as u32;
+        state.channel.extend(places.iter().map(|(place, along)| ChannelPoint {
+            place: *place,
+            along: *along,
+            stuck: *along,
+            force: Vector3::zeros(),
+            bite: number,
+        }));
+        let [entry, exit] =
+            [places[0].0, places[count].0].map(|place| tissue.nearest(&tissue.at_rest(&place)));
+        state.bites.push(Bite { number, entry, exit: Some(exit), entry_force: 0.0, exit_force: 0.0 });
+        state.bites_so_far += 1;
+    }
+    state.channel.sort_by(|a, b| a.along.total_cmp(&b.along));
+    let mut suture = Suture::new(&shape, Some(material), resistance, tissue, state).expect("a suture");
+    suture.swage();
+    suture
 }

@@ -7,7 +7,8 @@
 //! | Projection, crossings, Reidemeister moves | `diagram.rs` |
 //! | Jones polynomial | `bracket.rs` |
 //! | Signature, determinant | `goeritz.rs` |
-//! | Names, and throws one by one | `name.rs` |
+//! | Names | `name.rs` |
+//! | Throws one by one | `reading.rs` |
 //!
 //! An open thread has no knot but the one that is made of it by closing it. [`identify`] closes it towards 25 directions
 //! spread evenly over the sphere ([`close_towards`]) and takes the knot that most of them give (Millett, Dobay, Stasiak
@@ -20,12 +21,14 @@ mod diagram;
 mod goeritz;
 mod name;
 mod polygon;
+mod reading;
 
 pub use bracket::{CROSSINGS_MAX, Laurent, jones};
 pub use diagram::Diagram;
 pub use goeritz::signature_and_determinant;
-pub use name::{Hand, Knot, KnotKind, Throw, identify, identify_closed, notation, throws};
+pub use name::{Hand, Knot, KnotKind, Throw, identify, identify_closed, notation};
 pub use polygon::{close_towards, simplified};
+pub use reading::{Reading, throws};
 
 use thiserror::Error;
 

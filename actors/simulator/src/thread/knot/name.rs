@@ -3,6 +3,7 @@
 use std::fmt;
 
 use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
 
 use super::bracket::{Laurent, jones};
 use super::diagram::Diagram;
@@ -11,7 +12,8 @@ use super::polygon::directions;
 use super::{KnotError, close_towards, simplified};
 
 /// Which way a throw is twisted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Hand {
     /// Its crossings are positive.
     Right,
@@ -20,12 +22,22 @@ pub enum Hand {
 }
 
 /// One throw: the ends led around each other once, twice …
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Throw {
     /// How often: 1 for an overhand throw, 2 for a surgeon's.
     pub wraps: u32,
     /// Which way.
     pub hand: Hand,
+}
+
+impl Throw {
+    /// How often the ends are led half way around each other, positive for a right-handed throw: 3 for a single one.
+    #[must_use]
+    pub fn half_turns(&self) -> i32 {
+        let turns = 2 * self.wraps as i32 + 1;
+        if self.hand == Hand::Right { turns } else { -turns }
+    }
 }
 
 /// What a knot is called.
@@ -68,6 +80,14 @@ pub struct Knot {
 const THROWS_MAX: usize = 5;
 /// Wraps of one throw at most.
 const WRAPS_MAX: u32 = 3;
+
+impl Knot {
+    /// Whether the Jones polynomial takes it for its own mirror image.
+    #[must_use]
+    pub fn is_amphichiral(&self) -> bool {
+        self.signature == 0 && self.jones == self.jones.mirrored()
+    }
+}
 
 impl fmt::Display for Hand {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
@@ -155,44 +175,8 @@ pub fn identify_closed(points: &[Point3<f64>]) -> Result<Knot, KnotError> {
     Ok(Knot { kind: kind(&jones, signature), signature, determinant, jones, crossings: diagram.crossings() })
 }
 
-/// The throws of a thread tied around something, the first one first: the ends are shortened on both sides until one
-/// throw after the other comes undone. Empty for what is not a sequence of throws.
-///
-/// # Errors
-/// What keeps the crossings of the whole thread from being read.
-pub fn throws(points: &[Point3<f64>]) -> Result<Vec<Throw>, KnotError> {
-    let mut all = factors(&identify(points)?.kind);
-    let mut sequence = Vec::new();
-    let mut cut = 1;
-    while all.len() > 1 && 2 * cut + 4 < points.len() {
-        // What is cut through in the middle of a throw has no name, or the wrong number of them.
-        if let Ok(inner) = identify(&points[cut..points.len() - cut]) {
-            let left = factors(&inner.kind);
-            if left.len() + 1 == all.len()
-                && let Some(removed) = difference(&all, &left)
-            {
-                sequence.push(removed);
-                all = left;
-            }
-        }
-        cut += 1;
-    }
-    // Those that never came undone one by one are the innermost.
-    sequence.extend(all.into_iter().rev());
-    sequence.reverse();
-    Ok(sequence)
-}
-
-/// The throw that is in `all` and not in `left`, when that is all there is between them.
-fn difference(all: &[Throw], left: &[Throw]) -> Option<Throw> {
-    let mut rest = all.to_vec();
-    for throw in left {
-        rest.remove(rest.iter().position(|other| other == throw)?);
-    }
-    rest.pop().filter(|_| rest.is_empty())
-}
-
-fn factors(kind: &KnotKind) -> Vec<Throw> {
+/// The throws that a knot is the sum of, most wraps first.
+pub(super) fn factors(kind: &KnotKind) -> Vec<Throw> {
     let single = |hand: Hand| Throw { wraps: 1, hand };
     match kind {
         KnotKind::Unknot | KnotKind::FigureEight | KnotKind::Other => Vec::new(),
