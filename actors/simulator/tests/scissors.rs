@@ -118,10 +118,7 @@ fn cuts_a_membrane<C: Controller>(
         assert_eq!(stage.measured("body.pieces"), 1.0);
     }
     let end = |stage: &Stage<C>| {
-        (
-            stage.get::<VertexPositions>("body").positions,
-            stage.get::<VertexVelocities>("body").velocities,
-        )
+        (stage.get::<VertexPositions>("body").positions, stage.get::<VertexVelocities>("body").velocities)
     };
     let whole = end(&one_bite(at, OPEN, 0.0, false));
     assert_eq!(end(&one_bite(at, OPEN, 0.0, true)), whole, "another life goes on to the bit");

@@ -121,7 +121,8 @@ mod tests {
         }
         // One over the other: nothing between them is left.
         assert!(found[0].after[1].x < found[1].after[1].x);
-        let bites = [(0.6, 0.4), (0.4, 0.1), (0.1, 0.0)].map(|(a, b)| sweeps((a, 0.0), (b, 0.0), &scissors()));
+        let bites =
+            [(0.6, 0.4), (0.4, 0.1), (0.1, 0.0)].map(|(a, b)| sweeps((a, 0.0), (b, 0.0), &scissors()));
         assert_eq!(bites[0][0].after, bites[1][0].before);
         assert!((bites[1][0].after[1] - found[0].after[1]).norm() < 1e-12);
         // Closed they have met: what moves now moves as one.

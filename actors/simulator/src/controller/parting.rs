@@ -166,7 +166,17 @@ impl Parting {
         // Who has grown onto its elements would not follow.
         let halves = weakness.halves && !scene.iter::<CoupledBody>().any(has_grown);
         let weakness = Weakness { halves, ..weakness };
-        Ok(Some(Self { volume, weakness, faces, heated, cuts, parts, pieces, inverse_shapes, cuts_changed: false }))
+        Ok(Some(Self {
+            volume,
+            weakness,
+            faces,
+            heated,
+            cuts,
+            parts,
+            pieces,
+            inverse_shapes,
+            cuts_changed: false,
+        }))
     }
 
     /// What a controller of volumes that come apart reads and writes.
