@@ -25,7 +25,7 @@ pub struct Held {
 pub struct Pick {
     /// The instrument.
     pub instrument: u64,
-    /// Triangles that it holds, ascending.
+    /// Triangles that it holds, ascending; of a line its segments.
     pub triangles: Vec<u32>,
     /// Their vertices, ascending; without those that an earlier pick holds.
     pub vertices: Vec<Held>,

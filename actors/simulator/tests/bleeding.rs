@@ -179,6 +179,24 @@ fn who_burns_the_tissue_about_a_vessel_burns_the_vessel_and_what_was_cut_counts_
 }
 
 #[test]
+fn scissors_that_close_on_a_vessel_cut_it_through_and_those_that_open_or_close_beside_it_do_not() {
+    let closes = |x: f64, from: f64, to: f64| {
+        let mut stage = Stage::new(artery(0.0, "scissors"), 100.0, BleedingController::new);
+        for step in 0..=20 {
+            stage.put("tool", down(x, 0.005, -0.004));
+            stage.put("tool", jaws(from + (to - from) * f64::from(step) / 20.0));
+            stage.tick();
+        }
+        (stage.measured("artery.damage_share"), stage.get::<VesselState>("artery").hole)
+    };
+    let (damage, hole) = closes(0.0, 0.5, 0.0);
+    assert_eq!(damage, 1.0);
+    assert!((hole - 20.0 / 30.0).abs() < 1e-9, "{hole}");
+    assert_eq!(closes(0.012, 0.5, 0.0).0, 0.0, "beside it");
+    assert_eq!(closes(0.0, 0.0, 0.5).0, 0.0, "opening");
+}
+
+#[test]
 fn a_vessel_is_a_line() {
     let store = scene(
         "[[entity]]\nname = \"artery\"\nmesh = { sheet = { size = [0.02, 0.02], cells = [2, 2] } }\nvessel = {}\n",

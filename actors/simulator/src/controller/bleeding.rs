@@ -12,7 +12,7 @@ use trocar_scene::{
     Tick, VertexPositions,
 };
 
-use super::cuts::swept;
+use super::blades::{Blades, swept};
 use super::electrosurgery::HeatState;
 use super::grips::holds;
 use super::heat::RemovedElements;
@@ -102,8 +102,8 @@ pub struct VesselState {
     pub rate: f64,
     /// Elements of the tissue that are gone and have been looked at.
     pub burned: u32,
-    /// Where the edge of each pair of closed blades was, in the vessel's frame.
-    pub blades: Vec<(Entity, [Point3<f64>; 2])>,
+    /// Where the blades of all scissors were, in the vessel's frame.
+    pub blades: Vec<Blades>,
 }
 impl Component for VesselState {
     const NAME: &'static str = "vessel_state";
@@ -185,7 +185,7 @@ impl Body {
         Ok(Self { entity, vessel, bleeding, state, line, name })
     }
 
-    /// Closed blades that sweep through it cut it through, where they do so first.
+    /// Blades that close on it, or sweep through it closed, cut it through, where they do so first.
     fn cut(&mut self, scene: &Snapshot, world_from_body: &Isometry3<f64>) {
         let whole = length(&self.line);
         for sweep in swept(&mut self.state.blades, scene, world_from_body) {

@@ -102,6 +102,16 @@ impl Deformable {
         Ok(body)
     }
 
+    /// What jaws may hold of it: its triangles, or of a line its segments, with the last vertex of each twice.
+    #[must_use]
+    pub fn holdable(&self) -> Arc<Vec<[u32; 3]>> {
+        if self.triangles.is_empty() {
+            Arc::new(self.segments.iter().map(|&[a, b]| [a, b, b]).collect())
+        } else {
+            self.triangles.clone()
+        }
+    }
+
     /// Finds anew which of its vertices are held where they are.
     pub fn anchor(&mut self) {
         let held = self.rest.iter().enumerate().filter(|(_, point)| self.anchors.hold(point));

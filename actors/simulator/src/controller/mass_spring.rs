@@ -257,6 +257,8 @@ pub struct MassSpringMethod {
     of: Solver,
     contacts: Vec<Contact>,
     prescribed: Vec<Prescribed>,
+    /// Largest step that was safe in the last tick, contacts counted \[s\]: larger ones are divided.
+    safe_step: f64,
     /// How a surface comes apart.
     membrane: Option<Membrane>,
     /// Or a volume.
@@ -332,7 +334,8 @@ impl SoftMethod for MassSpringMethod {
             of.take(&parting.heated());
             of.derive_volume()?;
         }
-        Ok(Self { of, contacts: Vec::new(), prescribed: Vec::new(), membrane, parting })
+        let safe_step = of.solver.safe_step();
+        Ok(Self { of, contacts: Vec::new(), prescribed: Vec::new(), safe_step, membrane, parting })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -390,7 +393,8 @@ impl SoftMethod for MassSpringMethod {
             prescribed: &self.prescribed,
             ..Input::default()
         };
-        self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
+        let report = self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
+        self.safe_step = report.safe_step;
         forces.clear();
         forces.extend_from_slice(self.of.solver.contact_forces());
         Ok(())
@@ -409,6 +413,9 @@ impl SoftMethod for MassSpringMethod {
     fn measure(&self, _body: &Deformable, measures: &mut Measures<'_>) {
         measures.put("elastic_energy_j", self.of.solver.elastic_energy());
         measures.put("kinetic_energy_j", self.of.solver.kinetic_energy());
+        if self.of.kind.method == Method::Explicit {
+            measures.put("safe_step_s", self.safe_step);
+        }
         let heights = || self.positions().iter().map(|position| position.z);
         measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
         measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));

@@ -5,6 +5,7 @@
 //! burned or cut. What a solver refuses freezes the one body that it is about; the others go on.
 
 pub mod answering;
+pub mod blades;
 pub mod bleeding;
 pub mod cauterised;
 pub mod coupled;

@@ -14,9 +14,9 @@ use trocar_scene::{
     TextureCoordinates,
 };
 
+use super::blades::{Blades, swept};
 use super::cauterised::CauterisedBody;
 use super::coupling::CoupledBody;
-use super::cuts::swept;
 use super::deformable::Deformable;
 use super::heat::{Coagulated, CoagulatedElements, Heated, RemovedElements};
 use super::soft::{Measures, Reshaped, Site};
@@ -43,8 +43,8 @@ pub struct VolumeCuts {
     pub taken: u32,
     /// Of the opened faces, how many tore.
     pub torn: u32,
-    /// Where the edge of each pair of closed blades was, in the frame of the body.
-    pub blades: Vec<(Entity, [Point3<f64>; 2])>,
+    /// Where the blades of all scissors were, in the frame of the body.
+    pub blades: Vec<Blades>,
 }
 impl Component for VolumeCuts {
     const NAME: &'static str = "volume_cuts";
@@ -122,7 +122,7 @@ pub struct Parting {
     pieces: usize,
     /// Edges at rest, inverse; what tears needs them.
     inverse_shapes: Vec<Matrix3<f64>>,
-    told_blades: bool,
+    cuts_changed: bool,
 }
 
 impl Parting {
@@ -160,14 +160,23 @@ impl Parting {
         let faces = faces_of(&volume, &body.triangles)
             .ok_or("its surface is not that of its volume: what comes apart needs the mesh of one")?;
         let pieces = volume.pieces();
-        let told_blades = !cuts.blades.is_empty();
         let has_grown = |(_, coupled): (Entity, &CoupledBody)| {
             coupled.with.iter().any(|with| with.body == body.name && with.joined.is_some())
         };
         // Who has grown onto its elements would not follow.
         let halves = weakness.halves && !scene.iter::<CoupledBody>().any(has_grown);
         let weakness = Weakness { halves, ..weakness };
-        Ok(Some(Self { volume, weakness, faces, heated, cuts, parts, pieces, inverse_shapes, told_blades }))
+        Ok(Some(Self {
+            volume,
+            weakness,
+            faces,
+            heated,
+            cuts,
+            parts,
+            pieces,
+            inverse_shapes,
+            cuts_changed: false,
+        }))
     }
 
     /// What a controller of volumes that come apart reads and writes.
@@ -246,8 +255,7 @@ impl Parting {
         let burned = change.uncovered.len();
         let opened = self.open(elements, site, &mut change).map_err(|error| error.to_string())?;
         let parts = !(gone.is_empty() && opened.is_empty() && change.halved.is_empty());
-        if parts || self.told_blades || !self.cuts.blades.is_empty() {
-            self.told_blades = !self.cuts.blades.is_empty();
+        if std::mem::take(&mut self.cuts_changed) || parts {
             self.cuts.taken = self.heated.removed.len() as u32;
             self.follow(&change, body);
             Arc::make_mut(&mut self.cuts.opened).extend(&opened);
@@ -274,7 +282,9 @@ impl Parting {
     ) -> Result<Vec<FaceOf>, VolumeError> {
         let mut sweeps = Vec::new();
         if self.weakness.cut {
+            let before = self.cuts.blades.clone();
             sweeps = swept(&mut self.cuts.blades, site.scene, site.world_from_body);
+            self.cuts_changed = !sweeps.is_empty() || self.cuts.blades != before;
         }
         let faces = if sweeps.is_empty() || !self.weakness.halves {
             let mut faces: Vec<FaceOf> = Vec::new();

@@ -407,19 +407,17 @@ impl<M: SoftMethod> Body<M> {
 
     /// Lets jaws take and let go, and says where they have what they hold.
     fn hold(&mut self, site: &Site<'_>, touched: &[Touch], out: &mut Commands) -> Result<Vec<Led>, String> {
-        if self.body.triangles.is_empty() {
+        let parts = self.body.holdable();
+        if parts.is_empty() {
             return Ok(Vec::new());
         }
-        let holders = Holder::all(site, touched, &self.body.triangles);
+        let holders = Holder::all(site, touched, &parts);
         let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
         let before = self.grips.picks.picks.len();
         let held_by =
             |grips: &Grips| -> Vec<u64> { grips.picks.picks.iter().map(|p| p.instrument).collect() };
         let before_by = held_by(&self.grips);
-        self.grips
-            .picks
-            .update(&self.body.triangles, self.method.positions(), &jaws)
-            .map_err(|error| error.to_string())?;
+        self.grips.picks.update(&parts, self.method.positions(), &jaws).map_err(|error| error.to_string())?;
         if before != self.grips.picks.picks.len() || before_by != held_by(&self.grips) {
             out.put(self.body.entity, self.grips.clone());
         }
@@ -440,7 +438,7 @@ fn grip(
 ) -> Option<Collision> {
     let instrument = Entity::from_bits(pick.instrument);
     let count = pick.vertices.len();
-    let triangle = *pick.triangles.first()?;
+    let first = *pick.triangles.first()?;
     if count == 0 {
         return None;
     }
@@ -455,7 +453,11 @@ fn grip(
         a: instrument,
         primitive_a: Primitive::Shaft,
         b: body.entity,
-        primitive_b: Primitive::Triangle(triangle),
+        primitive_b: if body.triangles.is_empty() {
+            Primitive::Segment(first)
+        } else {
+            Primitive::Triangle(first)
+        },
         points_in_world: [place; 2],
         normal_in_world: force_on_body.try_normalize(1e-12).unwrap_or_else(Vector3::z),
         depth: (now - rest).norm(),

@@ -7,6 +7,9 @@ use trocar_collision::primitive::{Triangle, common_segment, triangles_overlap};
 
 use super::Sheet;
 
+/// Twice the area of a triangle as a share of its longer side squared, below which it is a line.
+const FLAT: f64 = 1e-9;
+
 /// The edge of a blade at two frames; what it sweeps in between is taken as two triangles.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sweep {
@@ -17,9 +20,14 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    fn triangles(&self) -> [Triangle; 2] {
+    /// Without those that are a line: an edge that turns about one of its ends sweeps one triangle.
+    fn triangles(&self) -> impl Iterator<Item = Triangle> + use<> {
         let ([a, b], [c, d]) = (self.before, self.after);
-        [[a, b, c], [b, d, c]]
+        let has_area = |[a, b, c]: &Triangle| {
+            let (ab, ac) = (b - a, c - a);
+            ab.cross(&ac).norm() > FLAT * ab.norm_squared().max(ac.norm_squared())
+        };
+        [[a, b, c], [b, d, c]].into_iter().filter(has_area)
     }
 }
 

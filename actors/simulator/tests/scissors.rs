@@ -1,0 +1,236 @@
+//! Scissors on a scene: what is between their blades is cut when they close, whichever method moves it; what is beside them is
+//! not, and blades that open or wait open cut nothing.
+
+mod stage;
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use stage::{Stage, scene};
+use trocar_scene::{
+    BuildContext, Controller, ControllerError, Frozen, JawState, Pose, RestPositions, VertexPositions,
+    VertexVelocities,
+};
+use trocar_simulator::controller::{DynamicFemController, MassSpringController, XpbdController};
+
+const NO_GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, 0.0);
+const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
+const OPEN: f64 = 0.6;
+
+fn springs(context: &BuildContext<'_>) -> Result<MassSpringController, ControllerError> {
+    MassSpringController::new(NO_GRAVITY, context)
+}
+
+fn xpbd(context: &BuildContext<'_>) -> Result<XpbdController, ControllerError> {
+    XpbdController::new(NO_GRAVITY, context)
+}
+
+fn tool(jaw_length: f64) -> String {
+    format!(
+        "[[entity]]\nname = \"tool\"\npose = {{ translation = [0.3, 0.0, 0.0] }}\n\
+         instrument = {{ kind = \"scissors\", shaft_length = 0.1, shaft_radius = 0.002, jaw_length = {jaw_length}, \
+         jaws = 2 }}\n"
+    )
+}
+
+/// A membrane of 4 cm, held along two of its edges, that has been drawn apart by a twentieth.
+fn taut<C: Controller>(
+    body: &str,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) -> Stage<C> {
+    let text = format!(
+        "{}[[entity]]\nname = \"body\"\nmesh = {{ sheet = {{ size = [0.04, 0.04], cells = [16, 16] }} }}\n{body}\n\
+         anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [-0.0199, 1.0, 1.0] }} }},\n\
+         {{ box = {{ min = [0.0199, -1.0, -1.0], max = [1.0, 1.0, 1.0] }} }}] }}\n",
+        tool(0.018)
+    );
+    let mut stage = Stage::new(scene(&text), 500.0, build);
+    let rest = stage.get::<VertexPositions>("body").positions;
+    let drawn = rest.iter().map(|p| Point3::new(1.05 * p.x, p.y, p.z)).collect();
+    stage.put("body", RestPositions { positions: rest });
+    stage.put("body", VertexPositions { positions: Arc::new(drawn) });
+    stage.rebuild(build);
+    stage
+}
+
+/// Along y, one blade above the membrane and one below; where the tip is.
+fn place<C: Controller>(stage: &mut Stage<C>, at: [f64; 3], angle: f64) {
+    let turned = UnitQuaternion::from_basis_unchecked(&[Vector3::z(), Vector3::x(), Vector3::y()]);
+    stage.put("tool", Pose::from(Isometry3::from_parts(Vector3::from(at).into(), turned)));
+    stage.put("tool", JawState { angle, rate: 0.0, pad_force: [0.0; 2] });
+}
+
+fn run<C: Controller>(stage: &mut Stage<C>, ticks: u32) {
+    (0..ticks).for_each(|_| stage.tick());
+    assert!(!stage.has::<Frozen>("body"), "{}", stage.get::<Frozen>("body").reason);
+}
+
+/// From one opening to another within 20 ticks, where the blades are.
+fn turn<C: Controller>(stage: &mut Stage<C>, at: [f64; 3], from: f64, to: f64) {
+    for tick in 0..=20_u32 {
+        place(stage, at, from + (to - from) * f64::from(tick) / 20.0);
+        run(stage, 1);
+    }
+}
+
+/// How far apart the lips are where they are the farthest: vertices that were one at rest.
+fn gapes<C: Controller>(stage: &Stage<C>) -> f64 {
+    let (rest, now) =
+        (stage.get::<RestPositions>("body").positions, stage.get::<VertexPositions>("body").positions);
+    let mut most: f64 = 0.0;
+    for (one, place) in rest.iter().enumerate() {
+        for (two, other) in rest.iter().enumerate().skip(one + 1) {
+            if (place - other).norm() < 1e-12 {
+                most = most.max((now[one] - now[two]).norm());
+            }
+        }
+    }
+    most
+}
+
+fn cuts_a_membrane<C: Controller>(
+    body: &str,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    // From beyond the rim: 16 mm of the blades are over the membrane.
+    let at = [0.0011, -0.004, 0.0];
+    let one_bite = |at: [f64; 3], from: f64, to: f64, kill: bool| {
+        let mut stage = taut(body, build);
+        place(&mut stage, at, from);
+        run(&mut stage, 5);
+        for tick in 0..=20_u32 {
+            place(&mut stage, at, from + (to - from) * f64::from(tick) / 20.0);
+            if kill && (tick == 9 || tick == 17) {
+                stage.rebuild(build);
+            }
+            run(&mut stage, 1);
+        }
+        run(&mut stage, 200);
+        stage
+    };
+    for height in [0.0, 0.0017, -0.0012] {
+        let stage = one_bite([at[0], at[1], height], OPEN, 0.0, false);
+        let (length, gap) = (stage.measured("body.cut_length_m"), gapes(&stage));
+        // Nearer to the hinge than where the blade is when it is open, it is not between them.
+        let wanted = 0.018 - f64::max(0.002, f64::abs(height) / f64::sin((OPEN - 0.12) / 2.0));
+        assert!((length - wanted).abs() < 0.0026, "{body} {height}: {length} m of {wanted} m");
+        assert!(gap > 5e-4, "{body} {height}: its lips are {gap} m apart");
+        assert_eq!(stage.measured("body.pieces"), 1.0);
+    }
+    let end = |stage: &Stage<C>| {
+        (stage.get::<VertexPositions>("body").positions, stage.get::<VertexVelocities>("body").velocities)
+    };
+    let whole = end(&one_bite(at, OPEN, 0.0, false));
+    assert_eq!(end(&one_bite(at, OPEN, 0.0, true)), whole, "another life goes on to the bit");
+    // The controls: above the membrane, beyond its rim, blades that open about it, and that wait open.
+    for (at, from, to) in [
+        ([0.0011, -0.004, 0.012], OPEN, 0.0),
+        ([0.0011, -0.0215, 0.0], OPEN, 0.0),
+        (at, 0.0, OPEN),
+        (at, 0.14, 0.14),
+    ] {
+        let stage = one_bite(at, from, to, false);
+        assert_eq!(stage.measured("body.cut_length_m"), 0.0, "{body} {at:?} from {from} to {to}");
+    }
+    // Bite after bite, and forwards in between: all the way through.
+    let mut stage = taut(body, build);
+    let mut tip = -0.01;
+    let mut cut = 0.0;
+    for bite in 0..5 {
+        turn(&mut stage, [0.0011, tip, 0.0], OPEN, 0.0);
+        let now = stage.measured("body.cut_length_m");
+        assert!(bite == 4 || now > cut + 0.003, "bite {bite} at {tip} m: from {cut} to {now} m");
+        cut = now;
+        turn(&mut stage, [0.0011, tip, 0.0], 0.0, OPEN);
+        for step in 0..=20_u32 {
+            place(&mut stage, [0.0011, tip + 0.0005 * f64::from(step), 0.0], OPEN);
+            run(&mut stage, 1);
+        }
+        assert_eq!(stage.measured("body.cut_length_m"), cut, "nothing is cut on the way forwards");
+        tip += 0.01;
+    }
+    assert_eq!(stage.measured("body.pieces"), 2.0);
+    assert!((0.036..0.048).contains(&cut), "{body}: {cut} m");
+}
+
+const CLOTH: &str = "membrane_stiffness = 60.0, bending_stiffness = 1e-6, density = 1.0";
+
+#[test]
+fn blades_that_close_cut_the_taut_membrane_between_them_by_springs() {
+    cuts_a_membrane(
+        &format!("mass_spring = {{ springs = {{ surface = {{ {CLOTH} }} }}, damping = 20.0 }}"),
+        springs,
+    );
+}
+
+#[test]
+fn blades_that_close_cut_the_taut_membrane_between_them_by_positions() {
+    cuts_a_membrane(
+        &format!("xpbd = {{ matter = {{ cloth = {{ {CLOTH} }} }}, damping = 20.0, parts = 8, cut = true }}"),
+        xpbd,
+    );
+}
+
+/// A column of 2 cm by 2 cm by 6 cm that hangs from its upper end, and blades of 10 cm about its middle.
+fn cuts_a_column<C: Controller>(
+    body: &str,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    let text = format!(
+        "{}[[entity]]\nname = \"body\"\nmesh = {{ block = {{ size = [0.02, 0.02, 0.06], cells = [3, 3, 9] }} }}\n{body}\n\
+         anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, 0.0299], max = [1.0, 1.0, 1.0] }} }}] }}\n",
+        tool(0.1)
+    );
+    let lowest = |stage: &Stage<C>| {
+        stage.get::<VertexPositions>("body").positions.iter().map(|p| p.z).fold(f64::INFINITY, f64::min)
+    };
+    let bite = |from: f64, to: f64, kill: bool| {
+        let mut stage = Stage::new(scene(&text), 200.0, build);
+        // They point along y and open along x.
+        let turned = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
+        let place = Isometry3::from_parts(Vector3::new(0.0, 0.05, -0.0041).into(), turned);
+        stage.put("tool", Pose::from(place));
+        stage.put("tool", JawState { angle: from, rate: 0.0, pad_force: [0.0; 2] });
+        run(&mut stage, 300);
+        for tick in 0..=40_u32 {
+            let angle = from + (to - from) * f64::from(tick) / 40.0;
+            stage.put("tool", JawState { angle, rate: 0.0, pad_force: [0.0; 2] });
+            if kill && tick == 23 {
+                stage.rebuild(build);
+            }
+            run(&mut stage, 1);
+        }
+        run(&mut stage, 30);
+        stage
+    };
+    let stage = bite(0.9, 0.0, false);
+    assert_eq!(stage.measured("body.pieces"), 2.0, "{body}");
+    assert!(lowest(&stage) < -0.06, "{body}: down to {} m", lowest(&stage));
+    let end = |stage: &Stage<C>| stage.get::<VertexPositions>("body").positions;
+    assert_eq!(end(&bite(0.9, 0.0, true)), end(&stage), "another life goes on to the bit");
+    // Half closed, the blades are at its sides; and blades that open about it.
+    for (from, to) in [(0.9, 0.45), (0.0, 0.9)] {
+        let stage = bite(from, to, false);
+        assert_eq!(stage.measured("body.pieces"), 1.0, "{body} from {from} to {to}");
+        assert!(lowest(&stage) > -0.04, "{body} from {from} to {to}: down to {} m", lowest(&stage));
+    }
+}
+
+#[test]
+fn blades_that_close_cut_the_column_between_them_whichever_method_moves_it() {
+    let springs = "mass_spring = { springs = { volume = { young_modulus = 2e4, density = 1000.0 } }, \
+                   method = \"implicit\", damping = 5.0 }";
+    let build = |context: &BuildContext<'_>| MassSpringController::new(GRAVITY, context);
+    cuts_a_column(springs, build);
+    cuts_a_column(&springs.replace("implicit", "explicit"), build);
+    cuts_a_column(
+        "xpbd = { matter = { volume = { young_modulus = 2e4, poisson_ratio = 0.3, density = 1000.0 } }, \
+         parts = 30, damping = 5.0, cut = true }",
+        |context: &BuildContext<'_>| XpbdController::new(GRAVITY, context),
+    );
+    cuts_a_column(
+        "dynamic_fem = { young_modulus = 2e4, poisson_ratio = 0.3, density = 1000.0, mass_damping = 5.0, \
+         cut = true }",
+        |context: &BuildContext<'_>| DynamicFemController::new(GRAVITY, context),
+    );
+}
