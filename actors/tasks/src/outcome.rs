@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
-    Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Frozen, Measured,
-    Snapshot, TaskError, TaskState, Tick,
+    Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Frozen, HeatFrozen,
+    Measured, Snapshot, TaskError, TaskState, Tick,
 };
 
 /// Most expectations of a scenario.
@@ -134,6 +134,9 @@ impl OutcomeController {
         let frozen = scene.iter::<Frozen>();
         let told = |(body, frozen): (_, &Frozen)| format!("{} frozen: {}", scene.name(body), frozen.reason);
         self.state.frozen.extend(frozen.map(told));
+        let heat = scene.iter::<HeatFrozen>();
+        let heat = heat.map(|(body, heat)| format!("heat of {} frozen: {}", scene.name(body), heat.reason));
+        self.state.frozen.extend(heat);
         for (expected, value) in self.config.expect.iter().zip(&mut self.state.values) {
             let measured =
                 || scene.iter::<Measured>().filter_map(|(_, all)| all.values.get(&expected.measure));
@@ -197,6 +200,7 @@ impl Controller for OutcomeController {
         Access::new()
             .reads::<Measured>()
             .reads::<Frozen>()
+            .reads::<HeatFrozen>()
             .writes::<TaskState>(EntitySet::Own)
             .writes::<OutcomeState>(EntitySet::Own)
     }

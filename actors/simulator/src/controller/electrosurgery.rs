@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::mesh::TetData;
 use trocar_scene::{
     Access, Activation, BuildContext, Burn, Commands, Component, ComponentError, Controller, ControllerError,
-    Entity, EntitySet, Frozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy, RestPositions,
-    Snapshot, SurfaceMesh, Temperature, Tick, VertexPositions,
+    Entity, EntitySet, Frozen, HeatFrozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy,
+    RestPositions, Snapshot, SurfaceMesh, Temperature, Tick, VertexPositions,
 };
 
 use super::deformable::Deformable;
@@ -25,6 +25,7 @@ use super::linear_fem::LinearFemBody;
 use super::mass_spring::MassSpringBody;
 use super::membrane::SurfaceElements;
 use super::parting::VolumeCuts;
+use super::refused::{Refused, Still, freeze};
 use super::rest_place::rest_place;
 use super::smoke::Plume;
 use super::xpbd::XpbdBody;
@@ -176,7 +177,8 @@ impl Body {
         let tissue = heated.map_err(|error| wrong(error.to_string()))?;
         let removed = known.map(|known| known.state.removed.clone()).unwrap_or_default();
         let is_moved = moved_by(scene, entity).is_some();
-        let frozen = !is_moved && scene.get::<Frozen>(entity).is_some();
+        let frozen =
+            scene.get::<HeatFrozen>(entity).is_some() || (!is_moved && scene.get::<Frozen>(entity).is_some());
         let plume = scene.get::<Plume>(entity).copied().unwrap_or_default();
         let coagulated = scene.get::<CoagulatedElements>(entity).cloned().unwrap_or_default().elements;
         let area_before = pieces(&triangles, &body.rest).iter().sum();
@@ -349,6 +351,7 @@ fn pieces(triangles: &[[u32; 3]], positions: &[Point3<f64>]) -> Vec<f64> {
 /// Heats every body that carries [`CauterisedBody`].
 pub struct ElectrosurgeryController {
     bodies: Vec<Body>,
+    refused: Vec<Refused>,
     electrodes: Vec<Electrode>,
 }
 
@@ -358,10 +361,16 @@ impl ElectrosurgeryController {
     /// # Errors
     /// Names the body, and what is wrong with it.
     pub fn new(context: &BuildContext<'_>) -> Result<Self, ControllerError> {
-        let mut bodies = Vec::new();
+        let (mut bodies, mut refused) = (Vec::new(), Vec::new());
         for entity in Deformable::carriers::<CauterisedBody>(context.scene) {
             let Some(kind) = context.scene.get::<CauterisedBody>(entity).copied() else { continue };
-            let mut body = Body::read(context.scene, entity, kind)?;
+            let mut body = match Body::read(context.scene, entity, kind) {
+                Ok(body) => body,
+                Err(error) => {
+                    refused.push(Refused::of(context, entity, Still::Heat, error)?);
+                    continue;
+                }
+            };
             if let Some(before) = context.scene.get::<Measured>(context.me) {
                 let of = |what: &str| before.values.get(&format!("{}.{what}", body.body.name)).copied();
                 (body.volume_removed, body.hottest) =
@@ -369,16 +378,17 @@ impl ElectrosurgeryController {
             }
             bodies.push(body);
         }
-        if bodies.is_empty() {
+        if bodies.is_empty() && refused.is_empty() {
             return Err(ControllerError::Scene("electrosurgery: no entity is 'cauterised'".into()));
         }
-        Ok(Self { bodies, electrodes: Vec::new() })
+        Ok(Self { bodies, refused, electrodes: Vec::new() })
     }
 }
 
 impl Controller for ElectrosurgeryController {
     fn access(&self) -> Access {
-        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
+        let refused = self.refused.iter().map(|body| body.entity);
+        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
         let all = || EntitySet::Of(bodies.clone());
         let still = self.bodies.iter().filter(|body| !body.is_moved).map(|body| body.body.entity);
         let still: Vec<Entity> = still.collect();
@@ -397,6 +407,8 @@ impl Controller for ElectrosurgeryController {
             .reads::<SurfaceMesh>()
             .writes::<SurfaceMesh>(EntitySet::Of(still.clone()))
             .writes::<Frozen>(EntitySet::Of(still))
+            .reads::<HeatFrozen>()
+            .writes::<HeatFrozen>(all())
             .writes::<CoagulatedElements>(all())
             .writes::<RemovedElements>(all())
             .writes::<HeatState>(all())
@@ -441,7 +453,7 @@ impl Controller for ElectrosurgeryController {
                         body.frozen = true;
                         if body.is_moved {
                             // Whoever moves it says whether it stands still: it only heats no further.
-                            out.event("heat_frozen", body.body.entity, None, tick.time.as_secs_f64());
+                            freeze(body.body.entity, Still::Heat, error.to_string(), tick, out);
                         } else {
                             body.body.freeze(&error, tick, out);
                         }
@@ -450,6 +462,7 @@ impl Controller for ElectrosurgeryController {
             }
             body.measure(&mut measured.values);
         }
+        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
         out.put(tick.me, measured);
         Ok(())
     }
