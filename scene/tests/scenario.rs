@@ -325,7 +325,7 @@ fn mesh_files_become_components() {
         std::fs::write(&file, text).expect("a file");
         Scenario::load(&file, &registry)
     };
-    let scenario = scene("flip_inverted = true").unwrap_or_else(|error| panic!("{error}"));
+    let scenario = scene("repair = true").unwrap_or_else(|error| panic!("{error}"));
     let store = scenario.spawn(&registry).expect("valid");
     let view = store.view();
     let named = |name: &str| view.find(name).expect("an entity");

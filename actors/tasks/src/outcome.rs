@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Frozen, HapticStatus,
-    Measured, Snapshot, TaskError, TaskState, Tick,
+    HeatFrozen, Measured, Snapshot, TaskError, TaskState, Tick,
 };
 
 /// Most expectations of a scenario.
@@ -144,6 +144,9 @@ impl OutcomeController {
         let frozen = scene.iter::<Frozen>();
         let told = |(body, frozen): (_, &Frozen)| format!("{} frozen: {}", scene.name(body), frozen.reason);
         self.state.frozen.extend(frozen.map(told));
+        let heat = scene.iter::<HeatFrozen>();
+        let heat = heat.map(|(body, heat)| format!("heat of {} frozen: {}", scene.name(body), heat.reason));
+        self.state.frozen.extend(heat);
         let values = self.state.values.iter_mut().zip(&mut self.state.counts);
         for (expected, (value, count)) in self.config.expect.iter().zip(values) {
             let Some(now) = measured(scene, &expected.measure) else { continue };
@@ -218,6 +221,7 @@ impl Controller for OutcomeController {
             .reads::<Measured>()
             .reads::<Frozen>()
             .reads::<HapticStatus>()
+            .reads::<HeatFrozen>()
             .writes::<TaskState>(EntitySet::Own)
             .writes::<OutcomeState>(EntitySet::Own)
     }

@@ -64,6 +64,26 @@ pub struct Doubtful {
 }
 super::component!(Doubtful, "doubtful");
 
+/// A body whose heat stands still since its solver had to stop it, while whoever moves the body goes on.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct HeatFrozen {
+    /// What the solver found.
+    pub reason: String,
+    /// When.
+    pub since: SimTime,
+}
+super::component!(HeatFrozen, "heat_frozen");
+
+/// A body whose mesh was mended when it was read.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct MeshRepaired {
+    /// What was done.
+    pub what: String,
+}
+super::component!(MeshRepaired, "mesh_repaired");
+
 /// A part of space, borders included.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]

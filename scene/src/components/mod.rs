@@ -15,7 +15,9 @@ pub mod task;
 pub mod visual;
 
 pub use contact::{Collision, CollisionList, Detection, Primitive};
-pub use deformation::{Anchors, Doubtful, Frozen, Region, RestPositions, VertexVelocities};
+pub use deformation::{
+    Anchors, Doubtful, Frozen, HeatFrozen, MeshRepaired, Region, RestPositions, VertexVelocities,
+};
 pub use device::{DeviceForce, DeviceInfo, DeviceState, Hand, HandTarget, HapticStatus, Side};
 pub use field::{ScalarField, ScalarFields};
 pub use graph::{Name, Parent, Pose, Velocity};
@@ -72,6 +74,8 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<Anchors>()?;
     builder.register::<Frozen>()?;
     builder.register::<Doubtful>()?;
+    builder.register::<HeatFrozen>()?;
+    builder.register::<MeshRepaired>()?;
     builder.register::<TextureCoordinates>()?;
     builder.register::<BoundingVolumeTree>()?;
     builder.register::<VisualMaterial>()?;

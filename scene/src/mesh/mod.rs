@@ -8,7 +8,8 @@
 //! is compared with the bytes that are there before anything is allocated. What a reader accepts is well
 //! formed (finite numbers, indices in range); whether it is also *good* (closed, manifold, not inverted) is
 //! reported by [`validate_surface`] and [`validate_tets`], and whether that matters is the caller's decision
-//! ([`SurfacePolicy`], [`TetPolicy`]).
+//! ([`SurfacePolicy`], [`TetPolicy`]). Meshes of other people come with bad elements: [`tet_defects`] lists all of them with
+//! their numbers, [`repaired_tets`] mends what can be mended and says what it did.
 
 mod cursor;
 mod data;
@@ -21,6 +22,9 @@ mod gmsh_v4;
 mod obj;
 mod read;
 mod stl;
+mod tet_defects;
+pub mod tet_faces;
+mod tet_repair;
 mod validate;
 mod validate_tets;
 mod vtk;
@@ -32,6 +36,8 @@ pub use gmsh::read_gmsh;
 pub use obj::read_obj;
 pub use read::{Limits, SURFACE_EXTENSIONS, TET_EXTENSIONS, read_surface, read_tets};
 pub use stl::read_stl;
+pub use tet_defects::{BadTets, Defect, MeshRules, mean_ratio, tet_defects, tet_shape};
+pub use tet_repair::{RepairedTets, Repairs, repaired_tets};
 pub use validate::{Finding, SurfacePolicy, SurfaceReport, validate_surface};
 pub use validate_tets::{TetPolicy, TetReport, validate_tets};
 pub use vtk::read_vtk;

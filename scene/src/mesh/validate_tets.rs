@@ -74,7 +74,7 @@ impl TetPolicy {
     /// Applies the policy to a report.
     ///
     /// # Errors
-    /// [`MeshError::Refused`] with the first finding that is not allowed.
+    /// [`MeshError::Refused`] with every finding that is not allowed.
     pub fn require(&self, name: &Path, report: &TetReport) -> Result<(), MeshError> {
         let findings = [
             report.inverted.refuse(self.no_inverted, "inverted tetrahedra (negative volume)"),
@@ -82,9 +82,11 @@ impl TetPolicy {
             report.duplicates.refuse(self.manifold, "duplicate tetrahedra"),
             report.non_manifold_faces.refuse(self.manifold, "face(s) with more than two tetrahedra"),
         ];
-        match findings.into_iter().flatten().next() {
-            None => Ok(()),
-            Some(reason) => Err(MeshError::Refused { file: name.into(), reason }),
+        let found: Vec<String> = findings.into_iter().flatten().collect();
+        if found.is_empty() {
+            Ok(())
+        } else {
+            Err(MeshError::Refused { file: name.into(), reason: found.join("; ") })
         }
     }
 }

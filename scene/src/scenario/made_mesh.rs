@@ -129,6 +129,7 @@ pub(super) fn load(table: &Table, key: &str, value: &Spanned<DeValue>) -> Result
                 tets: None,
                 line: Some(LineMesh { segments: Arc::new(segments), radius }),
                 uv: None,
+                repaired: None,
             })
         }
     }

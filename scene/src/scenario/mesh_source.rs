@@ -12,17 +12,20 @@ use super::document::Table;
 use super::error::ScenarioError;
 use super::made_mesh;
 use crate::commands::Commands;
-use crate::components::{LineMesh, Shape, SurfaceMesh, TetMesh, TextureCoordinates, VertexPositions};
+use crate::components::{
+    LineMesh, MeshRepaired, Shape, SurfaceMesh, TetMesh, TextureCoordinates, VertexPositions,
+};
 use crate::confined_path;
 use crate::entity::Entity;
 use crate::mesh::{
-    Limits, MeshError, SURFACE_EXTENSIONS, SurfaceData, SurfacePolicy, TET_EXTENSIONS, TetData, TetPolicy,
-    read_surface, read_tets, validate_surface, validate_tets,
+    BadTets, Limits, MeshError, MeshRules, Repairs, SURFACE_EXTENSIONS, SurfaceData, SurfacePolicy,
+    TET_EXTENSIONS, TetData, TetPolicy, read_surface, read_tets, repaired_tets, tet_defects,
+    validate_surface, validate_tets,
 };
 use crate::shapes::{Detail, surface_of};
 
 /// Keys of the table of a file, and of a shape.
-pub(super) const KEYS: [&str; 4] = ["file", "scale", "flip_inverted", "require"];
+pub(super) const KEYS: [&str; 4] = ["file", "scale", "repair", "require"];
 pub(super) const SHAPE_KEYS: [&str; 2] = ["shape", "segments"];
 /// Values of `require`.
 pub(super) const REQUIREMENTS: [&str; 3] = ["solid", "manifold", "any"];
@@ -38,6 +41,8 @@ pub(super) struct LoadedMesh {
     pub tets: Option<TetMesh>,
     pub line: Option<LineMesh>,
     pub uv: Option<TextureCoordinates>,
+    /// What was mended, where that was asked for and something had to be.
+    pub repaired: Option<MeshRepaired>,
 }
 
 impl LoadedMesh {
@@ -54,6 +59,9 @@ impl LoadedMesh {
         }
         if let Some(uv) = &self.uv {
             commands.put(entity, uv.clone());
+        }
+        if let Some(repaired) = &self.repaired {
+            commands.put(entity, repaired.clone());
         }
     }
 }
@@ -100,7 +108,7 @@ pub(super) fn load(
     let file =
         confined_path::below(folder, relative).map_err(|why| table.error(span.clone(), "file", why))?;
     let scale = table.number("scale", 1e-9..=1e9, "1e-9 to 1e9 metres per unit of the file")?.unwrap_or(1.0);
-    let flip_inverted = table.value::<bool>("flip_inverted")?.unwrap_or(false);
+    let repair = table.value::<bool>("repair")?.unwrap_or(false);
     let require = table.string("require")?.map_or(REQUIREMENTS[0], |(text, _)| text);
     if !REQUIREMENTS.contains(&require) {
         let span = table.get("require").map_or(value.span(), Spanned::span);
@@ -116,19 +124,31 @@ pub(super) fn load(
     let listed = |list: &str| list.split(", ").any(|known| known == extension);
     let limits = Limits::default();
     if listed(TET_EXTENSIONS) {
-        let mut volume = read_tets(&file, &limits).map_err(refused)?.scaled(scale);
-        if flip_inverted {
-            volume.flip_inverted();
-        }
-        volume.compact();
+        let volume = read_tets(&file, &limits).map_err(refused)?.scaled(scale);
+        let because = |reason| MeshError::Refused { file: file.clone(), reason };
+        let (volume, repairs) = if repair {
+            mended(volume).map_err(|bad| refused(because(format!("'repair' cannot mend it: {bad}"))))?
+        } else {
+            let mut volume = volume;
+            volume.compact();
+            (volume, Repairs::default())
+        };
         let policy = match require {
             "solid" => TetPolicy::SOLID,
             "manifold" => TetPolicy { no_inverted: false, ..TetPolicy::SOLID },
             _ => TetPolicy::ANY,
         };
-        policy.require(&file, &validate_tets(&volume)).map_err(refused)?;
-        Ok(from_tets(volume))
+        policy.require(&file, &validate_tets(&volume)).map_err(|error| {
+            let MeshError::Refused { reason, .. } = error else { return refused(error) };
+            refused(because(format!("{reason}. {}", listed_defects(&volume))))
+        })?;
+        let repaired = (!repairs.is_empty()).then(|| MeshRepaired { what: repairs.to_string() });
+        Ok(LoadedMesh { repaired, ..from_tets(volume) })
     } else if listed(SURFACE_EXTENSIONS) {
+        if repair {
+            let span = table.get("repair").map_or(value.span(), Spanned::span);
+            return Err(table.error(span, "repair", format!("is of volumes: {TET_EXTENSIONS}")));
+        }
         let surface = read_surface(&file, &limits).map_err(refused)?.scaled(scale);
         let policy = match require {
             "solid" => SurfacePolicy::SOLID,
@@ -145,6 +165,20 @@ pub(super) fn load(
     }
 }
 
+/// A volume without what simulators refuse, and what that took.
+fn mended(volume: TetData) -> Result<(TetData, Repairs), BadTets> {
+    let (positions, tets, repairs) = repaired_tets(&volume.positions, &volume.tets, &MeshRules::default())?;
+    let kept = repairs.kept_tets.iter();
+    let tags = kept.map(|&tet| volume.tags.get(tet as usize).copied().unwrap_or_default()).collect();
+    Ok((TetData { positions, tets, tags }, repairs))
+}
+
+/// What is wrong with a volume, and what to do about it. Points that no element uses are gone by now.
+fn listed_defects(volume: &TetData) -> String {
+    let defects = tet_defects(&volume.positions, &volume.tets, &MeshRules::default());
+    format!("In all {}. 'repair = true' turns, merges and drops what can be", BadTets { defects })
+}
+
 pub(super) fn from_tets(volume: TetData) -> LoadedMesh {
     let boundary = volume.boundary_triangles();
     LoadedMesh {
@@ -153,6 +187,7 @@ pub(super) fn from_tets(volume: TetData) -> LoadedMesh {
         tets: Some(TetMesh { tets: Arc::new(volume.tets) }),
         positions: VertexPositions { positions: Arc::new(volume.positions) },
         uv: None,
+        repaired: None,
     }
 }
 
@@ -164,6 +199,7 @@ pub(super) fn from_surface(surface: SurfaceData) -> LoadedMesh {
         line: None,
         tets: None,
         uv,
+        repaired: None,
     }
 }
 

@@ -128,8 +128,10 @@ fn mesh_file() -> Value {
                 "description": "Metres per unit of the file.", "type": "number",
                 "minimum": 1e-9, "maximum": 1e9, "default": 1.0,
             },
-            "flip_inverted": {
-                "description": "Turn tetrahedra of negative volume round.", "type": "boolean", "default": false,
+            "repair": {
+                "description": "Mend a volume: turn inverted tetrahedra, merge nodes at the same place, drop flat, sliver \
+                                and repeated tetrahedra and what nothing uses. What was done is told.",
+                "type": "boolean", "default": false,
             },
             "require": {
                 "description": "solid: closed, manifold, oriented, nothing degenerate or inverted; manifold: may be \

@@ -8,8 +8,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
-    EntitySet, Instrument, JawState, LineMesh, Measured, Pose, RestPositions, Snapshot, Temperature, TetMesh,
-    Tick, VertexPositions,
+    EntitySet, Frozen, Instrument, JawState, LineMesh, Measured, Pose, RestPositions, Snapshot, Temperature,
+    TetMesh, Tick, VertexPositions,
 };
 
 use super::blades::{Blades, swept};
@@ -17,6 +17,7 @@ use super::electrosurgery::HeatState;
 use super::grips::holds;
 use super::heat::RemovedElements;
 use super::parting::VolumeCuts;
+use super::refused::{Refused, Still, freeze};
 use super::vital_signs::PatientState;
 use crate::electrosurgery::BODY;
 use crate::fluid::bleeding::{Bleeding, BleedingState, Vessel as Pipe};
@@ -25,6 +26,8 @@ use crate::fluid::{Hole, sever};
 
 /// Tissue farther from the hole than this does not heat it \[m\].
 const HEAT_REACH: f64 = 0.01;
+/// A vertex beyond that is of no vessel \[m\].
+const FAR: f64 = 1e3;
 /// Vertices whose temperature counts at the hole.
 const HEATERS: usize = 4;
 
@@ -128,11 +131,13 @@ struct Body {
     bleeding: Bleeding,
     state: VesselState,
     line: Vec<Point3<f64>>,
+    frozen: bool,
 }
 
 /// Lets every vessel bleed.
 pub struct BleedingController {
     vessels: Vec<Body>,
+    refused: Vec<Refused>,
 }
 
 fn length(line: &[Point3<f64>]) -> f64 {
@@ -182,7 +187,8 @@ impl Body {
             blades: Vec::new(),
         });
         let bleeding = Bleeding::restore(pipe, state.bleeding).map_err(|error| wrong(&error.to_string()))?;
-        Ok(Self { entity, vessel, bleeding, state, line, name })
+        let frozen = scene.get::<Frozen>(entity).is_some();
+        Ok(Self { entity, vessel, bleeding, state, line, name, frozen })
     }
 
     /// Blades that close on it, or sweep through it closed, cut it through, where they do so first.
@@ -273,8 +279,28 @@ impl Body {
         closed
     }
 
-    fn step(&mut self, dt: f64, scene: &Snapshot, pressures: (f64, f64)) -> Result<(), ControllerError> {
+    /// One step; where it cannot be, the vessel is as it was.
+    fn step(&mut self, dt: f64, scene: &Snapshot, pressures: (f64, f64)) -> Result<(), String> {
+        let (state, bleeding) = (self.state.clone(), self.bleeding.clone());
+        let done = self.stepped(dt, scene, pressures).and_then(|()| self.is_finite());
+        if done.is_err() {
+            (self.state, self.bleeding) = (state, bleeding);
+        }
+        done
+    }
+
+    fn is_finite(&self) -> Result<(), String> {
+        let VesselState { bleeding, hole, place, outwards, area, rate, .. } = &self.state;
+        let numbers = [*hole, *area, *rate, bleeding.lost, bleeding.damage, bleeding.clamped];
+        let all = numbers.iter().chain(place.iter()).chain(outwards.iter()).all(|x| x.is_finite());
+        all.then_some(()).ok_or_else(|| "its hole came to a place or a rate that is no finite number".into())
+    }
+
+    fn stepped(&mut self, dt: f64, scene: &Snapshot, pressures: (f64, f64)) -> Result<(), String> {
         read_line(scene, self.entity, &mut self.line);
+        if let Some(vertex) = self.line.iter().position(|at| !at.iter().all(|x| x.abs() <= FAR)) {
+            return Err(format!("vertex {vertex} of its line is farther than {FAR} m away"));
+        }
         let world_from_body = scene.world_pose(self.entity);
         self.cut(scene, &world_from_body);
         let tissue =
@@ -282,7 +308,9 @@ impl Body {
         if let Some((tissue, body_from_tissue)) = &tissue {
             self.burn_through(scene, *tissue, body_from_tissue);
         }
-        let Some((place, direction, vertices)) = along(&self.line, self.state.hole) else { return Ok(()) };
+        let Some((place, direction, vertices)) = along(&self.line, self.state.hole) else {
+            return Err("its line has no length left".into());
+        };
         (self.state.place, self.state.outwards) = (place, self.vessel.outwards);
         if self.bleeding.state().damage >= 1.0 {
             self.state.outwards = direction;
@@ -297,9 +325,7 @@ impl Body {
             let celsius = self.heat_at_hole(scene, *tissue, body_from_tissue);
             self.bleeding.heat(dt, celsius, self.state.rate);
         }
-        self.bleeding
-            .step(dt, pressures.0, pressures.1)
-            .map_err(|error| ControllerError::Failed(format!("'{}': {error}", self.name)))?;
+        self.bleeding.step(dt, pressures.0, pressures.1).map_err(|error| error.to_string())?;
         self.state.area = self.bleeding.hole();
         self.state.bleeding = *self.bleeding.state();
         Ok(())
@@ -352,21 +378,25 @@ impl BleedingController {
     /// # Errors
     /// Names the vessel, and what is wrong with it.
     pub fn new(context: &BuildContext<'_>) -> Result<Self, ControllerError> {
-        let mut vessels = Vec::new();
+        let (mut vessels, mut refused) = (Vec::new(), Vec::new());
         for (entity, vessel) in context.scene.iter::<Vessel>() {
-            vessels.push(Body::read(context.scene, entity, *vessel)?);
+            match Body::read(context.scene, entity, *vessel) {
+                Ok(body) => vessels.push(body),
+                Err(error) => refused.push(Refused::of(context, entity, Still::Body, error)?),
+            }
         }
-        if vessels.is_empty() {
+        if vessels.is_empty() && refused.is_empty() {
             return Err(ControllerError::Scene("bleeding: no entity is a 'vessel'".into()));
         }
         vessels.sort_by_key(|vessel| vessel.entity);
-        Ok(Self { vessels })
+        Ok(Self { vessels, refused })
     }
 }
 
 impl Controller for BleedingController {
     fn access(&self) -> Access {
-        let vessels = self.vessels.iter().map(|vessel| vessel.entity).collect();
+        let refused = self.refused.iter().map(|vessel| vessel.entity);
+        let vessels: Vec<Entity> = self.vessels.iter().map(|vessel| vessel.entity).chain(refused).collect();
         Access::new()
             .reads::<Vessel>()
             .reads::<LineMesh>()
@@ -381,6 +411,8 @@ impl Controller for BleedingController {
             .reads::<VolumeCuts>()
             .reads::<HeatState>()
             .reads::<PatientState>()
+            .reads::<Frozen>()
+            .writes::<Frozen>(EntitySet::Of(vessels.clone()))
             .writes::<VesselState>(EntitySet::Of(vessels))
             .writes::<Measured>(EntitySet::Own)
     }
@@ -390,23 +422,32 @@ impl Controller for BleedingController {
         let mut measured = Measured::default();
         for vessel in &mut self.vessels {
             let was_bleeding = vessel.state.rate > 0.0;
-            vessel.step(tick.period.as_secs_f64(), scene, pressures)?;
-            let (state, done) = (&vessel.state, &vessel.state.bleeding);
-            if was_bleeding != (state.rate > 0.0) {
-                let event = if was_bleeding { "bleeding_stopped" } else { "bleeding_began" };
-                out.event(event, vessel.entity, None, state.rate);
+            if !vessel.frozen {
+                if let Err(reason) = vessel.step(tick.period.as_secs_f64(), scene, pressures) {
+                    vessel.frozen = true;
+                    // What stands still does not bleed: the liquid and the patient go by what it has lost.
+                    vessel.state.rate = 0.0;
+                    freeze(vessel.entity, Still::Body, reason, tick, out);
+                }
+                if was_bleeding != (vessel.state.rate > 0.0) {
+                    let event = if was_bleeding { "bleeding_stopped" } else { "bleeding_began" };
+                    out.event(event, vessel.entity, None, vessel.state.rate);
+                }
+                out.put(vessel.entity, vessel.state.clone());
             }
-            out.put(vessel.entity, state.clone());
+            let (state, done) = (&vessel.state, &vessel.state.bleeding);
             let values = [
                 ("lost_m3", done.lost),
                 ("rate_m3_per_s", state.rate),
                 ("damage_share", done.damage),
                 ("clamped_share", done.clamped),
                 ("coagulated_share", done.coagulated),
+                ("frozen", f64::from(u8::from(vessel.frozen))),
             ];
             let named = values.into_iter().map(|(what, value)| (format!("{}.{what}", vessel.name), value));
             measured.values.extend(named);
         }
+        self.refused.iter_mut().for_each(|vessel| vessel.tell(tick, &mut measured, out));
         out.put(tick.me, measured);
         Ok(())
     }

@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot};
+use trocar_scene::{Access, Commands, Component, ComponentError, Doubtful, Entity, EntitySet, Snapshot};
 
 use super::deformable::Deformable;
 use super::dynamic_fem_memory::DynamicFemMemory;
@@ -12,9 +12,12 @@ use super::parting::{Elements, Parting, Weakness};
 use super::soft::{Measures, Outlook, Reshaped, Site, SoftController, SoftMethod};
 use super::tools::Rod;
 use super::touch::{Skin, Touch};
-use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs};
+use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Report};
 use crate::elasticity::{Elastic, POISSON_MAX};
 use crate::tet_mesh::{Birth, MeshRules, TetMesh};
+
+/// Steps in a row that end out of balance, from which on a body is doubtful: a blow takes a few.
+const UNSOLVED_MAX: u32 = 20;
 
 /// A soft volume: it needs a mesh of tetrahedra, and `anchors` where it is to be held.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -154,6 +157,10 @@ pub struct DynamicFemMethod {
     parting: Option<Parting>,
     contacts: Vec<Contact>,
     prescribed: Vec<(u32, Point3<f64>)>,
+    /// Of the last step.
+    report: Option<Report>,
+    /// Steps up to the last that ended out of balance: in a row, and in all of this life.
+    unsolved: [u32; 2],
 }
 
 impl SoftMethod for DynamicFemMethod {
@@ -167,11 +174,13 @@ impl SoftMethod for DynamicFemMethod {
         let heated = parting.as_ref().map(Parting::heated).unwrap_or_default();
         let solver = kind.solver(body, &memory, &heated)?;
         let of = Solver { kind: *kind, solver, memory };
-        Ok(Self { of, parting, contacts: Vec::new(), prescribed: Vec::new() })
+        Ok(Self { of, parting, contacts: Vec::new(), prescribed: Vec::new(), report: None, unsolved: [0; 2] })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        Parting::access(access, bodies).writes::<DynamicFemMemory>(EntitySet::Of(bodies.to_vec()))
+        Parting::access(access, bodies)
+            .writes::<DynamicFemMemory>(EntitySet::Of(bodies.to_vec()))
+            .writes::<Doubtful>(EntitySet::Of(bodies.to_vec()))
     }
 
     fn is_cut_by_blades(&self) -> bool {
@@ -188,7 +197,10 @@ impl SoftMethod for DynamicFemMethod {
         parting.reshape(&mut self.of, body, site, out)
     }
 
-    fn publish(&mut self, body: &Deformable, out: &mut Commands) {
+    fn publish(&mut self, body: &Deformable, site: &Site<'_>, out: &mut Commands) {
+        if self.unsolved[0] == UNSOLVED_MAX && site.scene.get::<Doubtful>(body.entity).is_none() {
+            out.put(body.entity, Doubtful { reason: self.doubt(), since: site.tick.time });
+        }
         let Solver { solver, memory, .. } = &mut self.of;
         memory.take(solver);
         out.put(body.entity, memory.clone());
@@ -223,7 +235,10 @@ impl SoftMethod for DynamicFemMethod {
         self.prescribed.clear();
         self.prescribed.extend(site.led.iter().map(|led| (led.vertex, led.position_in_world)));
         let inputs = inputs(&self.contacts, &self.prescribed, site);
-        self.of.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())?;
+        let report = self.of.solver.step(site.period_secs(), &inputs).map_err(|error| error.to_string())?;
+        self.report = Some(report);
+        let [row, all] = self.unsolved;
+        self.unsolved = if report.solved { [0, all] } else { [row.saturating_add(1), all.saturating_add(1)] };
         forces.clear();
         forces.extend(self.contacts.iter().map(|contact| force_of(contact, self.of.solver.positions())));
         Ok(())
@@ -249,9 +264,29 @@ impl SoftMethod for DynamicFemMethod {
         let energies = self.of.solver.energies();
         measures.put("kinetic_energy_j", energies.kinetic);
         measures.put("elastic_energy_j", energies.elastic);
+        measures.put("unsolved_steps", f64::from(self.unsolved[1]));
+        if let Some(report) = &self.report {
+            measures.put("residual", report.residual);
+            measures.put("inverted_elements", f64::from(report.inverted));
+        }
         self.parting.iter().for_each(|parting| parting.measure(measures));
         let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         measures.put("displacement_max_m", moved.fold(0.0, f64::max));
+    }
+}
+
+impl DynamicFemMethod {
+    fn doubt(&self) -> String {
+        let residual = self.report.map_or(0.0, |report| report.residual);
+        let inverted = self.report.and_then(|report| Some((report.inverted, report.first_inverted?)));
+        let inverted = inverted.map_or_else(String::new, |(count, first)| {
+            format!(", {count} elements are inside out (first {first})")
+        });
+        format!(
+            "{UNSOLVED_MAX} steps in a row ended out of balance, the last by {:.1e} of the forces{inverted}: a shorter step, \
+             a softer or a less squeezed body converges",
+            residual
+        )
     }
 }
 

@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::mesh::TetData;
 use trocar_scene::{
     Access, Activation, ActivationMode, BuildContext, Burn, Commands, Component, Controller, ControllerError,
-    Entity, EntitySet, Frozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy, RestPositions,
-    Snapshot, SurfaceMesh, Temperature, Tick, VertexPositions,
+    Entity, EntitySet, Frozen, HeatFrozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy,
+    RestPositions, Snapshot, SurfaceMesh, Temperature, Tick, VertexPositions,
 };
 
 use super::cauterised::{CauterisedBody, ElectrodeTip};
@@ -25,6 +25,7 @@ use super::linear_fem::LinearFemBody;
 use super::mass_spring::MassSpringBody;
 use super::membrane::SurfaceElements;
 use super::parting::VolumeCuts;
+use super::refused::{Refused, Still, freeze};
 use super::rest_place::rest_place;
 use super::smoke::Plume;
 use super::xpbd::XpbdBody;
@@ -115,7 +116,8 @@ impl Body {
         let tissue = heated.map_err(|error| wrong(error.to_string()))?;
         let removed = known.map(|known| known.state.removed.clone()).unwrap_or_default();
         let is_moved = moved_by(scene, entity).is_some();
-        let frozen = !is_moved && scene.get::<Frozen>(entity).is_some();
+        let frozen =
+            scene.get::<HeatFrozen>(entity).is_some() || (!is_moved && scene.get::<Frozen>(entity).is_some());
         let plume = scene.get::<Plume>(entity).copied().unwrap_or_default();
         let coagulated = scene.get::<CoagulatedElements>(entity).cloned().unwrap_or_default().elements;
         let area_before = pieces(&triangles, &body.rest).iter().sum();
@@ -299,6 +301,7 @@ pub struct ElectrosurgeryController {
     bodies: Vec<Body>,
     /// How the electrode in question lies to each of them.
     contacts: Vec<Contact>,
+    refused: Vec<Refused>,
 }
 
 impl ElectrosurgeryController {
@@ -307,10 +310,16 @@ impl ElectrosurgeryController {
     /// # Errors
     /// Names the body, and what is wrong with it.
     pub fn new(context: &BuildContext<'_>) -> Result<Self, ControllerError> {
-        let mut bodies = Vec::new();
+        let (mut bodies, mut refused) = (Vec::new(), Vec::new());
         for entity in Deformable::carriers::<CauterisedBody>(context.scene) {
             let Some(kind) = context.scene.get::<CauterisedBody>(entity).copied() else { continue };
-            let mut body = Body::read(context.scene, entity, kind)?;
+            let mut body = match Body::read(context.scene, entity, kind) {
+                Ok(body) => body,
+                Err(error) => {
+                    refused.push(Refused::of(context, entity, Still::Heat, error)?);
+                    continue;
+                }
+            };
             if let Some(before) = context.scene.get::<Measured>(context.me) {
                 let of = |what: &str| before.values.get(&format!("{}.{what}", body.body.name)).copied();
                 (body.volume_removed, body.hottest) =
@@ -318,10 +327,10 @@ impl ElectrosurgeryController {
             }
             bodies.push(body);
         }
-        if bodies.is_empty() {
+        if bodies.is_empty() && refused.is_empty() {
             return Err(ControllerError::Scene("electrosurgery: no entity is 'cauterised'".into()));
         }
-        Ok(Self { bodies, contacts: Vec::new() })
+        Ok(Self { bodies, contacts: Vec::new(), refused })
     }
 
     /// What is on at each body: of a tip that is at several, each gets its share of what the generator gives.
@@ -364,7 +373,8 @@ impl ElectrosurgeryController {
 
 impl Controller for ElectrosurgeryController {
     fn access(&self) -> Access {
-        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
+        let refused = self.refused.iter().map(|body| body.entity);
+        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
         let all = || EntitySet::Of(bodies.clone());
         let still = self.bodies.iter().filter(|body| !body.is_moved).map(|body| body.body.entity);
         let still: Vec<Entity> = still.collect();
@@ -383,6 +393,8 @@ impl Controller for ElectrosurgeryController {
             .reads::<SurfaceMesh>()
             .writes::<SurfaceMesh>(EntitySet::Of(still.clone()))
             .writes::<Frozen>(EntitySet::Of(still))
+            .reads::<HeatFrozen>()
+            .writes::<HeatFrozen>(all())
             .writes::<CoagulatedElements>(all())
             .writes::<RemovedElements>(all())
             .writes::<HeatState>(all())
@@ -411,7 +423,7 @@ impl Controller for ElectrosurgeryController {
                         body.frozen = true;
                         if body.is_moved {
                             // Whoever moves it says whether it stands still: it only heats no further.
-                            out.event("heat_frozen", body.body.entity, None, tick.time.as_secs_f64());
+                            freeze(body.body.entity, Still::Heat, error.to_string(), tick, out);
                         } else {
                             body.body.freeze(&error, tick, out);
                         }
@@ -420,6 +432,7 @@ impl Controller for ElectrosurgeryController {
             }
             body.measure(&mut measured.values);
         }
+        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
         out.put(tick.me, measured);
         Ok(())
     }

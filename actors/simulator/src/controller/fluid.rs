@@ -9,17 +9,21 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, Activation, BuildContext, Commands, Component, ComponentError, Controller, ControllerError,
-    Entity, EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, RestPositions, Snapshot, SurfaceMesh,
-    Tick, VertexPositions,
+    Doubtful, Entity, EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, RestPositions, Snapshot,
+    SurfaceMesh, Tick, VertexPositions,
 };
 
 use super::bleeding::{VesselState, rest_of};
 use super::irrigation::{self, Irrigator, Sucker, Suction};
+use super::refused::{Still, freeze};
 use crate::fluid::walls::{WallSample, sample};
 use crate::fluid::{Fluid, FluidConfig, FluidState, Spout};
 
 /// Most samples of one wall.
 const SAMPLES_MAX: usize = 200_000;
+
+/// Farther off there is no wall \[m\].
+const FAR: f64 = 1e3;
 
 /// A liquid; its drops are the entity's particles, which say how they look. A particle lives in the entity's box.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -127,6 +131,8 @@ pub struct FluidController {
     speeds: Vec<Vector3<f64>>,
     order: Vec<(u64, u32)>,
     walls_move: bool,
+    /// Walls that are taken where they were last, because where the scene has them nothing can be.
+    held: Vec<Entity>,
     frozen: bool,
 }
 
@@ -177,13 +183,14 @@ impl FluidController {
             speeds: Vec::new(),
             order: Vec::new(),
             walls_move: false,
+            held: Vec::new(),
             frozen: scene.get::<Frozen>(liquid).is_some(),
             name: name.clone(),
         })
     }
 
     /// Where the walls are now; told to the liquid only where one of them has moved.
-    fn follow_walls(&mut self, dt: f64, scene: &Snapshot) -> Result<(), ControllerError> {
+    fn follow_walls(&mut self, dt: f64, scene: &Snapshot) -> Result<(), String> {
         let liquid_from_world = scene.world_pose(self.liquid).inverse();
         let mut walls = std::mem::take(&mut self.walls);
         let mut known = walls.drain(..).peekable();
@@ -192,6 +199,7 @@ impl FluidController {
         carriers.sort_unstable();
         self.places.clear();
         self.speeds.clear();
+        self.held.clear();
         for entity in carriers {
             let (Some(surface), Some(vertices)) =
                 (scene.get::<SurfaceMesh>(entity), scene.get::<VertexPositions>(entity))
@@ -204,6 +212,17 @@ impl FluidController {
             let same = |wall: &Wall| {
                 Arc::ptr_eq(&wall.triangles, &triangles) && wall.positions.len() == positions.len()
             };
+            if !is_somewhere(&liquid_from_wall, &positions, &triangles) {
+                self.held.push(entity);
+                if let Some(wall) = before {
+                    let places = wall.samples.iter();
+                    let places = places.map(|of| wall.liquid_from_wall * of.place(&wall.positions));
+                    self.places.extend(places);
+                    self.speeds.resize(self.places.len(), Vector3::zeros());
+                    now.push(wall);
+                }
+                continue;
+            }
             let wall = match before.filter(same) {
                 Some(mut wall) => {
                     let still =
@@ -243,10 +262,46 @@ impl FluidController {
         if moved || self.walls_move {
             self.fluid
                 .set_walls(&self.places, &self.speeds)
-                .map_err(|error| ControllerError::Failed(format!("'{}': {error}", self.name)))?;
+                .map_err(|error| format!("its walls: {error}"))?;
         }
         self.walls_move = moved;
         Ok(())
+    }
+
+    /// One step; where it cannot be, the liquid is where it was.
+    fn step(&mut self, dt: f64, scene: &Snapshot) -> Result<(), String> {
+        let world_from_liquid = scene.world_pose(self.liquid);
+        self.fluid.set_gravity(world_from_liquid.rotation.inverse() * self.gravity_in_world);
+        self.follow_walls(dt, scene)?;
+        for (entity, vessel) in scene.iter::<VesselState>() {
+            let liquid_from_vessel = world_from_liquid.inverse() * scene.world_pose(entity);
+            let hole = vessel.hole_in(&liquid_from_vessel);
+            self.spouts.entry(entity).or_default().pour(vessel.bleeding.lost, dt, &hole, &mut self.fluid);
+        }
+        let liquid_from_world = world_from_liquid.inverse();
+        for (entity, irrigator) in scene.iter::<Irrigator>() {
+            let spout = self.spouts.entry(entity).or_default();
+            irrigator.pour((scene, entity), &liquid_from_world, dt, spout, &mut self.fluid);
+        }
+        for (entity, sucker) in scene.iter::<Sucker>() {
+            let suction = self.suctions.entry(entity).or_default();
+            sucker.suck((scene, entity), &liquid_from_world, dt, suction, &mut self.fluid);
+        }
+        self.fluid.step(dt).map(drop).map_err(|error| error.to_string())
+    }
+
+    /// Says once that a wall is not where the scene has it.
+    fn doubt(&self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
+        let Some(wall) = self.held.first().filter(|_| scene.get::<Doubtful>(self.liquid).is_none()) else {
+            return;
+        };
+        let reason = format!(
+            "its wall '{}' is taken where it was last: a vertex is farther than {FAR} m away or a triangle names one \
+             that there is none of",
+            scene.name(*wall)
+        );
+        out.put(self.liquid, Doubtful { reason, since: tick.time });
+        out.event("wall_held", *wall, None, tick.time.as_secs_f64());
     }
 
     /// Drops in the order of their numbers; where one is gone in between, there is one that is not seen.
@@ -281,6 +336,8 @@ impl FluidController {
         let given: f64 = self.spouts.values().map(|spout| spout.given).sum();
         put("volume_m3", state.numbers.len() as f64 * volume);
         put("particles", state.numbers.len() as f64);
+        put("frozen", f64::from(u8::from(self.frozen)));
+        put("held_walls", self.held.len() as f64);
         put("emitted_m3", emitted as f64 * volume);
         let sucked: u64 = self.suctions.values().map(|suction| suction.taken).sum();
         put("sucked_m3", sucked as f64 * volume);
@@ -288,6 +345,16 @@ impl FluidController {
         // Less than a particle of each is still to come.
         put("emitted_share", if given > 0.0 { emitted as f64 * volume / given } else { 1.0 });
     }
+}
+
+/// Whether a wall is where one can be.
+fn is_somewhere(
+    liquid_from_wall: &Isometry3<f64>,
+    positions: &[Point3<f64>],
+    triangles: &[[u32; 3]],
+) -> bool {
+    let near = |place: &Point3<f64>| (liquid_from_wall * place).iter().all(|x| x.abs() <= FAR);
+    positions.iter().all(near) && triangles.iter().flatten().all(|&at| (at as usize) < positions.len())
 }
 
 impl Controller for FluidController {
@@ -306,35 +373,21 @@ impl Controller for FluidController {
             .reads::<Pose>()
             .writes::<Particles>(liquid())
             .writes::<LiquidState>(liquid())
+            .reads::<Frozen>()
+            .reads::<Doubtful>()
             .writes::<Frozen>(liquid())
+            .writes::<Doubtful>(liquid())
             .writes::<Measured>(EntitySet::Own)
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         let dt = tick.period.as_secs_f64();
         if !self.frozen {
-            let world_from_liquid = scene.world_pose(self.liquid);
-            self.fluid.set_gravity(world_from_liquid.rotation.inverse() * self.gravity_in_world);
-            self.follow_walls(dt, scene)?;
-            for (entity, vessel) in scene.iter::<VesselState>() {
-                let liquid_from_vessel = world_from_liquid.inverse() * scene.world_pose(entity);
-                let hole = vessel.hole_in(&liquid_from_vessel);
-                self.spouts.entry(entity).or_default().pour(vessel.bleeding.lost, dt, &hole, &mut self.fluid);
-            }
-            let liquid_from_world = world_from_liquid.inverse();
-            for (entity, irrigator) in scene.iter::<Irrigator>() {
-                let spout = self.spouts.entry(entity).or_default();
-                irrigator.pour((scene, entity), &liquid_from_world, dt, spout, &mut self.fluid);
-            }
-            for (entity, sucker) in scene.iter::<Sucker>() {
-                let suction = self.suctions.entry(entity).or_default();
-                sucker.suck((scene, entity), &liquid_from_world, dt, suction, &mut self.fluid);
-            }
-            if let Err(error) = self.fluid.step(dt) {
+            if let Err(reason) = self.step(dt, scene) {
                 self.frozen = true;
-                out.put(self.liquid, Frozen { reason: error.to_string(), since: tick.time });
-                out.event("frozen", self.liquid, None, tick.time.as_secs_f64());
+                freeze(self.liquid, Still::Body, reason, tick, out);
             }
+            self.doubt(tick, scene, out);
             let was_empty = self.look.positions.is_empty();
             self.show();
             if !(was_empty && self.look.positions.is_empty()) || tick.number == 1 {

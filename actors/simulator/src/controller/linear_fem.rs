@@ -27,7 +27,8 @@ use super::linear_fem_contacts::{Answer, By, Contacts, Held};
 use super::linear_fem_fading::Fading;
 use super::linear_fem_jobs::{altered_as_job, built, built_as_job};
 use super::parting::{Parting, Weakness};
-use super::soft::{Measures, Site};
+use super::refused::{Refused, Still};
+use super::soft::{Measures, Site, finite_vertices};
 use super::tools::{Rod, rods_of_all};
 use super::touch::{COLLISIONS_MAX, Touch, collision};
 use crate::elasticity::POISSON_MAX;
@@ -99,6 +100,7 @@ pub(super) struct Body {
 pub struct LinearFemController {
     cache: Option<Cache>,
     bodies: Vec<Body>,
+    refused: Vec<Refused>,
     rods: Vec<Rod>,
 }
 
@@ -108,50 +110,26 @@ impl LinearFemController {
     /// # Errors
     /// Names the body, and what is wrong with it.
     pub fn new(cache: Option<PathBuf>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
-        let mut bodies = Vec::new();
+        let (mut bodies, mut refused) = (Vec::new(), Vec::new());
         for entity in Deformable::carriers::<LinearFemBody>(context.scene) {
             let Some(kind) = context.scene.get::<LinearFemBody>(entity).copied() else { continue };
-            let mut body = Deformable::read(context.scene, entity)?;
-            let wrong = |name: &str, why: String| ControllerError::Scene(format!("'{name}': {why}"));
-            let mesh = TetMesh::new(&body.rest, &body.tets, &MeshRules::default())
-                .map_err(|why| wrong(&body.name, why.to_string()))?;
-            let weakness = Weakness { hangs_on: true, ..Weakness::default() };
-            let parting = Parting::new(&mut body, weakness, context.scene)
-                .map_err(|why| wrong(&body.name, why))?
-                .map(|parting| {
-                    let altered = Altered::new(mesh.tets().len(), &parting.heated());
-                    (parting, altered)
-                });
-            let is_pinned = body.stays();
-            bodies.push(Body {
-                kind,
-                mesh,
-                solver: None,
-                fading: None,
-                submitted: false,
-                parting,
-                progress: Arc::default(),
-                positions: body.positions.to_vec(),
-                grips: context.scene.get::<Grips>(entity).cloned().unwrap_or_default(),
-                contacts: context.scene.get::<Contacts>(entity).cloned().unwrap_or_default(),
-                is_pinned,
-                deformation: Deformation::default(),
-                beyond: false,
-                frozen: context.scene.get::<Frozen>(entity).is_some(),
-                body,
-            });
+            match Body::read(kind, entity, context.scene) {
+                Ok(body) => bodies.push(body),
+                Err(error) => refused.push(Refused::of(context, entity, Still::Body, error)?),
+            }
         }
-        if bodies.is_empty() {
+        if bodies.is_empty() && refused.is_empty() {
             return Err(ControllerError::Scene("linear-fem: no entity has a 'linear_fem'".into()));
         }
         let cache = cache.map(|folder| Cache::new(&folder));
-        Ok(Self { cache, bodies, rods: Vec::new() })
+        Ok(Self { cache, bodies, refused, rods: Vec::new() })
     }
 }
 
 impl Controller for LinearFemController {
     fn access(&self) -> Access {
-        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
+        let refused = self.refused.iter().map(|body| body.entity);
+        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
         Parting::access(Deformable::access(&bodies), &bodies)
             .reads::<LinearFemBody>()
             .reads::<Pose>()
@@ -202,12 +180,15 @@ impl Controller for LinearFemController {
                     }
                     Err(why) => {
                         body.frozen = true;
+                        // Where the scene has it.
+                        body.positions = body.body.positions.to_vec();
                         body.body.freeze(&why, tick, out);
                     }
                 }
             }
             body.measure(force, &mut measured.values);
         }
+        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
         collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
         collisions.truncate(COLLISIONS_MAX);
         out.contribute(CollisionList { collisions, penetration_max: 0.0 });
@@ -217,6 +198,37 @@ impl Controller for LinearFemController {
 }
 
 impl Body {
+    fn read(kind: LinearFemBody, entity: Entity, scene: &Snapshot) -> Result<Self, ControllerError> {
+        let mut body = Deformable::read(scene, entity)?;
+        let wrong = |name: &str, why: String| ControllerError::Scene(format!("'{name}': {why}"));
+        let mesh = TetMesh::new(&body.rest, &body.tets, &MeshRules::default())
+            .map_err(|why| wrong(&body.name, why.to_string()))?;
+        let weakness = Weakness { hangs_on: true, ..Weakness::default() };
+        let parting =
+            Parting::new(&mut body, weakness, scene).map_err(|why| wrong(&body.name, why))?.map(|parting| {
+                let altered = Altered::new(mesh.tets().len(), &parting.heated());
+                (parting, altered)
+            });
+        let is_pinned = body.stays();
+        Ok(Self {
+            kind,
+            mesh,
+            solver: None,
+            fading: None,
+            submitted: false,
+            parting,
+            progress: Arc::default(),
+            positions: body.positions.to_vec(),
+            grips: scene.get::<Grips>(entity).cloned().unwrap_or_default(),
+            contacts: scene.get::<Contacts>(entity).cloned().unwrap_or_default(),
+            is_pinned,
+            deformation: Deformation::default(),
+            beyond: false,
+            frozen: scene.get::<Frozen>(entity).is_some(),
+            body,
+        })
+    }
+
     /// Everything of a tick but what is told of it.
     fn step(
         &mut self,
@@ -249,7 +261,9 @@ impl Body {
         if !self.parting.as_ref().is_some_and(|(_, altered)| altered.is_behind()) {
             self.fading.take_if(Fading::is_over);
         }
-        Ok(answers)
+        finite_vertices(&self.positions, &[])?;
+        let bad = answers.iter().position(|answer| !answer.force.iter().all(|x| x.is_finite()));
+        bad.map_or(Ok(answers), |at| Err(format!("the force of contact {at} is no finite number")))
     }
 
     /// Lets it follow what heat does to its elements.

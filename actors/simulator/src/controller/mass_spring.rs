@@ -404,7 +404,7 @@ impl SoftMethod for MassSpringMethod {
         self.of.solver.pull_on(held)
     }
 
-    fn publish(&mut self, body: &Deformable, out: &mut Commands) {
+    fn publish(&mut self, body: &Deformable, _site: &Site<'_>, out: &mut Commands) {
         if let Some(membrane) = &mut self.membrane {
             membrane.publish(body, out);
         }

@@ -30,6 +30,7 @@ mod linear_fem_jobs;
 pub mod mass_spring;
 pub mod membrane;
 pub mod parting;
+mod refused;
 pub mod rest_place;
 pub mod rigid_bodies;
 mod rigid_declared;

@@ -8,10 +8,16 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
-    EntitySet, Measured, Particles, Pose, RecordPolicy, Snapshot, Tick,
+    EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, Snapshot, Tick,
 };
 
+use super::refused::{Still, freeze};
 use crate::fluid::smoke::{Smoke, SmokeConfig, SmokeState};
+
+/// Most smoke that a body gives off in a step \[kg\].
+const PLUME_MAX: f64 = 1.0;
+/// Farther off there is no cavity \[m\].
+const FAR: f64 = 1e3;
 
 /// Smoke in a cavity; its puffs are the entity's particles, which say how they look.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -93,6 +99,7 @@ pub struct SmokeController {
     smoke: Smoke,
     taken: BTreeMap<Entity, f64>,
     sources: Vec<(Point3<f64>, f64)>,
+    frozen: bool,
 }
 
 impl SmokeController {
@@ -123,38 +130,43 @@ impl SmokeController {
             taken.extend(known.taken.iter().copied());
         }
         let look = context.scene.get::<Particles>(cloud).cloned().unwrap_or_default();
-        Ok(Self { cloud, name: name.clone(), kind: *kind, look, smoke, taken, sources: Vec::new() })
+        let frozen = context.scene.get::<Frozen>(cloud).is_some();
+        Ok(Self { cloud, name: name.clone(), kind: *kind, look, smoke, taken, sources: Vec::new(), frozen })
     }
 }
 
-impl Controller for SmokeController {
-    fn access(&self) -> Access {
-        let cloud = || EntitySet::Of(vec![self.cloud]);
-        Access::new()
-            .reads::<SmokeCloud>()
-            .reads::<Plume>()
-            .reads::<Pose>()
-            .writes::<Particles>(cloud())
-            .writes::<SmokeCloudState>(cloud())
-            .writes::<Measured>(EntitySet::Own)
-    }
-
-    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+impl SmokeController {
+    /// One step; where it cannot be, the smoke is where it was.
+    fn step(&mut self, tick: &Tick<'_>, scene: &Snapshot) -> Result<(), String> {
         let cloud_from_world = scene.world_pose(self.cloud).inverse();
         self.sources.clear();
         for (entity, plume) in scene.iter::<Plume>() {
-            let taken = self.taken.entry(entity).or_default();
-            if plume.emitted > *taken {
+            let taken = self.taken.get(&entity).copied().unwrap_or_default();
+            if plume.emitted > taken {
                 let place = cloud_from_world * (scene.world_pose(entity) * plume.place);
-                self.sources.push((place, plume.emitted - *taken));
-                *taken = plume.emitted;
+                let mass = plume.emitted - taken;
+                if !(mass <= PLUME_MAX && place.iter().all(|x| x.abs() <= FAR)) {
+                    return Err(format!(
+                        "'{}' gives off {mass:e} kg at {:?} m in one step; at most {PLUME_MAX} kg within {FAR} m can be",
+                        scene.name(entity),
+                        <[f64; 3]>::from(place)
+                    ));
+                }
+                self.sources.push((place, mass));
             }
         }
         let wind = cloud_from_world.rotation * self.kind.wind;
-        let dt = tick.period.as_secs_f64();
         self.smoke
-            .step(dt, &self.sources, &wind)
-            .map_err(|error| ControllerError::Failed(format!("'{}': {error}", self.name)))?;
+            .step(tick.period.as_secs_f64(), &self.sources, &wind)
+            .map_err(|error| error.to_string())?;
+        for (entity, plume) in scene.iter::<Plume>() {
+            let taken = self.taken.entry(entity).or_default();
+            *taken = taken.max(plume.emitted);
+        }
+        Ok(())
+    }
+
+    fn show(&mut self, tick: &Tick<'_>, out: &mut Commands) {
         let state = self.smoke.state();
         let is_gone = state.positions.is_empty() && self.look.positions.is_empty();
         if !is_gone || tick.number == 1 {
@@ -165,9 +177,38 @@ impl Controller for SmokeController {
             let taken = self.taken.iter().map(|(entity, mass)| (*entity, *mass)).collect();
             out.put(self.cloud, SmokeCloudState { smoke: Arc::new(state.clone()), taken });
         }
+    }
+}
+
+impl Controller for SmokeController {
+    fn access(&self) -> Access {
+        let cloud = || EntitySet::Of(vec![self.cloud]);
+        Access::new()
+            .reads::<SmokeCloud>()
+            .reads::<Plume>()
+            .reads::<Pose>()
+            .reads::<Frozen>()
+            .writes::<Frozen>(cloud())
+            .writes::<Particles>(cloud())
+            .writes::<SmokeCloudState>(cloud())
+            .writes::<Measured>(EntitySet::Own)
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        if !self.frozen {
+            match self.step(tick, scene) {
+                Ok(()) => self.show(tick, out),
+                Err(reason) => {
+                    self.frozen = true;
+                    freeze(self.cloud, Still::Body, reason, tick, out);
+                }
+            }
+        }
+        let state = self.smoke.state();
         let values = [
             ("puffs", state.positions.len() as f64),
             ("emitted_kg", state.emitted),
+            ("frozen", f64::from(u8::from(self.frozen))),
             ("highest_m", state.positions.iter().map(|place| place.z).fold(f64::MIN, f64::max).max(-1e3)),
         ];
         let values =

@@ -17,6 +17,7 @@ use super::answering::Answering;
 pub use super::answering::Outlook;
 use super::deformable::Deformable;
 use super::grips::{Grips, Holder};
+use super::refused::{Refused, Still};
 use super::tools::{Rod, rods_of_all};
 use super::touch::{COLLISIONS_MAX, Skin, Touch, collision, touches};
 use crate::picking::{Jaws, Led, Pick};
@@ -149,7 +150,7 @@ pub trait SoftMethod: Send + Sized + 'static {
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64>;
 
     /// What a later life needs besides positions and velocities.
-    fn publish(&mut self, _body: &Deformable, _out: &mut Commands) {}
+    fn publish(&mut self, _body: &Deformable, _site: &Site<'_>, _out: &mut Commands) {}
 
     /// What is worth knowing of it.
     fn measure(&self, body: &Deformable, measures: &mut Measures<'_>);
@@ -166,8 +167,11 @@ impl<'a> Measures<'a> {
         Self { name, values }
     }
 
-    /// Tells one; the unit is the end of its name.
+    /// Tells one; the unit is the end of its name. What is not a number is no measure.
     pub fn put(&mut self, what: &str, value: f64) {
+        if !value.is_finite() {
+            return;
+        }
         self.values.insert(format!("{}.{what}", self.name), value);
     }
 }
@@ -228,6 +232,7 @@ impl Meets {
 pub struct SoftController<M> {
     gravity_in_world: Vector3<f64>,
     bodies: Vec<Body<M>>,
+    refused: Vec<Refused>,
 }
 
 impl<M: SoftMethod> SoftController<M> {
@@ -236,30 +241,26 @@ impl<M: SoftMethod> SoftController<M> {
     /// # Errors
     /// Names the body, and what is wrong with it.
     pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
-        let mut bodies = Vec::new();
+        let (mut bodies, mut refused) = (Vec::new(), Vec::new());
         for entity in Deformable::carriers::<M::Kind>(context.scene) {
             let Some(kind) = context.scene.get::<M::Kind>(entity) else { continue };
-            let mut body = Deformable::read(context.scene, entity)?;
-            let method = M::build(kind, &mut body, context.scene)
-                .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
-            let is_pinned = body.stays();
-            let grips = context.scene.get::<Grips>(entity).cloned().unwrap_or_default();
-            let frozen = context.scene.get::<Frozen>(entity).is_some();
-            let answering = if M::ANSWERS { Answering::new(&body, context.scene) } else { None };
-            let meets = Meets::default();
-            bodies.push(Body { body, method, is_pinned, grips, answering, frozen, meets });
+            match Body::read(kind, entity, context.scene) {
+                Ok(body) => bodies.push(body),
+                Err(error) => refused.push(Refused::of(context, entity, Still::Body, error)?),
+            }
         }
-        if bodies.is_empty() {
+        if bodies.is_empty() && refused.is_empty() {
             let (controller, kind) = (M::CONTROLLER, M::Kind::NAME);
             return Err(ControllerError::Scene(format!("{controller}: no entity has a '{kind}'")));
         }
-        Ok(Self { gravity_in_world, bodies })
+        Ok(Self { gravity_in_world, bodies, refused })
     }
 }
 
 impl<M: SoftMethod> Controller for SoftController<M> {
     fn access(&self) -> Access {
-        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
+        let refused = self.refused.iter().map(|body| body.entity);
+        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
         let access = Deformable::access(&bodies)
             .reads::<M::Kind>()
             .reads::<Pose>()
@@ -284,7 +285,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
         let done: Vec<_> = steps.into_iter().map(|step| (step.done, step.forces)).collect();
         for (body, (done, forces)) in self.bodies.iter_mut().filter(|body| !body.frozen).zip(done) {
             body.meets.forces = forces;
-            if let Err(reason) = done {
+            if let Err(reason) = done.and_then(|()| body.is_finite()) {
                 body.freeze(&reason, tick, out);
             }
         }
@@ -303,6 +304,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             measures.put("frozen", f64::from(u8::from(body.frozen)));
             body.method.measure(&body.body, &mut measures);
         }
+        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
         found.collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
         found.collisions.truncate(COLLISIONS_MAX);
         out.contribute(CollisionList { collisions: found.collisions, penetration_max: found.depth_max });
@@ -323,6 +325,28 @@ struct Found {
 }
 
 impl<M: SoftMethod> Body<M> {
+    fn read(kind: &M::Kind, entity: Entity, scene: &Snapshot) -> Result<Self, ControllerError> {
+        let mut body = Deformable::read(scene, entity)?;
+        let method = M::build(kind, &mut body, scene)
+            .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
+        let is_pinned = body.stays();
+        let grips = scene.get::<Grips>(entity).cloned().unwrap_or_default();
+        let frozen = scene.get::<Frozen>(entity).is_some();
+        let answering = if M::ANSWERS { Answering::new(&body, scene) } else { None };
+        Ok(Self { body, method, is_pinned, grips, answering, frozen, meets: Meets::default() })
+    }
+
+    /// Whether all that others will read of it are numbers, whatever its solver looked at: one of them that is none would
+    /// have everything refused that this controller says.
+    fn is_finite(&self) -> Result<(), String> {
+        finite_vertices(self.method.positions(), self.method.velocities())?;
+        let touches = self.meets.touches.iter().zip(&self.meets.forces);
+        let bad = touches.into_iter().find(|(_, force)| !force.iter().all(|x| x.is_finite()));
+        bad.map_or(Ok(()), |(touch, _)| {
+            Err(format!("the force of the contact at vertex {} is no finite number", touch.nodes[0]))
+        })
+    }
+
     /// Changes its shape, and finds out what meets it.
     fn begin(
         &mut self,
@@ -383,8 +407,8 @@ impl<M: SoftMethod> Body<M> {
     fn end(&mut self, scene: &Snapshot, tick: &Tick<'_>, found: &mut Found, out: &mut Commands) {
         let entity = self.body.entity;
         self.body.write(self.method.positions(), self.method.velocities(), out);
-        self.method.publish(&self.body, out);
         let site = self.meets.site(scene, tick);
+        self.method.publish(&self.body, &site, out);
         for (touch, force) in site.touches.iter().zip(&self.meets.forces) {
             found.depth_max = found.depth_max.max(touch.depth);
             found.pushed += force.norm();
@@ -424,6 +448,16 @@ impl<M: SoftMethod> Body<M> {
         let mut led = self.grips.picks.led(&jaws);
         led.retain(|led| !self.is_pinned[led.vertex as usize]);
         Ok(led)
+    }
+}
+
+/// Whether places and speeds are numbers; names the first vertex of which they are not.
+pub(super) fn finite_vertices(positions: &[Point3<f64>], velocities: &[Vector3<f64>]) -> Result<(), String> {
+    let place = positions.iter().position(|place| !place.iter().all(|x| x.is_finite()));
+    let speed = || velocities.iter().position(|speed| !speed.iter().all(|x| x.is_finite()));
+    match place.or_else(speed) {
+        Some(vertex) => Err(format!("vertex {vertex} came to a place or a speed that is no finite number")),
+        None => Ok(()),
     }
 }
 

@@ -17,6 +17,8 @@ use trocar_scene::{
 
 use super::deformable::Deformable;
 use super::knot_state::KnotState;
+use super::refused::{Refused, Still};
+use super::soft::finite_vertices;
 use super::thread_body::ThreadBody;
 use super::thread_edges::{EDGES_EVERY, adapt};
 use super::thread_grips::{Leading, Pull, pulls, update};
@@ -53,6 +55,7 @@ pub struct ThreadController {
     gravity_in_world: Vector3<f64>,
     cache: Option<Cache>,
     bodies: Vec<Body>,
+    refused: Vec<Refused>,
 }
 
 impl ThreadController {
@@ -66,29 +69,37 @@ impl ThreadController {
         cache: Option<PathBuf>,
         context: &BuildContext<'_>,
     ) -> Result<Self, ControllerError> {
-        let mut bodies: Vec<Body> = Vec::new();
+        let (mut bodies, mut refused): (Vec<Body>, Vec<Refused>) = (Vec::new(), Vec::new());
         for entity in Deformable::carriers::<ThreadBody>(context.scene) {
             let Some(kind) = context.scene.get::<ThreadBody>(entity) else { continue };
-            let body = Deformable::read(context.scene, entity)?;
-            let name = body.name.clone();
+            let name = context.scene.name(entity);
             let wrong = |why| ControllerError::Scene(format!("'{name}': {why}"));
-            let built = Body::new(kind.clone(), body, context.scene).map_err(wrong)?;
+            let built = Deformable::read(context.scene, entity)
+                .and_then(|body| Body::new(kind.clone(), body, context.scene).map_err(wrong));
+            let built = match built {
+                Ok(built) => built,
+                Err(error) => {
+                    refused.push(Refused::of(context, entity, Still::Body, error)?);
+                    continue;
+                }
+            };
             let around = |body: &Body| body.tied.as_ref().map(Tied::entity);
             if around(&built).is_some() && bodies.iter().any(|other| around(other) == around(&built)) {
                 return Err(wrong("tied_around: another thread is tied around the same body".into()));
             }
             bodies.push(built);
         }
-        if bodies.is_empty() {
+        if bodies.is_empty() && refused.is_empty() {
             return Err(ControllerError::Scene("thread: no entity has a 'thread'".into()));
         }
-        Ok(Self { gravity_in_world, cache: cache.map(|folder| Cache::new(&folder)), bodies })
+        Ok(Self { gravity_in_world, cache: cache.map(|folder| Cache::new(&folder)), bodies, refused })
     }
 }
 
 impl Controller for ThreadController {
     fn access(&self) -> Access {
-        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).collect();
+        let refused = self.refused.iter().map(|body| body.entity);
+        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
         let around = self.bodies.iter().filter_map(|body| body.tied.as_ref()).map(Tied::entity);
         let moved: Vec<Entity> = bodies.iter().copied().chain(around).collect();
         Deformable::access(&moved)
@@ -122,6 +133,10 @@ impl Controller for ThreadController {
                     let step = || body.step(scene, &world_from_thread, gravity, tick, out);
                     ready.then(step).transpose()
                 });
+                let done = done.and_then(|done| {
+                    let state = body.thread.state();
+                    finite_vertices(&state.positions, &state.velocities).map(|()| done)
+                });
                 match done {
                     Ok(Some(())) => {
                         body.write(out);
@@ -146,6 +161,7 @@ impl Controller for ThreadController {
             depth_max = depth_max.max(body.memory.penetration_max);
             body.measure(&mut measured);
         }
+        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
         collisions.sort_by(|a, b| b.force_in_world.norm().total_cmp(&a.force_in_world.norm()));
         collisions.truncate(COLLISIONS_MAX);
         out.contribute(CollisionList { collisions, penetration_max: depth_max });

@@ -7,16 +7,20 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
-    EntitySet, Measured, Snapshot, Tick, VitalSigns,
+    EntitySet, Frozen, Measured, Snapshot, Tick, VitalSigns,
 };
 
 use super::bleeding::VesselState;
+use super::refused::{Still, freeze};
 use crate::fluid::vital_signs::{Circulation, CirculationState, VitalSigns as Body};
 
 /// Oxygen saturation while the heart still gives a third of what it does at rest: no lung is simulated.
 const SATURATION: f64 = 0.98;
 /// Largest loss that the circulation can be told \[m³/s\].
 const LOSS_MAX: f64 = 0.01;
+
+/// More than any body has \[m³\].
+const LOST_MAX: f64 = 1.0;
 
 /// A patient whose circulation answers blood loss.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -99,6 +103,7 @@ pub struct VitalSignsController {
     patient: Entity,
     body: Body,
     accounted: f64,
+    frozen: bool,
 }
 
 impl VitalSignsController {
@@ -119,28 +124,38 @@ impl VitalSignsController {
         };
         let body = body
             .map_err(|error| ControllerError::Scene(format!("'{}': {error}", context.scene.name(patient))))?;
-        Ok(Self { patient, body, accounted: known.map_or(0.0, |known| known.accounted) })
+        let frozen = context.scene.get::<Frozen>(patient).is_some();
+        Ok(Self { patient, body, accounted: known.map_or(0.0, |known| known.accounted), frozen })
     }
 }
 
-impl Controller for VitalSignsController {
-    fn access(&self) -> Access {
-        let patient = || EntitySet::Of(vec![self.patient]);
-        Access::new()
-            .reads::<Patient>()
-            .reads::<VesselState>()
-            .writes::<VitalSigns>(patient())
-            .writes::<PatientState>(patient())
-            .writes::<Measured>(EntitySet::Own)
+impl VitalSignsController {
+    /// One step; where it cannot be, the patient is as before.
+    fn step(&mut self, tick: &Tick<'_>, scene: &Snapshot) -> Result<(), String> {
+        let dt = tick.period.as_secs_f64();
+        let mut lost = 0.0;
+        for (entity, vessel) in scene.iter::<VesselState>() {
+            if !(0.0..=LOST_MAX).contains(&vessel.bleeding.lost) {
+                let lost = vessel.bleeding.lost;
+                return Err(format!("'{}' has lost {lost:e} m³; 0 to {LOST_MAX} can be", scene.name(entity)));
+            }
+            lost += vessel.bleeding.lost;
+        }
+        let loss = ((lost - self.accounted) / dt).clamp(0.0, LOSS_MAX);
+        let before = self.body.clone();
+        let done = self.body.step(dt, loss).map_err(|error| error.to_string()).and_then(|signs| {
+            let all = [signs.heart_rate, signs.mean, signs.venous, signs.systolic, self.body.state().lost];
+            all.iter().all(|x| x.is_finite()).then_some(()).ok_or("a sign came to no finite number".into())
+        });
+        match done {
+            Ok(()) => self.accounted += loss * dt,
+            Err(_) => self.body = before,
+        }
+        done
     }
 
-    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        let dt = tick.period.as_secs_f64();
-        let lost: f64 = scene.iter::<VesselState>().map(|(_, vessel)| vessel.bleeding.lost).sum();
-        let loss = ((lost - self.accounted) / dt).clamp(0.0, LOSS_MAX);
-        let signs = self.body.step(dt, loss).map_err(|error| ControllerError::Failed(error.to_string()))?;
-        self.accounted += loss * dt;
-        let rest = self.body.circulation();
+    fn show(&self, out: &mut Commands) {
+        let (signs, rest) = (self.body.signs(), self.body.circulation());
         let share = (signs.output / (rest.rate * rest.stroke) * 3.0).min(1.0);
         out.put(
             self.patient,
@@ -160,6 +175,33 @@ impl Controller for VitalSignsController {
                 accounted: self.accounted,
             },
         );
+    }
+}
+
+impl Controller for VitalSignsController {
+    fn access(&self) -> Access {
+        let patient = || EntitySet::Of(vec![self.patient]);
+        Access::new()
+            .reads::<Patient>()
+            .reads::<VesselState>()
+            .reads::<Frozen>()
+            .writes::<Frozen>(patient())
+            .writes::<VitalSigns>(patient())
+            .writes::<PatientState>(patient())
+            .writes::<Measured>(EntitySet::Own)
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        if !self.frozen {
+            match self.step(tick, scene) {
+                Ok(()) => self.show(out),
+                Err(reason) => {
+                    self.frozen = true;
+                    freeze(self.patient, Still::Body, reason, tick, out);
+                }
+            }
+        }
+        let (signs, rest) = (self.body.signs(), self.body.circulation());
         let name = scene.name(self.patient);
         let values = [
             ("heart_rate_per_min", signs.heart_rate),
@@ -167,6 +209,7 @@ impl Controller for VitalSignsController {
             ("systolic_pressure_pa", signs.systolic),
             ("blood_lost_m3", self.body.state().lost),
             ("blood_lost_share", self.body.state().lost / rest.blood),
+            ("frozen", f64::from(u8::from(self.frozen))),
         ];
         let values: BTreeMap<String, f64> =
             values.into_iter().map(|(what, value)| (format!("{name}.{what}"), value)).collect();

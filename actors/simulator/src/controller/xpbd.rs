@@ -375,7 +375,7 @@ impl SoftMethod for XpbdMethod {
         }
     }
 
-    fn publish(&mut self, body: &Deformable, out: &mut Commands) {
+    fn publish(&mut self, body: &Deformable, _site: &Site<'_>, out: &mut Commands) {
         if let Some(coupled) = &self.coupled {
             coupled.publish(body.entity, out);
         }
@@ -389,6 +389,7 @@ impl SoftMethod for XpbdMethod {
     fn measure(&self, body: &Deformable, measures: &mut Measures<'_>) {
         measures.put("elastic_energy_j", self.of.solver.elastic_energy());
         measures.put("kinetic_energy_j", self.of.solver.kinetic_energy());
+        measures.put("inverted_elements", self.of.solver.inverted().count as f64);
         let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         measures.put("displacement_max_m", moved.fold(0.0, f64::max));
         let heights = || self.positions().iter().map(|position| position.z);

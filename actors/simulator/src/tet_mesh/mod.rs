@@ -4,42 +4,22 @@
 //! Meshes of other people come with bad elements. [`defects`] lists all of them with their numbers, [`TetMesh::new`]
 //! refuses a mesh that has any, [`TetMesh::repaired`] mends what can be mended and says what it did.
 
-#![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
-
-mod boundary;
 mod boxes;
-mod defect;
 mod halve;
 mod refine;
-mod repair;
 mod slit;
 mod volume;
 
 use nalgebra::{Matrix3, Point3, Vector3};
+use trocar_scene::mesh::repaired_tets;
 
-pub(crate) use boundary::surface;
 pub use boxes::{BoxCells, box_cells};
-pub use defect::{Defect, MeshError, defects};
 pub use refine::{NodesAndTets, RefineError, refined};
-pub use repair::Repairs;
 pub use slit::{Mark, Moving, Slit};
+pub(crate) use trocar_scene::mesh::tet_faces::surface;
+pub use trocar_scene::mesh::{BadTets as MeshError, Defect, MeshRules, Repairs, tet_defects as defects};
+pub(crate) use trocar_scene::mesh::{mean_ratio, tet_shape as shape};
 pub use volume::{Birth, FaceOf, Halved, Volume, VolumeChange, VolumeError};
-
-/// What counts as a bad element.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct MeshRules {
-    /// The least mean ratio of an element, in (0, 1]: 12 (3 V)^(2/3) over the sum of its squared edges, 1 for a regular
-    /// tetrahedron (Liu, Joe 1994). Below it an element is called a sliver.
-    pub mean_ratio_min: f64,
-    /// Nodes nearer to each other than this are called the same \[m\]; `None` where a cut may have doubled them.
-    pub coincident_within: Option<f64>,
-}
-
-impl Default for MeshRules {
-    fn default() -> Self {
-        Self { mean_ratio_min: 0.02, coincident_within: Some(0.0) }
-    }
-}
 
 /// Tetrahedra of positive volume with all that follows from their shape at rest.
 #[derive(Clone, Debug, PartialEq)]
@@ -77,7 +57,7 @@ impl TetMesh {
         tets: &[[u32; 4]],
         rules: &MeshRules,
     ) -> Result<(Self, Repairs), MeshError> {
-        let (rest, tets, repairs) = repair::repair(rest, tets, rules)?;
+        let (rest, tets, repairs) = repaired_tets(rest, tets, rules)?;
         Ok((Self::checked(rest, tets), repairs))
     }
 
@@ -88,7 +68,7 @@ impl TetMesh {
         // Not singular: volumes are positive.
         let inverse_shapes =
             shapes.iter().map(|shape| shape.try_inverse().unwrap_or_else(Matrix3::zeros)).collect();
-        let surface = boundary::surface(&tets);
+        let surface = surface(&tets);
         let mut surface_nodes: Vec<u32> = surface.iter().flatten().copied().collect();
         surface_nodes.sort_unstable();
         surface_nodes.dedup();
@@ -177,27 +157,8 @@ impl TetMesh {
     }
 }
 
-/// Edges from the first corner as columns \[m\].
-pub(crate) fn shape(positions: &[Point3<f64>], tet: &[u32; 4]) -> Matrix3<f64> {
-    let [a, b, c, d] = tet.map(|node| positions[node as usize]);
-    Matrix3::from_columns(&[b - a, c - a, d - a])
-}
-
 /// Gradients of the shape functions from the inverse of the matrix of edges.
 pub(crate) fn gradients(inverse_shape: &Matrix3<f64>) -> [Vector3<f64>; 4] {
     let [b, c, d] = [0, 1, 2].map(|row| inverse_shape.row(row).transpose());
     [-(b + c + d), b, c, d]
-}
-
-/// Mean ratio of a tetrahedron, with the sign of its volume.
-pub(crate) fn mean_ratio(positions: &[Point3<f64>], tet: &[u32; 4]) -> f64 {
-    let volume = shape(positions, tet).determinant() / 6.0;
-    let corners = tet.map(|node| positions[node as usize]);
-    let mut squares = 0.0;
-    for i in 0..4 {
-        for j in i + 1..4 {
-            squares += (corners[j] - corners[i]).norm_squared();
-        }
-    }
-    if squares > 0.0 { volume.signum() * 12.0 * (3.0 * volume.abs()).powf(2.0 / 3.0) / squares } else { 0.0 }
 }

@@ -11,10 +11,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::boundary::OPPOSITE;
 use super::volume::{Birth, FaceOf, Volume, VolumeChange, VolumeError};
 use super::{mean_ratio, shape};
 use crate::cutting::Sweep;
+use trocar_scene::mesh::tet_faces::OPPOSITE;
 
 /// Parts of the mean edge than which no edge becomes shorter.
 const EDGE_SHARE_MIN: f64 = 0.2;

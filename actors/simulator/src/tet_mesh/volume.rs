@@ -8,8 +8,8 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::boundary::{OPPOSITE, faces};
 use super::{MeshError, MeshRules, TetMesh};
+use trocar_scene::mesh::tet_faces::{OPPOSITE, faces};
 
 /// A face of an element: the element, and the corner that it is opposite to.
 pub type FaceOf = (u32, u8);

@@ -54,7 +54,7 @@ impl<C: Controller> Stage<C> {
     ) -> Self {
         let registry = store.view().registry().clone();
         let period = SimTime::from_secs_f64(1.0 / hz);
-        let controller = build(&context(&store, SimTime::ZERO)).unwrap_or_else(|error| panic!("{error}"));
+        let controller = build(&context(&store, SimTime::ZERO, 1)).unwrap_or_else(|error| panic!("{error}"));
         let rules = WriterRules::compile(&controller.access(), &registry, Entity::of_writer(0, ME))
             .expect("its access is right");
         let commands = Commands::new(registry.clone(), EntityAllocator::new(0, ME));
@@ -107,7 +107,8 @@ impl<C: Controller> Stage<C> {
         &mut self,
         build: impl FnOnce(&BuildContext<'_>) -> Result<C, trocar_scene::ControllerError>,
     ) {
-        self.controller = build(&context(&self.store, self.now())).unwrap_or_else(|error| panic!("{error}"));
+        self.controller =
+            build(&context(&self.store, self.now(), 2)).unwrap_or_else(|error| panic!("{error}"));
     }
 
     pub fn entity(&self, name: &str) -> Entity {
@@ -131,13 +132,13 @@ impl<C: Controller> Stage<C> {
     }
 }
 
-fn context(store: &Store, time: SimTime) -> BuildContext<'_> {
+fn context(store: &Store, time: SimTime, epoch: u32) -> BuildContext<'_> {
     BuildContext {
         scene: store.view(),
         time,
         name: "controller",
         me: Entity::of_writer(0, ME),
-        epoch: 1,
+        epoch,
         seed: 1,
     }
 }

@@ -1,12 +1,12 @@
 //! What a session does without: because the system refused it, because it had to be taken away, because a solver gave up.
 
 use trocar_devices::Scheduling;
-use trocar_scene::{Doubtful, Frozen, Snapshot};
+use trocar_scene::{Doubtful, Frozen, HeatFrozen, MeshRepaired, Snapshot};
 
 use super::{Running, Session};
 
-/// Bodies that stand still because their solver could not go on, and those that move on beyond what their method is right
-/// for, one sentence each.
+/// Bodies that stand still because their solver could not go on, those that move on beyond what their method is right
+/// for, and those whose mesh had to be mended, one sentence each.
 #[must_use]
 pub fn doubts(scene: &Snapshot) -> Vec<String> {
     let frozen = scene.iter::<Frozen>().map(|(body, frozen)| {
@@ -17,7 +17,14 @@ pub fn doubts(scene: &Snapshot) -> Vec<String> {
         let since = doubtful.since.as_secs_f64();
         format!("{}: since {since:.2} s {}", scene.name(body), doubtful.reason)
     });
-    frozen.chain(doubtful).collect()
+    let heat = scene.iter::<HeatFrozen>().map(|(body, frozen)| {
+        let since = frozen.since.as_secs_f64();
+        format!("{}: its heat stands still since {since:.2} s: {}", scene.name(body), frozen.reason)
+    });
+    let repaired = scene
+        .iter::<MeshRepaired>()
+        .map(|(body, repaired)| format!("{}: its mesh was mended: {}", scene.name(body), repaired.what));
+    frozen.chain(heat).chain(doubtful).chain(repaired).collect()
 }
 
 impl Session {

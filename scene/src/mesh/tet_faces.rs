@@ -1,18 +1,22 @@
 //! Faces of tetrahedra: who shares which, and those that nobody shares.
 
 /// Corners of the face opposite to each corner, counter-clockwise seen from outside a positive element.
-pub(super) const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+pub const OPPOSITE: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
 /// A face of an element: its corners in ascending order, and as they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct Face {
+pub struct Face {
+    /// Its corners, ascending.
     pub sorted: [u32; 3],
+    /// The element.
     pub tet: u32,
+    /// Its corners, counter-clockwise seen from outside a positive element.
     pub corners: [u32; 3],
 }
 
 impl Face {
     /// Whether the corners run in the sense of the ascending order.
+    #[must_use]
     pub fn ascending(&self) -> bool {
         let [a, b, c] = self.corners;
         let smallest = a.min(b).min(c);
@@ -27,7 +31,8 @@ impl Face {
 }
 
 /// All faces of all elements, those with the same corners next to each other.
-pub(super) fn faces(tets: &[[u32; 4]]) -> Vec<Face> {
+#[must_use]
+pub fn faces(tets: &[[u32; 4]]) -> Vec<Face> {
     let mut faces = Vec::with_capacity(4 * tets.len());
     for (tet, nodes) in tets.iter().enumerate() {
         for opposite in OPPOSITE {
@@ -42,7 +47,8 @@ pub(super) fn faces(tets: &[[u32; 4]]) -> Vec<Face> {
 }
 
 /// Faces of one element only, in the order of the elements.
-pub(crate) fn surface(tets: &[[u32; 4]]) -> Vec<[u32; 3]> {
+#[must_use]
+pub fn surface(tets: &[[u32; 4]]) -> Vec<[u32; 3]> {
     let faces = faces(tets);
     let mut alone: Vec<Face> = faces
         .chunk_by(|one, other| one.sorted == other.sorted)

@@ -1,9 +1,10 @@
 //! Mending a mesh: what was done is said, what cannot be done is refused.
 
+use std::fmt;
+
 use nalgebra::Point3;
 
-use super::MeshRules;
-use super::defect::{Defect, MeshError, defects, pairs_within};
+use super::tet_defects::{BadTets, Defect, MeshRules, pairs_within, tet_defects};
 
 /// What was mended, by the numbers of the mesh that came.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -33,14 +34,48 @@ impl Repairs {
     }
 }
 
-type Repaired = (Vec<Point3<f64>>, Vec<[u32; 4]>, Repairs);
+/// Numbers of each kind that a message shows; the rest are counted.
+const SHOWN: usize = 8;
 
-pub(super) fn repair(
+impl fmt::Display for Repairs {
+    /// What was done, with the numbers of the first few of each kind.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let merged: Vec<u32> = self.merged_nodes.iter().map(|(which, _)| *which).collect();
+        let done = [
+            ("inverted elements turned", &self.turned_tets),
+            ("elements dropped that were flat, slivers or there already", &self.dropped_tets),
+            ("nodes merged with others at their place", &merged),
+            ("nodes dropped that no element uses", &self.dropped_nodes),
+        ];
+        if self.is_empty() {
+            return write!(out, "nothing had to be mended");
+        }
+        let mut joint = "";
+        for (what, numbers) in done.into_iter().filter(|(_, numbers)| !numbers.is_empty()) {
+            let shown: Vec<String> = numbers.iter().take(SHOWN).map(u32::to_string).collect();
+            let more = if numbers.len() > SHOWN { ", …" } else { "" };
+            write!(out, "{joint}{} {what} ({}{more})", numbers.len(), shown.join(", "))?;
+            joint = "; ";
+        }
+        Ok(())
+    }
+}
+
+/// Nodes, elements, and what was done to them.
+pub type RepairedTets = (Vec<Point3<f64>>, Vec<[u32; 4]>, Repairs);
+
+/// Mends what can be mended: inverted elements are turned, coincident nodes merged, elements without volume, slivers and
+/// repeated elements dropped, as are nodes that no element uses. The numbering of what stays follows the old.
+///
+/// # Errors
+/// [`BadTets`] with the defects that cannot be mended: coordinates that are no numbers, corners that do not exist, faces of
+/// more than two elements, elements that overlap, or nothing left.
+pub fn repaired_tets(
     rest: &[Point3<f64>],
     tets: &[[u32; 4]],
     rules: &MeshRules,
-) -> Result<Repaired, MeshError> {
-    let beyond: Vec<_> = defects(rest, tets, rules)
+) -> Result<RepairedTets, BadTets> {
+    let beyond: Vec<_> = tet_defects(rest, tets, rules)
         .into_iter()
         .filter(|defect| {
             matches!(
@@ -50,7 +85,7 @@ pub(super) fn repair(
         })
         .collect();
     if !beyond.is_empty() {
-        return Err(MeshError { defects: beyond });
+        return Err(BadTets { defects: beyond });
     }
     let mut repairs = Repairs::default();
     let mut into: Vec<u32> = (0..rest.len() as u32).collect();
@@ -64,7 +99,7 @@ pub(super) fn repair(
     // Those of single elements first: whether neighbours overlap can be said of sound elements only.
     let unmerged = MeshRules { coincident_within: None, ..*rules };
     let mut dropped = vec![false; tets.len()];
-    for defect in defects(rest, &mended, &unmerged) {
+    for defect in tet_defects(rest, &mended, &unmerged) {
         match defect {
             Defect::Inverted { tet, .. } => {
                 mended[tet as usize].swap(2, 3);
@@ -113,7 +148,7 @@ pub(super) fn repair(
     let nodes: Vec<_> = repairs.kept_nodes.iter().map(|&node| rest[node as usize]).collect();
     let elements: Vec<_> =
         repairs.kept_tets.iter().map(|&tet| mended[tet as usize].map(|node| number[node as usize])).collect();
-    let left = defects(&nodes, &elements, &unmerged);
+    let left = tet_defects(&nodes, &elements, &unmerged);
     if left.is_empty() {
         return Ok((nodes, elements, repairs));
     }
@@ -135,5 +170,5 @@ pub(super) fn repair(
             other => other,
         })
         .collect();
-    Err(MeshError { defects })
+    Err(BadTets { defects })
 }

@@ -1,13 +1,30 @@
 //! What can be wrong with a tetrahedral mesh: everything is listed, not the first only.
 
+#![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
+
 use std::cmp::Ordering;
 use std::fmt;
 
-use nalgebra::Point3;
+use nalgebra::{Matrix3, Point3};
 use thiserror::Error;
 
-use super::boundary::faces;
-use super::{MeshRules, mean_ratio, shape};
+use super::tet_faces::faces;
+
+/// What counts as a bad element.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MeshRules {
+    /// The least mean ratio of an element, in (0, 1]: 12 (3 V)^(2/3) over the sum of its squared edges, 1 for a regular
+    /// tetrahedron (Liu, Joe 1994). Below it an element is called a sliver.
+    pub mean_ratio_min: f64,
+    /// Nodes nearer to each other than this are called the same \[m\]; `None` where a cut may have doubled them.
+    pub coincident_within: Option<f64>,
+}
+
+impl Default for MeshRules {
+    fn default() -> Self {
+        Self { mean_ratio_min: 0.02, coincident_within: Some(0.0) }
+    }
+}
 
 /// One thing that is wrong with a mesh. Nodes and elements by their numbers in what was given.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -125,28 +142,40 @@ pub enum Defect {
 
 /// A mesh that cannot be used, and all that is wrong with it.
 #[derive(Clone, Debug, PartialEq)]
-pub struct MeshError {
+pub struct BadTets {
     /// Every defect: of nodes, of elements, of faces.
     pub defects: Vec<Defect>,
 }
 
-/// Defects that a message shows; the rest are counted.
-const SHOWN: usize = 8;
+/// Defects of a kind that a message shows; the rest are counted.
+const SHOWN: usize = 4;
 
-impl fmt::Display for MeshError {
+impl fmt::Display for BadTets {
+    /// Some of every kind, so that the many of one do not hide the few of another.
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(out, "the tetrahedral mesh has {} defects", self.defects.len())?;
-        for (index, defect) in self.defects.iter().take(SHOWN).enumerate() {
-            write!(out, "{} {defect}", if index == 0 { ":" } else { ";" })?;
+        let mut told = Vec::new();
+        for defect in &self.defects {
+            let kind = std::mem::discriminant(defect);
+            if told.contains(&kind) {
+                continue;
+            }
+            let alike = || self.defects.iter().filter(|other| std::mem::discriminant(*other) == kind);
+            for one in alike().take(SHOWN) {
+                let first = told.is_empty() && std::ptr::eq(one, defect);
+                write!(out, "{} {one}", if first { ":" } else { ";" })?;
+            }
+            match alike().count().saturating_sub(SHOWN) {
+                0 => {}
+                more => write!(out, "; and {more} more of this kind")?,
+            }
+            told.push(kind);
         }
-        match self.defects.len().saturating_sub(SHOWN) {
-            0 => Ok(()),
-            more => write!(out, "; and {more} more"),
-        }
+        Ok(())
     }
 }
 
-impl std::error::Error for MeshError {}
+impl std::error::Error for BadTets {}
 
 /// Volume over the cube of the longest edge below which a tetrahedron counts as flat: its orientation is rounding.
 const FLAT: f64 = 1e-12;
@@ -154,7 +183,7 @@ const FLAT: f64 = 1e-12;
 /// Everything that is wrong: of nodes, then of elements, then of faces. Elements that name no real node are left out of
 /// the later tests.
 #[must_use]
-pub fn defects(rest: &[Point3<f64>], tets: &[[u32; 4]], rules: &MeshRules) -> Vec<Defect> {
+pub fn tet_defects(rest: &[Point3<f64>], tets: &[[u32; 4]], rules: &MeshRules) -> Vec<Defect> {
     let most = (u32::MAX / 4) as usize;
     if rest.len() > most || tets.len() > most {
         return vec![Defect::TooMany { nodes: rest.len(), tets: tets.len() }];
@@ -208,7 +237,7 @@ fn element(
     if found.len() > before || corners.iter().any(|&node| !finite[node as usize]) {
         return;
     }
-    let shape = shape(rest, corners);
+    let shape = tet_shape(rest, corners);
     let volume = shape.determinant() / 6.0;
     let longest = shape.column_iter().map(|edge| edge.norm()).fold(0.0, f64::max);
     // The negation holds for an overflow too.
@@ -294,4 +323,33 @@ pub(super) fn pairs_within(rest: &[Point3<f64>], within: f64) -> Vec<[u32; 2]> {
     pairs.sort_unstable_by_key(|&[first, second]| (second, first));
     pairs.dedup_by_key(|pair| pair[1]);
     pairs
+}
+
+/// Edges of a tetrahedron from its first corner, as columns \[m\].
+///
+/// # Panics
+/// When a corner is out of range.
+#[inline]
+#[must_use]
+pub fn tet_shape(positions: &[Point3<f64>], tet: &[u32; 4]) -> Matrix3<f64> {
+    let [a, b, c, d] = tet.map(|node| positions[node as usize]);
+    Matrix3::from_columns(&[b - a, c - a, d - a])
+}
+
+/// Mean ratio of a tetrahedron, with the sign of its volume: see [`MeshRules::mean_ratio_min`].
+///
+/// # Panics
+/// When a corner is out of range.
+#[inline]
+#[must_use]
+pub fn mean_ratio(positions: &[Point3<f64>], tet: &[u32; 4]) -> f64 {
+    let volume = tet_shape(positions, tet).determinant() / 6.0;
+    let corners = tet.map(|node| positions[node as usize]);
+    let mut squares = 0.0;
+    for i in 0..4 {
+        for j in i + 1..4 {
+            squares += (corners[j] - corners[i]).norm_squared();
+        }
+    }
+    if squares > 0.0 { volume.signum() * 12.0 * (3.0 * volume.abs()).powf(2.0 / 3.0) / squares } else { 0.0 }
 }

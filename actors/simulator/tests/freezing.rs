@@ -1,0 +1,266 @@
+//! What cannot be stops the one body that it is of, at its last good state and with a reason; the others go on, and another
+//! life of the controller keeps it so.
+
+mod stage;
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Vector3};
+use stage::{Stage, scene};
+use trocar_scene::{
+    BuildContext, Controller, ControllerError, Doubtful, Entity, Frozen, HeatFrozen, RestPositions, SimTime,
+    VertexPositions, VertexVelocities,
+};
+use trocar_simulator::controller::smoke::Plume;
+use trocar_simulator::controller::{
+    BleedingController, DynamicFemController, ElectrosurgeryController, FluidController, LinearFemController,
+    MassSpringController, SmokeController, ThreadController, VesselState, VitalSignsController,
+    XpbdController,
+};
+
+const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
+
+type Build<C> = fn(&BuildContext<'_>) -> Result<C, ControllerError>;
+
+/// Two bodies alike, of a mesh and a kind.
+fn two(mesh: &str, kind: &str) -> String {
+    ["good", "bad"]
+        .map(|name| format!("[[entity]]\nname = \"{name}\"\nmesh = {{ {mesh} }}\n{kind}\n"))
+        .concat()
+}
+
+fn positions<C: Controller>(stage: &Stage<C>, name: &str) -> Vec<Point3<f64>> {
+    stage.get::<VertexPositions>(name).positions.to_vec()
+}
+
+/// That 'bad' stands still where it is, with a reason, while 'good' moves; in this life and in the next.
+fn stands_still<C: Controller>(stage: &mut Stage<C>, build: Build<C>, says: &str) {
+    let frozen = stage.get::<Frozen>("bad");
+    assert!(frozen.reason.contains(says), "'{says}' is missing in '{}'", frozen.reason);
+    let at = positions(stage, "bad");
+    for _ in 0..2 {
+        let before = positions(stage, "good");
+        (0..3).for_each(|_| stage.tick());
+        assert_eq!(positions(stage, "bad"), at);
+        assert_ne!(positions(stage, "good"), before, "the other goes on");
+        assert!(!stage.has::<Frozen>("good"));
+        assert_eq!(stage.measured("bad.frozen"), 1.0);
+        assert_eq!(stage.measured("good.frozen"), 0.0);
+        stage.rebuild(build);
+    }
+    assert_eq!(stage.get::<Frozen>("bad"), frozen, "the first reason stays");
+}
+
+/// Somebody writes that the first vertex moves faster than anything can; another life takes that up.
+fn too_fast<C: Controller>(text: &str, hz: f64, build: Build<C>, says: &str) {
+    let mut stage = Stage::new(scene(text), hz, build);
+    (0..3).for_each(|_| stage.tick());
+    assert!(!stage.has::<Frozen>("bad"), "{}", stage.get::<Frozen>("bad").reason);
+    let mut velocities = stage.get::<VertexVelocities>("bad").velocities.to_vec();
+    velocities[0] = Vector3::new(1e200, -1e200, 1e200);
+    stage.put("bad", VertexVelocities { velocities: Arc::new(velocities) });
+    let good = positions(&stage, "bad");
+    stage.rebuild(build);
+    stage.tick();
+    assert_eq!(positions(&stage, "bad"), good, "its last good state");
+    stands_still(&mut stage, build, says);
+}
+
+/// The first elements of 'bad' have lost their volume: refused in a first life, frozen in a later one.
+fn collapse<C: Controller>(stage: &mut Stage<C>, build: Build<C>) {
+    let mut rest = positions(stage, "bad");
+    let first = rest[0];
+    rest.iter_mut().take(8).for_each(|at| *at = first);
+    stage.put("bad", RestPositions { positions: Arc::new(rest) });
+    let context = BuildContext {
+        scene: stage.store.view(),
+        time: SimTime::ZERO,
+        name: "controller",
+        me: Entity::of_writer(0, 7),
+        epoch: 1,
+        seed: 1,
+    };
+    let refused = build(&context).err().expect("a mistake of whoever wrote it").to_string();
+    assert!(refused.contains("'bad'"), "{refused}");
+    stage.rebuild(build);
+    stage.tick();
+}
+
+const BLOCK: &str = "block = { size = [0.02, 0.02, 0.02], cells = [2, 2, 2] }";
+
+fn dynamic_fem(context: &BuildContext<'_>) -> Result<DynamicFemController, ControllerError> {
+    DynamicFemController::new(GRAVITY, context)
+}
+fn xpbd(context: &BuildContext<'_>) -> Result<XpbdController, ControllerError> {
+    XpbdController::new(GRAVITY, context)
+}
+fn mass_spring(context: &BuildContext<'_>) -> Result<MassSpringController, ControllerError> {
+    MassSpringController::new(GRAVITY, context)
+}
+fn thread(context: &BuildContext<'_>) -> Result<ThreadController, ControllerError> {
+    ThreadController::new(GRAVITY, None, context)
+}
+fn fluid(context: &BuildContext<'_>) -> Result<FluidController, ControllerError> {
+    FluidController::new(GRAVITY, context)
+}
+fn smoke(context: &BuildContext<'_>) -> Result<SmokeController, ControllerError> {
+    SmokeController::new(GRAVITY, context)
+}
+
+const XPBD: &str =
+    "xpbd = { matter = { volume = { young_modulus = 5000.0, poisson_ratio = 0.3, density = 1060.0 } } }";
+
+#[test]
+fn a_soft_body_that_is_too_fast_stops_alone() {
+    too_fast(&two(BLOCK, "dynamic_fem = {}"), 100.0, dynamic_fem, "");
+    too_fast(&two(BLOCK, XPBD), 200.0, xpbd, "node");
+    let cloth = "sheet = { size = [0.02, 0.02], cells = [4, 4] }";
+    too_fast(&two(cloth, "mass_spring = { method = \"implicit\" }"), 200.0, mass_spring, "node");
+}
+
+#[test]
+fn a_soft_body_whose_elements_have_lost_their_volume_is_refused_at_the_start_and_frozen_later() {
+    let mut stage = Stage::new(scene(&two(BLOCK, "dynamic_fem = {}")), 100.0, dynamic_fem as Build<_>);
+    (0..3).for_each(|_| stage.tick());
+    collapse(&mut stage, dynamic_fem);
+    stands_still(&mut stage, dynamic_fem, "defects");
+    let mut stage = Stage::new(scene(&two(BLOCK, XPBD)), 200.0, xpbd as Build<_>);
+    (0..3).for_each(|_| stage.tick());
+    collapse(&mut stage, xpbd);
+    stands_still(&mut stage, xpbd, "tetrahedron");
+}
+
+#[test]
+fn a_linear_organ_whose_elements_have_lost_their_volume_is_frozen_and_the_other_answers() {
+    fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerError> {
+        LinearFemController::new(None, context)
+    }
+    let held = "linear_fem = {}\n\
+                anchors = { regions = [{ box = { min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0099] } }] }";
+    let mut stage = Stage::new(scene(&two(BLOCK, held)), 60.0, build as Build<_>);
+    (0..3).for_each(|_| stage.tick());
+    collapse(&mut stage, build);
+    for _ in 0..2 {
+        (0..3).for_each(|_| stage.tick());
+        let frozen = stage.get::<Frozen>("bad");
+        assert!(frozen.reason.contains("defects") && frozen.reason.contains("'bad'"), "{}", frozen.reason);
+        assert!(!stage.has::<Frozen>("good"));
+        let told = (stage.measured("bad.frozen"), stage.measured("good.precomputed_share"));
+        assert_eq!(told, (1.0, 1.0), "the other is there");
+        stage.rebuild(build);
+    }
+}
+
+#[test]
+fn a_thread_that_is_too_fast_stops_alone() {
+    let line = "line = { length = 0.02, segments = 10, radius = 0.00015 }";
+    too_fast(&two(line, "thread = { suture = \"silk2_0\" }"), 500.0, thread, "");
+}
+
+#[test]
+fn heat_of_a_body_that_somebody_else_moves_stands_still_in_the_scene() {
+    let build: Build<_> = ElectrosurgeryController::new;
+    let mut stage = Stage::new(scene(&two(BLOCK, &format!("cauterised = {{}}\n{XPBD}"))), 100.0, build);
+    stage.tick();
+    assert!(!stage.has::<HeatFrozen>("bad"));
+    collapse(&mut stage, build);
+    for _ in 0..2 {
+        (0..3).for_each(|_| stage.tick());
+        assert!(!stage.has::<Frozen>("bad"), "whoever moves it says that");
+        assert!(stage.get::<HeatFrozen>("bad").reason.contains("'bad'"));
+        assert!(!stage.has::<HeatFrozen>("good"));
+        assert_eq!((stage.measured("bad.heat_frozen"), stage.measured("good.heat_frozen")), (1.0, 0.0));
+        stage.rebuild(build);
+    }
+    // What is only known from an earlier life stays, of a body with which nothing is wrong now.
+    stage.put("good", HeatFrozen { reason: "a step too large".into(), since: stage.now() });
+    stage.rebuild(build);
+    stage.tick();
+    assert_eq!(stage.measured("good.heat_frozen"), 1.0);
+}
+
+#[test]
+fn a_vessel_that_leaves_the_world_stops_bleeding_alone_and_the_patient_goes_on() {
+    let build: Build<_> = BleedingController::new;
+    let line = "line = { length = 0.03, segments = 6, radius = 0.001 }";
+    let mut stage = Stage::new(scene(&two(line, "vessel = { injury = 0.5 }")), 100.0, build);
+    (0..3).for_each(|_| stage.tick());
+    let lost = stage.measured("bad.lost_m3");
+    assert!(lost > 0.0);
+    let mut vertices = positions(&stage, "bad");
+    vertices[3].y = 1e300;
+    stage.put("bad", VertexPositions { positions: Arc::new(vertices) });
+    for _ in 0..2 {
+        let before = stage.get::<VesselState>("good").bleeding.lost;
+        (0..3).for_each(|_| stage.tick());
+        assert!(stage.get::<Frozen>("bad").reason.contains("vertex 3"));
+        let bad = stage.get::<VesselState>("bad");
+        assert_eq!((bad.bleeding.lost, bad.rate), (lost, 0.0));
+        assert!(bad.place.iter().all(|x| x.abs() < 1.0), "{}", bad.place);
+        assert!(stage.get::<VesselState>("good").bleeding.lost > before);
+        assert!(!stage.has::<Frozen>("good"));
+        stage.rebuild(build);
+    }
+}
+
+#[test]
+fn a_patient_who_lost_what_nobody_has_stands_still_and_does_not_take_the_controller_along() {
+    let vessel = "[[entity]]\nname = \"artery\"\nmesh = { line = { length = 0.03, segments = 6, radius = 0.001 } }\n\
+                  vessel = { injury = 0.5 }\n[[entity]]\nname = \"patient\"\npatient = {}\n";
+    let mut bleeding = Stage::new(scene(vessel), 100.0, BleedingController::new);
+    bleeding.tick();
+    let mut state = bleeding.get::<VesselState>("artery");
+    let build: Build<_> = VitalSignsController::new;
+    let mut stage = Stage::new(scene(vessel), 100.0, build);
+    stage.put("artery", state.clone());
+    stage.tick();
+    assert!(!stage.has::<Frozen>("patient"));
+    let pressure = stage.measured("patient.arterial_pressure_pa");
+    state.bleeding.lost = 1e300;
+    stage.put("artery", state);
+    for _ in 0..2 {
+        (0..3).for_each(|_| stage.tick());
+        assert!(stage.get::<Frozen>("patient").reason.contains("'artery'"));
+        assert_eq!(stage.measured("patient.arterial_pressure_pa"), pressure);
+        stage.rebuild(build);
+    }
+}
+
+#[test]
+fn smoke_of_more_than_there_is_stands_still_and_names_who_gave_it_off() {
+    let text = "[[entity]]\nname = \"cloud\"\nsmoke = {}\n[[entity]]\nname = \"fold\"\n";
+    let mut stage = Stage::new(scene(text), 50.0, smoke as Build<_>);
+    stage.put("fold", Plume { emitted: 1e-8, place: Point3::origin() });
+    (0..3).for_each(|_| stage.tick());
+    let puffs = stage.measured("cloud.puffs");
+    assert!(puffs > 0.0 && !stage.has::<Frozen>("cloud"));
+    stage.put("fold", Plume { emitted: 1e300, place: Point3::origin() });
+    for _ in 0..2 {
+        (0..3).for_each(|_| stage.tick());
+        assert!(stage.get::<Frozen>("cloud").reason.contains("'fold'"));
+        assert_eq!(stage.measured("cloud.puffs"), puffs);
+        stage.rebuild(smoke);
+    }
+}
+
+#[test]
+fn a_wall_that_leaves_the_world_is_taken_where_it_was_and_the_liquid_goes_on() {
+    let text = "[[entity]]\nname = \"blood\"\nliquid = { spacing = 0.002 }\n\
+                [[entity]]\nname = \"floor\"\nmesh = { sheet = { size = [0.02, 0.02], cells = [2, 2] } }\nliquid_wall = {}\n";
+    let mut stage = Stage::new(scene(text), 100.0, fluid as Build<_>);
+    stage.tick();
+    assert_eq!((stage.measured("blood.held_walls"), stage.has::<Doubtful>("blood")), (0.0, false));
+    let sound = positions(&stage, "floor");
+    let mut vertices = sound.clone();
+    vertices[1].z = 1e300;
+    stage.put("floor", VertexPositions { positions: Arc::new(vertices) });
+    for _ in 0..2 {
+        stage.tick();
+        assert_eq!((stage.measured("blood.held_walls"), stage.measured("blood.frozen")), (1.0, 0.0));
+        assert!(stage.get::<Doubtful>("blood").reason.contains("'floor'"));
+        stage.rebuild(fluid);
+    }
+    stage.put("floor", VertexPositions { positions: Arc::new(sound) });
+    stage.tick();
+    assert_eq!(stage.measured("blood.held_walls"), 0.0);
+}
