@@ -180,6 +180,9 @@ fn a_needle_goes_through_a_pad_and_draws_its_thread_after_it() {
 fn three_throws_are_drawn_tight_and_hold_and_less_does_not() {
     let tied = holds("knot");
     assert!(outcome(&tied, "thread.slip_m") > 0.0, "what bears a load gives way");
+    // Three throws that all go to the same side are another knot, and that is seen.
+    let granny = run("knot", &[("half_turns = [3, -3, 3]", "half_turns = [3, 3, 3]")]);
+    assert!(!granny.summary.task.completed && outcome(&granny, "thread.knot_alternates") == 0.0);
     // Without friction the knot is gone, and a single throw opens.
     let smooth = run("knot", &[("friction = { value = 0.3", "friction = { value = 0.0")]);
     assert_eq!(outcome(&smooth, "thread.knot"), 0.0);
