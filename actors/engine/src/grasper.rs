@@ -9,12 +9,13 @@ use rapier3d_f64::dynamics::{
     CoefficientCombineRule, GenericJointBuilder, ImpulseJointHandle, JointAxesMask, JointAxis, MotorModel,
     RigidBodyBuilder, RigidBodyHandle,
 };
-use rapier3d_f64::geometry::{ColliderBuilder, ColliderHandle, InteractionGroups};
-use rapier3d_f64::math::Vector;
+use rapier3d_f64::geometry::{ColliderBuilder, ColliderHandle, InteractionGroups, SharedShape};
+use rapier3d_f64::math::{Pose as RapierPose, Vector};
 use rapier3d_f64::pipeline::PhysicsWorld;
 use rapier3d_f64::prelude::MassProperties;
 use trocar_scene::components::{Instrument, InstrumentTarget, Velocity};
 use trocar_scene::entity::Entity;
+use trocar_scene::shapes::working_end;
 use trocar_scene::time::SimTime;
 
 use trocar_simulator::instrument::coupling::{VirtualCoupling, Wrench};
@@ -42,6 +43,32 @@ const ASSIST_LEVER: f64 = 0.004;
 struct Assist {
     joint: ImpulseJointHandle,
     body: RigidBodyHandle,
+}
+
+/// What of an instrument does not turn with its jaws: its shaft, and whatever its end is made of.
+fn rigid_part(instrument: &Instrument) -> SharedShape {
+    let radius = instrument.shaft_radius;
+    let end = working_end(instrument);
+    // A rod that has neither jaws nor anything else there reaches to the tip.
+    let front = if jaw_count(instrument) == 0 && end.is_empty() { 0.0 } else { instrument.jaw_length };
+    let reach = SHAFT_REACH.min(instrument.shaft_length - front).max(2.0 * radius);
+    let (near, far) = (-front - radius, -front - reach);
+    let shaft = SharedShape::capsule(
+        Vector::new(0.0, 0.0, near),
+        Vector::new(0.0, 0.0, far.min(near - 1e-6)),
+        radius,
+    );
+    if end.is_empty() {
+        return shaft;
+    }
+    let pieces = end.iter().flat_map(|rod| {
+        let to_rapier = |point: &Point3<f64>| vector_to_rapier(&point.coords);
+        rod.axis
+            .windows(2)
+            .map(move |piece| SharedShape::capsule(to_rapier(&piece[0]), to_rapier(&piece[1]), rod.radius))
+    });
+    let parts = std::iter::once(shaft).chain(pieces).map(|part| (RapierPose::IDENTITY, part));
+    SharedShape::compound(parts.collect())
 }
 
 /// An instrument in the world.
@@ -99,21 +126,12 @@ impl Grasper {
                 palm_mass,
                 vector_to_rapier(&moments),
             ));
-        let radius = instrument.shaft_radius;
-        // A rod without jaws reaches to the tip.
-        let front = if jaw_count(instrument) == 0 { 0.0 } else { instrument.jaw_length };
-        let reach = SHAFT_REACH.min(instrument.shaft_length - front).max(2.0 * radius);
-        let (near, far) = (-front - radius, -front - reach);
-        let shaft = ColliderBuilder::capsule_from_endpoints(
-            Vector::new(0.0, 0.0, near),
-            Vector::new(0.0, 0.0, far.min(near - 1e-6)),
-            radius,
-        )
-        .density(0.0)
-        .friction(instrument.jaw_friction.min(0.2))
-        .friction_combine_rule(CoefficientCombineRule::GeometricMean)
-        .collision_groups(groups[0])
-        .user_data(user_data(None));
+        let shaft = ColliderBuilder::new(rigid_part(instrument))
+            .density(0.0)
+            .friction(instrument.jaw_friction.min(0.2))
+            .friction_combine_rule(CoefficientCombineRule::GeometricMean)
+            .collision_groups(groups[0])
+            .user_data(user_data(None));
         let (palm, shaft) = world.insert(body, shaft);
         let jaws = Jaws::insert(
             world,

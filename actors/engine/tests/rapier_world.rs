@@ -8,6 +8,9 @@ use trocar_engine::EngineSettings;
 pub(crate) use trocar_engine::RigidWorld as W;
 pub(crate) use trocar_engine::world::INSTRUMENTS_MAX as TOOLS_MAX;
 
+/// Whether contacts that others have found are springs, which give way, or kept by impulses.
+pub(crate) const GIVES_WAY: bool = true;
+
 pub(crate) fn settings(gravity_in_world: Vector3<f64>, floor_height: Option<f64>) -> EngineSettings {
     EngineSettings { gravity_in_world, floor_height, ..EngineSettings::default() }
 }

@@ -3,3 +3,5 @@
 mod bodies;
 mod controller;
 mod grasping;
+mod instruments;
+mod surfaces;

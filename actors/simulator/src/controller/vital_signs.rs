@@ -142,7 +142,7 @@ impl VitalSignsController {
             lost += vessel.bleeding.lost;
         }
         let loss = ((lost - self.accounted) / dt).clamp(0.0, LOSS_MAX);
-        let before = self.body.clone();
+        let before = self.body;
         let done = self.body.step(dt, loss).map_err(|error| error.to_string()).and_then(|signs| {
             let all = [signs.heart_rate, signs.mean, signs.venous, signs.systolic, self.body.state().lost];
             all.iter().all(|x| x.is_finite()).then_some(()).ok_or("a sign came to no finite number".into())
