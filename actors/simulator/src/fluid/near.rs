@@ -277,8 +277,9 @@ mod tests {
             std::array::from_fn(|_| (0..WORD).map(|_| random.random_range(0.0..1.0)).collect());
         let place = [0.5, 0.4, 0.6, 0.0];
         let mask = within(&place, 0.16, axes.each_ref().map(Vec::as_slice));
-        for lane in 0..WORD {
-            let square: f32 = (0..3).map(|axis| (axes[axis][lane] - place[axis]).powi(2)).sum();
+        let [xs, ys, zs] = &axes;
+        for (lane, ((x, y), z)) in xs.iter().zip(ys).zip(zs).enumerate() {
+            let square = (x - place[0]).powi(2) + (y - place[1]).powi(2) + (z - place[2]).powi(2);
             assert_eq!(mask >> lane & 1 == 1, square < 0.16, "{lane}: {square}");
         }
         assert!((8..56).contains(&mask.count_ones()), "{mask:b}");
