@@ -106,7 +106,7 @@ impl CauterisedBody {
 pub struct ElectrodeTip {
     /// Power at full activation \[W\].
     pub power: f64,
-    /// Whether it coagulates where its [`Activation`] does not say which current; else it cuts.
+    /// Whether it coagulates where its `Activation` does not say which current; else it cuts.
     pub coagulates: bool,
     /// Area of its bare metal \[m²\], a ball's: how much of that is in contact is found by how deep it is in tissue.
     pub contact_area: f64,
