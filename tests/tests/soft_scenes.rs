@@ -57,6 +57,7 @@ fn a_probe_presses_on_a_stomach_and_feels_it() {
     let stiffer = run("soft-stomach", &[("young_modulus = 6000.0", "young_modulus = 18000.0")]);
     let force = |run: &RunOutcome| outcome(run, "stomach.contact_force_n.largest");
     assert!(force(&stiffer) > 1.5 * force(&pressed), "{} and {} N", force(&stiffer), force(&pressed));
+    assert!(!stiffer.summary.task.completed, "it is not the stomach that was asked for");
 }
 
 #[test]
@@ -94,6 +95,12 @@ fn an_implicit_and_an_explicit_simulator_share_a_scene() {
     let other = run("two-rates", &[("rate_hz = 20\n", "rate_hz = 10\n")]);
     let force = |run: &RunOutcome| outcome(run, "membrane.contact_force_n.largest");
     assert_eq!(force(&both), force(&other));
+    // An organ of half the stiffness is felt to be another one.
+    let softer = run("two-rates", &[("young_modulus = 6000.0", "young_modulus = 3000.0")]);
+    let felt =
+        |run: &RunOutcome, hand: &str| outcome(run, &format!("hand.{hand}.felt_stiffness_n_per_m.mean"));
+    assert!(felt(&softer, "left") < 0.7 * felt(&both, "left") && !softer.summary.task.completed);
+    assert_eq!(felt(&softer, "right"), felt(&both, "right"), "the other hand feels what it felt");
 }
 
 /// What the left hand feels of the organ in `two-rates`, with pieces of the scenario replaced: stiffness while it presses
@@ -217,6 +224,7 @@ fn a_probe_presses_on_a_liver_with_a_precomputed_inverse() {
     let ratio = |measure: &str| outcome(&stiffer, measure) / outcome(&pressed, measure);
     let (force, moved) = (ratio("liver.contact_force_n.largest"), ratio("liver.displacement_max_m.largest"));
     assert!((force / moved / 3.0 - 1.0).abs() < 0.25 && force > 1.5, "{force} times, moved {moved} times");
+    assert!(!stiffer.summary.task.completed, "it is not the liver that was asked for");
 }
 
 #[test]
