@@ -33,6 +33,18 @@ pub enum Method {
     Implicit,
 }
 
+/// How an implicit step is solved.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SolvedBy {
+    /// Conjugate gradients with the nodes' own blocks: nothing is prepared, so that nothing is lost with a cut.
+    #[default]
+    NodeBlocks,
+    /// With the factor of the sheet at rest, turned as it is turned now: an order of magnitude fewer iterations at steps
+    /// of about a millisecond. Every cut makes the factor anew, 50 ms for 4,000 nodes: for what is not cut.
+    Warped,
+}
+
 /// What it is made of, by the kind of its mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
@@ -79,6 +91,8 @@ pub struct MassSpringBody {
     pub springs: Springs,
     /// How it is stepped.
     pub method: Method,
+    /// How an implicit step is solved.
+    pub solver: SolvedBy,
     /// Damping along springs \[s\]: the time by which their force follows their lengthening.
     pub lag: f64,
     /// Damping of every motion \[1/s\].
@@ -98,6 +112,7 @@ impl Default for MassSpringBody {
         Self {
             springs: Springs::default(),
             method: Method::Explicit,
+            solver: SolvedBy::NodeBlocks,
             lag: 2e-4,
             damping: 2.0,
             thickness: 0.0005,
@@ -129,8 +144,11 @@ impl MassSpringBody {
         let integrator = match self.method {
             Method::Explicit => Integrator::Explicit { too_large: TooLarge::Divide { most: PARTS_MAX } },
             Method::Implicit => {
-                // A cut changes the matrix: nothing is lost with it.
-                let solver = LinearSolver::ConjugateGradients { tolerance: 1e-3, iterations_max: 100 };
+                let (tolerance, iterations_max) = (1e-3, 100);
+                let solver = match self.solver {
+                    SolvedBy::NodeBlocks => LinearSolver::ConjugateGradients { tolerance, iterations_max },
+                    SolvedBy::Warped => LinearSolver::Warped { tolerance, iterations_max },
+                };
                 Integrator::Implicit { solver, newton: 1 }
             }
         };
