@@ -26,8 +26,16 @@ fn holds(name: &str) -> RunOutcome {
 #[test]
 fn two_hands_cut_a_circle_out_of_a_gauze() {
     let cut = holds("cloth-cut");
-    let area = outcome(&cut, "gauze.cut_area_m2");
-    assert!((area / (std::f64::consts::PI * 0.02 * 0.02) - 1.0).abs() < 0.01, "{area} m²");
+    // Nor does it hang on the moment: hands that begin in the middle of a step of the gauze, as live ones do, come to the same.
+    let late = [(
+        "step = [\n    { seconds = 1.0 },\n    { seconds = 1.5",
+        "step = [\n    { seconds = 1.013 },\n    { seconds = 1.5",
+    )];
+    for cut in [cut, run("cloth-cut", &late)] {
+        let area = outcome(&cut, "gauze.cut_area_m2");
+        assert!((area / (std::f64::consts::PI * 0.02 * 0.02) - 1.0).abs() < 0.01, "{area} m²");
+        assert_eq!(outcome(&cut, "gauze.pieces"), 2.0);
+    }
     // Open blades cut nothing.
     let open =
         run("cloth-cut", &[("{ seconds = 1.5, to = [0.055", "{ seconds = 1.5, jaws = 0.6, to = [0.055")]);
