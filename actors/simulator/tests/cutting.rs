@@ -4,8 +4,10 @@ use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use trocar_simulator::cutting::{Sheet, Sweep, TopologyChange, VertexChange};
+use trocar_simulator::elasticity::Alteration;
 use trocar_simulator::mass_spring::{
-    Config, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
+    Config, Followed, Input, Integrator, LinearSolver, MassSpring, Network, Patch, State, SurfaceMaterial,
+    TooLarge,
 };
 
 const GAUZE: SurfaceMaterial =
@@ -71,18 +73,24 @@ fn check(sheet: &Sheet) {
 }
 
 /// Brings a solver up to date with its sheet.
-fn follow(solver: &mut MassSpring, sheet: &Sheet, change: &TopologyChange) {
+fn follow(solver: &mut MassSpring, sheet: &Sheet, change: &TopologyChange) -> Followed {
     let mut pinned = solver.pinned().to_vec();
     change.carry_members(&mut pinned, solver.state().positions.len());
+    let patch = Patch {
+        rest: sheet.rest(),
+        elements: sheet.triangles(),
+        altered: &|_| Alteration::NONE,
+        about: &|vertex| sheet.about(vertex),
+        stale: &change.stale,
+    };
+    let carry = |state: &mut State| {
+        change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
+        change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
+    };
+    let stays = |node| pinned.contains(&node);
     solver
-        .rebuild(&pinned, |network, state| {
-            change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
-            change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
-            network.update_surface(sheet.rest(), sheet.triangles(), &GAUZE, &change.stale, |vertex| {
-                sheet.about(vertex)
-            })
-        })
-        .expect("a network");
+        .follow(&patch, stays, carry, |network, patch| network.follow_surface(patch, &GAUZE))
+        .expect("a network")
 }
 
 #[test]

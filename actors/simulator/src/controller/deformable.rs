@@ -118,6 +118,25 @@ impl Deformable {
         self.pinned = held.map(|(vertex, _)| vertex as u32).collect();
     }
 
+    /// The same of some of them, ascending, that are new or lie otherwise at rest.
+    pub fn anchor_again(&mut self, vertices: &[u32]) {
+        for &vertex in vertices {
+            let held = self.rest.get(vertex as usize).is_some_and(|point| self.anchors.hold(point));
+            is_among(&mut self.pinned, vertex, held);
+        }
+    }
+
+    /// Says of a vertex whether no element uses it any longer.
+    pub fn is_loose(&mut self, vertex: u32, is_loose: bool) {
+        is_among(&mut self.loose, vertex, is_loose);
+    }
+
+    /// Whether nothing moves a vertex.
+    #[must_use]
+    pub fn is_staying(&self, vertex: u32) -> bool {
+        [&self.pinned, &self.loose].into_iter().any(|list| list.binary_search(&vertex).is_ok())
+    }
+
     /// Vertices that nothing moves, ascending: held ones, and those that nothing uses.
     #[must_use]
     pub fn staying(&self) -> Vec<u32> {
@@ -186,6 +205,15 @@ impl Deformable {
     /// Gravity in its frame \[m/s²\].
     pub fn gravity(gravity_in_world: &Vector3<f64>, world_from_body: &Isometry3<f64>) -> Vector3<f64> {
         world_from_body.rotation.inverse() * gravity_in_world
+    }
+}
+
+/// Puts it into an ascending list, or takes it out.
+fn is_among(list: &mut Vec<u32>, vertex: u32, is: bool) {
+    match list.binary_search(&vertex) {
+        Err(at) if is => list.insert(at, vertex),
+        Ok(at) if !is => drop(list.remove(at)),
+        _ => {}
     }
 }
 

@@ -83,7 +83,7 @@ pub use thread_body::{Laid, Suture, ThreadBody};
 pub use thread_memory::ThreadMemory;
 pub use thread_tied::{Mark, TiedBody};
 pub use vital_signs::{Patient, PatientState, VitalSignsController};
-pub use xpbd::{XpbdBody, XpbdController};
+pub use xpbd::{XpbdBody, XpbdController, XpbdGroups};
 
 /// Registers the components of this crate.
 ///
@@ -96,6 +96,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<grips::Grips>()?;
     builder.register::<DynamicFemBody>()?;
     builder.register::<XpbdBody>()?;
+    builder.register::<XpbdGroups>()?;
     builder.register::<CoupledBody>()?;
     builder.register::<CouplingGiven>()?;
     builder.register::<CouplingTaken>()?;
