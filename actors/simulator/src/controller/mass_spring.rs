@@ -10,12 +10,12 @@ use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
 use super::membrane::{Membrane, MembraneWeakness, Parted};
 use super::parting::{Elements, Parting, Split, Weakness};
-use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
+use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Terms};
 use super::touch::{Skin, Touch};
 use crate::elasticity::Alteration;
 use crate::mass_spring::{
-    Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, Patch, Prescribed,
-    State, SurfaceMaterial, TooLarge, VolumeMaterial,
+    Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, NodeForce, Patch,
+    Prescribed, State, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
 use crate::tet_mesh::Stars;
 
@@ -87,7 +87,7 @@ pub struct MassSpringBody {
     pub thickness: f64,
     /// Force per depth of a contact \[N/m\].
     pub contact_stiffness: f64,
-    /// Coulomb friction against instruments.
+    /// Coulomb friction against instruments and other bodies.
     pub friction: f64,
     /// Of a surface: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
     pub tears_at: Option<f64>,
@@ -293,6 +293,7 @@ pub struct MassSpringMethod {
     of: Solver,
     contacts: Vec<Contact>,
     prescribed: Vec<Prescribed>,
+    forces: Vec<NodeForce>,
     /// Largest step that was safe in the last tick, contacts counted \[s\]: larger ones are divided.
     safe_step: f64,
     /// How a surface comes apart.
@@ -366,7 +367,8 @@ impl SoftMethod for MassSpringMethod {
             of.come_apart();
         }
         let safe_step = of.solver.safe_step();
-        Ok(Self { of, contacts: Vec::new(), prescribed: Vec::new(), safe_step, membrane, parting })
+        let (contacts, prescribed, forces) = Default::default();
+        Ok(Self { of, contacts, prescribed, forces, safe_step, membrane, parting })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -383,6 +385,11 @@ impl SoftMethod for MassSpringMethod {
 
     fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
         self.of.kind.skin(body, self.positions())
+    }
+
+    fn terms(&self) -> Option<Terms<'_>> {
+        let MassSpringBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
+        Some(Terms { masses_inverse: self.of.solver.mobility(), stiffness, friction })
     }
 
     fn is_cut_by_blades(&self) -> bool {
@@ -418,11 +425,13 @@ impl SoftMethod for MassSpringMethod {
         self.prescribed.clear();
         let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
         self.prescribed.extend(led);
+        self.forces.clear();
+        self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
         let input = Input {
             gravity: site.gravity,
+            forces: &self.forces,
             contacts: &self.contacts,
             prescribed: &self.prescribed,
-            ..Input::default()
         };
         let report = self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
         self.safe_step = report.safe_step;

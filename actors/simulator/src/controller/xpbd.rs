@@ -16,7 +16,7 @@ use super::deformable::Deformable;
 use super::heat::Coagulated;
 use super::membrane::{Membrane, MembraneWeakness, Parted};
 use super::parting::{Elements, Parting, Split, Weakness};
-use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Step};
+use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Step, Terms};
 use super::touch::{Skin, Touch};
 use super::xpbd_island::step_island;
 use crate::elasticity::Alteration;
@@ -82,7 +82,7 @@ pub struct XpbdBody {
     pub thickness: f64,
     /// Force per depth of a contact \[N/m\].
     pub contact_stiffness: f64,
-    /// Coulomb friction against instruments.
+    /// Coulomb friction against instruments and other bodies.
     pub friction: f64,
     /// Of a volume or a cloth: whether blades cut it; then they do not push it.
     pub cut: bool,
@@ -394,6 +394,11 @@ impl SoftMethod for XpbdMethod {
     fn access(access: Access, bodies: &[Entity]) -> Access {
         let access = Membrane::access(Parting::access(access, bodies), bodies);
         Coupled::access(access, bodies).writes::<XpbdGroups>(EntitySet::Of(bodies.to_vec()))
+    }
+
+    fn terms(&self) -> Option<Terms<'_>> {
+        let XpbdBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
+        Some(Terms { masses_inverse: self.of.solver.mobility(), stiffness, friction })
     }
 
     fn is_cut_by_blades(&self) -> bool {

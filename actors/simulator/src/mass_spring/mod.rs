@@ -407,6 +407,11 @@ impl MassSpring {
     pub fn network(&self) -> &Network {
         &self.network
     }
+    /// One over each node's mass, 0 where it is pinned \[1/kg\].
+    #[must_use]
+    pub fn mobility(&self) -> &[f64] {
+        &self.mobility
+    }
     /// Pinned nodes, ascending.
     #[must_use]
     pub fn pinned(&self) -> &[u32] {

@@ -297,6 +297,11 @@ impl Xpbd {
     pub fn masses(&self) -> &[f64] {
         &self.masses
     }
+    /// One over each node's mass, 0 where it is held \[1/kg\].
+    #[must_use]
+    pub fn mobility(&self) -> &[f64] {
+        &self.mobility
+    }
     /// The groups of its constraints: what another life needs to go on with the same bits.
     #[must_use]
     pub fn groups(&self) -> Groups<'_> {
