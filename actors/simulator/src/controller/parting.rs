@@ -55,6 +55,42 @@ impl Component for VolumeCuts {
 }
 
 impl VolumeCuts {
+    /// Whether it can be of a mesh of so many nodes and elements.
+    ///
+    /// # Errors
+    /// What of it is not.
+    fn fits(&self, nodes: usize, tets: usize) -> Result<(), String> {
+        let first = (nodes.checked_sub(self.births.len()), tets.checked_sub(self.parts_of.len()));
+        let (Some(first_node), Some(first_tet)) = first else {
+            let (births, parts) = (self.births.len(), self.parts_of.len());
+            return Err(format!(
+                "its 'volume_cuts' tell of {births} new nodes of {nodes} and {parts} parts of {tets} elements"
+            ));
+        };
+        let mut births = (first_node..).zip(self.births.iter());
+        if let Some((node, birth)) =
+            births.find(|(node, birth)| birth.of.iter().any(|&of| of as usize >= *node))
+        {
+            return Err(format!(
+                "its 'volume_cuts' let node {node} come from nodes {:?}: only ones before it are valid",
+                birth.of
+            ));
+        }
+        if let Some(of) = self.parts_of.iter().find(|of| **of as usize >= first_tet) {
+            return Err(format!(
+                "its 'volume_cuts' name a part of element {of}: the first mesh has elements 0 to {}",
+                first_tet.saturating_sub(1)
+            ));
+        }
+        if !(self.first.is_empty() || self.first.len() == first_tet) {
+            let given = self.first.len();
+            return Err(format!(
+                "its 'volume_cuts' have a first mesh of {given} elements, not of {first_tet}"
+            ));
+        }
+        Ok(())
+    }
+
     /// The elements of the first mesh, by those of now.
     #[must_use]
     pub fn first_tets(&self, nodes: usize, tets: &[[u32; 4]]) -> Vec<[u32; 4]> {
@@ -168,6 +204,7 @@ impl Parting {
             tet_mesh::TetMesh::new(&body.rest, &body.tets, &rules).map_err(|error| error.to_string())?;
         let mut volume = Volume::new(&mesh);
         let cuts = known.unwrap_or_default();
+        cuts.fits(body.rest.len(), body.tets.len())?;
         let mut parts: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
         let first = body.tets.len().saturating_sub(cuts.parts_of.len()) as u32;
         cuts.parts_of.iter().zip(first..).for_each(|(of, part)| parts.entry(*of).or_default().push(part));

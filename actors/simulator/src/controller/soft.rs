@@ -390,6 +390,9 @@ impl<M: SoftMethod> Body<M> {
             .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
         let is_pinned = body.stays();
         let grips = scene.get::<Grips>(entity).cloned().unwrap_or_default();
+        grips
+            .fit(body.rest.len(), body.holdable().len())
+            .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
         let frozen = scene.get::<Frozen>(entity).is_some();
         let answering = if M::ANSWERS { Answering::new(&body, scene) } else { None };
         let contacts = scene.get::<SoftContacts>(entity).cloned().unwrap_or_default();
