@@ -89,6 +89,13 @@ fn valid_files() -> Vec<Vec<u8>> {
         common::write_vtk(&volume, true, 3),
         common::write_vtk(&volume, false, 5),
         common::write_vtk(&volume, true, 5),
+        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nl 1 2 3\n".to_vec(),
+        b"# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nPOINTS 3 float\n0 0 0 1 0 0 0 1 0\n\
+          LINES 2 6\n2 0 1\n2 1 2\n"
+            .to_vec(),
+        b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n2\n1 0 0 0\n2 1 0 0\n$EndNodes\n$Elements\n1\n\
+          1 1 0 1 2\n$EndElements\n"
+            .to_vec(),
     ]
 }
 

@@ -23,6 +23,8 @@ const DETECTOR: u16 = 9;
 const SWEEPER: u16 = 10;
 const SECOND: u16 = 11;
 
+type Build<C> = fn(&BuildContext<'_>) -> Result<C, ControllerError>;
+
 fn springs(context: &BuildContext<'_>) -> Result<MassSpringController, ControllerError> {
     MassSpringController::new(GRAVITY, context)
 }
@@ -223,7 +225,7 @@ fn a_cloth_of_positions_falls_on_a_table_and_lies_on_it() {
 fn lie_on_each_other<C: Controller>(
     [below, above]: [&str; 2],
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
-    second: Option<fn(&BuildContext<'_>) -> Result<XpbdController, ControllerError>>,
+    second: Option<Build<XpbdController>>,
     is_small: bool,
 ) {
     let upper = sheet("upper", 0.0005, above);
@@ -286,7 +288,7 @@ fn in_flight<C: Controller>(stage: &Stage<C>, from: &str, to: &str) -> Vector3<f
 fn exchange<C: Controller>(
     [first, second]: [String; 2],
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
-    other: Option<fn(&BuildContext<'_>) -> Result<XpbdController, ControllerError>>,
+    other: Option<Build<XpbdController>>,
 ) {
     let text = format!("{}{}", sheet("body", 0.0, &first), sheet("upper", 0.001, &second));
     let mut stage = Stage::new(scene(&text), 1000.0, build);

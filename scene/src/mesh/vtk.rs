@@ -141,9 +141,9 @@ fn read<'a>(
                 let count = reader.count(place, "cell types", count, 2, 4, limits.elements)?;
                 types = Some(reader.integers(count, Kind::I32, "a cell type")?);
             }
-            (Some("POINTS"), _) => return Err(reader.twice(place, &line)),
-            (Some("LINES"), _) if is_poly => return Err(reader.twice(place, &line)),
-            (Some("CELLS" | "CELL_TYPES"), _) if !is_poly => return Err(reader.twice(place, &line)),
+            (Some("POINTS"), _) => return Err(reader.twice(place, line)),
+            (Some("LINES"), _) if is_poly => return Err(reader.twice(place, line)),
+            (Some("CELLS" | "CELL_TYPES"), _) if !is_poly => return Err(reader.twice(place, line)),
             (Some("FIELD"), [_, count]) => reader.skip_field(place, count)?,
             (Some("METADATA"), _) => reader.skip_paragraph(),
             // Nothing after the geometry is needed.
@@ -418,14 +418,15 @@ impl Reader<'_> {
     }
 }
 
+/// Vertices, cells and, of a grid, the type of each cell.
+type Parts = (Vec<Point3<f64>>, Cells, Option<Vec<i64>>);
+
 impl Sections<'_> {
     fn missing(&self, what: &str) -> MeshError {
         self.cursor.malformed(Where::Place(Place::Whole), format!("the file has no {what} section"))
     }
 
-    /// Vertices, cells and, of a grid, the type of each cell.
-    #[allow(clippy::type_complexity)] // it is taken apart at once
-    fn parts(&mut self) -> Result<(Vec<Point3<f64>>, Cells, Option<Vec<i64>>), MeshError> {
+    fn parts(&mut self) -> Result<Parts, MeshError> {
         let points = self.points.take().ok_or_else(|| self.missing("POINTS"))?;
         let cells = self.cells.take();
         let cells = cells.ok_or_else(|| self.missing(if self.is_poly { "LINES" } else { "CELLS" }))?;

@@ -261,6 +261,16 @@ impl<'a> Shape<'a> {
     }
 }
 
+/// The nearest place to a vertex so far: its squared distance \[m²\], triangle and weights.
+#[derive(Clone, Copy)]
+struct Nearest {
+    far: f64,
+    candidate: u32,
+    weights: [f64; 3],
+    on_face: Point3<f64>,
+    normal: Vector3<f64>,
+}
+
 /// Two places that press or nearly do.
 #[derive(Clone, Copy)]
 pub(super) struct Met {
@@ -337,7 +347,7 @@ impl HeldContact {
         let push = if vertex == 0 { self.normal_in_world } else { -self.normal_in_world };
         let own = *shapes[face].triangles.get(triangle as usize)?;
         let about = own.iter().flat_map(|&node| stars[face].map_or(&[][..], |stars| stars.about(node)));
-        let mut nearest: Option<(f64, u32, [f64; 3], Point3<f64>, Vector3<f64>)> = None;
+        let mut nearest: Option<Nearest> = None;
         for candidate in std::iter::once(triangle).chain(about.copied()) {
             let Some(nodes) = shapes[face].triangles.get(candidate as usize) else { continue };
             if std::ptr::eq(shapes[0].positions, shapes[1].positions) && nodes.contains(&number) {
@@ -351,11 +361,12 @@ impl HeldContact {
             }
             let found = closest_on_triangle(&point, &[a, b, c]);
             let far = (found.point - point).norm_squared();
-            if nearest.is_none_or(|(known, ..)| far < known) {
-                nearest = Some((far, candidate, found.weights, found.point, normal));
+            if nearest.is_none_or(|nearest| far < nearest.far) {
+                nearest =
+                    Some(Nearest { far, candidate, weights: found.weights, on_face: found.point, normal });
             }
         }
-        let (_, candidate, weights, on_face, normal) = nearest?;
+        let Nearest { candidate, weights, on_face, normal, .. } = nearest?;
         let depth = (on_face - point).dot(&normal);
         if ((on_face - point) - normal * depth).norm() > ASIDE {
             return None;
@@ -388,19 +399,24 @@ impl HeldContact {
 
 /// Who is about the vertices of each surface: what does not change from tick to tick is found once.
 #[derive(Default)]
-pub(super) struct Surroundings(BTreeMap<Entity, (Arc<Vec<[u32; 3]>>, Stars)>);
+pub(super) struct Surroundings(BTreeMap<Entity, Surrounded>);
+
+struct Surrounded {
+    triangles: Arc<Vec<[u32; 3]>>,
+    stars: Stars,
+}
 
 impl Surroundings {
     pub fn look(&mut self, entity: Entity, triangles: &Arc<Vec<[u32; 3]>>) {
-        let known = self.0.get(&entity).is_some_and(|(known, _)| Arc::ptr_eq(known, triangles));
+        let known = self.0.get(&entity).is_some_and(|known| Arc::ptr_eq(&known.triangles, triangles));
         if !known {
             let stars = Stars::new(0, (0..).zip(triangles.iter().copied()));
-            self.0.insert(entity, (triangles.clone(), stars));
+            self.0.insert(entity, Surrounded { triangles: triangles.clone(), stars });
         }
     }
 
     pub fn of(&self, entity: Entity) -> Option<&Stars> {
-        self.0.get(&entity).map(|(_, stars)| stars)
+        self.0.get(&entity).map(|known| &known.stars)
     }
 }
 
