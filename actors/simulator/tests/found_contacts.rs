@@ -221,6 +221,84 @@ fn a_cloth_of_positions_falls_on_a_table_and_lies_on_it() {
     comes_to_rest(&of_positions(), 10, xpbd);
 }
 
+/// A block of 2 cm of a soft volume, 0.3 mm above the table.
+fn block(method: &str) -> String {
+    format!(
+        "[[entity]]\nname = \"body\"\npose = {{ translation = [0.0, 0.0, 0.0103] }}\n\
+         mesh = {{ block = {{ size = [0.02, 0.02, 0.02], cells = [3, 3, 3] }} }}\n{method}\n"
+    )
+}
+
+const SOFT: &str = "xpbd = { matter = { volume = { young_modulus = 2e4, poisson_ratio = 0.3, density = 1000.0 } }, \
+                    parts = 10, damping = 20.0 }";
+
+/// A block that falls on a table: it comes to rest on it, and what it weighs is borne.
+fn block_rests<C: Controller>(
+    method: &str,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    let fall = |detects: bool| {
+        let mut stage = Stage::new(scene(&format!("{TABLE}{}", block(method))), 1000.0, build);
+        let mut others = Vec::new();
+        if detects {
+            others.push(Other::detector(&stage, 10, &[["table", "body"]]));
+        }
+        run(&mut stage, &mut others, 1500);
+        (stage, others)
+    };
+    let (mut stage, mut others) = fall(true);
+    let [low, high] = span(&stage, "body");
+    assert!(low > -3e-4 && (0.018..0.0205).contains(&high), "{method}: from {low} to {high} m");
+    let before = stage.get::<VertexPositions>("body").positions;
+    let force = borne(&mut stage, &mut others, "body");
+    let after = stage.get::<VertexPositions>("body").positions;
+    // A light corner that friction holds trembles by micrometres, where its matter swings within a step.
+    let moved = before.iter().zip(after.iter()).map(|(one, two)| (one - two).norm()).fold(0.0, f64::max);
+    assert!(moved < 1e-5, "{method}: it still moves, by {moved} m in 0.2 s");
+    let weight = 8e-6 * 1000.0 * 9.81;
+    assert!((force.z / weight - 1.0).abs() < 0.03, "{method}: {} N bear {weight} N", force.z);
+    assert!(span(&fall(false).0, "body")[1] < -0.1, "{method}: nobody tells of the table");
+}
+
+#[test]
+fn soft_blocks_fall_on_a_table_and_lie_on_it() {
+    block_rests(SOFT, xpbd);
+    let of_springs =
+        "mass_spring = { springs = { volume = { young_modulus = 2e4, density = 1000.0 } }, damping = 20.0";
+    block_rests(&format!("{of_springs} }}"), springs);
+    block_rests(&format!("{of_springs}, method = \"implicit\" }}"), springs);
+}
+
+#[test]
+fn on_a_slope_it_stays_or_slides_as_friction_says() {
+    // The table is level, gravity is not: 17 degrees, whose tangent is 0.31.
+    let tilted = |context: &BuildContext<'_>| XpbdController::new(Vector3::new(2.9, 0.0, -9.37), context);
+    let slides = |friction: f64, damping: f64| {
+        let table = TABLE.replace("0.0151, 0.0147", "0.2, 0.1");
+        let method = SOFT.replace("damping = 20.0", &format!("damping = {damping}, friction = {friction}"));
+        let mut stage = Stage::new(scene(&format!("{table}{}", block(&method))), 1000.0, tilted);
+        let mut others = vec![Other::detector(&stage, 2, &[["table", "body"]])];
+        let middle = |stage: &Stage<XpbdController>| {
+            let places = stage.get::<VertexPositions>("body").positions;
+            places.iter().map(|place| place.x).sum::<f64>() / places.len() as f64
+        };
+        // It leans back when it has come to lie.
+        run(&mut stage, &mut others, if damping > 0.0 { 300 } else { 100 });
+        let speed = |stage: &Stage<XpbdController>| {
+            let speeds = stage.get::<VertexVelocities>("body").velocities;
+            speeds.iter().map(|speed| speed.x).sum::<f64>() / speeds.len() as f64
+        };
+        let (start, begun) = (middle(&stage), speed(&stage));
+        run(&mut stage, &mut others, 200);
+        (middle(&stage) - start, (speed(&stage) - begun) / 0.2)
+    };
+    let (smooth, rubbed, rough) = (slides(0.0, 0.0), slides(0.15, 0.0), slides(0.6, 20.0));
+    assert!((smooth.1 / 2.9 - 1.0).abs() < 0.02, "{} m/s²", smooth.1);
+    let expected = 2.9 - 0.15 * 9.37;
+    assert!((rubbed.1 / expected - 1.0).abs() < 0.1, "{} m/s², not {expected}", rubbed.1);
+    assert!(rough.0.abs() < 2e-4, "{} m", rough.0);
+}
+
 /// Two sheets on a table: the table bears both, whoever moves them.
 fn lie_on_each_other<C: Controller>(
     [below, above]: [&str; 2],

@@ -176,6 +176,7 @@ fn news_of_elements_that_there_are_not_change_nothing() {
             presses: true,
             is_in: true,
             slack: 0.0,
+            drawn: Vector3::zeros(),
         };
         let spots = [
             [Spot::Vertex(9_999), Spot::Triangle(9_999)],

@@ -1,10 +1,13 @@
-//! What contacts that detectors have found exert: a penalty with damping, taken at the end of the step, and Coulomb's
-//! friction, for all contacts of a controller's bodies together.
+//! What contacts that detectors have found exert: a penalty with damping, taken at the end of the step, and friction by a
+//! spring across it that slides where it is drawn beyond Coulomb's limit, for all contacts of a controller's bodies together.
 //!
 //! Vertices are taken as free for the time of a step, with the force that their contacts exert on them; the stiffness `k` and the
 //! damping `c` of a contact of depth `d` are taken at the end of a step `h`, `F = k (d − h v) − c v`, so that whatever they
 //! are no vertex is turned back faster than it came. Contacts that share vertices are gone over a few times. Both sides of a
 //! contact get the same impulse.
+//!
+//! So a contact gives way a little more than its stiffness says, and a light vertex that friction holds may tremble by
+//! micrometres where its own matter swings within a step.
 //!
 //! What is deep when it begins to be in the other (a detector that is slow, or a fast body) is stopped there and then let out slowly: its
 //! spring begins where it was stopped, and that place goes back to the surface within a few hundredths of a second.
@@ -87,9 +90,12 @@ struct Row {
     yields: f64,
     step: f64,
     slack: f64,
+    drawn: Vector3<f64>,
     /// On the body \[N\].
     normal: f64,
     across: Vector3<f64>,
+    /// What friction would have to hold beyond what it can \[N\].
+    beyond: Vector3<f64>,
 }
 
 /// Answers all contacts of a controller's bodies.
@@ -100,7 +106,7 @@ pub(super) fn answer(
     (now, period, me): (SimTime, f64, Entity),
 ) {
     take(own, scene, period);
-    listen(own, scene, (now, period, me));
+    listen(own, surroundings, scene, (now, period, me));
     for body in own.iter_mut() {
         body.pressed = (0.0, 0);
         let presses = [body.memory.force_in_world, body.taken].iter().any(|force| *force != Vector3::zeros());
@@ -142,7 +148,12 @@ fn take(own: &mut [Own<'_>], scene: &Snapshot, period: f64) {
 }
 
 /// Takes over what detectors have found since they were listened to.
-fn listen(own: &mut [Own<'_>], scene: &Snapshot, (now, period, me): (SimTime, f64, Entity)) {
+fn listen(
+    own: &mut [Own<'_>],
+    surroundings: &mut Surroundings,
+    scene: &Snapshot,
+    (now, period, me): (SimTime, f64, Entity),
+) {
     let until: Vec<Vec<(Entity, SimTime)>> = own.iter().map(|body| body.memory.heard.clone()).collect();
     let mut is_named = vec![false; own.len()];
     for (writer, row) in rows(scene, me, now) {
@@ -182,7 +193,10 @@ fn listen(own: &mut [Own<'_>], scene: &Snapshot, (now, period, me): (SimTime, f6
             Some(other) => other.shape.clone(),
             None => Shape::of(scene, other),
         };
-        let found = HeldContact::new(row, side, writer, [&own[body].shape, &of_other]);
+        surroundings.look(own[body].entity, &own[body].shape.triangles);
+        surroundings.look(other, &of_other.triangles);
+        let stars = [surroundings.of(own[body].entity), surroundings.of(other)];
+        let found = HeldContact::new(row, side, writer, [&own[body].shape, &of_other], stars);
         let Some(found) = found else { continue };
         let contacts = &mut own[body].memory.contacts;
         match contacts.iter().position(|held| held.is_of(&found)) {
@@ -245,7 +259,10 @@ fn meet(
                     true => held.slack / (1.0 + period / LET_OUT),
                     false => (met.depth - leaving * period).max(0.0),
                 };
-                (row.body, row.contact, row.slack) = (index, kept, held.slack);
+                let slip = body.shape.speed(&met.places[0]) - shape.speed(&met.places[1]);
+                let drawn = if held.presses { held.drawn + slip * period } else { Vector3::zeros() };
+                held.drawn = drawn - met.normal_in_world * met.normal_in_world.dot(&drawn);
+                (row.body, row.contact, row.slack, row.drawn) = (index, kept, held.slack, held.drawn);
                 rows.push(row);
             }
             kept += 1;
@@ -263,6 +280,11 @@ fn give(own: &mut [Own<'_>], rows: &[Row], movers: &[Mover], now: SimTime, perio
         let held = own[row.body].memory.contacts.get_mut(row.contact);
         if let Some(held) = held {
             held.presses = row.normal > 0.0;
+            // What slides is drawn as far as friction holds it.
+            if row.stiffness > 0.0 {
+                let resists = row.stiffness * row.step + row.damping;
+                held.drawn += row.beyond * ((1.0 + resists * row.yields * row.step) / row.stiffness);
+            }
             if held.presses {
                 held.seen = now;
             }
@@ -426,8 +448,10 @@ impl Row {
             yields,
             step,
             slack: 0.0,
+            drawn: Vector3::zeros(),
             normal: 0.0,
             across: Vector3::zeros(),
+            beyond: Vector3::zeros(),
         })
     }
 
@@ -459,12 +483,13 @@ impl Row {
         let change = wanted.max(0.0) - self.normal;
         self.push(movers, &(normal * change));
         self.normal += change;
-        let slip = self.slip(movers);
+        let slip = self.slip(movers) - self.across * gives;
         let across = slip - normal * slip.dot(&normal);
-        let wanted = self.across - across / gives;
+        let resists = self.stiffness * self.step + self.damping;
+        let wanted = (self.drawn * -self.stiffness - across * resists) / (1.0 + resists * gives);
         let (size, most) = (wanted.norm(), self.friction * self.normal);
         let held = if size > most { wanted * (most / size) } else { wanted };
         self.push(movers, &(held - self.across));
-        self.across = held;
+        (self.across, self.beyond) = (held, wanted - held);
     }
 }
