@@ -6,8 +6,8 @@ use std::path::Path;
 use libfuzzer_sys::fuzz_target;
 use trocar_fuzz::Bound;
 use trocar_scene::mesh::{
-    Limits, MeshError, SurfaceData, TetData, read_gltf, read_gmsh, read_obj, read_stl, read_vtk,
-    validate_surface, validate_tets,
+    Limits, LineData, MeshError, SurfaceData, TetData, read_gltf, read_gmsh, read_gmsh_line, read_obj,
+    read_obj_line, read_stl, read_vtk, read_vtk_line, validate_surface, validate_tets,
 };
 
 /// An OBJ corner of two bytes ("1 ") becomes a triangle of 12 bytes plus the 36 of its corners, and vectors double.
@@ -16,6 +16,7 @@ const MESH: Bound = Bound { per_byte: 256, always: 64 << 10 };
 type Reader<T> = fn(&Path, &[u8], &Limits) -> Result<T, MeshError>;
 const SURFACES: [Reader<SurfaceData>; 3] = [read_obj, read_stl, read_gltf];
 const VOLUMES: [Reader<TetData>; 2] = [read_gmsh, read_vtk];
+const LINES: [Reader<LineData>; 3] = [read_obj_line, read_gmsh_line, read_vtk_line];
 
 fuzz_target!(|bytes: &[u8]| {
     let limits = Limits::default();
@@ -38,6 +39,13 @@ fuzz_target!(|bytes: &[u8]| {
             volume.flip_inverted();
             volume.compact();
             volume.boundary();
+        }
+    }
+    for reader in LINES {
+        if let Ok(mut line) = MESH.holds(bytes.len(), || reader(Path::new("x"), bytes, &limits)) {
+            let vertices = line.positions.len();
+            assert!(line.segments.iter().flatten().all(|v| (*v as usize) < vertices));
+            line.compact();
         }
     }
 });

@@ -10,8 +10,8 @@ use common::{Order, tet_box};
 use hostile::{mutated, peak_of};
 use proptest::prelude::*;
 use trocar_scene::mesh::{
-    Limits, MeshError, SurfaceData, TetData, read_gltf, read_gmsh, read_obj, read_stl, read_vtk,
-    validate_surface, validate_tets,
+    Limits, LineData, MeshError, SurfaceData, TetData, read_gltf, read_gmsh, read_gmsh_line, read_obj,
+    read_obj_line, read_stl, read_vtk, read_vtk_line, validate_surface, validate_tets,
 };
 use trocar_scene::shapes;
 
@@ -19,6 +19,8 @@ type SurfaceReader = fn(&Path, &[u8], &Limits) -> Result<SurfaceData, MeshError>
 type TetReader = fn(&Path, &[u8], &Limits) -> Result<TetData, MeshError>;
 const SURFACES: [SurfaceReader; 3] = [read_obj, read_stl, read_gltf];
 const VOLUMES: [TetReader; 2] = [read_gmsh, read_vtk];
+type LineReader = fn(&Path, &[u8], &Limits) -> Result<LineData, MeshError>;
+const LINES: [LineReader; 3] = [read_obj_line, read_gmsh_line, read_vtk_line];
 
 /// What a reader may hold per byte of input. An OBJ corner of two bytes ("1 ") becomes a triangle of 12 bytes plus
 /// the 36 of its corners, and vectors double as they grow.
@@ -53,6 +55,18 @@ fn every_reader(bytes: &[u8]) -> Result<(), TestCaseError> {
             volume.boundary();
         }
     }
+    for reader in LINES {
+        let (read, peak) = peak_of(|| reader(Path::new("x"), bytes, &limits));
+        prop_assert!(peak <= allowed, "{peak} bytes for an input of {}", bytes.len());
+        if let Ok(mut line) = read {
+            let vertices = line.positions.len();
+            prop_assert!(line.segments.iter().flatten().all(|v| (*v as usize) < vertices));
+            prop_assert!(line.segments.iter().all(|[a, b]| a != b));
+            prop_assert!(line.positions.iter().all(|p| p.coords.iter().all(|x| x.is_finite())));
+            line.compact();
+            prop_assert!(line.segments.iter().flatten().all(|v| (*v as usize) < line.positions.len()));
+        }
+    }
     Ok(())
 }
 
@@ -75,6 +89,13 @@ fn valid_files() -> Vec<Vec<u8>> {
         common::write_vtk(&volume, true, 3),
         common::write_vtk(&volume, false, 5),
         common::write_vtk(&volume, true, 5),
+        b"v 0 0 0\nv 1 0 0\nv 0 1 0\nl 1 2 3\n".to_vec(),
+        b"# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\nPOINTS 3 float\n0 0 0 1 0 0 0 1 0\n\
+          LINES 2 6\n2 0 1\n2 1 2\n"
+            .to_vec(),
+        b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n2\n1 0 0 0\n2 1 0 0\n$EndNodes\n$Elements\n1\n\
+          1 1 0 1 2\n$EndElements\n"
+            .to_vec(),
     ]
 }
 

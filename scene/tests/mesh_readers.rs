@@ -6,8 +6,9 @@ use std::path::Path;
 
 use common::{Order, tet_box};
 use trocar_scene::mesh::{
-    Limits, MeshError, SurfaceData, SurfacePolicy, TetData, TetPolicy, read_gltf, read_gmsh, read_obj,
-    read_stl, read_surface, read_tets, read_vtk, validate_surface, validate_tets,
+    Limits, MeshError, SurfaceData, SurfacePolicy, TetData, TetPolicy, read_gltf, read_gmsh, read_gmsh_line,
+    read_line, read_obj, read_obj_line, read_stl, read_surface, read_tets, read_vtk, read_vtk_line,
+    validate_surface, validate_tets,
 };
 use trocar_scene::shapes;
 
@@ -176,6 +177,69 @@ fn vtk_comes_back_in_both_versions_and_encodings() {
             same_volume(&read, &written, if binary { 1e-7 } else { 0.0 });
         }
     }
+}
+
+const OBJ_LINE: &str = "vt 0 0\nv 9 9 9\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 2 3 4\nl 2 3 4\nl -2/1 -1\n";
+const MSH_2_LINE: &str = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n\
+    $Nodes\n5\n1 9 9 9\n2 0 0 0\n3 1 0 0\n4 1 1 0\n7 0 1 0\n$EndNodes\n\
+    $Elements\n4\n1 1 2 0 1 2 3\n2 1 2 0 1 3 4\n3 1 2 0 1 4 7\n4 2 2 0 1 2 3 4\n$EndElements\n";
+const MSH_4_LINE: &str = "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n\
+    $Nodes\n1 5 1 7\n1 1 0 5\n1\n2\n3\n4\n7\n9 9 9\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n$EndNodes\n\
+    $Elements\n2 4 1 4\n1 1 1 3\n1 2 3\n2 3 4\n3 4 7\n2 1 2 1\n4 2 3 4\n$EndElements\n";
+const VTK_POLY_LINE: &str = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\n\
+    POINTS 5 float\n9 9 9 0 0 0 1 0 0 1 1 0 0 1 0\n\
+    POLYGONS 1 4\n3 1 2 3\nLINES 2 7\n3 1 2 3\n2 3 4\n";
+const VTK_GRID_LINE: &str = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET UNSTRUCTURED_GRID\n\
+    POINTS 5 double\n9 9 9 0 0 0 1 0 0 1 1 0 0 1 0\n\
+    CELLS 3 11\n3 1 2 3\n2 3 4\n3 1 2 3\nCELL_TYPES 3\n4\n3\n5\n";
+
+/// Three pieces through four of five vertices, whichever file they stand in.
+#[test]
+fn lines_of_files_are_read_and_what_else_there_is_is_not() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let files = [
+        ("a.obj", OBJ_LINE),
+        ("b.msh", MSH_2_LINE),
+        ("c.MSH", MSH_4_LINE),
+        ("d.vtk", VTK_POLY_LINE),
+        ("e.vtk", VTK_GRID_LINE),
+    ];
+    for (name, text) in files {
+        let file = folder.path().join(name);
+        std::fs::write(&file, text).expect("a file");
+        let mut line = read_line(&file, &limits()).unwrap_or_else(|error| panic!("{error}")).scaled(0.01);
+        assert_eq!(line.segments, [[1, 2], [2, 3], [3, 4]], "{name}");
+        assert_eq!(line.positions.len(), 5);
+        line.compact();
+        assert_eq!(line.segments, [[0, 1], [1, 2], [2, 3]], "{name}");
+        let places: Vec<[f64; 3]> = line.positions.iter().map(|point| point.coords.into()).collect();
+        assert_eq!(places, [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.01, 0.01, 0.0], [0.0, 0.01, 0.0]]);
+    }
+    let error = read_line(Path::new("x.stl"), &limits()).expect_err("no lines");
+    assert!(error.to_string().contains("'stl'") && error.to_string().contains("obj, msh, vtk"), "{error}");
+}
+
+#[test]
+fn errors_in_lines_name_place_and_reason() {
+    let obj = |text: &str| read_obj_line(Path::new("x.obj"), text.as_bytes(), &limits());
+    let msh = |text: &str| read_gmsh_line(Path::new("x.msh"), text.as_bytes(), &limits());
+    let vtk = |text: &str| read_vtk_line(Path::new("x.vtk"), text.as_bytes(), &limits());
+    for (read, names) in [
+        (obj("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), &["no polyline"][..]),
+        (obj("v 0 0 0\nv 1 0 0\nl 1 3\n"), &["line 3", "vertex"]),
+        (obj("v 0 0 0\nv 1 0 0\nl 1 1\n"), &["line 3", "itself"]),
+        (msh(&MSH_2_LINE.replace("1 2 3\n2 1", "1 2 8\n2 1")), &["line 0", "8"]),
+        (msh(&MSH_2_LINE.replace(" 1 2 0 1", " 8 2 0 1 2")), &["a line of two nodes"]),
+        (vtk(&VTK_POLY_LINE.replace("2 3 4", "2 3 5")), &["line (cell) 1", "5"]),
+        (vtk(&VTK_POLY_LINE.replace("2 3 4", "2 3 3")), &["cell 1", "itself"]),
+        (vtk(&VTK_POLY_LINE.replace("LINES", "CELLS")), &["TRIANGLE_STRIPS", "CELLS"]),
+        (vtk(&VTK_GRID_LINE.replace("\n4\n3\n5", "\n7\n5\n5")), &["no line"]),
+    ] {
+        let error = read.expect_err("refused").to_string();
+        names.iter().for_each(|name| assert!(error.contains(name), "{error}: no {name}"));
+    }
+    // Poly data has no volume.
+    assert!(read_vtk(Path::new("x.vtk"), VTK_POLY_LINE.as_bytes(), &limits()).is_err());
 }
 
 #[test]

@@ -312,6 +312,8 @@ fn mesh_files_become_components() {
     std::fs::write(folder.path().join("meshes/ring.obj"), common::write_obj(&torus)).expect("a file");
     std::fs::write(folder.path().join("meshes/box.msh"), common::write_gmsh_4(&volume, None))
         .expect("a file");
+    let thread = "v 9 9 9\nv 0 0 0\nv 10 0 0\nv 10 10 0\nl 2 3 4\n";
+    std::fs::write(folder.path().join("meshes/thread.obj"), thread).expect("a file");
     volume.tets[4].swap(0, 1);
     std::fs::write(folder.path().join("meshes/bad.vtk"), common::write_vtk(&volume, true, 5))
         .expect("a file");
@@ -320,6 +322,8 @@ fn mesh_files_become_components() {
         let text = format!(
             "{HEAD}[[entity]]\nname = \"ring\"\nmesh = {{ file = \"meshes/ring.obj\", scale = 0.001 }}\n\
              [[entity]]\nname = \"box\"\nmesh = {{ file = \"meshes/box.msh\" }}\n\
+             [[entity]]\nname = \"thread\"\n\
+             mesh = {{ file = \"meshes/thread.obj\", scale = 0.001, radius = 0.0005 }}\n\
              [[entity]]\nname = \"flipped\"\nmesh = {{ file = \"meshes/bad.vtk\", {bad} }}\n"
         );
         std::fs::write(&file, text).expect("a file");
@@ -336,6 +340,12 @@ fn mesh_files_become_components() {
         torus.triangles.len()
     );
     assert!(view.get::<TetMesh>(named("ring")).is_none());
+    let line = view.get::<LineMesh>(named("thread")).expect("a line");
+    assert_eq!((line.segments.to_vec(), line.radius), (vec![[0, 1], [1, 2]], 0.0005));
+    let places = view.get::<VertexPositions>(named("thread")).expect("positions");
+    assert_eq!(places.positions.len(), 3);
+    assert!((places.positions[2].coords.norm() - 0.01 * 2.0_f64.sqrt()).abs() < 1e-12);
+    assert!(view.get::<SurfaceMesh>(named("thread")).is_none());
     assert!(view.get::<TextureCoordinates>(named("ring")).is_some());
     for name in ["box", "flipped"] {
         assert_eq!(view.get::<TetMesh>(named(name)).expect("tetrahedra").tets.len(), 48);
@@ -348,7 +358,7 @@ fn mesh_files_become_components() {
     assert!(Arc::ptr_eq(&ring.positions, &other.positions));
 
     let error = scene("require = \"solid\"").expect_err("inverted").to_string();
-    for part in ["s.toml:11:", "entity 'flipped', mesh, file", "bad.vtk", "1 inverted", "first 4"] {
+    for part in ["s.toml:14:", "entity 'flipped', mesh, file", "bad.vtk", "1 inverted", "first 4"] {
         assert!(error.contains(part), "'{part}' is missing in '{error}'");
     }
     assert!(scene("require = \"any\"").is_ok());

@@ -7,6 +7,9 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use trocar_simulator::cutting::Sweep;
+use trocar_simulator::mass_spring::{
+    Config, Input, Integrator, MassSpring, Network, TooLarge, VolumeMaterial,
+};
 use trocar_simulator::tet_mesh::{
     BoxCells, MeshRules, Moving, RefineError, Slit, TetMesh, Volume, VolumeChange, VolumeError, box_cells,
     refined,
@@ -265,4 +268,58 @@ fn a_thousand_random_cuts_leave_no_sliver() {
     );
     assert!(flat.is_empty(), "{flat:?}");
     assert!(volume.pieces() > 1);
+}
+
+/// What explicit springs part along are faces between elements: after a thousand cuts, nothing has become stiffer for its mass.
+#[test]
+fn a_thousand_random_cuts_never_halve_the_safe_step_of_a_volume_of_springs() {
+    let mesh = block([5, 5, 5]);
+    let mut volume = Volume::new(&mesh);
+    let step = |volume: &Volume| {
+        let (mesh, _) = volume.mesh().expect("something is left");
+        let material = VolumeMaterial { young_modulus: 2e4, density: 1000.0 };
+        let network = Network::from_volume(mesh.rest(), mesh.tets(), &material).expect("a network");
+        MassSpring::new(network, mesh.rest().to_vec(), &[], Config::default()).expect("a solver").safe_step()
+    };
+    let at_first = step(&volume);
+    let mut random = Pcg64Mcg::seed_from_u64(5);
+    let (mut opened, mut least) = (0, f64::INFINITY);
+    for round in 0..1000 {
+        let mut point = || Point3::from([0; 3].map(|_| random.random_range(-0.005..0.055)));
+        let (from, to) = (point(), point());
+        let blade = [point(), point()];
+        let after = blade.map(|end| end + (to - from) * 0.3);
+        let places = volume.rest().to_vec();
+        let faces = volume.swept(&places, &blade, &after);
+        opened += faces.len();
+        volume.open(&faces).expect("they are there");
+        if round < 100 || round % 50 == 49 {
+            least = least.min(step(&volume));
+        }
+    }
+    assert!(opened > 500 && volume.pieces() > 10, "{opened} faces, {} pieces", volume.pieces());
+    assert!(least > 0.5 * at_first, "{least} s of {at_first} s");
+    // And it steps at half of the first one, which would be refused if it were too large: it falls, and what it moves
+    // and stretches with is what it has lost in height.
+    let (mesh, _) = volume.mesh().expect("something is left");
+    let material = VolumeMaterial { young_modulus: 2e4, density: 1000.0 };
+    let network = Network::from_volume(mesh.rest(), mesh.tets(), &material).expect("a network");
+    let integrator = Integrator::Explicit { too_large: TooLarge::Refuse };
+    let config = Config { integrator, ..Config::default() };
+    let low: Vec<u32> = (0..mesh.rest().len() as u32).filter(|&n| mesh.rest()[n as usize].z == 0.0).collect();
+    let mut solver = MassSpring::new(network, mesh.rest().to_vec(), &low, config).expect("a solver");
+    let gravity = Vector3::new(0.0, 0.0, -9.81);
+    let all = |solver: &MassSpring| {
+        let of = |(mass, place): (&f64, &Point3<f64>)| mass * 9.81 * place.z;
+        let height: f64 = solver.network().masses.iter().zip(&solver.state().positions).map(of).sum();
+        (height, height + solver.elastic_energy() + solver.kinetic_energy())
+    };
+    let (high, begun) = all(&solver);
+    for step in 0..1000 {
+        solver.step(0.5 * at_first, &Input { gravity, ..Input::default() }).expect("a step");
+        let (height, energy) = all(&solver);
+        let (made, lost) = (energy - begun, high - height);
+        assert!(made < 0.02 * lost.abs() + 1e-9, "step {step}: {made} J made where {lost} J were lost");
+    }
+    assert!(high - all(&solver).0 > 1e-3, "pieces that nothing holds have fallen");
 }

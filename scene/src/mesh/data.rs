@@ -32,6 +32,42 @@ pub struct SplitSurface {
     pub sources: Vec<u32>,
 }
 
+/// A line, or several.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LineData {
+    /// Vertices \[m\].
+    pub positions: Vec<Point3<f64>>,
+    /// Vertices at both ends of each piece.
+    pub segments: Vec<[u32; 2]>,
+}
+
+impl LineData {
+    /// Multiplies every coordinate by `factor` (for files that are not in metres).
+    #[must_use]
+    pub fn scaled(mut self, factor: f64) -> Self {
+        for position in &mut self.positions {
+            position.coords *= factor.abs();
+        }
+        self
+    }
+
+    /// Leaves out vertices that no piece has; the others keep their order.
+    pub fn compact(&mut self) {
+        let mut numbers = vec![u32::MAX; self.positions.len()];
+        self.segments.iter().flatten().for_each(|&vertex| numbers[vertex as usize] = 0);
+        let mut kept = Vec::new();
+        for (number, position) in numbers.iter_mut().zip(&self.positions).filter(|(number, _)| **number == 0)
+        {
+            *number = kept.len() as u32;
+            kept.push(*position);
+        }
+        self.positions = kept;
+        for vertex in self.segments.iter_mut().flatten() {
+            *vertex = numbers[*vertex as usize];
+        }
+    }
+}
+
 /// A volume of tetrahedra.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TetData {

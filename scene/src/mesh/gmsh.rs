@@ -1,8 +1,8 @@
-//! Gmsh meshes of tetrahedra, versions 2.2 and 4.1, ASCII and binary of either byte order
+//! Gmsh meshes of tetrahedra or of lines, versions 2.2 and 4.1, ASCII and binary of either byte order
 //! (C. Geuzaine and J.-F. Remacle, "Gmsh: a 3-D finite element mesh generator", 2009; reference manual, chapter
 //! "MSH file format").
 //!
-//! Points, lines and surface elements are skipped. Other volume elements are refused: a volume with holes where
+//! Points, surface elements, and lines unless it is lines that are read, are skipped. Other volume elements are refused: a volume with holes where
 //! its hexahedra were would look valid. Nodes are numbered in the order of the file.
 
 use std::collections::HashMap;
@@ -11,7 +11,7 @@ use std::path::Path;
 use nalgebra::Point3;
 
 use super::cursor::{Cursor, Order, Where, quoted};
-use super::data::TetData;
+use super::data::{LineData, TetData};
 use super::error::{MeshError, Place};
 use super::read::Limits;
 use super::{gmsh_v2, gmsh_v4};
@@ -36,6 +36,8 @@ pub(super) struct Volume {
     pub elements_read: bool,
     pub tets: Vec<[u32; 4]>,
     pub tags: Vec<i32>,
+    /// Lines of two nodes, where it is lines that are read: then nothing else is.
+    pub lines: Option<Vec<[u32; 2]>>,
 }
 
 /// Reads a Gmsh volume. `file` is for messages only. Unused nodes stay ([`TetData::compact`] drops them), and so
@@ -44,10 +46,24 @@ pub(super) struct Volume {
 /// # Errors
 /// Names the line or byte and the reason.
 pub fn read_gmsh(file: &Path, bytes: &[u8], limits: &Limits) -> Result<TetData, MeshError> {
+    let volume = read(file, bytes, limits, Volume::default())?;
+    Ok(TetData { positions: volume.positions, tets: volume.tets, tags: volume.tags })
+}
+
+/// Reads the lines of two nodes of a Gmsh file; all else is skipped. `file` is for messages only.
+///
+/// # Errors
+/// Names the line or byte and the reason.
+pub fn read_gmsh_line(file: &Path, bytes: &[u8], limits: &Limits) -> Result<LineData, MeshError> {
+    let wanted = Volume { lines: Some(Vec::new()), ..Volume::default() };
+    let volume = read(file, bytes, limits, wanted)?;
+    Ok(LineData { positions: volume.positions, segments: volume.lines.unwrap_or_default() })
+}
+
+fn read(file: &Path, bytes: &[u8], limits: &Limits, mut volume: Volume) -> Result<Volume, MeshError> {
     let mut cursor = Cursor::new(file, bytes, limits);
     let mut format: Option<(u8, Encoding)> = None;
     let mut physical = gmsh_v4::PhysicalGroups::new();
-    let mut volume = Volume::default();
     loop {
         cursor.skip_space();
         let place = cursor.line();
@@ -100,13 +116,14 @@ pub fn read_gmsh(file: &Path, bytes: &[u8], limits: &Limits) -> Result<TetData, 
         None => Some("$MeshFormat"),
         Some(_) if !volume.nodes_read => Some("$Nodes"),
         Some(_) if !volume.elements_read => Some("$Elements"),
-        Some(_) if volume.tets.is_empty() => Some("a tetrahedron"),
+        Some(_) if volume.lines.as_ref().is_some_and(Vec::is_empty) => Some("a line of two nodes"),
+        Some(_) if volume.lines.is_none() && volume.tets.is_empty() => Some("a tetrahedron"),
         Some(_) => None,
     };
     if let Some(missing) = missing {
         return Err(cursor.malformed(Where::Place(Place::Whole), format!("the file ends without {missing}")));
     }
-    Ok(TetData { positions: volume.positions, tets: volume.tets, tags: volume.tags })
+    Ok(volume)
 }
 
 fn mesh_format(cursor: &mut Cursor) -> Result<(u8, Encoding), MeshError> {
@@ -197,22 +214,47 @@ impl Volume {
         nodes: [u64; 4],
         tag: i32,
     ) -> Result<(), MeshError> {
-        let mut tet = [0; 4];
-        for (vertex, node) in tet.iter_mut().zip(nodes) {
-            *vertex = *self.index_of.get(&node).ok_or_else(|| {
-                let (index, vertices) = (self.tets.len(), self.positions.len());
-                cursor.out_of_range(place, "tetrahedron", index, node as i64, vertices)
-            })?;
+        if self.lines.is_some() {
+            return Ok(());
         }
+        let tet = self.vertices(cursor, place, ("tetrahedron", self.tets.len()), nodes)?;
         self.tets.push(tet);
         self.tags.push(tag);
         Ok(())
+    }
+
+    /// A line of two nodes, if lines are what is read.
+    pub fn add_line(&mut self, cursor: &Cursor, place: Where, nodes: [u64; 2]) -> Result<(), MeshError> {
+        let Some(lines) = &self.lines else { return Ok(()) };
+        let ends = self.vertices(cursor, place, ("line", lines.len()), nodes)?;
+        if ends[0] == ends[1] {
+            return Err(cursor.malformed(place, format!("a line goes from node {} to itself", nodes[0])));
+        }
+        self.lines.get_or_insert_default().push(ends);
+        Ok(())
+    }
+
+    fn vertices<const N: usize>(
+        &self,
+        cursor: &Cursor,
+        place: Where,
+        (element, index): (&'static str, usize),
+        nodes: [u64; N],
+    ) -> Result<[u32; N], MeshError> {
+        let mut vertices = [0; N];
+        for (vertex, node) in vertices.iter_mut().zip(nodes) {
+            *vertex = *self.index_of.get(&node).ok_or_else(|| {
+                cursor.out_of_range(place, element, index, node as i64, self.positions.len())
+            })?;
+        }
+        Ok(vertices)
     }
 }
 
 /// What to do with an element type.
 pub(super) enum ElementKind {
     Tetrahedron,
+    Line,
     /// Skipped; so many nodes.
     Lower(usize),
 }
@@ -221,7 +263,7 @@ pub(super) enum ElementKind {
 pub(super) fn element_kind(cursor: &Cursor, place: Where, kind: i64) -> Result<ElementKind, MeshError> {
     Ok(match kind {
         4 => ElementKind::Tetrahedron,
-        1 => ElementKind::Lower(2),
+        1 => ElementKind::Line,
         2 => ElementKind::Lower(3),
         3 => ElementKind::Lower(4),
         8 => ElementKind::Lower(3),

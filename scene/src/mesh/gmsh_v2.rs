@@ -78,6 +78,10 @@ fn ascii_element(cursor: &mut Cursor, volume: &mut Volume) -> Result<(), MeshErr
             }
             Ok(())
         }
+        ElementKind::Line => {
+            let nodes = [cursor.parse("a node number")?, cursor.parse("a node number")?];
+            volume.add_line(cursor, place, nodes)
+        }
         ElementKind::Tetrahedron => {
             let mut nodes = [0; 4];
             for node in &mut nodes {
@@ -119,6 +123,11 @@ fn binary_block(
         match kind {
             ElementKind::Lower(nodes) => {
                 cursor.take(4 * nodes, "an element")?;
+            }
+            ElementKind::Line => {
+                let mut node = || cursor.u32(order, "a node number").map(u64::from);
+                let nodes = [node()?, node()?];
+                volume.add_line(cursor, place, nodes)?;
             }
             ElementKind::Tetrahedron => {
                 let mut nodes = [0; 4];

@@ -169,6 +169,10 @@ pub(super) fn elements(
                         numbers.size("a node number")?;
                     }
                 }
+                ElementKind::Line => {
+                    let nodes = [numbers.size("a node number")?, numbers.size("a node number")?];
+                    volume.add_line(numbers.cursor, place, nodes)?;
+                }
                 ElementKind::Tetrahedron => {
                     let mut nodes = [0; 4];
                     for node in &mut nodes {

@@ -29,15 +29,17 @@ mod validate;
 mod validate_tets;
 mod vtk;
 
-pub use data::{SplitSurface, SurfaceData, TetData};
+pub use data::{LineData, SplitSurface, SurfaceData, TetData};
 pub use error::{MeshError, Place};
 pub use gltf::read_gltf;
-pub use gmsh::read_gmsh;
-pub use obj::read_obj;
-pub use read::{Limits, SURFACE_EXTENSIONS, TET_EXTENSIONS, read_surface, read_tets};
+pub use gmsh::{read_gmsh, read_gmsh_line};
+pub use obj::{read_obj, read_obj_line};
+pub use read::{
+    LINE_EXTENSIONS, Limits, SURFACE_EXTENSIONS, TET_EXTENSIONS, read_line, read_surface, read_tets,
+};
 pub use stl::read_stl;
 pub use tet_defects::{BadTets, Defect, MeshRules, mean_ratio, tet_defects, tet_shape};
 pub use tet_repair::{RepairedTets, Repairs, repaired_tets};
 pub use validate::{Finding, SurfacePolicy, SurfaceReport, validate_surface};
 pub use validate_tets::{TetPolicy, TetReport, validate_tets};
-pub use vtk::read_vtk;
+pub use vtk::{read_vtk, read_vtk_line};

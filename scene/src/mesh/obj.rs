@@ -1,16 +1,16 @@
-//! Wavefront OBJ surfaces (B. Martin, "Object Files (.obj)", Wavefront Technologies 1995: the polygonal part).
+//! Wavefront OBJ surfaces and lines (B. Martin, "Object Files (.obj)", Wavefront Technologies 1995: the polygonal part).
 //!
 //! A parser of our own because physics needs what loaders for graphics give up: the vertices in the order of the
 //! file, shared across groups (a vertex that two groups use must stay one vertex, or the surface falls apart),
-//! double precision, and the line of an error. Polygons become fans. Lines, points, groups, materials and
-//! smoothing groups are skipped; free-form curves and surfaces are refused.
+//! double precision, and the line of an error. Polygons become fans. Points, groups, materials and smoothing groups are
+//! skipped, and so are polylines (`l`) unless it is a line that is read; free-form curves and surfaces are refused.
 
 use std::path::Path;
 
 use nalgebra::{Point3, Vector3};
 
 use super::cursor::{Cursor, Where, quoted};
-use super::data::SurfaceData;
+use super::data::{LineData, SurfaceData};
 use super::error::{MeshError, Place};
 use super::read::Limits;
 
@@ -32,6 +32,8 @@ struct Parsed {
     uvs: Vec<[f64; 2]>,
     normals: Vec<Vector3<f64>>,
     triangles: Vec<[Corner; 3]>,
+    /// Pieces of polylines.
+    segments: Vec<[u32; 2]>,
 }
 
 /// Reads an OBJ surface. `file` is for messages only.
@@ -42,6 +44,27 @@ struct Parsed {
 /// Names the line and the reason.
 pub fn read_obj(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceData, MeshError> {
     let mut cursor = Cursor::new(file, bytes, limits);
+    let parsed = parse(&mut cursor, limits, false)?;
+    if parsed.triangles.is_empty() {
+        return Err(cursor.malformed(Where::Place(Place::Whole), "there is no face in the file"));
+    }
+    Ok(parsed.into_surface())
+}
+
+/// Reads the polylines (`l`) of an OBJ file; its faces are skipped. `file` is for messages only.
+///
+/// # Errors
+/// Names the line and the reason.
+pub fn read_obj_line(file: &Path, bytes: &[u8], limits: &Limits) -> Result<LineData, MeshError> {
+    let mut cursor = Cursor::new(file, bytes, limits);
+    let parsed = parse(&mut cursor, limits, true)?;
+    if parsed.segments.is_empty() {
+        return Err(cursor.malformed(Where::Place(Place::Whole), "there is no polyline ('l') in the file"));
+    }
+    Ok(LineData { positions: parsed.positions, segments: parsed.segments })
+}
+
+fn parse(cursor: &mut Cursor, limits: &Limits, lines: bool) -> Result<Parsed, MeshError> {
     let mut parsed = Parsed::default();
     let mut number = 0;
     let mut polygon = Vec::new();
@@ -56,26 +79,41 @@ pub fn read_obj(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDat
         match words.next() {
             None => {}
             Some(b"v") => {
-                limit(&cursor, place, "vertices", parsed.positions.len(), limits.vertices)?;
-                let [x, y, z] = numbers(&cursor, place, "vertex", parsed.positions.len(), &mut words)?;
+                limit(cursor, place, "vertices", parsed.positions.len(), limits.vertices)?;
+                let [x, y, z] = numbers(cursor, place, "vertex", parsed.positions.len(), &mut words)?;
                 parsed.positions.push(Point3::new(x, y, z));
             }
             Some(b"vt") => {
                 limit(
-                    &cursor,
+                    cursor,
                     place,
                     "texture coordinates",
                     parsed.uvs.len(),
                     limits.elements.saturating_mul(3),
                 )?;
-                let [u, v] = texture_coordinate(&cursor, place, parsed.uvs.len(), words)?;
+                let [u, v] = texture_coordinate(cursor, place, parsed.uvs.len(), words)?;
                 parsed.uvs.push([u, v]);
             }
             Some(b"vn") => {
-                limit(&cursor, place, "normals", parsed.normals.len(), limits.elements.saturating_mul(3))?;
-                let [x, y, z] = numbers(&cursor, place, "normal", parsed.normals.len(), &mut words)?;
+                limit(cursor, place, "normals", parsed.normals.len(), limits.elements.saturating_mul(3))?;
+                let [x, y, z] = numbers(cursor, place, "normal", parsed.normals.len(), &mut words)?;
                 parsed.normals.push(Vector3::new(x, y, z));
             }
+            Some(b"l") if lines => {
+                let mut last = None;
+                for word in words {
+                    let next = corner(cursor, place, word, &parsed)?.vertex;
+                    if let Some(last) = last.replace(next) {
+                        limit(cursor, place, "segments", parsed.segments.len(), limits.elements)?;
+                        if last == next {
+                            let reason = format!("a polyline goes from vertex {} to itself", last + 1);
+                            return Err(cursor.malformed(place, reason));
+                        }
+                        parsed.segments.push([last, next]);
+                    }
+                }
+            }
+            Some(b"f") if lines => {}
             Some(b"f") => {
                 polygon.clear();
                 for word in words {
@@ -83,13 +121,13 @@ pub fn read_obj(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDat
                         let reason = format!("a face has more than {CORNERS_MAX} corners");
                         return Err(cursor.malformed(place, reason));
                     }
-                    polygon.push(corner(&cursor, place, word, &parsed)?);
+                    polygon.push(corner(cursor, place, word, &parsed)?);
                 }
                 if polygon.len() < 3 {
                     let reason = format!("a face needs at least 3 corners, this one has {}", polygon.len());
                     return Err(cursor.malformed(place, reason));
                 }
-                limit(&cursor, place, "triangles", parsed.triangles.len() + polygon.len(), limits.elements)?;
+                limit(cursor, place, "triangles", parsed.triangles.len() + polygon.len(), limits.elements)?;
                 let fan = (2..polygon.len()).map(|k| [polygon[0], polygon[k - 1], polygon[k]]);
                 parsed.triangles.extend(fan);
             }
@@ -102,10 +140,7 @@ pub fn read_obj(file: &Path, bytes: &[u8], limits: &Limits) -> Result<SurfaceDat
             }
         }
     }
-    if parsed.triangles.is_empty() {
-        return Err(cursor.malformed(Where::Place(Place::Whole), "there is no face in the file"));
-    }
-    Ok(parsed.into_surface())
+    Ok(parsed)
 }
 
 fn limit(

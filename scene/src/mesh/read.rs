@@ -4,9 +4,11 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::data::{SurfaceData, TetData};
+use super::data::{LineData, SurfaceData, TetData};
 use super::error::{MeshError, Place};
-use super::{read_gltf, read_gmsh, read_obj, read_stl, read_vtk};
+use super::{
+    read_gltf, read_gmsh, read_gmsh_line, read_obj, read_obj_line, read_stl, read_vtk, read_vtk_line,
+};
 
 /// How much a mesh file may hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,6 +42,23 @@ pub fn read_surface(file: &Path, limits: &Limits) -> Result<SurfaceData, MeshErr
         "stl" => read_stl(file, &read_bytes(file, limits)?, limits),
         "gltf" | "glb" => read_gltf(file, &read_bytes(file, limits)?, limits),
         other => Err(unknown_extension(file, other, SURFACE_EXTENSIONS)),
+    }
+}
+
+/// Extensions of files of lines that [`read_line`] knows.
+pub const LINE_EXTENSIONS: &str = "obj, msh, vtk";
+
+/// Reads the polylines of an OBJ file, the lines of two nodes of a Gmsh one (2.2, 4.1), or the lines and polylines of a legacy
+/// VTK one; the extension says which. Vertices that no piece uses stay ([`LineData::compact`] drops them).
+///
+/// # Errors
+/// Names the file, the place in it and the reason.
+pub fn read_line(file: &Path, limits: &Limits) -> Result<LineData, MeshError> {
+    match extension(file).as_str() {
+        "obj" => read_obj_line(file, &read_bytes(file, limits)?, limits),
+        "msh" => read_gmsh_line(file, &read_bytes(file, limits)?, limits),
+        "vtk" => read_vtk_line(file, &read_bytes(file, limits)?, limits),
+        other => Err(unknown_extension(file, other, LINE_EXTENSIONS)),
     }
 }
 

@@ -1,7 +1,7 @@
-//! Legacy VTK files with an unstructured grid of tetrahedra, ASCII and binary, versions 1 to 5
+//! Legacy VTK files with an unstructured grid of tetrahedra, or with lines in such a grid or in poly data, ASCII and binary, versions 1 to 5
 //! ("VTK File Formats", Kitware: the simple legacy formats; binary numbers are big-endian).
 //!
-//! Vertices, lines and surface cells are skipped; other volume cells are refused. Data on points and cells is
+//! Vertices, surface cells, and lines unless it is lines that are read, are skipped; other volume cells are refused. Data on points and cells is
 //! not read, so all tags are 0.
 
 use std::path::Path;
@@ -9,7 +9,7 @@ use std::path::Path;
 use nalgebra::Point3;
 
 use super::cursor::{Cursor, Order, Where, quoted};
-use super::data::TetData;
+use super::data::{LineData, TetData};
 use super::error::{MeshError, Place};
 use super::read::Limits;
 
@@ -19,6 +19,10 @@ const TETRA: i64 = 10;
 const LOWER: [i64; 12] = [1, 2, 3, 4, 5, 6, 7, 8, 9, 21, 22, 23];
 const SUPPORTED_CELLS: &str = "tetrahedra (type 10); cells of lower dimension are skipped";
 const KEYWORDS: &str = "POINTS, CELLS, CELL_TYPES, FIELD, METADATA, POINT_DATA, CELL_DATA";
+const POLY_KEYWORDS: &str =
+    "POINTS, VERTICES, LINES, POLYGONS, TRIANGLE_STRIPS, FIELD, METADATA, POINT_DATA, CELL_DATA";
+/// Lines of two corners and of more.
+const LINES: [i64; 2] = [3, 4];
 
 /// Type of a number in an array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,8 +80,38 @@ struct Reader<'a> {
 /// # Errors
 /// Names the line or byte and the reason.
 pub fn read_vtk(file: &Path, bytes: &[u8], limits: &Limits) -> Result<TetData, MeshError> {
+    let sections = read(file, bytes, limits, false)?;
+    sections.tets()
+}
+
+/// Reads the lines and polylines of a legacy VTK file, of an unstructured grid or of poly data; all else is skipped. `file` is
+/// for messages only.
+///
+/// # Errors
+/// Names the line or byte and the reason.
+pub fn read_vtk_line(file: &Path, bytes: &[u8], limits: &Limits) -> Result<LineData, MeshError> {
+    let sections = read(file, bytes, limits, true)?;
+    sections.lines()
+}
+
+/// What a file holds.
+struct Sections<'a> {
+    cursor: Cursor<'a>,
+    is_poly: bool,
+    points: Option<Vec<Point3<f64>>>,
+    /// Of a grid its cells, of poly data its lines.
+    cells: Option<Cells>,
+    types: Option<Vec<i64>>,
+}
+
+fn read<'a>(
+    file: &'a Path,
+    bytes: &'a [u8],
+    limits: &'a Limits,
+    takes_poly: bool,
+) -> Result<Sections<'a>, MeshError> {
     let mut cursor = Cursor::new(file, bytes, limits);
-    let binary = header(&mut cursor)?;
+    let (binary, is_poly) = header(&mut cursor, takes_poly)?;
     let mut reader = Reader { cursor, binary };
     let mut points: Option<Vec<Point3<f64>>> = None;
     let mut cells: Option<Cells> = None;
@@ -94,37 +128,38 @@ pub fn read_vtk(file: &Path, bytes: &[u8], limits: &Limits) -> Result<TetData, M
             (Some("POINTS"), [count, kind]) if points.is_none() => {
                 points = Some(reader.points(place, count, kind)?);
             }
-            (Some("CELLS"), [count, size]) if cells.is_none() => {
+            (Some("LINES"), [count, size]) if is_poly && cells.is_none() => {
                 cells = Some(reader.cells(place, count, size)?);
             }
-            (Some("CELL_TYPES"), [count]) if types.is_none() => {
+            (Some("VERTICES" | "POLYGONS" | "TRIANGLE_STRIPS"), [count, size]) if is_poly => {
+                reader.cells(place, count, size)?;
+            }
+            (Some("CELLS"), [count, size]) if !is_poly && cells.is_none() => {
+                cells = Some(reader.cells(place, count, size)?);
+            }
+            (Some("CELL_TYPES"), [count]) if !is_poly && types.is_none() => {
                 let count = reader.count(place, "cell types", count, 2, 4, limits.elements)?;
                 types = Some(reader.integers(count, Kind::I32, "a cell type")?);
             }
-            (Some("POINTS" | "CELLS" | "CELL_TYPES"), _) => {
-                let reason = format!("{} stands twice, or without its counts", quoted(line.as_bytes()));
-                return Err(reader.cursor.malformed(place, reason));
-            }
+            (Some("POINTS"), _) => return Err(reader.twice(place, line)),
+            (Some("LINES"), _) if is_poly => return Err(reader.twice(place, line)),
+            (Some("CELLS" | "CELL_TYPES"), _) if !is_poly => return Err(reader.twice(place, line)),
             (Some("FIELD"), [_, count]) => reader.skip_field(place, count)?,
             (Some("METADATA"), _) => reader.skip_paragraph(),
             // Nothing after the geometry is needed.
             (Some("POINT_DATA" | "CELL_DATA"), _) => break,
             _ => {
-                let reason = format!("one of {KEYWORDS} is expected, found {}", quoted(line.as_bytes()));
+                let keywords = if is_poly { POLY_KEYWORDS } else { KEYWORDS };
+                let reason = format!("one of {keywords} is expected, found {}", quoted(line.as_bytes()));
                 return Err(reader.cursor.malformed(place, reason));
             }
         }
     }
-    let missing = |what: &str| {
-        reader.cursor.malformed(Where::Place(Place::Whole), format!("the file has no {what} section"))
-    };
-    let positions = points.ok_or_else(|| missing("POINTS"))?;
-    let cells = cells.ok_or_else(|| missing("CELLS"))?;
-    let types = types.ok_or_else(|| missing("CELL_TYPES"))?;
-    assemble(&reader.cursor, positions, &cells, &types)
+    Ok(Sections { cursor: reader.cursor, is_poly, points, cells, types })
 }
 
-fn header(cursor: &mut Cursor) -> Result<bool, MeshError> {
+/// Whether it is binary, and whether it holds poly data.
+fn header(cursor: &mut Cursor, takes_poly: bool) -> Result<(bool, bool), MeshError> {
     let place = cursor.line();
     let first = cursor.next_text_line("'# vtk DataFile Version'")?;
     let version = first.strip_prefix("# vtk DataFile Version ").and_then(|v| v.trim().split('.').next());
@@ -157,9 +192,14 @@ fn header(cursor: &mut Cursor) -> Result<bool, MeshError> {
     let dataset = cursor.next_text_line("DATASET UNSTRUCTURED_GRID")?;
     let words: Vec<String> = dataset.split_whitespace().map(str::to_ascii_uppercase).collect();
     match words.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
-        ["DATASET", "UNSTRUCTURED_GRID"] => Ok(binary),
+        ["DATASET", "UNSTRUCTURED_GRID"] => Ok((binary, false)),
+        ["DATASET", "POLYDATA"] if takes_poly => Ok((binary, true)),
         ["DATASET", _] => {
-            Err(cursor.unsupported(place, quoted(dataset.as_bytes()), "DATASET UNSTRUCTURED_GRID"))
+            let supported = match takes_poly {
+                true => "DATASET UNSTRUCTURED_GRID, DATASET POLYDATA",
+                false => "DATASET UNSTRUCTURED_GRID",
+            };
+            Err(cursor.unsupported(place, quoted(dataset.as_bytes()), supported))
         }
         _ => {
             let reason =
@@ -176,7 +216,18 @@ struct Cells {
     vertices: Vec<i64>,
 }
 
+impl Cells {
+    fn of(&self, cell: usize) -> &[i64] {
+        &self.vertices[self.offsets[cell]..self.offsets[cell + 1]]
+    }
+}
+
 impl Reader<'_> {
+    fn twice(&self, place: Where, line: &str) -> MeshError {
+        let reason = format!("{} stands twice, or without its counts", quoted(line.as_bytes()));
+        self.cursor.malformed(place, reason)
+    }
+
     fn here(&self) -> Where {
         if self.binary { self.cursor.byte() } else { self.cursor.line() }
     }
@@ -367,44 +418,98 @@ impl Reader<'_> {
     }
 }
 
-fn assemble(
-    cursor: &Cursor,
-    positions: Vec<Point3<f64>>,
-    cells: &Cells,
-    types: &[i64],
-) -> Result<TetData, MeshError> {
-    let whole = Where::Place(Place::Whole);
-    let count = cells.offsets.len().saturating_sub(1);
-    if types.len() != count {
-        let reason = format!("there are {count} cells, but {} cell types", types.len());
-        return Err(cursor.malformed(whole, reason));
+/// Vertices, cells and, of a grid, the type of each cell.
+type Parts = (Vec<Point3<f64>>, Cells, Option<Vec<i64>>);
+
+impl Sections<'_> {
+    fn missing(&self, what: &str) -> MeshError {
+        self.cursor.malformed(Where::Place(Place::Whole), format!("the file has no {what} section"))
     }
-    let mut tets = Vec::new();
-    for (cell, &kind) in types.iter().enumerate() {
-        if LOWER.contains(&kind) {
-            continue;
+
+    fn parts(&mut self) -> Result<Parts, MeshError> {
+        let points = self.points.take().ok_or_else(|| self.missing("POINTS"))?;
+        let cells = self.cells.take();
+        let cells = cells.ok_or_else(|| self.missing(if self.is_poly { "LINES" } else { "CELLS" }))?;
+        if self.is_poly {
+            return Ok((points, cells, None));
         }
-        if kind != TETRA {
-            return Err(cursor.unsupported(whole, format!("cell {cell} of type {kind}"), SUPPORTED_CELLS));
+        let types = self.types.take().ok_or_else(|| self.missing("CELL_TYPES"))?;
+        let count = cells.offsets.len().saturating_sub(1);
+        if types.len() != count {
+            let reason = format!("there are {count} cells, but {} cell types", types.len());
+            return Err(self.cursor.malformed(Where::Place(Place::Whole), reason));
         }
-        let corners = &cells.vertices[cells.offsets[cell]..cells.offsets[cell + 1]];
-        let &[a, b, c, d] = corners else {
-            let reason = format!("cell {cell} is a tetrahedron with {} corners", corners.len());
-            return Err(cursor.malformed(whole, reason));
-        };
-        let mut tet = [0; 4];
-        for (vertex, written) in tet.iter_mut().zip([a, b, c, d]) {
-            let valid = usize::try_from(written).is_ok_and(|v| v < positions.len());
-            if !valid {
-                return Err(cursor.out_of_range(whole, "tetrahedron (cell)", cell, written, positions.len()));
+        Ok((points, cells, Some(types)))
+    }
+
+    fn vertex(
+        &self,
+        (element, cell): (&'static str, usize),
+        written: i64,
+        vertices: usize,
+    ) -> Result<u32, MeshError> {
+        match usize::try_from(written).is_ok_and(|vertex| vertex < vertices) {
+            true => Ok(written as u32),
+            false => {
+                let whole = Where::Place(Place::Whole);
+                Err(self.cursor.out_of_range(whole, element, cell, written, vertices))
             }
-            *vertex = written as u32;
         }
-        tets.push(tet);
     }
-    if tets.is_empty() {
-        return Err(cursor.malformed(whole, "there is no tetrahedron in the file"));
+
+    fn tets(mut self) -> Result<TetData, MeshError> {
+        let whole = Where::Place(Place::Whole);
+        let (positions, cells, types) = self.parts()?;
+        let mut tets = Vec::new();
+        for (cell, kind) in types.unwrap_or_default().into_iter().enumerate() {
+            if LOWER.contains(&kind) {
+                continue;
+            }
+            if kind != TETRA {
+                let what = format!("cell {cell} of type {kind}");
+                return Err(self.cursor.unsupported(whole, what, SUPPORTED_CELLS));
+            }
+            let corners = cells.of(cell);
+            let &[a, b, c, d] = corners else {
+                let reason = format!("cell {cell} is a tetrahedron with {} corners", corners.len());
+                return Err(self.cursor.malformed(whole, reason));
+            };
+            let mut tet = [0; 4];
+            for (vertex, written) in tet.iter_mut().zip([a, b, c, d]) {
+                *vertex = self.vertex(("tetrahedron (cell)", cell), written, positions.len())?;
+            }
+            tets.push(tet);
+        }
+        if tets.is_empty() {
+            return Err(self.cursor.malformed(whole, "there is no tetrahedron in the file"));
+        }
+        let tags = vec![0; tets.len()];
+        Ok(TetData { positions, tets, tags })
     }
-    let tags = vec![0; tets.len()];
-    Ok(TetData { positions, tets, tags })
+
+    fn lines(mut self) -> Result<LineData, MeshError> {
+        let whole = Where::Place(Place::Whole);
+        let (positions, cells, types) = self.parts()?;
+        let mut segments = Vec::new();
+        for cell in 0..cells.offsets.len().saturating_sub(1) {
+            if types.as_ref().is_some_and(|types| !LINES.contains(&types[cell])) {
+                continue;
+            }
+            let mut last = None;
+            for &written in cells.of(cell) {
+                let next = self.vertex(("line (cell)", cell), written, positions.len())?;
+                if let Some(last) = last.replace(next) {
+                    if last == next {
+                        let reason = format!("cell {cell} goes from vertex {next} to itself");
+                        return Err(self.cursor.malformed(whole, reason));
+                    }
+                    segments.push([last, next]);
+                }
+            }
+        }
+        if segments.is_empty() {
+            return Err(self.cursor.malformed(whole, "there is no line in the file"));
+        }
+        Ok(LineData { positions, segments })
+    }
 }

@@ -19,13 +19,13 @@ use crate::confined_path;
 use crate::entity::Entity;
 use crate::mesh::{
     BadTets, Limits, MeshError, MeshRules, Repairs, SURFACE_EXTENSIONS, SurfaceData, SurfacePolicy,
-    TET_EXTENSIONS, TetData, TetPolicy, read_surface, read_tets, repaired_tets, tet_defects,
+    TET_EXTENSIONS, TetData, TetPolicy, read_line, read_surface, read_tets, repaired_tets, tet_defects,
     validate_surface, validate_tets,
 };
 use crate::shapes::{Detail, surface_of};
 
 /// Keys of the table of a file, and of a shape.
-pub(super) const KEYS: [&str; 4] = ["file", "scale", "repair", "require"];
+pub(super) const KEYS: [&str; 5] = ["file", "scale", "repair", "require", "radius"];
 pub(super) const SHAPE_KEYS: [&str; 2] = ["shape", "segments"];
 /// Values of `require`.
 pub(super) const REQUIREMENTS: [&str; 3] = ["solid", "manifold", "any"];
@@ -123,6 +123,28 @@ pub(super) fn load(
     let extension = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     let listed = |list: &str| list.split(", ").any(|known| known == extension);
     let limits = Limits::default();
+    // Whoever gives a radius wants the lines of the file.
+    if let Some(radius) = table.number("radius", 1e-6..=1.0, "1e-6 to 1 m")? {
+        for other in ["repair", "require"] {
+            if let Some(given) = table.get(other) {
+                return Err(table.error(
+                    given.span(),
+                    other,
+                    "is of surfaces and volumes, 'radius' of lines",
+                ));
+            }
+        }
+        let mut line = read_line(&file, &limits).map_err(refused)?.scaled(scale);
+        line.compact();
+        return Ok(LoadedMesh {
+            positions: VertexPositions { positions: Arc::new(line.positions) },
+            surface: None,
+            tets: None,
+            line: Some(LineMesh { segments: Arc::new(line.segments), radius }),
+            uv: None,
+            repaired: None,
+        });
+    }
     if listed(TET_EXTENSIONS) {
         let volume = read_tets(&file, &limits).map_err(refused)?.scaled(scale);
         let because = |reason| MeshError::Refused { file: file.clone(), reason };

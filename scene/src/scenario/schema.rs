@@ -117,7 +117,8 @@ const MESHES: [&str; 7] = ["file", "shape", "organ", "sheet", "tube", "block", "
 
 fn mesh_file() -> Value {
     json!({
-        "description": "A mesh file that becomes vertex_positions, surface_mesh and, for volumes, tet_mesh.",
+        "description": "A mesh file that becomes vertex_positions, surface_mesh and, for volumes, tet_mesh; with a radius its lines \
+                        become line_mesh.",
         "type": "object", "required": ["file"], "additionalProperties": false,
         "properties": {
             "file": {
@@ -137,6 +138,10 @@ fn mesh_file() -> Value {
                 "description": "solid: closed, manifold, oriented, nothing degenerate or inverted; manifold: may be \
                                 open (surfaces) or inverted (volumes); any: no requirement.",
                 "enum": mesh_source::REQUIREMENTS, "default": mesh_source::REQUIREMENTS[0],
+            },
+            "radius": {
+                "description": "Take the lines of an obj, msh or vtk file as a thread of this radius (m).",
+                "type": "number", "minimum": 1e-6, "maximum": 1.0,
             },
         },
     })

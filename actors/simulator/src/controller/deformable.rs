@@ -10,6 +10,7 @@ use trocar_scene::{
 
 use super::coupling::CoupledBody;
 use super::xpbd::XpbdBody;
+use crate::mass_spring::Faulty;
 
 /// A body with vertices that move.
 #[derive(Clone, Debug)]
@@ -55,7 +56,8 @@ impl Deformable {
     /// Reads a body. What is not there yet is as at rest.
     ///
     /// # Errors
-    /// It has no vertices, or numbers of them that do not go together; or it is coupled, and cannot be.
+    /// It has no vertices, numbers of them that do not go together, or elements that name others than there are; or it is
+    /// coupled, and cannot be.
     pub fn read(scene: &Snapshot, entity: Entity) -> Result<Self, ControllerError> {
         let name = scene.name(entity);
         let wrong = |what: &str| ControllerError::Scene(format!("'{name}' {what}"));
@@ -82,14 +84,20 @@ impl Deformable {
         let line = scene.get::<LineMesh>(entity);
         let triangles = scene.get::<SurfaceMesh>(entity).map(|surface| surface.triangles.clone());
         let tets = scene.get::<TetMesh>(entity).map(|volume| volume.tets.clone());
+        let (triangles, tets) = (triangles.unwrap_or_default(), tets.unwrap_or_default());
+        let segments = line.map(|line| line.segments.clone()).unwrap_or_default();
+        let nodes = positions.len();
+        within("triangle", &triangles, nodes).map_err(|what| wrong(&what))?;
+        within("tetrahedron", &tets, nodes).map_err(|what| wrong(&what))?;
+        within("segment", &segments, nodes).map_err(|what| wrong(&what))?;
         let mut body = Self {
             entity,
             rest,
             positions,
             velocities,
-            triangles: triangles.unwrap_or_default(),
-            tets: tets.unwrap_or_default(),
-            segments: line.map(|line| line.segments.clone()).unwrap_or_default(),
+            triangles,
+            tets,
+            segments,
             radius: line.map_or(0.0, |line| line.radius),
             pinned: Vec::new(),
             anchors,
@@ -116,6 +124,25 @@ impl Deformable {
     pub fn anchor(&mut self) {
         let held = self.rest.iter().enumerate().filter(|(_, point)| self.anchors.hold(point));
         self.pinned = held.map(|(vertex, _)| vertex as u32).collect();
+    }
+
+    /// The same of some of them, ascending, that are new or lie otherwise at rest.
+    pub fn anchor_again(&mut self, vertices: &[u32]) {
+        for &vertex in vertices {
+            let held = self.rest.get(vertex as usize).is_some_and(|point| self.anchors.hold(point));
+            is_among(&mut self.pinned, vertex, held);
+        }
+    }
+
+    /// Says of a vertex whether no element uses it any longer.
+    pub fn is_loose(&mut self, vertex: u32, is_loose: bool) {
+        is_among(&mut self.loose, vertex, is_loose);
+    }
+
+    /// Whether nothing moves a vertex.
+    #[must_use]
+    pub fn is_staying(&self, vertex: u32) -> bool {
+        [&self.pinned, &self.loose].into_iter().any(|list| list.binary_search(&vertex).is_ok())
     }
 
     /// Vertices that nothing moves, ascending: held ones, and those that nothing uses.
@@ -186,6 +213,26 @@ impl Deformable {
     /// Gravity in its frame \[m/s²\].
     pub fn gravity(gravity_in_world: &Vector3<f64>, world_from_body: &Isometry3<f64>) -> Vector3<f64> {
         world_from_body.rotation.inverse() * gravity_in_world
+    }
+}
+
+/// Whether elements name vertices that there are; else which do not.
+fn within<const N: usize>(kind: &str, elements: &[[u32; N]], vertices: usize) -> Result<(), String> {
+    let is_bad = |index: usize| elements[index].iter().any(|&vertex| vertex as usize >= vertices);
+    Faulty::among(elements.len(), is_bad).refuse(|faulty| {
+        format!(
+            "has {vertices} vertices, 0 to {}, and elements ({kind}) that name others: {faulty}",
+            vertices.saturating_sub(1)
+        )
+    })
+}
+
+/// Puts it into an ascending list, or takes it out.
+fn is_among(list: &mut Vec<u32>, vertex: u32, is: bool) {
+    match list.binary_search(&vertex) {
+        Err(at) if is => list.insert(at, vertex),
+        Ok(at) if !is => drop(list.remove(at)),
+        _ => {}
     }
 }
 

@@ -8,13 +8,13 @@ use trocar_scene::{Access, Commands, Component, ComponentError, Doubtful, Entity
 use super::deformable::Deformable;
 use super::dynamic_fem_memory::DynamicFemMemory;
 use super::heat::{Coagulated, Heated};
-use super::parting::{Elements, Parting, Weakness};
+use super::parting::{Elements, Parting, Split, Weakness};
 use super::soft::{Measures, Outlook, Reshaped, Site, SoftController, SoftMethod};
 use super::tools::Rod;
 use super::touch::{Skin, Touch};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Report};
 use crate::elasticity::{Elastic, POISSON_MAX};
-use crate::tet_mesh::{Birth, MeshRules, TetMesh};
+use crate::tet_mesh::{MeshRules, TetMesh};
 
 /// Steps in a row that end out of balance, from which on a body is doubtful: a blow takes a few.
 const UNSOLVED_MAX: u32 = 20;
@@ -143,10 +143,10 @@ impl Elements for Solver {
         Ok(())
     }
 
-    fn split(&mut self, body: &Deformable, born: &[Birth], heated: &Heated) -> Result<(), String> {
+    fn split(&mut self, body: &Deformable, split: &Split<'_>) -> Result<(), String> {
         self.memory.take(&self.solver);
-        self.memory.split(born);
-        self.solver = self.kind.solver(body, &self.memory, heated)?;
+        self.memory.split(split.born);
+        self.solver = self.kind.solver(body, &self.memory, &(split.heated)())?;
         Ok(())
     }
 }

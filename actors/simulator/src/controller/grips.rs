@@ -23,6 +23,25 @@ impl Component for Grips {
 }
 
 impl Grips {
+    /// Whether they can be of a body of so many vertices and parts that can be held.
+    ///
+    /// # Errors
+    /// What is held that there is not.
+    pub(super) fn fit(&self, vertices: usize, parts: usize) -> Result<(), String> {
+        for pick in &self.picks.picks {
+            let vertex =
+                pick.vertices.iter().map(|held| held.vertex).find(|&vertex| vertex as usize >= vertices);
+            let part = pick.triangles.iter().copied().find(|&part| part as usize >= parts);
+            let (what, which, there) = match (vertex, part) {
+                (Some(vertex), _) => ("vertex", vertex, vertices),
+                (None, Some(part)) => ("triangle or segment", part, parts),
+                (None, None) => continue,
+            };
+            return Err(format!("its 'grips' hold {what} {which}, and it has {there}"));
+        }
+        Ok(())
+    }
+
     /// How many vertices are held.
     #[must_use]
     pub fn vertices(&self) -> usize {

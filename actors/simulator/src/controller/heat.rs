@@ -6,7 +6,11 @@ use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError, Entity, Snapshot};
+use trocar_scene::{
+    Access, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
+};
+
+use crate::elasticity::Alteration;
 
 /// Elements of a body's mesh at rest that are gone: tetrahedra of a volume, triangles of a membrane.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -43,6 +47,15 @@ impl Component for CoagulatedElements {
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)
     }
+}
+
+/// What whoever moves bodies that come apart reads and writes of them, volumes and membranes.
+pub(super) fn access(access: Access, bodies: &[Entity]) -> Access {
+    access
+        .reads::<RemovedElements>()
+        .reads::<CoagulatedElements>()
+        .writes::<SurfaceMesh>(EntitySet::Of(bodies.to_vec()))
+        .writes::<TextureCoordinates>(EntitySet::Of(bodies.to_vec()))
 }
 
 /// What somebody who moves a body knows of that.
@@ -83,6 +96,13 @@ impl Heated {
             self.coagulated = now.elements.clone();
         }
         (gone, changed)
+    }
+
+    /// As stiff and as long as an element is, if it is there.
+    #[must_use]
+    pub fn alteration(&self, element: u32) -> Alteration {
+        self.of(element)
+            .map_or(Alteration::NONE, |of| Alteration { stiffness: of.stiffness, length: of.length })
     }
 
     /// What is known of an element.

@@ -11,10 +11,9 @@ use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
 use super::linear_fem_fading::Fading;
 use super::linear_fem_jobs::built;
-use super::parting::Elements;
+use super::parting::{Elements, Split};
 use crate::elasticity::Alteration;
 use crate::linear_fem::{LinearFem, LinearFemError, REMOVED_MAX};
-use crate::tet_mesh::Birth;
 
 /// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next.
 const TAKEN_MAX: usize = 8;
@@ -191,7 +190,7 @@ impl Elements for AlteredAt<'_> {
         Ok(())
     }
 
-    fn split(&mut self, _body: &Deformable, _born: &[Birth], _heated: &Heated) -> Result<(), String> {
+    fn split(&mut self, _body: &Deformable, _split: &Split<'_>) -> Result<(), String> {
         Err("a linear organ does not come apart: 'xpbd' and 'dynamic_fem' do".into())
     }
 }

@@ -9,15 +9,15 @@ use super::cauterised::CauterisedBody;
 use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
 use super::membrane::{Membrane, MembraneWeakness, Parted};
-use super::parting::{Elements, Parting, Weakness};
-use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod};
+use super::parting::{Elements, Parting, Split, Weakness};
+use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Terms};
 use super::touch::{Skin, Touch};
 use crate::elasticity::Alteration;
 use crate::mass_spring::{
-    Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, Prescribed, State,
-    SurfaceMaterial, TooLarge, VolumeMaterial,
+    Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, NodeForce, Patch,
+    Prescribed, State, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
-use crate::tet_mesh::Birth;
+use crate::tet_mesh::Stars;
 
 /// Parts into which a step is divided at most.
 const PARTS_MAX: u32 = 200;
@@ -101,7 +101,7 @@ pub struct MassSpringBody {
     pub thickness: f64,
     /// Force per depth of a contact \[N/m\].
     pub contact_stiffness: f64,
-    /// Coulomb friction against instruments.
+    /// Coulomb friction against instruments and other bodies.
     pub friction: f64,
     /// Of a surface: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
     pub tears_at: Option<f64>,
@@ -195,47 +195,64 @@ impl MassSpringBody {
 struct Solver {
     kind: MassSpringBody,
     solver: MassSpring,
-    /// What has become of each tetrahedron of a volume that can come apart.
+    /// Of a volume that can come apart: what has become of each tetrahedron, who is about each node, and the body as its
+    /// springs were last derived from.
     altered: Vec<Alteration>,
-    /// The body as its springs were last derived from.
+    stars: Stars,
     body: Deformable,
 }
 
 impl Solver {
-    /// Derives all springs anew. New nodes are where the body has them.
-    fn derive(&mut self, altered: &[Alteration]) -> Result<(), String> {
-        let network = self.kind.network(&self.body, altered)?;
-        let Deformable { positions, velocities, .. } = &self.body;
-        let derived = self.solver.rebuild(&self.body.staying(), |old, state| {
-            if state.positions.len() != positions.len() {
-                state.positions = positions.to_vec();
-                state.velocities = velocities.to_vec();
-            }
-            *old = network;
-            Ok(())
-        });
-        derived.map_err(|error| error.to_string())
+    fn new(kind: &MassSpringBody, body: &Deformable, altered: Vec<Alteration>) -> Result<Self, String> {
+        let network = kind.network(body, &altered)?;
+        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
+        let solver = MassSpring::restore(network, state, &body.staying(), kind.config())
+            .map_err(|error| error.to_string())?;
+        Ok(Self { kind: *kind, solver, altered, stars: Stars::default(), body: body.clone() })
     }
 
-    /// The same of a volume, some of whose elements have changed.
-    fn derive_volume(&mut self) -> Result<(), String> {
-        let mut used = vec![false; self.body.rest.len()];
-        for (tet, _) in self.body.tets.iter().zip(&self.altered).filter(|(_, of)| **of != Alteration::GONE) {
-            tet.iter().for_each(|&node| used[node as usize] = true);
-        }
-        self.body.loose = (0..used.len() as u32).filter(|&node| !used[node as usize]).collect();
-        let altered = std::mem::take(&mut self.altered);
-        let derived = self.derive(&altered);
-        self.altered = altered;
-        derived
-    }
-
-    fn take(&mut self, heated: &Heated) {
-        self.altered = vec![Alteration::NONE; self.body.tets.len()];
+    /// What has become of each tetrahedron.
+    fn alterations(tets: usize, heated: &Heated) -> Vec<Alteration> {
+        let mut altered = vec![Alteration::NONE; tets];
         for of in heated.coagulated.iter() {
-            self.altered[of.element as usize] = Alteration { stiffness: of.stiffness, length: of.length };
+            if let Some(known) = altered.get_mut(of.element as usize) {
+                *known = Alteration { stiffness: of.stiffness, length: of.length };
+            }
         }
-        heated.removed.iter().for_each(|&tet| self.altered[tet as usize] = Alteration::GONE);
+        for &tet in heated.removed.iter() {
+            if let Some(known) = altered.get_mut(tet as usize) {
+                *known = Alteration::GONE;
+            }
+        }
+        altered
+    }
+
+    /// Finds who is about each node.
+    fn come_apart(&mut self) {
+        let there = (0..).zip(self.body.tets.iter().copied());
+        let there = there.filter(|(tet, _)| self.altered[*tet as usize] != Alteration::GONE);
+        self.stars = Stars::new(self.body.rest.len(), there);
+    }
+
+    /// Follows tetrahedra whose corners, as they were and as they are, are `stale`; `carry` gives new nodes a state.
+    fn follow(&mut self, mut stale: Vec<u32>, carry: impl FnOnce(&mut State)) -> Result<(), String> {
+        let Springs::Volume { young_modulus, density } = self.kind.springs else { return Ok(()) };
+        stale.sort_unstable();
+        stale.dedup();
+        let (body, stars, altered) = (&self.body, &self.stars, &self.altered);
+        let patch = Patch {
+            rest: &body.rest,
+            elements: &body.tets,
+            altered: &|tet| altered[tet as usize],
+            about: &|node| stars.about(node),
+            stale: &stale,
+        };
+        let stays = |node: u32| body.pinned.binary_search(&node).is_ok() || stars.about(node).is_empty();
+        let material = VolumeMaterial { young_modulus, density };
+        let followed = self
+            .solver
+            .follow(&patch, stays, carry, |network, patch| network.follow_volume(patch, &material));
+        followed.map(drop).map_err(|error| error.to_string())
     }
 }
 
@@ -249,24 +266,43 @@ impl Elements for Solver {
     }
 
     fn remove(&mut self, elements: &[u32]) -> Result<(), String> {
-        elements.iter().for_each(|&tet| self.altered[tet as usize] = Alteration::GONE);
-        self.derive_volume()
+        let mut stale = Vec::new();
+        for &tet in elements {
+            let corners = self.body.tets[tet as usize];
+            self.altered[tet as usize] = Alteration::GONE;
+            self.stars.remove(tet, &corners);
+            stale.extend(corners);
+        }
+        self.follow(stale, |_| ())
     }
 
     fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
+        let mut stale = Vec::new();
         for of in elements {
-            let known = &mut self.altered[of.element as usize];
+            let Some(known) = self.altered.get_mut(of.element as usize) else { continue };
             if *known != Alteration::GONE {
                 *known = Alteration { stiffness: of.stiffness, length: of.length };
+                stale.extend(self.body.tets[of.element as usize]);
             }
         }
-        self.derive_volume()
+        self.follow(stale, |_| ())
     }
 
-    fn split(&mut self, body: &Deformable, _born: &[Birth], heated: &Heated) -> Result<(), String> {
-        self.body = body.clone();
-        self.take(heated);
-        self.derive_volume()
+    fn split(&mut self, body: &Deformable, split: &Split<'_>) -> Result<(), String> {
+        let before = std::mem::replace(&mut self.body, body.clone()).tets;
+        self.altered.resize(body.tets.len(), Alteration::NONE);
+        let mut stale = Vec::new();
+        for &tet in split.changed {
+            if let Some(corners) = before.get(tet as usize) {
+                self.stars.remove(tet, corners);
+                stale.extend(corners);
+            }
+            let corners = body.tets[tet as usize];
+            self.stars.add(tet, &corners);
+            stale.extend(corners);
+            self.altered[tet as usize] = (split.altered)(tet);
+        }
+        self.follow(stale, |state| split.carry(state))
     }
 }
 
@@ -275,6 +311,7 @@ pub struct MassSpringMethod {
     of: Solver,
     contacts: Vec<Contact>,
     prescribed: Vec<Prescribed>,
+    forces: Vec<NodeForce>,
     /// Largest step that was safe in the last tick, contacts counted \[s\]: larger ones are divided.
     safe_step: f64,
     /// How a surface comes apart.
@@ -286,23 +323,19 @@ pub struct MassSpringMethod {
 impl MassSpringMethod {
     /// Lets springs follow what has become of a membrane.
     fn follow(&mut self, body: &Deformable, parted: &Parted) -> Result<(), String> {
-        let Some(membrane) = &self.membrane else { return Ok(()) };
-        if parted.altered {
-            self.of.body = body.clone();
-            return self.of.derive(&membrane.altered());
-        }
         let Springs::Surface { membrane_stiffness, bending_stiffness, density } = self.of.kind.springs else {
             return Ok(());
         };
-        let (sheet, change) = (membrane.sheet(), &parted.change);
+        let Some(membrane) = &self.membrane else { return Ok(()) };
         let material = SurfaceMaterial { membrane_stiffness, bending_stiffness, density };
-        let followed = self.of.solver.rebuild(&body.staying(), |network, state| {
-            change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
-            change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
-            let about = |vertex| sheet.about(vertex);
-            network.update_surface(sheet.rest(), sheet.triangles(), &material, &change.stale, about)
+        let followed = membrane.follow(parted, |patch| {
+            let stays = |vertex| body.is_staying(vertex);
+            let carry = |state: &mut State| parted.carry(state);
+            self.of
+                .solver
+                .follow(patch, stays, carry, |network, patch| network.follow_surface(patch, &material))
         });
-        followed.map_err(|error| error.to_string())
+        followed.map(drop).map_err(|error| error.to_string())
     }
 
     fn contact(&self, touch: &Touch) -> Contact {
@@ -342,18 +375,18 @@ impl SoftMethod for MassSpringMethod {
         let halves = kind.method == Method::Implicit;
         let weakness = Weakness { cut: true, halves, ..Weakness::default() };
         let parting = if is_volume { Parting::new(body, weakness, scene)? } else { None };
-        let altered = membrane.as_ref().map(Membrane::altered).unwrap_or_default();
-        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
-        let solver =
-            MassSpring::restore(kind.network(body, &altered)?, state, &body.staying(), kind.config())
-                .map_err(|error| error.to_string())?;
-        let mut of = Solver { kind: *kind, solver, altered: Vec::new(), body: body.clone() };
-        if let Some(parting) = &parting {
-            of.take(&parting.heated());
-            of.derive_volume()?;
+        let altered = match (&membrane, &parting) {
+            (Some(membrane), _) => membrane.alterations(),
+            (None, Some(parting)) => Solver::alterations(body.tets.len(), &parting.heated()),
+            (None, None) => Vec::new(),
+        };
+        let mut of = Solver::new(kind, body, altered)?;
+        if parting.is_some() {
+            of.come_apart();
         }
         let safe_step = of.solver.safe_step();
-        Ok(Self { of, contacts: Vec::new(), prescribed: Vec::new(), safe_step, membrane, parting })
+        let (contacts, prescribed, forces) = Default::default();
+        Ok(Self { of, contacts, prescribed, forces, safe_step, membrane, parting })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -370,6 +403,11 @@ impl SoftMethod for MassSpringMethod {
 
     fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
         self.of.kind.skin(body, self.positions())
+    }
+
+    fn terms(&self) -> Option<Terms<'_>> {
+        let MassSpringBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
+        Some(Terms { masses_inverse: self.of.solver.mobility(), stiffness, friction })
     }
 
     fn is_cut_by_blades(&self) -> bool {
@@ -405,11 +443,13 @@ impl SoftMethod for MassSpringMethod {
         self.prescribed.clear();
         let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
         self.prescribed.extend(led);
+        self.forces.clear();
+        self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
         let input = Input {
             gravity: site.gravity,
+            forces: &self.forces,
             contacts: &self.contacts,
             prescribed: &self.prescribed,
-            ..Input::default()
         };
         let report = self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
         self.safe_step = report.safe_step;

@@ -13,10 +13,11 @@ use trocar_scene::{
 use super::cauterised::CauterisedBody;
 use super::cuts::Cuts;
 use super::deformable::Deformable;
-use super::heat::{CoagulatedElements, Heated, RemovedElements};
+use super::heat::{self, Coagulated, Heated};
 use super::soft::{Measures, Reshaped, Site};
-use crate::cutting::{Sheet, SheetState, TopologyChange, VertexChange};
+use crate::cutting::{Sheet, TopologyChange, VertexChange};
 use crate::elasticity::Alteration;
+use crate::mass_spring::{Patch, State};
 use crate::tet_mesh::Birth;
 
 /// What the mesh of a membrane does not say about how heat has changed it.
@@ -60,12 +61,20 @@ pub struct Membrane {
     cuts_changed: bool,
 }
 
+impl Parted {
+    /// Gives new vertices a state.
+    pub fn carry(&self, state: &mut State) {
+        self.change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
+        self.change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
+    }
+}
+
 /// What has become of a membrane in one tick.
 pub struct Parted {
     /// What was cut or torn.
     pub change: TopologyChange,
-    /// Whether springs have to be derived anew from the whole mesh, and not only where it was cut.
-    pub altered: bool,
+    /// Corners of triangles that are others than they were, are altered, new or gone; ascending.
+    pub stale: Vec<u32>,
     /// What became of the triangles, if they are not all what they were.
     pub reshaped: Option<Reshaped>,
 }
@@ -112,13 +121,7 @@ impl Membrane {
     /// What a controller of membranes that come apart reads and writes.
     pub fn access(access: Access, bodies: &[Entity]) -> Access {
         let all = || EntitySet::Of(bodies.to_vec());
-        access
-            .reads::<RemovedElements>()
-            .reads::<CoagulatedElements>()
-            .writes::<SurfaceMesh>(all())
-            .writes::<SurfaceElements>(all())
-            .writes::<Cuts>(all())
-            .writes::<TextureCoordinates>(all())
+        heat::access(access, bodies).writes::<SurfaceElements>(all()).writes::<Cuts>(all())
     }
 
     /// Whether blades cut it.
@@ -135,15 +138,26 @@ impl Membrane {
 
     /// What heat has made of each triangle that is there.
     #[must_use]
-    pub fn altered(&self) -> Vec<Alteration> {
+    pub fn alterations(&self) -> Vec<Alteration> {
         if self.heated.coagulated.is_empty() {
             return Vec::new();
         }
-        let of = |element: &u32| match self.heated.of(*element) {
-            Some(of) => Alteration { stiffness: of.stiffness, length: of.length },
-            None => Alteration::NONE,
+        self.of.elements.iter().map(|&element| self.heated.alteration(element)).collect()
+    }
+
+    /// What solvers have to follow.
+    pub fn follow<R>(&self, parted: &Parted, follow: impl FnOnce(&Patch<'_, 3>) -> R) -> R {
+        let altered = |triangle: u32| {
+            let element = self.of.elements.get(triangle as usize);
+            element.map_or(Alteration::NONE, |&element| self.heated.alteration(element))
         };
-        self.of.elements.iter().map(of).collect()
+        follow(&Patch {
+            rest: self.sheet.rest(),
+            elements: self.sheet.triangles(),
+            altered: &altered,
+            about: &|vertex| self.sheet.about(vertex),
+            stale: &parted.stale,
+        })
     }
 
     /// Lets it come apart as far as it does now; the body follows.
@@ -158,13 +172,18 @@ impl Membrane {
         out: &mut Commands,
     ) -> Result<Option<Parted>, String> {
         let (gone, changed) = self.heated.news(site.scene, body.entity);
-        let kept = if gone.is_empty() { None } else { Some(self.take_out(&gone)?) };
+        let mut stale = Vec::new();
+        let kept = (!gone.is_empty()).then(|| self.take_out(&gone, &mut stale));
         let change = self.part(positions, site)?;
-        let altered = !(gone.is_empty() && changed.is_empty())
-            || !(change.is_empty() || self.heated.coagulated.is_empty() && self.heated.removed.is_empty());
+        if kept.is_none() && change.is_empty() && changed.is_empty() {
+            return Ok(None);
+        }
+        stale.extend(&change.stale);
+        self.altered(&changed, &mut stale);
+        stale.sort_unstable();
+        stale.dedup();
         if kept.is_none() && change.is_empty() {
-            let change = TopologyChange::default();
-            return Ok(altered.then_some(Parted { change, altered, reshaped: None }));
+            return Ok(Some(Parted { change, stale, reshaped: None }));
         }
         self.areas = areas(&self.sheet);
         self.cuts.take(self.sheet.state());
@@ -172,15 +191,29 @@ impl Membrane {
         body.triangles = Arc::new(self.sheet.triangles().to_vec());
         out.put(body.entity, SurfaceMesh { triangles: body.triangles.clone() });
         if !change.is_empty() {
-            self.grow(&change, body, site, out);
+            self.grow(&change, &stale, body, site, out);
         }
-        body.loose = unused(body);
+        for &vertex in &stale {
+            body.is_loose(vertex, self.sheet.about(vertex).is_empty());
+        }
         if self.burns {
             self.of.taken = self.heated.removed.len() as u32;
             out.put(body.entity, self.of.clone());
         }
         let reshaped = Some(Reshaped { kept, parents: change.triangles.clone() });
-        Ok(Some(Parted { change, altered, reshaped }))
+        Ok(Some(Parted { change, stale, reshaped }))
+    }
+
+    /// Adds the corners of triangles that are parts of these elements.
+    fn altered(&self, changed: &[Coagulated], stale: &mut Vec<u32>) {
+        if changed.is_empty() {
+            return;
+        }
+        for (corners, element) in self.sheet.triangles().iter().zip(self.of.elements.iter()) {
+            if changed.binary_search_by_key(element, |of| of.element).is_ok() {
+                stale.extend(corners);
+            }
+        }
     }
 
     /// Cuts where blades have swept, or else tears where it is drawn too far. A tear runs on from tick to tick.
@@ -202,7 +235,14 @@ impl Membrane {
     }
 
     /// New vertices and halves of triangles.
-    fn grow(&mut self, change: &TopologyChange, body: &mut Deformable, site: &Site<'_>, out: &mut Commands) {
+    fn grow(
+        &mut self,
+        change: &TopologyChange,
+        stale: &[u32],
+        body: &mut Deformable,
+        site: &Site<'_>,
+        out: &mut Commands,
+    ) {
         let vertices = body.rest.len();
         change.carry(Arc::make_mut(&mut body.positions), |a, b, share| a + (b - a) * share);
         change.carry(Arc::make_mut(&mut body.velocities), |a, b, share| a + (b - a) * share);
@@ -214,7 +254,7 @@ impl Membrane {
         }));
         body.rest = Arc::new(self.sheet.rest().to_vec());
         // Whoever reads the scene anew finds the same ones.
-        body.anchor();
+        body.anchor_again(stale);
         body.changed_topology();
         if let Some(texture) = site.scene.get::<TextureCoordinates>(body.entity) {
             let mut uv = texture.uv.to_vec();
@@ -225,28 +265,18 @@ impl Membrane {
         }
     }
 
-    /// The new number of each triangle, where it is still there.
-    fn take_out(&mut self, gone: &[u32]) -> Result<Vec<Option<u32>>, String> {
+    /// The new number of each triangle, where it is still there; adds the corners of the others.
+    fn take_out(&mut self, gone: &[u32], stale: &mut Vec<u32>) -> Vec<Option<u32>> {
         let gone: BTreeSet<u32> = gone.iter().copied().collect();
-        let SheetState { rest, triangles, pending, tips, corner_limit, height_limit } =
-            self.sheet.state().clone();
-        let (mut kept, mut left, mut elements) = (Vec::new(), Vec::new(), Vec::new());
-        for (triangle, element) in triangles.iter().zip(self.of.elements.iter()) {
-            let stays = !gone.contains(element);
-            kept.push(stays.then_some(left.len() as u32));
-            if stays {
-                left.push(*triangle);
-                elements.push(*element);
+        for (corners, element) in self.sheet.triangles().iter().zip(self.of.elements.iter()) {
+            if gone.contains(element) {
+                stale.extend(corners);
             }
         }
-        // A cut goes on where there is something about its end, and an edge that was cut where it still is one.
-        let has = |of: &[u32]| left.iter().any(|corners| of.iter().all(|vertex| corners.contains(vertex)));
-        let pending = pending.into_iter().filter(|edge| has(edge)).collect();
-        let tips = tips.into_iter().filter(|tip| has(&[*tip])).collect();
-        let state = SheetState { rest, triangles: left, pending, tips, corner_limit, height_limit };
-        self.sheet = Sheet::restore(state).map_err(|error| error.to_string())?;
-        self.of.elements = Arc::new(elements);
-        Ok(kept)
+        let elements = self.of.elements.clone();
+        let kept = self.sheet.take_out(|triangle| gone.contains(&elements[triangle as usize]));
+        self.of.elements = Arc::new(elements.iter().copied().filter(|of| !gone.contains(of)).collect());
+        kept
     }
 
     /// Tells what a later life needs.

@@ -16,6 +16,8 @@ pub mod dynamic_fem;
 pub mod dynamic_fem_memory;
 pub mod electrosurgery;
 pub mod fluid;
+mod found;
+mod found_forces;
 pub mod grafts;
 pub mod grips;
 pub mod heat;
@@ -65,6 +67,7 @@ pub use dynamic_fem::{DynamicFemBody, DynamicFemController};
 pub use dynamic_fem_memory::DynamicFemMemory;
 pub use electrosurgery::{ElectrosurgeryController, HeatState};
 pub use fluid::{FluidController, Liquid, LiquidState, LiquidWall};
+pub use found::{ContactSums, HeldContact, SoftContacts, Spot};
 pub use heat::{Coagulated, CoagulatedElements, RemovedElements};
 pub use instruments::{InstrumentsConfig, InstrumentsController};
 pub use irrigation::{Irrigator, Sucker};
@@ -83,7 +86,7 @@ pub use thread_body::{Laid, Suture, ThreadBody};
 pub use thread_memory::ThreadMemory;
 pub use thread_tied::{Mark, TiedBody};
 pub use vital_signs::{Patient, PatientState, VitalSignsController};
-pub use xpbd::{XpbdBody, XpbdController};
+pub use xpbd::{XpbdBody, XpbdController, XpbdGroups};
 
 /// Registers the components of this crate.
 ///
@@ -96,6 +99,8 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<grips::Grips>()?;
     builder.register::<DynamicFemBody>()?;
     builder.register::<XpbdBody>()?;
+    builder.register::<XpbdGroups>()?;
+    builder.register::<SoftContacts>()?;
     builder.register::<CoupledBody>()?;
     builder.register::<CouplingGiven>()?;
     builder.register::<CouplingTaken>()?;

@@ -18,9 +18,10 @@ use super::blades::{Blades, swept};
 use super::cauterised::CauterisedBody;
 use super::coupling::CoupledBody;
 use super::deformable::Deformable;
-use super::heat::{Coagulated, CoagulatedElements, Heated, RemovedElements};
+use super::heat::{self, Coagulated, Heated, RemovedElements};
 use super::soft::{Measures, Reshaped, Site};
-use crate::elasticity::cauchy_stress;
+use crate::elasticity::{Alteration, cauchy_stress};
+use crate::mass_spring::State;
 use crate::tet_mesh::{
     self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape,
 };
@@ -54,6 +55,42 @@ impl Component for VolumeCuts {
 }
 
 impl VolumeCuts {
+    /// Whether it can be of a mesh of so many nodes and elements.
+    ///
+    /// # Errors
+    /// What of it is not.
+    fn fits(&self, nodes: usize, tets: usize) -> Result<(), String> {
+        let first = (nodes.checked_sub(self.births.len()), tets.checked_sub(self.parts_of.len()));
+        let (Some(first_node), Some(first_tet)) = first else {
+            let (births, parts) = (self.births.len(), self.parts_of.len());
+            return Err(format!(
+                "its 'volume_cuts' tell of {births} new nodes of {nodes} and {parts} parts of {tets} elements"
+            ));
+        };
+        let mut births = (first_node..).zip(self.births.iter());
+        if let Some((node, birth)) =
+            births.find(|(node, birth)| birth.of.iter().any(|&of| of as usize >= *node))
+        {
+            return Err(format!(
+                "its 'volume_cuts' let node {node} come from nodes {:?}: only ones before it are valid",
+                birth.of
+            ));
+        }
+        if let Some(of) = self.parts_of.iter().find(|of| **of as usize >= first_tet) {
+            return Err(format!(
+                "its 'volume_cuts' name a part of element {of}: the first mesh has elements 0 to {}",
+                first_tet.saturating_sub(1)
+            ));
+        }
+        if !(self.first.is_empty() || self.first.len() == first_tet) {
+            let given = self.first.len();
+            return Err(format!(
+                "its 'volume_cuts' have a first mesh of {given} elements, not of {first_tet}"
+            ));
+        }
+        Ok(())
+    }
+
     /// The elements of the first mesh, by those of now.
     #[must_use]
     pub fn first_tets(&self, nodes: usize, tets: &[[u32; 4]]) -> Vec<[u32; 4]> {
@@ -87,12 +124,34 @@ pub trait Elements {
     /// # Errors
     /// Why it cannot be moved so.
     fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String>;
-    /// The body has new nodes, and is to be moved with the elements that it has now; `heated` is all that has happened to
-    /// them.
+    /// The body has new nodes, and is to be moved with the elements that it has now.
     ///
     /// # Errors
     /// Why it cannot be.
-    fn split(&mut self, body: &Deformable, born: &[Birth], heated: &Heated) -> Result<(), String>;
+    fn split(&mut self, body: &Deformable, split: &Split<'_>) -> Result<(), String>;
+}
+
+/// What has split.
+#[derive(Clone, Copy)]
+pub struct Split<'a> {
+    /// Where the new nodes come from.
+    pub born: &'a [Birth],
+    /// Elements whose corners are others than before, and those that are new; ascending, none that is gone.
+    pub changed: &'a [u32],
+    /// What heat has made of an element of now that is there.
+    pub altered: &'a dyn Fn(u32) -> Alteration,
+    /// All that heat has done, by the elements of now.
+    pub heated: &'a dyn Fn() -> Heated,
+}
+
+impl Split<'_> {
+    /// Gives the new nodes a state.
+    pub fn carry(&self, state: &mut State) {
+        for birth in self.born {
+            state.positions.push(birth.mix(&state.positions, |a, b, share| a + (b - a) * share));
+            state.velocities.push(birth.mix(&state.velocities, |a, b, share| a + (b - a) * share));
+        }
+    }
 }
 
 /// By what else than heat a volume comes apart.
@@ -145,6 +204,7 @@ impl Parting {
             tet_mesh::TetMesh::new(&body.rest, &body.tets, &rules).map_err(|error| error.to_string())?;
         let mut volume = Volume::new(&mesh);
         let cuts = known.unwrap_or_default();
+        cuts.fits(body.rest.len(), body.tets.len())?;
         let mut parts: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
         let first = body.tets.len().saturating_sub(cuts.parts_of.len()) as u32;
         cuts.parts_of.iter().zip(first..).for_each(|(of, part)| parts.entry(*of).or_default().push(part));
@@ -182,13 +242,7 @@ impl Parting {
     /// What a controller of volumes that come apart reads and writes.
     pub fn access(access: Access, bodies: &[Entity]) -> Access {
         let all = || EntitySet::Of(bodies.to_vec());
-        access
-            .reads::<RemovedElements>()
-            .reads::<CoagulatedElements>()
-            .writes::<SurfaceMesh>(all())
-            .writes::<TetMesh>(all())
-            .writes::<TextureCoordinates>(all())
-            .writes::<VolumeCuts>(all())
+        heat::access(access, bodies).writes::<TetMesh>(all()).writes::<VolumeCuts>(all())
     }
 
     /// All that heat has done, by the elements of now.
@@ -397,22 +451,29 @@ impl Parting {
         }
         let tets = Arc::make_mut(&mut body.tets);
         let halves = change.halved.iter().flat_map(|halved| [halved.tet, halved.child]);
-        for tet in change.renamed.iter().copied().chain(halves) {
-            if let Some(nodes) = self.volume.tet(tet) {
-                if tets.len() <= tet as usize {
-                    tets.resize(tet as usize + 1, nodes);
-                }
-                tets[tet as usize] = nodes;
+        let mut changed: Vec<u32> = change.renamed.iter().copied().chain(halves).collect();
+        changed.retain(|&tet| self.volume.tet(tet).is_some());
+        changed.sort_unstable();
+        changed.dedup();
+        for &tet in &changed {
+            let nodes = self.volume.tet(tet).unwrap_or_default();
+            if tets.len() <= tet as usize {
+                tets.resize(tet as usize + 1, nodes);
             }
+            tets[tet as usize] = nodes;
         }
-        body.anchor();
+        let first = (body.rest.len() - change.born.len()) as u32;
+        body.anchor_again(&(first..body.rest.len() as u32).collect::<Vec<_>>());
         body.is_parted = true;
         body.changed_topology();
         out.put(body.entity, TetMesh { tets: body.tets.clone() });
         if let Some(uv) = texture {
             out.put(body.entity, TextureCoordinates { uv });
         }
-        elements.split(body, &change.born, &self.heated())
+        let altered = |tet| self.heated.alteration(self.origin(tet));
+        let heated = || self.heated();
+        elements
+            .split(body, &Split { born: &change.born, changed: &changed, altered: &altered, heated: &heated })
     }
 
     /// The surface after a change: those of its triangles that stay, then what came to light, the first `burned` of it before

@@ -2,7 +2,8 @@
 //! same way, what it exerts on them is told in the same list, and what its solver refuses stops that body alone.
 //!
 //! A method is a [`SoftMethod`]: how it is built from the scene, how it steps, what it measures. [`SoftController`] is the
-//! rest. In each tick and for each body: blades cut it, rods touch it, jaws take and let go, it steps, the scene is told.
+//! rest. In each tick and for each body: blades cut it, rods touch it, jaws take and let go, what detectors have found is
+//! answered, it steps, the scene is told.
 
 use std::collections::BTreeMap;
 
@@ -16,6 +17,9 @@ use trocar_scene::{
 use super::answering::Answering;
 pub use super::answering::Outlook;
 use super::deformable::Deformable;
+use super::found::{self, Shape, SoftContacts, Surroundings};
+pub use super::found_forces::Terms;
+use super::found_forces::{self, Own};
 use super::grips::{Grips, Holder};
 use super::refused::{Refused, Still};
 use super::tools::{Rod, rods_of_all};
@@ -104,6 +108,11 @@ pub trait SoftMethod: Send + Sized + 'static {
     fn velocities(&self) -> &[Vector3<f64>];
     /// What of it may be touched.
     fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a>;
+
+    /// How it answers contacts that detectors find; one without terms does not.
+    fn terms(&self) -> Option<Terms<'_>> {
+        None
+    }
 
     /// Whether blades cut it; then they do not push it.
     fn is_cut_by_blades(&self) -> bool {
@@ -199,6 +208,10 @@ struct Body<M> {
     answering: Option<Answering>,
     frozen: bool,
     meets: Meets,
+    /// Of contacts that detectors have found: what is kept of them, the sum of the sizes of what they exert \[N\], and how
+    /// many press.
+    contacts: SoftContacts,
+    pressed: (f64, usize),
 }
 
 /// What meets a body in the present tick.
@@ -233,6 +246,7 @@ pub struct SoftController<M> {
     gravity_in_world: Vector3<f64>,
     bodies: Vec<Body<M>>,
     refused: Vec<Refused>,
+    surroundings: Surroundings,
 }
 
 impl<M: SoftMethod> SoftController<M> {
@@ -253,7 +267,47 @@ impl<M: SoftMethod> SoftController<M> {
             let (controller, kind) = (M::CONTROLLER, M::Kind::NAME);
             return Err(ControllerError::Scene(format!("{controller}: no entity has a '{kind}'")));
         }
-        Ok(Self { gravity_in_world, bodies, refused })
+        Ok(Self { gravity_in_world, bodies, refused, surroundings: Surroundings::default() })
+    }
+
+    /// Answers what detectors have found of its bodies.
+    fn answer_found(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) {
+        let mut own = Vec::new();
+        for of in self.bodies.iter_mut().filter(|of| !of.frozen) {
+            let Body { body, method, meets, contacts, .. } = of;
+            let Some(terms) = method.terms() else { continue };
+            let Meets { given, led, world_from_body, gravity, .. } = meets;
+            own.push(Own {
+                entity: body.entity,
+                shape: Shape {
+                    world_from_body: *world_from_body,
+                    positions: method.positions(),
+                    velocities: method.velocities(),
+                    triangles: body.triangles.clone(),
+                    segments: body.segments.clone(),
+                    motion: Velocity::default(),
+                },
+                terms,
+                led,
+                gravity_in_body: *gravity,
+                forces: std::mem::take(given),
+                memory: std::mem::take(contacts),
+                pressed: (0.0, 0),
+                taken: Vector3::zeros(),
+                changed: false,
+            });
+        }
+        let when = (tick.time, tick.period.as_secs_f64(), tick.me);
+        found_forces::answer(&mut own, &mut self.surroundings, scene, when);
+        let answered: Vec<_> =
+            own.into_iter().map(|own| (own.forces, own.memory, own.pressed, own.changed)).collect();
+        let bodies = self.bodies.iter_mut().filter(|of| !of.frozen && of.method.terms().is_some());
+        for (of, (forces, memory, pressed, changed)) in bodies.zip(answered) {
+            if changed {
+                out.put(of.body.entity, memory.clone());
+            }
+            (of.meets.given, of.contacts, of.pressed) = (forces, memory, pressed);
+        }
     }
 }
 
@@ -270,7 +324,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>();
-        M::access(Answering::access(access, &bodies), &bodies)
+        M::access(found::access(Answering::access(access, &bodies), &bodies), &bodies)
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
@@ -279,6 +333,7 @@ impl<M: SoftMethod> Controller for SoftController<M> {
                 body.freeze(&reason, tick, out);
             }
         }
+        self.answer_found(scene, tick, out);
         let ready = self.bodies.iter_mut().filter(|body| !body.frozen);
         let mut steps: Vec<Step<'_, M>> = ready.map(|body| body.ready(scene, tick)).collect();
         M::step_all(&mut steps);
@@ -299,6 +354,10 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             }
             let mut measures = Measures::new(&body.body.name, &mut measured.values);
             measures.put("contact_force_n", found.pushed);
+            if body.method.terms().is_some() {
+                measures.put("found_force_n", if body.frozen { 0.0 } else { body.pressed.0 });
+                measures.put("found_contacts", if body.frozen { 0.0 } else { body.pressed.1 as f64 });
+            }
             measures.put("held_force_n", found.pulled);
             measures.put("held_vertices", body.grips.vertices() as f64);
             measures.put("frozen", f64::from(u8::from(body.frozen)));
@@ -331,9 +390,14 @@ impl<M: SoftMethod> Body<M> {
             .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
         let is_pinned = body.stays();
         let grips = scene.get::<Grips>(entity).cloned().unwrap_or_default();
+        grips
+            .fit(body.rest.len(), body.holdable().len())
+            .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
         let frozen = scene.get::<Frozen>(entity).is_some();
         let answering = if M::ANSWERS { Answering::new(&body, scene) } else { None };
-        Ok(Self { body, method, is_pinned, grips, answering, frozen, meets: Meets::default() })
+        let contacts = scene.get::<SoftContacts>(entity).cloned().unwrap_or_default();
+        let (meets, pressed) = (Meets::default(), (0.0, 0));
+        Ok(Self { body, method, is_pinned, grips, answering, frozen, meets, contacts, pressed })
     }
 
     /// Whether all that others will read of it are numbers, whatever its solver looked at: one of them that is none would

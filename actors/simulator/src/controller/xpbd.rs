@@ -4,24 +4,27 @@
 //! next only once it is inside, so a body that instruments press wants several hundred steps a second of few parts, and not few
 //! steps of many: a light one at 100 Hz rattles.
 
+use std::sync::Arc;
+
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Access, Commands, Component, ComponentError, Entity, Snapshot};
+use trocar_scene::{Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot};
 
 use super::coupled::Coupled;
 use super::deformable::Deformable;
-use super::heat::{Coagulated, Heated};
-use super::membrane::{Membrane, MembraneWeakness};
-use super::parting::{Elements, Parting, Weakness};
-use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Step};
+use super::heat::Coagulated;
+use super::membrane::{Membrane, MembraneWeakness, Parted};
+use super::parting::{Elements, Parting, Split, Weakness};
+use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Step, Terms};
 use super::touch::{Skin, Touch};
 use super::xpbd_island::step_island;
 use crate::elasticity::Alteration;
-use crate::mass_spring::{Contact, LineMaterial, Network, NodeForce, Prescribed, State, SurfaceMaterial};
-use crate::tet_mesh::Birth;
+use crate::mass_spring::{
+    Contact, LineMaterial, Network, NetworkError, NodeForce, Prescribed, State, SurfaceMaterial,
+};
 use crate::xpbd::company::CompanyState;
-use crate::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, distances_of};
+use crate::xpbd::{Body, Elasticity, Groups, SplitTets, Xpbd, XpbdConfig, distances_of};
 
 /// What a position-based body is made of, by the kind of its mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -79,7 +82,7 @@ pub struct XpbdBody {
     pub thickness: f64,
     /// Force per depth of a contact \[N/m\].
     pub contact_stiffness: f64,
-    /// Coulomb friction against instruments.
+    /// Coulomb friction against instruments and other bodies.
     pub friction: f64,
     /// Of a volume or a cloth: whether blades cut it; then they do not push it.
     pub cut: bool,
@@ -140,30 +143,54 @@ impl XpbdBody {
         }
     }
 
-    fn solver(&self, body: &Deformable, altered: &[Alteration]) -> Result<Xpbd, String> {
+    /// What a cloth is made of.
+    fn cloth(&self) -> Option<SurfaceMaterial> {
+        match self.matter {
+            Matter::Cloth { membrane_stiffness, bending_stiffness, density } => {
+                Some(SurfaceMaterial { membrane_stiffness, bending_stiffness, density })
+            }
+            _ => None,
+        }
+    }
+
+    /// The solver of a body of which elements are gone, and the network that it follows if it is a cloth.
+    fn solver(
+        &self,
+        body: &Deformable,
+        altered: &[Alteration],
+        gone: &[u32],
+        groups: &XpbdGroups,
+    ) -> Result<(Xpbd, Option<Network>), NetworkError> {
         let XpbdBody { parts, iterations, damping, .. } = *self;
         let config = XpbdConfig { parts, iterations, damping, ..XpbdConfig::default() };
-        let mut solver = match self.matter {
+        let groups = groups.as_groups();
+        let (mut solver, network) = match self.matter {
             Matter::Volume { young_modulus, poisson_ratio, density } => {
                 let elasticity = Some(Elasticity { young_modulus, poisson_ratio, density });
-                let made = Body { rest: &body.rest, tets: &body.tets, elasticity, ..Body::default() };
-                Xpbd::new(&made, &body.pinned, config)
+                let (rest, tets) = (&body.rest[..], &body.tets[..]);
+                let made = Body { rest, tets, elasticity, gone, groups, ..Body::default() };
+                (Xpbd::new(&made, &body.pinned, config)?, None)
             }
             Matter::Cloth { membrane_stiffness, bending_stiffness, density } => {
                 let material = SurfaceMaterial { membrane_stiffness, bending_stiffness, density };
-                Network::from_altered_surface(&body.rest, &body.triangles, &material, altered, &body.loose)
-                    .and_then(|network| of_network(body, &network, config))
+                let network = Network::from_altered_surface(
+                    &body.rest,
+                    &body.triangles,
+                    &material,
+                    altered,
+                    &body.loose,
+                )?;
+                (of_network(body, &network, config, groups)?, Some(network))
             }
             Matter::Rod { axial_stiffness, bending_stiffness, density } => {
                 let material = LineMaterial { axial_stiffness, bending_stiffness, density };
-                Network::from_line(&body.rest, &body.segments, &material)
-                    .and_then(|network| of_network(body, &network, config))
+                let network = Network::from_line(&body.rest, &body.segments, &material)?;
+                (of_network(body, &network, config, groups)?, None)
             }
-        }
-        .map_err(|error| error.to_string())?;
+        };
         let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
-        solver.restore(state).map_err(|error| error.to_string())?;
-        Ok(solver)
+        solver.restore(state)?;
+        Ok((solver, network))
     }
 }
 
@@ -171,22 +198,80 @@ fn of_network(
     body: &Deformable,
     network: &Network,
     config: XpbdConfig,
-) -> Result<Xpbd, crate::mass_spring::NetworkError> {
+    groups: Groups<'_>,
+) -> Result<Xpbd, NetworkError> {
     let distances = distances_of(network);
     let made = Body {
         rest: &body.rest,
         masses: &network.masses,
         distances: &distances,
         bends: &network.hinges,
+        groups,
         ..Body::default()
     };
     Xpbd::new(&made, &body.staying(), config)
+}
+
+/// The groups in which the constraints of a body are taken whose mesh has come apart, each in the order of its mesh: edges
+/// and hinges ascending by their edges, tetrahedra by their numbers. Which they are is a matter of all changes so far, and how
+/// a sweep goes is one of them.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct XpbdGroups {
+    /// Of the edges of a cloth.
+    pub distances: Arc<Vec<u16>>,
+    /// Of its hinges.
+    pub bends: Arc<Vec<u16>>,
+    /// Of the elements of a volume.
+    pub tets: Arc<Vec<u16>>,
+}
+impl Component for XpbdGroups {
+    const NAME: &'static str = "xpbd_groups";
+}
+
+impl XpbdGroups {
+    fn as_groups(&self) -> Groups<'_> {
+        Groups { distances: &self.distances, bends: &self.bends, tets: &self.tets }
+    }
 }
 
 /// A solver of one body, whose elements may go.
 pub(super) struct Solver {
     kind: XpbdBody,
     pub solver: Xpbd,
+    /// Of a cloth that can come apart.
+    network: Option<Network>,
+    /// Whether constraints have come into other groups than those of its mesh.
+    regrouped: bool,
+}
+
+impl Solver {
+    /// Tells a later life in which groups constraints are, if some have come.
+    fn tell_groups(&mut self, entity: Entity, out: &mut Commands) {
+        if std::mem::take(&mut self.regrouped) {
+            let Groups { distances, bends, tets } = self.solver.groups();
+            let [distances, bends, tets] = [distances, bends, tets].map(|groups| Arc::new(groups.to_vec()));
+            out.put(entity, XpbdGroups { distances, bends, tets });
+        }
+    }
+
+    /// Lets constraints follow what has become of a membrane.
+    fn follow(
+        &mut self,
+        membrane: &Membrane,
+        body: &Deformable,
+        parted: &Parted,
+    ) -> Result<(), NetworkError> {
+        let Self { kind, solver, network: Some(network), .. } = self else { return Ok(()) };
+        let Some(material) = kind.cloth() else { return Ok(()) };
+        membrane.follow(parted, |patch| {
+            let followed = network.follow_surface(patch, &material)?;
+            let carry = |state: &mut State| parted.carry(state);
+            solver.follow_network(network, &followed, patch, |vertex| body.is_staying(vertex), carry)
+        })?;
+        self.regrouped = true;
+        Ok(())
+    }
 }
 
 impl Elements for Solver {
@@ -208,10 +293,17 @@ impl Elements for Solver {
         Ok(())
     }
 
-    fn split(&mut self, body: &Deformable, _born: &[Birth], heated: &Heated) -> Result<(), String> {
-        self.solver = self.kind.solver(body, &[])?;
-        self.alter(&heated.coagulated)?;
-        self.remove(&heated.removed)
+    fn split(&mut self, body: &Deformable, split: &Split<'_>) -> Result<(), String> {
+        let tets = SplitTets { rest: &body.rest, tets: &body.tets, changed: split.changed };
+        let stays = |node: u32| body.pinned.binary_search(&node).is_ok();
+        let carry = |state: &mut State| split.carry(state);
+        self.solver.split(&tets, stays, carry).map_err(|error| error.to_string())?;
+        for &tet in split.changed {
+            let Alteration { stiffness, length } = (split.altered)(tet);
+            self.solver.alter(tet, stiffness, length);
+        }
+        self.regrouped = true;
+        Ok(())
     }
 }
 
@@ -285,12 +377,14 @@ impl SoftMethod for XpbdMethod {
             }
             Matter::Rod { .. } => (None, None),
         };
-        let altered = membrane.as_ref().map(Membrane::altered).unwrap_or_default();
-        let mut of = Solver { kind: *kind, solver: kind.solver(body, &altered)? };
-        if let Some(parting) = &parting {
-            of.alter(&parting.heated().coagulated)?;
-            of.remove(&parting.heated().removed)?;
-        }
+        let altered = membrane.as_ref().map(Membrane::alterations).unwrap_or_default();
+        let heated = parting.as_ref().map(Parting::heated).unwrap_or_default();
+        let groups = scene.get::<XpbdGroups>(body.entity).cloned().unwrap_or_default();
+        let made = kind.solver(body, &altered, &heated.removed, &groups);
+        let (solver, network) = made.map_err(|error| error.to_string())?;
+        let network = network.filter(|_| membrane.is_some());
+        let mut of = Solver { kind: *kind, solver, network, regrouped: false };
+        of.alter(&heated.coagulated)?;
         let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
         let coupled = Coupled::new(body, thickness, scene)?;
         let (contacts, prescribed, forces, tied, island) = Default::default();
@@ -298,7 +392,13 @@ impl SoftMethod for XpbdMethod {
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        Coupled::access(Membrane::access(Parting::access(access, bodies), bodies), bodies)
+        let access = Membrane::access(Parting::access(access, bodies), bodies);
+        Coupled::access(access, bodies).writes::<XpbdGroups>(EntitySet::Of(bodies.to_vec()))
+    }
+
+    fn terms(&self) -> Option<Terms<'_>> {
+        let XpbdBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
+        Some(Terms { masses_inverse: self.of.solver.mobility(), stiffness, friction })
     }
 
     fn is_cut_by_blades(&self) -> bool {
@@ -315,11 +415,14 @@ impl SoftMethod for XpbdMethod {
         if let Some(membrane) = &mut self.membrane {
             let positions = &self.of.solver.state().positions;
             let Some(parted) = membrane.reshape(positions, body, site, out)? else { return Ok(None) };
-            self.of.solver = self.of.kind.solver(body, &membrane.altered())?;
+            self.of.follow(membrane, body, &parted).map_err(|error| error.to_string())?;
+            self.of.tell_groups(body.entity, out);
             return Ok(parted.reshaped);
         }
         let Some(parting) = &mut self.parting else { return Ok(None) };
-        parting.reshape(&mut self.of, body, site, out)
+        let reshaped = parting.reshape(&mut self.of, body, site, out)?;
+        self.of.tell_groups(body.entity, out);
+        Ok(reshaped)
     }
 
     fn positions(&self) -> &[Point3<f64>] {
@@ -376,6 +479,9 @@ impl SoftMethod for XpbdMethod {
     }
 
     fn publish(&mut self, body: &Deformable, _site: &Site<'_>, out: &mut Commands) {
+        if let Some(membrane) = &mut self.membrane {
+            membrane.publish(body, out);
+        }
         if let Some(coupled) = &self.coupled {
             coupled.publish(body.entity, out);
         }

@@ -131,6 +131,36 @@ impl Sheet {
         self.about.get(vertex as usize).map_or(&[], Vec::as_slice)
     }
 
+    /// Takes triangles out: the new number of each that stays. What stays is not looked at again. A cut goes on where there is
+    /// something about its end, and an edge that was cut where it still is one.
+    pub fn take_out(&mut self, goes: impl Fn(u32) -> bool) -> Vec<Option<u32>> {
+        let mut left = 0;
+        let count = self.state.triangles.len() as u32;
+        let number = |triangle| {
+            let stays = !goes(triangle);
+            left += u32::from(stays);
+            stays.then_some(left.wrapping_sub(1))
+        };
+        let kept: Vec<Option<u32>> = (0..count).map(number).collect();
+        let mut stays = kept.iter().map(Option::is_some);
+        self.state.triangles.retain(|_| stays.next().unwrap_or(true));
+        for star in &mut self.about {
+            star.retain_mut(|triangle| match kept[*triangle as usize] {
+                Some(number) => {
+                    *triangle = number;
+                    true
+                }
+                None => false,
+            });
+        }
+        let mut pending = std::mem::take(&mut self.state.pending);
+        pending.retain(|edge| self.about_edge(*edge).next().is_some());
+        let mut tips = std::mem::take(&mut self.state.tips);
+        tips.retain(|tip| !self.about(*tip).is_empty());
+        (self.state.pending, self.state.tips) = (pending, tips);
+        kept
+    }
+
     /// Pieces that hang together by edges: of each triangle the lowest triangle of its piece.
     #[must_use]
     pub fn pieces(&self) -> Vec<u32> {

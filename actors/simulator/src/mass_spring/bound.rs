@@ -9,7 +9,7 @@
 
 use super::contact::Contact;
 use super::forces::NEARLY_FLAT;
-use super::network::{Hinge, Network};
+use super::network::{Hinge, Network, Spring};
 
 /// Stiffness by which a hinge can resist in its worst state, and its largest weight.
 fn worst(hinge: &Hinge) -> (f64, f64) {
@@ -18,35 +18,123 @@ fn worst(hinge: &Hinge) -> (f64, f64) {
     (hinge.stiffness * turned, largest)
 }
 
-/// No eigenvalue of M⁻¹K is larger \[1/s²\]; `mobility` is one over each node's mass, 0 where it is held.
-pub(crate) fn largest_eigenvalue(network: &Network, mobility: &[f64], meeting: &mut Vec<f64>) -> f64 {
-    meeting.clear();
-    meeting.resize(mobility.len(), 0.0);
-    for spring in &network.springs {
-        for node in spring.nodes {
-            meeting[node as usize] += spring.stiffness;
+/// A bound on the eigenvalues of M⁻¹K that follows its network.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Bound {
+    /// Stiffness that meets in each node \[N/m\].
+    meeting: Vec<f64>,
+    /// Of each node the largest bound of the springs and hinges that begin at it \[1/s²\], as a tournament: the second half of
+    /// the list, and before it of each two the larger.
+    largest: Vec<f64>,
+}
+
+impl Bound {
+    /// Of a network; `mobility` is one over each node's mass, 0 where it is held.
+    pub fn new(network: &Network, mobility: &[f64]) -> Self {
+        let leaves = mobility.len().next_power_of_two().max(1);
+        let mut bound = Self { meeting: vec![0.0; mobility.len()], largest: vec![0.0; 2 * leaves] };
+        for spring in &network.springs {
+            for node in spring.nodes {
+                bound.meeting[node as usize] += spring.stiffness;
+            }
+        }
+        for hinge in &network.hinges {
+            for (node, share) in stiffness(hinge) {
+                bound.meeting[node as usize] += share;
+            }
+        }
+        for spring in &network.springs {
+            let largest = &mut bound.largest[leaves + spring.nodes[0] as usize];
+            *largest = largest.max(of_spring(spring, &bound.meeting, mobility));
+        }
+        for hinge in &network.hinges {
+            let largest = &mut bound.largest[leaves + hinge.nodes[0] as usize];
+            *largest = largest.max(of_hinge(hinge, &bound.meeting, mobility));
+        }
+        for at in (1..leaves).rev() {
+            bound.largest[at] = bound.largest[2 * at].max(bound.largest[2 * at + 1]);
+        }
+        bound
+    }
+
+    /// No eigenvalue is larger \[1/s²\].
+    pub fn largest(&self) -> f64 {
+        self.largest.get(1).copied().unwrap_or(0.0)
+    }
+
+    /// Follows what has become of a network that a mesh made: `nodes` (ascending) are those that something of it has
+    /// changed about, or whose mass has, `edges` the edges of all elements about one, ascending. All sums are in the order of
+    /// the lists, and so what they are when it is made anew.
+    pub fn follow(
+        &mut self,
+        network: &Network,
+        mobility: &[f64],
+        nodes: &[u32],
+        edges: impl Fn(u32) -> Vec<[u32; 2]>,
+    ) {
+        self.meeting.resize(mobility.len(), 0.0);
+        let mut first: Vec<u32> = nodes.to_vec();
+        for &node in nodes {
+            let edges = edges(node);
+            let mut meeting = 0.0;
+            for spring in
+                edges.iter().filter(|edge| edge.contains(&node)).filter_map(|edge| network.spring(edge))
+            {
+                meeting += spring.stiffness;
+            }
+            for hinge in edges.iter().filter_map(|edge| network.hinge(edge)) {
+                for (_, share) in stiffness(hinge).filter(|(of, _)| *of == node) {
+                    meeting += share;
+                }
+            }
+            self.meeting[node as usize] = meeting;
+            first.extend(edges.iter().map(|edge| edge[0]));
+        }
+        first.sort_unstable();
+        first.dedup();
+        let leaves = mobility.len().next_power_of_two().max(1);
+        if self.largest.len() != 2 * leaves {
+            // One in as many changes as there are nodes.
+            *self = Self::new(network, mobility);
+            return;
+        }
+        for node in first {
+            let springs = network.springs_from(node).iter();
+            let hinges = network.hinges_from(node).iter();
+            let largest =
+                springs.map(|spring| of_spring(spring, &self.meeting, mobility)).fold(0.0, f64::max);
+            let largest =
+                hinges.map(|hinge| of_hinge(hinge, &self.meeting, mobility)).fold(largest, f64::max);
+            let mut at = leaves + node as usize;
+            self.largest[at] = largest;
+            while at > 1 {
+                at /= 2;
+                self.largest[at] = self.largest[2 * at].max(self.largest[2 * at + 1]);
+            }
         }
     }
-    for hinge in &network.hinges {
-        let (stiffness, largest) = worst(hinge);
-        for (node, weight) in hinge.nodes.into_iter().zip(hinge.weights) {
-            meeting[node as usize] += stiffness * largest * weight.abs();
-        }
+}
+
+/// What a hinge adds to the stiffness that meets in each of its nodes \[N/m\].
+fn stiffness(hinge: &Hinge) -> impl Iterator<Item = (u32, f64)> {
+    let (stiffness, largest) = worst(hinge);
+    let shares = hinge.nodes.into_iter().zip(hinge.weights);
+    shares.map(move |(node, weight)| (node, stiffness * largest * weight.abs()))
+}
+
+fn of_spring(spring: &Spring, meeting: &[f64], mobility: &[f64]) -> f64 {
+    let [a, b] = spring.nodes.map(|node| meeting[node as usize] * mobility[node as usize]);
+    a + b
+}
+
+fn of_hinge(hinge: &Hinge, meeting: &[f64], mobility: &[f64]) -> f64 {
+    let (_, largest) = worst(hinge);
+    if largest == 0.0 {
+        return 0.0;
     }
     let rate = |node: u32| meeting[node as usize] * mobility[node as usize];
-    let mut bound = 0.0_f64;
-    for spring in &network.springs {
-        bound = bound.max(rate(spring.nodes[0]) + rate(spring.nodes[1]));
-    }
-    for hinge in &network.hinges {
-        let (_, largest) = worst(hinge);
-        if largest > 0.0 {
-            let rates =
-                hinge.nodes.into_iter().zip(hinge.weights).map(|(node, weight)| rate(node) * weight.abs());
-            bound = bound.max(rates.sum::<f64>() / largest);
-        }
-    }
-    bound
+    let rates = hinge.nodes.into_iter().zip(hinge.weights).map(|(node, weight)| rate(node) * weight.abs());
+    rates.sum::<f64>() / largest
 }
 
 /// The same of the contacts' stiffness, and of their damping \[1/s\].

@@ -100,6 +100,14 @@ pub enum NetworkError {
         /// Which.
         faulty: Faulty,
     },
+    /// Groups of constraints of which one has a node twice, or more of them than there can be.
+    #[error("{kind}s in a group that has one of their nodes already, or in one beyond the last: {faulty}")]
+    Groups {
+        /// Distance, bend or tetrahedron.
+        kind: &'static str,
+        /// Which.
+        faulty: Faulty,
+    },
     /// Nodes without mass.
     #[error("nodes whose mass is not a positive number (a node that no element uses has none): {0}")]
     Masses(Faulty),

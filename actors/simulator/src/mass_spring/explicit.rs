@@ -13,8 +13,9 @@ impl MassSpring {
     ) -> Result<Report, StepError> {
         let (mobility, meeting) = (&self.scratch.mobility, &mut self.scratch.meeting);
         let (stiff, damped) = bound::of_contacts(input.contacts, mobility, meeting);
-        let damping = self.config.damping + self.config.lag * self.eigenvalue + damped;
-        let safe = bound::safe_step(self.eigenvalue + stiff, damping);
+        let eigenvalue = self.bound.largest();
+        let damping = self.config.damping + self.config.lag * eigenvalue + damped;
+        let safe = bound::safe_step(eigenvalue + stiff, damping);
         let parts = match too_large {
             _ if dt <= safe => 1,
             TooLarge::Accept => 1,

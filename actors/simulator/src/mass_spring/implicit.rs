@@ -39,6 +39,19 @@ enum Solver {
 }
 
 impl Implicit {
+    /// Follows a network that has changed. Conjugate gradients on the nodes' own blocks keep nothing of it; what a
+    /// factorisation knows of it is made anew.
+    pub fn follow(&mut self, network: &Network) {
+        for list in [&mut self.right, &mut self.change, &mut self.lead] {
+            list.resize(network.masses.len(), Vector3::zeros());
+        }
+        match &mut self.solver {
+            Solver::NodeBlocks(..) => {}
+            Solver::Warped(_, warped, _) => **warped = Warped::new(network),
+            Solver::Cholesky(solver) => *solver = Cholesky::new(network),
+        }
+    }
+
     pub fn new(network: &Network, solver: LinearSolver) -> Self {
         let zeros = vec![Vector3::zeros(); network.masses.len()];
         let solver = match solver {

@@ -10,6 +10,7 @@ mod bound;
 mod contact;
 mod error;
 mod explicit;
+mod following;
 mod forces;
 mod implicit;
 mod matrix;
@@ -18,6 +19,7 @@ mod surface;
 
 pub use contact::Contact;
 pub use error::{Faulty, NetworkError, StepError};
+pub use following::{Edits, Followed, Patch};
 pub use network::{Hinge, LineMaterial, Network, Spring, SurfaceMaterial, VolumeMaterial};
 
 pub(crate) use contact::check as check_contacts;
@@ -28,6 +30,7 @@ pub(crate) use surface::area;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use bound::Bound;
 use implicit::Implicit;
 
 /// What to do with a step that is larger than is safe.
@@ -170,8 +173,7 @@ pub struct MassSpring {
     pinned: Vec<u32>,
     /// One over each node's mass, 0 where it is pinned \[1/kg\].
     mobility: Vec<f64>,
-    /// Bound on the eigenvalues of M⁻¹K \[1/s²\].
-    eigenvalue: f64,
+    bound: Bound,
     scratch: Scratch,
     implicit: Option<Box<Implicit>>,
 }
@@ -225,7 +227,7 @@ impl MassSpring {
             state,
             pinned: Vec::new(),
             mobility: Vec::new(),
-            eigenvalue: 0.0,
+            bound: Bound::default(),
             scratch: Scratch::default(),
             implicit: None,
         };
@@ -257,7 +259,7 @@ impl MassSpring {
             self.mobility[node as usize] = 0.0;
             self.state.velocities[node as usize] = Vector3::zeros();
         }
-        self.eigenvalue = bound::largest_eigenvalue(&self.network, &self.mobility, &mut self.scratch.meeting);
+        self.bound = Bound::new(&self.network, &self.mobility);
         self.scratch.forces.resize(nodes, Vector3::zeros());
         self.scratch.next = self.state.clone();
         self.implicit = match self.config.integrator {
@@ -266,26 +268,49 @@ impl MassSpring {
         };
     }
 
-    /// Replaces network and state after a change of topology, keeping what is not changed by it. `update` brings both up
-    /// to date; nodes may be added, and the pins named anew.
+    /// Follows a mesh that has changed where it has: `update` brings the network up to date by its mesh, `carry` gives new nodes
+    /// a state (and those that have moved at rest another one), `stays` says which nodes are pinned. What it is then it would
+    /// be if it were made of the whole mesh.
     ///
     /// # Errors
-    /// What `update` refuses, or what is wrong with what it left; the solver is then as it was.
-    pub fn rebuild(
+    /// What `update` refuses; the solver is then as it was. A state that does not fit.
+    pub fn follow<const N: usize>(
         &mut self,
-        pinned: &[u32],
-        update: impl FnOnce(&mut Network, &mut State) -> Result<(), NetworkError>,
-    ) -> Result<(), NetworkError> {
-        let (mut network, mut state) = (self.network.clone(), self.state.clone());
-        update(&mut network, &mut state)?;
-        network.check(network.masses.len())?;
-        check_state(&state, network.masses.len())?;
-        let nodes = network.masses.len();
-        Faulty::among(pinned.len(), |index| pinned[index] as usize >= nodes)
-            .refuse(|faulty| NetworkError::Nodes { kind: "pin", nodes, faulty })?;
-        self.network = network;
-        self.state = state;
-        self.pin(pinned)
+        patch: &Patch<'_, N>,
+        stays: impl Fn(u32) -> bool,
+        carry: impl FnOnce(&mut State),
+        update: impl FnOnce(&mut Network, &Patch<'_, N>) -> Result<Followed, NetworkError>,
+    ) -> Result<Followed, NetworkError> {
+        let followed = update(&mut self.network, patch)?;
+        carry(&mut self.state);
+        let nodes = self.network.masses.len();
+        let State { positions, velocities } = &mut self.state;
+        for (what, given) in [("positions", positions.len()), ("velocities", velocities.len())] {
+            if given != nodes {
+                return Err(NetworkError::Length { what, given, expected: nodes });
+            }
+        }
+        self.mobility.resize(nodes, 0.0);
+        for &node in patch.stale {
+            let (at, stays) = (self.pinned.binary_search(&node), stays(node));
+            match at {
+                Err(at) if stays => self.pinned.insert(at, node),
+                Ok(at) if !stays => drop(self.pinned.remove(at)),
+                _ => {}
+            }
+            let index = node as usize;
+            self.mobility[index] = if stays { 0.0 } else { 1.0 / self.network.masses[index] };
+            if stays {
+                velocities[index] = Vector3::zeros();
+            }
+        }
+        let nodes = followed.nodes(&self.network, patch);
+        self.bound.follow(&self.network, &self.mobility, &nodes, |node| patch.edges(node));
+        self.scratch.forces.resize(self.mobility.len(), Vector3::zeros());
+        if let Some(implicit) = &mut self.implicit {
+            implicit.follow(&self.network);
+        }
+        Ok(followed)
     }
 
     /// Steps by `dt` seconds.
@@ -369,7 +394,8 @@ impl MassSpring {
     /// The largest explicit step that is safe in any shape, without contacts \[s\].
     #[must_use]
     pub fn safe_step(&self) -> f64 {
-        bound::safe_step(self.eigenvalue, self.config.damping + self.config.lag * self.eigenvalue)
+        let eigenvalue = self.bound.largest();
+        bound::safe_step(eigenvalue, self.config.damping + self.config.lag * eigenvalue)
     }
     /// Where every node is, and how it moves.
     #[must_use]
@@ -380,6 +406,11 @@ impl MassSpring {
     #[must_use]
     pub fn network(&self) -> &Network {
         &self.network
+    }
+    /// One over each node's mass, 0 where it is pinned \[1/kg\].
+    #[must_use]
+    pub fn mobility(&self) -> &[f64] {
+        &self.mobility
     }
     /// Pinned nodes, ascending.
     #[must_use]

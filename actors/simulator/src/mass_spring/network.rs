@@ -15,6 +15,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::error::{Faulty, NetworkError};
+use super::following::{Followed, Patch};
 use crate::elasticity::Alteration;
 
 /// Holds two nodes at a distance.
@@ -44,6 +45,11 @@ pub struct Hinge {
 }
 
 impl Hinge {
+    /// Of a surface: the edge that it is across.
+    pub(crate) fn edge(&self) -> [u32; 2] {
+        [self.nodes[0], self.nodes[1]]
+    }
+
     /// The curvature vector at these positions.
     #[inline]
     #[must_use]
@@ -229,33 +235,22 @@ impl Network {
         Faulty::among(tets.len(), |tet| extent(&tets[tet]) <= LEAST)
             .refuse(|faulty| NetworkError::NoExtent { kind: "tetrahedron", faulty })?;
         let mut network = Self { masses: vec![0.0; rest.len()], rest: rest.to_vec(), ..Self::default() };
-        let mut shares: Vec<([u32; 2], f64, Alteration)> = Vec::with_capacity(6 * tets.len());
-        for (index, tet) in tets.iter().enumerate() {
-            let of = altered.get(index).copied().unwrap_or(Alteration::NONE);
-            if of == Alteration::GONE {
-                continue;
-            }
+        let of = |tet: u32| altered.get(tet as usize).copied().unwrap_or(Alteration::NONE);
+        let mut all: Vec<([u32; 2], u32)> = Vec::with_capacity(6 * tets.len());
+        for (index, tet) in (0..).zip(tets).filter(|(index, _)| of(*index) != Alteration::GONE) {
             let extent = extent(tet);
             for (at, &a) in tet.iter().enumerate() {
                 network.masses[a as usize] += 0.25 * material.density * extent;
-                shares.extend(tet[..at].iter().map(|&b| ([a.min(b), a.max(b)], extent, of)));
+                all.extend(tet[..at].iter().map(|&b| ([a.min(b), a.max(b)], index)));
             }
         }
-        // Stable, so that each sum has one order.
-        shares.sort_by_key(|share| share.0);
-        for edge in shares.chunk_by(|first, second| first.0 == second.0) {
-            let nodes = edge[0].0;
-            let squared = (rest[nodes[1] as usize] - rest[nodes[0] as usize]).norm_squared();
-            // Each tetrahedron makes it as stiff and as long as it is, by its share of the volume.
-            let (about, whole, length) =
-                edge.iter().fold((0.0, 0.0, 0.0), |(about, whole, length), share| {
-                    (about + share.1 * share.2.stiffness, whole + share.1, length + share.1 * share.2.length)
-                });
-            network.springs.push(Spring {
-                nodes,
-                rest: squared.sqrt() * (length / whole),
-                stiffness: material.young_modulus * about / squared,
-            });
+        // By element too, so that each sum has one order.
+        all.sort_unstable();
+        let mut about: Vec<u32> = Vec::new();
+        for edge in all.chunk_by(|first, second| first.0 == second.0) {
+            about.clear();
+            about.extend(edge.iter().map(|share| share.1));
+            network.springs.push(spring_of(rest, tets, material, &of, edge[0].0, &about));
         }
         for &node in loose {
             let mass = &mut network.masses[node as usize];
@@ -263,6 +258,22 @@ impl Network {
         }
         network.check(rest.len())?;
         Ok(network)
+    }
+
+    /// Follows tetrahedra that have changed, to what it would be if it were made of all of them.
+    ///
+    /// # Errors
+    /// Whatever is wrong with those that have; the network is then as it was.
+    pub fn follow_volume(
+        &mut self,
+        patch: &Patch<'_, 4>,
+        material: &VolumeMaterial,
+    ) -> Result<Followed, NetworkError> {
+        let extent = |tet: &[u32; 4]| volume(tet, patch.rest).abs() / 6.0;
+        let share = |extent: f64| 0.25 * material.density * extent;
+        self.follow("tetrahedron", patch, extent, share, |nodes, about| {
+            (spring_of(patch.rest, patch.elements, material, patch.altered, nodes, about), None)
+        })
     }
 
     /// Adds the springs, hinges and masses of another network over the same nodes: a tube with a volume inside.
@@ -278,6 +289,30 @@ impl Network {
         self.springs.extend(&other.springs);
         self.hinges.extend(&other.hinges);
         Ok(())
+    }
+
+    /// The spring along an edge, of a network that a mesh made.
+    pub(crate) fn spring(&self, edge: &[u32; 2]) -> Option<&Spring> {
+        self.springs.binary_search_by_key(edge, |spring| spring.nodes).ok().map(|at| &self.springs[at])
+    }
+
+    /// The hinge across one.
+    pub(crate) fn hinge(&self, edge: &[u32; 2]) -> Option<&Hinge> {
+        self.hinges.binary_search_by_key(edge, Hinge::edge).ok().map(|at| &self.hinges[at])
+    }
+
+    /// The springs whose first node it is.
+    pub(super) fn springs_from(&self, node: u32) -> &[Spring] {
+        let first = self.springs.partition_point(|of| of.nodes[0] < node);
+        let count = self.springs[first..].partition_point(|of| of.nodes[0] == node);
+        &self.springs[first..first + count]
+    }
+
+    /// The hinges whose first node it is.
+    pub(super) fn hinges_from(&self, node: u32) -> &[Hinge] {
+        let first = self.hinges.partition_point(|of| of.nodes[0] < node);
+        let count = self.hinges[first..].partition_point(|of| of.nodes[0] == node);
+        &self.hinges[first..first + count]
     }
 
     /// Checks what can be wrong with a network of any origin.
@@ -300,7 +335,6 @@ impl Network {
             let far = |node: usize| !self.rest[node].iter().all(|value| value.is_finite());
             Faulty::among(nodes, far).refuse(NetworkError::NotFinite)?;
         }
-        let number = |value: f64| value >= 0.0 && value.is_finite();
         let positive = |value: f64| value >= LEAST && value.is_finite();
         Faulty::among(nodes, |node| !positive(self.masses[node])).refuse(NetworkError::Masses)?;
         Faulty::among(self.springs.len(), |index| {
@@ -313,6 +347,12 @@ impl Network {
             hinge.nodes.iter().any(|&node| node as usize >= nodes)
         })
         .refuse(|faulty| NetworkError::Nodes { kind: "hinge", nodes, faulty })?;
+        self.check_numbers()
+    }
+
+    /// Checks stiffness, lengths and weights alone.
+    pub(super) fn check_numbers(&self) -> Result<(), NetworkError> {
+        let number = |value: f64| value >= 0.0 && value.is_finite();
         Faulty::among(self.springs.len(), |index| {
             let spring = &self.springs[index];
             !number(spring.rest) || !number(spring.stiffness)
@@ -324,5 +364,30 @@ impl Network {
             !number(hinge.rest) || !number(hinge.stiffness) || !finite
         })
         .refuse(|faulty| NetworkError::Numbers { kind: "hinge", faulty })
+    }
+}
+
+/// The spring along an edge: as stiff and as long as the tetrahedra about it, ascending, are, each by its share of the
+/// volume.
+fn spring_of(
+    rest: &[Point3<f64>],
+    tets: &[[u32; 4]],
+    material: &VolumeMaterial,
+    altered: &dyn Fn(u32) -> Alteration,
+    nodes: [u32; 2],
+    about: &[u32],
+) -> Spring {
+    let squared = (rest[nodes[1] as usize] - rest[nodes[0] as usize]).norm_squared();
+    let (mut stiff, mut whole, mut length) = (0.0, 0.0, 0.0);
+    for &tet in about {
+        let (of, share) = (altered(tet), volume(&tets[tet as usize], rest).abs() / 6.0);
+        stiff += share * of.stiffness;
+        whole += share;
+        length += share * of.length;
+    }
+    Spring {
+        nodes,
+        rest: squared.sqrt() * (length / whole),
+        stiffness: material.young_modulus * stiff / squared,
     }
 }

@@ -1,9 +1,10 @@
-//! The network of a surface, whole or brought up to date about the triangles that a cut has changed: the same springs in
-//! the same order either way, so that a solver rebuilt from its mesh goes on with the same bits.
+//! The network of a surface, whole or following triangles that have changed: the same springs in the same order either
+//! way, so that a solver rebuilt from its mesh goes on with the same bits.
 
 use nalgebra::Point3;
 
 use super::error::{Faulty, NetworkError};
+use super::following::{Followed, OfEdge, Patch};
 use super::network::{Hinge, LEAST, LOOSE, Network, Spring, SurfaceMaterial, check_elements, parameter};
 use crate::elasticity::Alteration;
 
@@ -59,9 +60,14 @@ impl Network {
             all.extend(sides(index as u32, corners));
         }
         all.sort_unstable();
+        let of = |triangle: u32| altered.get(triangle as usize).copied().unwrap_or(Alteration::NONE);
+        let mut about: Vec<u32> = Vec::new();
         for edge in all.chunk_by(|first, second| first.0 == second.0) {
-            network.push_edge(rest, triangles, material, edge);
-            network.alter_last(edge, triangles, rest, altered);
+            about.clear();
+            about.extend(edge.iter().map(|side| side.1));
+            let (spring, hinge) = of_edge(rest, triangles, material, &of, edge[0].0, &about);
+            network.springs.push(spring);
+            network.hinges.extend(hinge);
         }
         for &node in loose {
             let mass = &mut network.masses[node as usize];
@@ -71,145 +77,95 @@ impl Network {
         Ok(network)
     }
 
-    /// Makes the edge that was pushed last as stiff and as long as its triangles are, each by its share of the area.
-    fn alter_last(
-        &mut self,
-        edge: &[Side],
-        triangles: &[[u32; 3]],
-        rest: &[Point3<f64>],
-        altered: &[Alteration],
-    ) {
-        let (mut whole, mut stiffness, mut length) = (0.0, 0.0, 0.0);
-        for &(_, triangle) in edge {
-            let of = altered.get(triangle as usize).copied().unwrap_or(Alteration::NONE);
-            let share = area(&triangles[triangle as usize], rest);
-            whole += share;
-            stiffness += share * of.stiffness;
-            length += share * of.length;
-        }
-        let (stiffness, length) = (stiffness / whole, length / whole);
-        if stiffness == 1.0 && length == 1.0 {
-            return;
-        }
-        if let Some(spring) = self.springs.last_mut() {
-            spring.stiffness *= stiffness;
-            spring.rest *= length;
-        }
-        if let Some(hinge) = self.hinges.last_mut().filter(|hinge| hinge.nodes[..2] == edge[0].0) {
-            hinge.stiffness *= stiffness;
-        }
-    }
-
-    fn push_edge(
-        &mut self,
-        rest: &[Point3<f64>],
-        triangles: &[[u32; 3]],
-        material: &SurfaceMaterial,
-        edge: &[Side],
-    ) {
-        let nodes = edge[0].0;
-        let ends = nodes.map(|node| rest[node as usize]);
-        let squared = (ends[1] - ends[0]).norm_squared();
-        let about: f64 = edge.iter().map(|side| area(&triangles[side.1 as usize], rest)).sum();
-        self.springs.push(Spring {
-            nodes,
-            rest: squared.sqrt(),
-            stiffness: material.membrane_stiffness * about / squared,
-        });
-        let &[first, second] = edge else { return };
-        if material.bending_stiffness == 0.0 {
-            return;
-        }
-        let across = [first, second].map(|side| {
-            let corners = triangles[side.1 as usize];
-            corners.into_iter().find(|corner| !nodes.contains(corner)).unwrap_or(nodes[0])
-        });
-        let mut weights = [0.0; 4];
-        for (slot, &node) in across.iter().enumerate() {
-            let apex = rest[node as usize];
-            let cotangent = |at: usize| {
-                let (along, up) = (ends[1 - at] - ends[at], apex - ends[at]);
-                along.dot(&up) / along.cross(&up).norm()
-            };
-            let cotangents = [cotangent(0), cotangent(1)];
-            weights[0] += cotangents[1];
-            weights[1] += cotangents[0];
-            weights[2 + slot] = -cotangents[0] - cotangents[1];
-        }
-        let mut hinge = Hinge {
-            nodes: [nodes[0], nodes[1], across[0], across[1]],
-            weights,
-            rest: 0.0,
-            side: 0.0,
-            stiffness: material.bending_stiffness / about,
-        };
-        let bent = hinge.vector(rest).norm();
-        if bent > FLAT * squared.sqrt() {
-            hinge.rest = bent;
-            hinge.side = super::network::volume(&hinge.nodes, rest).signum();
-        }
-        self.hinges.push(hinge);
-    }
-
-    /// Brings springs, hinges and masses up to date after the triangles `changed` (ascending) have got other corners, or
-    /// corners of theirs another rest position: what stays is kept, what those triangles have touched is made anew.
-    /// `about` lists the triangles about each node of the new mesh, ascending; `stale` the nodes (ascending) whose
-    /// edges may have changed, those of the changed triangles before and after.
+    /// Follows triangles that have changed, to what it would be if it were made of all of them.
     ///
     /// # Errors
-    /// Whatever is wrong with the new triangles; the network is then as it was.
-    pub fn update_surface<'a>(
+    /// Whatever is wrong with those that have; the network is then as it was.
+    pub fn follow_surface(
         &mut self,
-        rest: &[Point3<f64>],
-        triangles: &[[u32; 3]],
+        patch: &Patch<'_, 3>,
         material: &SurfaceMaterial,
-        stale: &[u32],
-        about: impl Fn(u32) -> &'a [u32],
-    ) -> Result<(), NetworkError> {
-        let mut touched: Vec<u32> = stale.iter().flat_map(|&node| about(node)).copied().collect();
-        touched.sort_unstable();
-        touched.dedup();
-        let bad = |&triangle: &u32| area(&triangles[triangle as usize], rest) <= LEAST;
-        let first: Vec<u32> = touched.iter().copied().filter(bad).collect();
-        let count = first.len();
-        Faulty { first, count }.refuse(|faulty| NetworkError::NoExtent { kind: "triangle", faulty })?;
-
-        // All edges of those triangles: those with a stale end may be others than before, and the hinge of the one
-        // across from a stale corner reaches over to it.
-        let is_stale = |node: u32| stale.binary_search(&node).is_ok();
-        let mut fresh = Self::default();
-        let all = touched.iter().flat_map(|&triangle| sides(triangle, &triangles[triangle as usize]));
-        let mut edges: Vec<[u32; 2]> = all.map(|side| side.0).collect();
-        edges.sort_unstable();
-        edges.dedup();
-        let mut edge: Vec<Side> = Vec::new();
-        for &nodes in &edges {
-            let with_both = |&&triangle: &&u32| triangles[triangle as usize].contains(&nodes[1]);
-            edge.clear();
-            edge.extend(about(nodes[0]).iter().filter(with_both).map(|&triangle| (nodes, triangle)));
-            fresh.push_edge(rest, triangles, material, &edge);
-        }
-        let remade =
-            |nodes: [u32; 2]| nodes.iter().any(|&node| is_stale(node)) || edges.binary_search(&nodes).is_ok();
-        self.springs.retain(|spring| !remade(spring.nodes));
-        self.hinges.retain(|hinge| !remade([hinge.nodes[0], hinge.nodes[1]]));
-        merge(&mut self.springs, fresh.springs, |spring| spring.nodes);
-        merge(&mut self.hinges, fresh.hinges, |hinge| [hinge.nodes[0], hinge.nodes[1]]);
-        self.masses.resize(rest.len(), 0.0);
-        self.rest.clear();
-        self.rest.extend_from_slice(rest);
-        let mut corners: Vec<u32> = touched.iter().flat_map(|&index| triangles[index as usize]).collect();
-        corners.extend_from_slice(stale);
-        corners.sort_unstable();
-        corners.dedup();
-        for node in corners {
-            let shares = about(node)
-                .iter()
-                .map(|&index| material.density * area(&triangles[index as usize], rest) / 3.0);
-            self.masses[node as usize] = shares.fold(0.0, |sum, share| sum + share);
-        }
-        Ok(())
+    ) -> Result<Followed, NetworkError> {
+        let extent = |corners: &[u32; 3]| area(corners, patch.rest);
+        let share = |area: f64| material.density * area / 3.0;
+        self.follow("triangle", patch, extent, share, |nodes, about| {
+            of_edge(patch.rest, patch.elements, material, patch.altered, nodes, about)
+        })
     }
+}
+
+/// The spring along an edge and, where exactly two triangles meet, the hinge across it: as stiff and as long as the
+/// triangles about it, ascending, are, each by its share of the area.
+fn of_edge(
+    rest: &[Point3<f64>],
+    triangles: &[[u32; 3]],
+    material: &SurfaceMaterial,
+    altered: &dyn Fn(u32) -> Alteration,
+    nodes: [u32; 2],
+    triangles_about: &[u32],
+) -> OfEdge {
+    let ends = nodes.map(|node| rest[node as usize]);
+    let squared = (ends[1] - ends[0]).norm_squared();
+    let (mut about, mut stiffness, mut length) = (0.0, 0.0, 0.0);
+    for &triangle in triangles_about {
+        let (of, share) = (altered(triangle), area(&triangles[triangle as usize], rest));
+        about += share;
+        stiffness += share * of.stiffness;
+        length += share * of.length;
+    }
+    let mut spring =
+        Spring { nodes, rest: squared.sqrt(), stiffness: material.membrane_stiffness * about / squared };
+    let mut hinge = match *triangles_about {
+        [first, second] if material.bending_stiffness != 0.0 => {
+            Some(hinge_of(rest, [first, second].map(|of| triangles[of as usize]), material, nodes, about))
+        }
+        _ => None,
+    };
+    let (stiffness, length) = (stiffness / about, length / about);
+    if stiffness != 1.0 || length != 1.0 {
+        spring.stiffness *= stiffness;
+        spring.rest *= length;
+        hinge.iter_mut().for_each(|hinge| hinge.stiffness *= stiffness);
+    }
+    (spring, hinge)
+}
+
+/// The hinge between two triangles whose areas sum to `about`.
+fn hinge_of(
+    rest: &[Point3<f64>],
+    triangles: [[u32; 3]; 2],
+    material: &SurfaceMaterial,
+    nodes: [u32; 2],
+    about: f64,
+) -> Hinge {
+    let ends = nodes.map(|node| rest[node as usize]);
+    let across = triangles
+        .map(|corners| corners.into_iter().find(|corner| !nodes.contains(corner)).unwrap_or(nodes[0]));
+    let mut weights = [0.0; 4];
+    for (slot, &node) in across.iter().enumerate() {
+        let apex = rest[node as usize];
+        let cotangent = |at: usize| {
+            let (along, up) = (ends[1 - at] - ends[at], apex - ends[at]);
+            along.dot(&up) / along.cross(&up).norm()
+        };
+        let cotangents = [cotangent(0), cotangent(1)];
+        weights[0] += cotangents[1];
+        weights[1] += cotangents[0];
+        weights[2 + slot] = -cotangents[0] - cotangents[1];
+    }
+    let mut hinge = Hinge {
+        nodes: [nodes[0], nodes[1], across[0], across[1]],
+        weights,
+        rest: 0.0,
+        side: 0.0,
+        stiffness: material.bending_stiffness / about,
+    };
+    let bent = hinge.vector(rest).norm();
+    if bent > FLAT * (ends[1] - ends[0]).norm_squared().sqrt() {
+        hinge.rest = bent;
+        hinge.side = super::network::volume(&hinge.nodes, rest).signum();
+    }
+    hinge
 }
 
 fn check(
@@ -223,11 +179,4 @@ fn check(
     check_elements("triangle", rest, triangles)?;
     Faulty::among(triangles.len(), |index| area(&triangles[index], rest) <= LEAST)
         .refuse(|faulty| NetworkError::NoExtent { kind: "triangle", faulty })
-}
-
-/// Puts sorted `more` into sorted `into`.
-fn merge<T>(into: &mut Vec<T>, more: Vec<T>, key: impl Fn(&T) -> [u32; 2]) {
-    into.extend(more);
-    // Two sorted runs: a merge sort finds them and joins them in linear time.
-    into.sort_by_key(key);
 }

@@ -8,6 +8,7 @@ mod boxes;
 mod halve;
 mod refine;
 mod slit;
+mod stars;
 mod volume;
 
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -16,6 +17,7 @@ use trocar_scene::mesh::repaired_tets;
 pub use boxes::{BoxCells, box_cells};
 pub use refine::{NodesAndTets, RefineError, refined};
 pub use slit::{Mark, Moving, Slit};
+pub use stars::Stars;
 pub(crate) use trocar_scene::mesh::tet_faces::surface;
 pub use trocar_scene::mesh::{BadTets as MeshError, Defect, MeshRules, Repairs, tet_defects as defects};
 pub(crate) use trocar_scene::mesh::{mean_ratio, tet_shape as shape};

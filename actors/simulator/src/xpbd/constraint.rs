@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use crate::mass_spring::{Hinge, NEARLY_FLAT, Network};
+use super::colouring::OfMesh;
+use crate::mass_spring::{Hinge, NEARLY_FLAT, Network, Spring};
 
 /// Two nodes at a distance: a spring of finite stiffness, however stiff.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -31,13 +32,35 @@ pub struct Elasticity {
     pub density: f64,
 }
 
-/// The springs of a network as distances; those without stiffness left out.
+impl From<&Spring> for Distance {
+    /// One without stiffness gives way like one of next to none.
+    fn from(spring: &Spring) -> Self {
+        let compliance = 1.0 / spring.stiffness.max(SLACK);
+        Self { nodes: spring.nodes, rest: spring.rest, compliance }
+    }
+}
+
+/// Stiffness of a spring below which it is as good as none \[N/m\].
+const SLACK: f64 = 1e-12;
+
+/// The springs of a network as distances, in their order.
 #[must_use]
 pub fn distances_of(network: &Network) -> Vec<Distance> {
-    let stiff = network.springs.iter().filter(|spring| spring.stiffness > 0.0);
-    stiff
-        .map(|spring| Distance { nodes: spring.nodes, rest: spring.rest, compliance: 1.0 / spring.stiffness })
-        .collect()
+    network.springs.iter().map(Distance::from).collect()
+}
+
+impl OfMesh<2> for Distance {
+    const KIND: &'static str = "distance";
+    fn nodes(&self) -> [u32; 2] {
+        self.nodes
+    }
+}
+
+impl OfMesh<4> for Bend {
+    const KIND: &'static str = "bend";
+    fn nodes(&self) -> [u32; 4] {
+        self.nodes
+    }
 }
 
 /// The nodes during a step: place \[m\] and one over the mass \[1/kg\], 0 where held; a spare one that is held at the end.

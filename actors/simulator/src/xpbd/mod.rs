@@ -14,11 +14,13 @@ mod colouring;
 pub mod company;
 mod constraint;
 mod contact;
+mod following;
 mod tets;
 mod together;
 mod wide;
 
 pub use constraint::{Bend, Distance, Elasticity, distances_of};
+pub use following::SplitTets;
 pub use together::{Member, step_together};
 
 use nalgebra::{Point3, Vector3};
@@ -28,7 +30,7 @@ use serde::{Deserialize, Serialize};
 use crate::mass_spring::{
     Contact, Faulty, NetworkError, NodeForce, Prescribed, State, StepError, check_contacts, check_elements,
 };
-use colouring::Colouring;
+use colouring::Coloured;
 use company::{Company, CompanyMoved, CompanyState};
 use constraint::{Constraint, Nodes};
 use contact::Pressed;
@@ -51,6 +53,22 @@ pub struct Body<'a> {
     pub tets: &'a [[u32; 4]],
     /// Of the tetrahedra.
     pub elasticity: Option<Elasticity>,
+    /// Tetrahedra that are gone: their numbers are kept.
+    pub gone: &'a [u32],
+    /// The groups in which an earlier life took its constraints; empty where there was none.
+    pub groups: Groups<'a>,
+}
+
+/// The group of each constraint, in the order in which a body lists them. Constraints of a kind are taken group by group, and
+/// which they are in is a matter of all changes of the mesh so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Groups<'a> {
+    /// Of distances.
+    pub distances: &'a [u16],
+    /// Of bends.
+    pub bends: &'a [u16],
+    /// Of tetrahedra.
+    pub tets: &'a [u16],
 }
 
 /// How a body is stepped.
@@ -99,24 +117,10 @@ pub struct Xpbd {
     tets: Tets,
     /// Of the tetrahedra \[kg/m³\].
     density: f64,
-    /// Tetrahedra of each node.
-    around: Vec<u32>,
+    /// Masses beside what tetrahedra give; empty where there are none \[kg\].
+    own: Vec<f64>,
+    pinned: Vec<u32>,
     scratch: Scratch,
-}
-
-/// Constraints in the order in which they are taken, and where each group ends.
-#[derive(Clone, Debug, Default)]
-struct Coloured<C> {
-    all: Vec<C>,
-    ends: Vec<usize>,
-}
-
-impl<C: Copy> Coloured<C> {
-    fn new<const N: usize>(nodes: usize, all: &[C], of: impl Fn(&C) -> [u32; N]) -> Self {
-        let elements: Vec<[u32; N]> = all.iter().map(of).collect();
-        let Colouring { order, ends } = Colouring::new(nodes, &elements);
-        Self { all: order.into_iter().map(|index| all[index as usize]).collect(), ends }
-    }
 }
 
 #[derive(Clone, Debug, Default)]
@@ -184,11 +188,9 @@ impl Xpbd {
             !(finite && rest >= 0.0 && rest.is_finite() && stiffness > 0.0 && stiffness.is_finite())
         })
         .refuse(|faulty| NetworkError::Numbers { kind: "bend", faulty })?;
-        let mut masses = body.masses.to_vec();
-        if !masses.is_empty() && masses.len() != nodes {
-            return Err(NetworkError::Length { what: "masses", given: masses.len(), expected: nodes });
+        if !body.masses.is_empty() && body.masses.len() != nodes {
+            return Err(NetworkError::Length { what: "masses", given: body.masses.len(), expected: nodes });
         }
-        masses.resize(nodes, 0.0);
         let mut tets = Tets::default();
         if let Some(elasticity) = &body.elasticity {
             let Elasticity { young_modulus, poisson_ratio, density } = *elasticity;
@@ -199,63 +201,68 @@ impl Xpbd {
             } else if !(density > 0.0 && density.is_finite()) {
                 return invalid("density", density, "above 0 and finite");
             }
-            let volume = |tet: &[u32; 4]| {
-                let [a, b, c, d] = tet.map(|node| body.rest[node as usize]);
-                (b - a).cross(&(c - a)).dot(&(d - a)) / 6.0
-            };
-            Faulty::among(body.tets.len(), |index| volume(&body.tets[index]) <= 1e-30)
-                .refuse(|faulty| NetworkError::NoExtent { kind: "tetrahedron", faulty })?;
-            for tet in body.tets {
-                let share = 0.25 * density * volume(tet);
-                tet.iter().for_each(|&node| masses[node as usize] += share);
-            }
-            tets = Tets::new(body.rest, body.tets, elasticity);
+            Faulty::among(body.tets.len(), |index| {
+                let volume = tets::volume_of(body.rest, &body.tets[index]);
+                volume.is_nan() || volume <= tets::LEAST
+            })
+            .refuse(|faulty| NetworkError::NoExtent { kind: "tetrahedron", faulty })?;
+            let mut is_gone = vec![false; body.tets.len()];
+            body.gone.iter().for_each(|&tet| {
+                if let Some(is_gone) = is_gone.get_mut(tet as usize) {
+                    *is_gone = true;
+                }
+            });
+            tets = Tets::new(body.rest, body.tets, elasticity, body.groups.tets, |tet| is_gone[tet])?;
         } else if !body.tets.is_empty() {
             return invalid("elasticity", 0.0, "given where there are tetrahedra");
         }
-        Faulty::among(nodes, |node| !(masses[node] > 0.0 && masses[node].is_finite()))
-            .refuse(NetworkError::Masses)?;
         Faulty::among(pinned.len(), |index| pinned[index] as usize >= nodes)
             .refuse(|faulty| NetworkError::Nodes { kind: "pin", nodes, faulty })?;
-        let mut around = vec![0; nodes];
-        body.tets.iter().flatten().for_each(|&node| around[node as usize] += 1);
-        let mut mobility: Vec<f64> = masses.iter().map(|mass| 1.0 / mass).collect();
-        pinned.iter().for_each(|&node| mobility[node as usize] = 0.0);
+        let mut pinned = pinned.to_vec();
+        pinned.sort_unstable();
+        pinned.dedup();
         let state = State { positions: body.rest.to_vec(), velocities: vec![Vector3::zeros(); nodes] };
-        Ok(Self {
+        let mut solver = Self {
             config,
             state,
-            mobility,
-            masses,
-            distances: Coloured::new(nodes, body.distances, |of| of.nodes),
+            mobility: vec![0.0; nodes],
+            masses: vec![0.0; nodes],
+            distances: Coloured::new(nodes, body.distances, body.groups.distances)?,
             // On a line the middle stands twice: a group only needs to know that it is there.
-            bends: Coloured::new(nodes, body.bends, |of| of.nodes),
+            bends: Coloured::new(nodes, body.bends, body.groups.bends)?,
             tets,
             density: body.elasticity.map_or(0.0, |elasticity| elasticity.density),
-            around,
+            own: body.masses.to_vec(),
+            pinned,
             scratch: Scratch::default(),
-        })
+        };
+        (0..nodes as u32).for_each(|node| solver.weigh(node));
+        let masses = &solver.masses;
+        Faulty::among(nodes, |node| !(masses[node] > 0.0 && masses[node].is_finite()))
+            .refuse(NetworkError::Masses)?;
+        solver.remove(body.gone);
+        Ok(solver)
+    }
+
+    /// Finds the mass of a node, and whether anything moves it: not where it is pinned, nor where nothing is left of it.
+    fn weigh(&mut self, node: u32) {
+        let index = node as usize;
+        let own = self.own.get(index).copied().unwrap_or(0.0);
+        let mass = self.tets.mass(node, own, self.density);
+        self.masses[index] = mass;
+        let moves = mass > 0.0 && self.pinned.binary_search(&node).is_err();
+        self.mobility[index] = if moves { 1.0 / mass } else { 0.0 };
+        if mass == 0.0 {
+            self.state.velocities[index] = Vector3::zeros();
+        }
     }
 
     /// Takes tetrahedra out, and their masses; those that are out already stay so. A node of which nothing is left stays
     /// where it is.
     pub fn remove(&mut self, tets: &[u32]) {
         for &number in tets {
-            let Some((corners, volume)) = self.tets.remove(number) else { continue };
-            for node in corners.map(|node| node as usize) {
-                self.around[node] -= 1;
-                let share = 0.25 * self.density * volume;
-                // Of a node that has nothing else, what rounding leaves is no mass.
-                if self.around[node] == 0 && self.masses[node] < 1.5 * share {
-                    self.mobility[node] = 0.0;
-                    self.state.velocities[node] = Vector3::zeros();
-                    continue;
-                }
-                self.masses[node] -= share;
-                if self.mobility[node] > 0.0 {
-                    self.mobility[node] = 1.0 / self.masses[node];
-                }
-            }
+            let Some(corners) = self.tets.remove(number) else { continue };
+            corners.into_iter().for_each(|node| self.weigh(node));
         }
     }
 
@@ -290,6 +297,16 @@ impl Xpbd {
     pub fn masses(&self) -> &[f64] {
         &self.masses
     }
+    /// One over each node's mass, 0 where it is held \[1/kg\].
+    #[must_use]
+    pub fn mobility(&self) -> &[f64] {
+        &self.mobility
+    }
+    /// The groups of its constraints: what another life needs to go on with the same bits.
+    #[must_use]
+    pub fn groups(&self) -> Groups<'_> {
+        Groups { distances: &self.distances.of, bends: &self.bends.of, tets: &self.tets.groups }
+    }
     /// How many tetrahedra it has.
     #[must_use]
     pub fn tets(&self) -> usize {
@@ -317,11 +334,11 @@ impl Xpbd {
             }
         };
         let now = Nodes { places, rate: *rate };
-        let of = self.distances.all.iter().zip(&distances.multipliers);
+        let of = self.distances.all().zip(&distances.multipliers);
         of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
-        let of = self.bends.all.iter().zip(&bends.multipliers);
+        let of = self.bends.all().zip(&bends.multipliers);
         of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
-        let of = self.tets.packs.iter().zip(&tets.multipliers);
+        let of = self.tets.packs.iter().flatten().zip(&tets.multipliers);
         of.for_each(|(of, multiplier)| of.impulses(&now, multiplier, &mut each));
         sum * *rate + company.pull_on(nodes)
     }
@@ -331,12 +348,12 @@ impl Xpbd {
         let positions = &self.state.positions;
         let mut energy = self.tets.energy(positions);
         for Distance { nodes: [a, b], rest, compliance } in
-            self.distances.all.iter().filter(|d| d.compliance > 0.0)
+            self.distances.all().filter(|d| d.compliance > 0.0)
         {
             let off = (positions[*b as usize] - positions[*a as usize]).norm() - rest;
             energy += 0.5 * off * off / compliance;
         }
-        for bend in &self.bends.all {
+        for bend in self.bends.all() {
             let off = bend.vector(positions).norm() - bend.sense(positions) * bend.rest;
             energy += 0.5 * bend.stiffness * off * off;
         }
@@ -427,18 +444,18 @@ impl Xpbd {
             (0..3).for_each(|axis| place[axis] += velocity[axis] * h);
         }
         scratch.rate = nodes.rate;
-        scratch.distances.reset(self.distances.all.len());
-        scratch.bends.reset(self.bends.all.len());
-        scratch.tets.reset(self.tets.packs.len());
+        scratch.distances.reset(&self.distances.groups);
+        scratch.bends.reset(&self.bends.groups);
+        scratch.tets.reset(&self.tets.packs);
     }
 
     /// One iteration of a part, which ends `since` seconds after the step began.
     fn sweep(&mut self, h: f64, since: f64, input: &XpbdInput<'_>) {
         let scratch = &mut self.scratch;
         let mut nodes = Nodes { places: &mut scratch.places, rate: scratch.rate };
-        scratch.distances.run(&self.distances.all, &self.distances.ends, &mut nodes);
-        scratch.bends.run(&self.bends.all, &self.bends.ends, &mut nodes);
-        scratch.tets.run(&self.tets.packs, &self.tets.ends, &mut nodes);
+        scratch.distances.run(&self.distances.groups, &mut nodes);
+        scratch.bends.run(&self.bends.groups, &mut nodes);
+        scratch.tets.run(&self.tets.packs, &mut nodes);
         for (contact, pressed) in input.contacts.iter().zip(&mut scratch.contacts) {
             pressed.project(contact, &mut nodes, since, h);
         }
@@ -484,17 +501,17 @@ impl Xpbd {
 }
 
 impl<C: Constraint> Sweep<C> {
-    fn reset(&mut self, count: usize) {
+    fn reset(&mut self, groups: &[Vec<C>]) {
         self.multipliers.clear();
-        self.multipliers.resize(count, C::Multiplier::default());
+        self.multipliers.resize(groups.iter().map(Vec::len).sum(), C::Multiplier::default());
     }
 
     /// All constraints of a kind once, group by group.
-    fn run(&mut self, all: &[C], ends: &[usize], nodes: &mut Nodes<'_>) {
+    fn run(&mut self, groups: &[Vec<C>], nodes: &mut Nodes<'_>) {
         let mut from = 0;
-        for &end in ends {
-            let (group, multipliers) = (&all[from..end], &mut self.multipliers[from..end]);
-            from = end;
+        for group in groups {
+            let multipliers = &mut self.multipliers[from..from + group.len()];
+            from += group.len();
             if group.len() >= PARALLEL && rayon::current_num_threads() > 1 {
                 let (seen, known): (&Nodes<'_>, &[C::Multiplier]) = (nodes, multipliers);
                 let projected = group.par_iter().zip(known).map(|(of, known)| of.project(seen, *known));

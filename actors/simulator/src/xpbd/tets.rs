@@ -8,11 +8,13 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::colouring::Colouring;
+use super::colouring::{Taken, groups};
 use super::constraint::{Constraint, Elasticity, Nodes};
 use super::wide::{LANES, Vectors, Wide, cross, dot, plus, sum, times};
+use crate::mass_spring::NetworkError;
+use crate::tet_mesh::Stars;
 
-/// Four tetrahedra that share no node. Those that are there to fill up have the spare node in all their corners.
+/// Four tetrahedra that share no node. Those that are there to fill up push nothing, whatever their corners.
 #[derive(Clone, Debug)]
 pub(super) struct Pack {
     nodes: [[u32; LANES]; 4],
@@ -30,76 +32,92 @@ pub(super) struct Moved {
     multipliers: [Wide; 2],
 }
 
-/// Packs in the order in which they are taken, and where each group ends.
+/// Packs in the order in which they are taken, group by group.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tets {
-    pub packs: Vec<Pack>,
-    pub ends: Vec<usize>,
+    pub packs: Vec<Vec<Pack>>,
     /// Tetrahedra, the fillers left out.
     pub count: usize,
+    /// The group of each tetrahedron, also of one that is gone.
+    pub groups: Vec<u16>,
     /// Number of each lane's tetrahedron.
-    numbers: Vec<[u32; LANES]>,
-    /// Where each tetrahedron is: its pack and lane; `None` when it is gone.
+    numbers: Vec<Vec<[u32; LANES]>>,
+    /// Lanes of each group that have been given away.
+    given: Vec<usize>,
+    /// Where in its group each tetrahedron is: its pack and lane; `None` when it is gone.
     lanes: Vec<Option<(u32, u8)>>,
     /// Corners, and edges from the first one at rest \[m\], of each.
     matter: Vec<([u32; 4], Matrix3<f64>)>,
+    /// Who is about each node.
+    stars: Stars,
     /// Of shape and of volume \[Pa\].
     moduli: [f64; 2],
-    /// The node that lanes without a tetrahedron have.
-    spare: u32,
 }
 
+/// The node that lanes without a tetrahedron have: nothing pushes it, so that it may be any.
+const SPARE: u32 = 0;
+
 impl Tets {
-    /// All positively oriented.
-    pub fn new(rest: &[Point3<f64>], tets: &[[u32; 4]], elasticity: &Elasticity) -> Self {
-        let colouring = Colouring::new(rest.len(), tets);
+    /// All positively oriented; `known` are the groups of each, if somebody has said so.
+    pub fn new(
+        rest: &[Point3<f64>],
+        tets: &[[u32; 4]],
+        elasticity: &Elasticity,
+        known: &[u16],
+        is_gone: impl Fn(usize) -> bool,
+    ) -> Result<Self, NetworkError> {
         let Elasticity { young_modulus, poisson_ratio, .. } = *elasticity;
         let shear = 0.5 * young_modulus / (1.0 + poisson_ratio);
         let bulk = young_modulus / (3.0 * (1.0 - 2.0 * poisson_ratio));
-        let edges = |tet: &[u32; 4]| {
-            let [a, b, c, d] = tet.map(|node| rest[node as usize]);
-            Matrix3::from_columns(&[b - a, c - a, d - a])
-        };
+        let groups = groups("tetrahedron", rest.len(), tets, known, is_gone)?;
         let mut all = Self {
-            count: tets.len(),
-            lanes: vec![None; tets.len()],
-            matter: tets.iter().map(|tet| (*tet, edges(tet))).collect(),
+            stars: Stars::new(rest.len(), (0..).zip(tets.iter().copied())),
             moduli: [2.0 * shear, bulk],
-            spare: rest.len() as u32,
             ..Self::default()
         };
-        let mut from = 0;
-        for &end in &colouring.ends {
-            for four in colouring.order[from..end].chunks(LANES) {
-                let mut pack = Pack {
-                    nodes: [[all.spare; LANES]; 4],
-                    inverse: [[Wide::default(); 3]; 3],
-                    compliance: [Wide::all(1.0); 2],
-                };
-                let mut numbers = [u32::MAX; LANES];
-                for (lane, &number) in four.iter().enumerate() {
-                    let (tet, edges) = &all.matter[number as usize];
-                    pack.fill(lane, tet, edges, all.moduli);
-                    numbers[lane] = number;
-                    all.lanes[number as usize] = Some((all.packs.len() as u32, lane as u8));
-                }
-                all.packs.push(pack);
-                all.numbers.push(numbers);
-            }
-            from = end;
-            all.ends.push(all.packs.len());
+        for (tet, group) in tets.iter().zip(groups) {
+            all.add(*tet, edges(rest, tet), group);
         }
-        all
+        Ok(all)
     }
 
-    /// Takes one out; its corners and its volume at rest \[m³\], or nothing when there is none.
-    pub fn remove(&mut self, number: u32) -> Option<([u32; 4], f64)> {
+    /// Appends one to a group.
+    fn add(&mut self, tet: [u32; 4], edges: Matrix3<f64>, group: u16) {
+        let number = self.matter.len() as u32;
+        let at = group as usize;
+        if self.packs.len() <= at {
+            self.packs.resize(at + 1, Vec::new());
+            self.numbers.resize(at + 1, Vec::new());
+            self.given.resize(at + 1, 0);
+        }
+        let (pack, lane) = (self.given[at] / LANES, self.given[at] % LANES);
+        self.given[at] += 1;
+        if lane == 0 {
+            self.packs[at].push(Pack {
+                nodes: [[SPARE; LANES]; 4],
+                inverse: [[Wide::default(); 3]; 3],
+                compliance: [Wide::all(1.0); 2],
+            });
+            self.numbers[at].push([u32::MAX; LANES]);
+        }
+        self.packs[at][pack].fill(lane, &tet, &edges, self.moduli);
+        self.numbers[at][pack][lane] = number;
+        self.lanes.push(Some((pack as u32, lane as u8)));
+        self.matter.push((tet, edges));
+        self.groups.push(group);
+        self.count += 1;
+    }
+
+    /// Takes one out; its corners, or nothing when there is none.
+    pub fn remove(&mut self, number: u32) -> Option<[u32; 4]> {
         let (pack, lane) = self.lanes.get_mut(number as usize)?.take()?;
-        let (tet, edges) = &self.matter[number as usize];
-        self.packs[pack as usize].clear(lane as usize, self.spare);
-        self.numbers[pack as usize][lane as usize] = u32::MAX;
+        let (tet, _) = self.matter[number as usize];
+        let group = self.groups[number as usize] as usize;
+        self.packs[group][pack as usize].clear(lane as usize);
+        self.numbers[group][pack as usize][lane as usize] = u32::MAX;
+        self.stars.remove(number, &tet);
         self.count -= 1;
-        Some((*tet, edges.determinant() / 6.0))
+        Some(tet)
     }
 
     /// Makes one so many times as stiff, and so many times as long, as it was at first.
@@ -107,13 +125,43 @@ impl Tets {
         let Some(Some((pack, lane))) = self.lanes.get(number as usize) else { return };
         let (tet, edges) = &self.matter[number as usize];
         let moduli = self.moduli.map(|modulus| modulus * stiffness);
-        self.packs[*pack as usize].fill(*lane as usize, tet, &(edges * length), moduli);
+        let group = self.groups[number as usize] as usize;
+        self.packs[group][*pack as usize].fill(*lane as usize, tet, &(edges * length), moduli);
+    }
+
+    /// Gives one that is there other corners, or appends the next one, in the first group that is free about it: one that has
+    /// got other corners for some of its own meets nobody there whom it has not met before. The corners that it had.
+    pub fn put(&mut self, rest: &[Point3<f64>], number: u32, tet: [u32; 4]) -> Option<[u32; 4]> {
+        let index = number as usize;
+        let Some(lane) = self.lanes.get(index) else {
+            let mut taken = Taken::default();
+            for other in tet.iter().flat_map(|&node| self.stars.about(node)) {
+                taken.take(self.groups[*other as usize]);
+            }
+            let group = Taken::first_free(std::iter::once(&taken));
+            self.stars.add(number, &tet);
+            self.add(tet, edges(rest, &tet), group);
+            return None;
+        };
+        let (pack, lane) = (*lane)?;
+        let was = std::mem::replace(&mut self.matter[index], (tet, edges(rest, &tet)));
+        self.stars.remove(number, &was.0);
+        self.stars.add(number, &tet);
+        let group = self.groups[index] as usize;
+        self.packs[group][pack as usize].fill(lane as usize, &tet, &self.matter[index].1, self.moduli);
+        Some(was.0)
+    }
+
+    /// A node's share of the mass of those about it, besides what it has of its own \[kg\].
+    pub fn mass(&self, node: u32, own: f64, density: f64) -> f64 {
+        let share = |tet: &u32| 0.25 * density * extent(&self.matter[*tet as usize].1);
+        self.stars.about(node).iter().map(share).fold(own, |sum, share| sum + share)
     }
 
     /// Tetrahedra whose volume has turned, ascending.
     pub fn inverted(&self, positions: &[Point3<f64>]) -> Vec<u32> {
         let mut inverted: Vec<u32> = Vec::new();
-        for (pack, numbers) in self.packs.iter().zip(&self.numbers) {
+        for (pack, numbers) in self.packs.iter().flatten().zip(self.numbers.iter().flatten()) {
             let f = pack.gradient(&pack.edges(|node| place(positions, node)));
             let ratio = dot(&f[0], &cross(&f[1], &f[2]));
             let turned =
@@ -127,7 +175,7 @@ impl Tets {
     /// What they hold \[J\].
     pub fn energy(&self, positions: &[Point3<f64>]) -> f64 {
         let mut energy = 0.0;
-        for (pack, numbers) in self.packs.iter().zip(&self.numbers) {
+        for (pack, numbers) in self.packs.iter().flatten().zip(self.numbers.iter().flatten()) {
             let f = pack.gradient(&pack.edges(|node| place(positions, node)));
             for (constraint, compliance) in [shape(&f).0, volume(&f).0].into_iter().zip(pack.compliance) {
                 let of = (constraint * constraint / compliance).doubled();
@@ -143,9 +191,28 @@ impl Tets {
     }
 }
 
-/// Of a node, or of the spare one.
+/// Edges from the first corner at rest \[m\].
+fn edges(rest: &[Point3<f64>], tet: &[u32; 4]) -> Matrix3<f64> {
+    let [a, b, c, d] = tet.map(|node| rest[node as usize]);
+    Matrix3::from_columns(&[b - a, c - a, d - a])
+}
+
+/// Volume at rest below which there is no tetrahedron \[m³\].
+pub(super) const LEAST: f64 = 1e-30;
+
+/// Volume at rest \[m³\].
+pub(super) fn volume_of(rest: &[Point3<f64>], tet: &[u32; 4]) -> f64 {
+    extent(&edges(rest, tet))
+}
+
+/// Volume by the edges \[m³\].
+fn extent(edges: &Matrix3<f64>) -> f64 {
+    edges.column(0).cross(&edges.column(1)).dot(&edges.column(2)) / 6.0
+}
+
 fn place(positions: &[Point3<f64>], node: usize) -> [f64; 3] {
-    positions.get(node).map_or([0.0; 3], |point| [point.x, point.y, point.z])
+    let point = &positions[node];
+    [point.x, point.y, point.z]
 }
 
 /// A constraint and its slope by the columns of the gradient.
@@ -194,8 +261,8 @@ impl Pack {
         }
     }
 
-    fn clear(&mut self, lane: usize, spare: u32) {
-        self.nodes.iter_mut().for_each(|nodes| nodes[lane] = spare);
+    fn clear(&mut self, lane: usize) {
+        self.nodes.iter_mut().for_each(|nodes| nodes[lane] = SPARE);
         self.inverse.iter_mut().flatten().for_each(|of| of.0[lane] = 0.0);
         self.compliance.iter_mut().for_each(|of| of.0[lane] = 1.0);
     }
