@@ -76,6 +76,15 @@ impl Implicit {
 }
 
 impl MassSpring {
+    /// Numbers of the factor that an implicit step is preconditioned with; none where there is no such factor.
+    #[must_use]
+    pub fn factor_entries(&self) -> usize {
+        match self.implicit.as_deref() {
+            Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) => warped.entries(),
+            _ => 0,
+        }
+    }
+
     pub(super) fn step_implicit(
         &mut self,
         h: f64,

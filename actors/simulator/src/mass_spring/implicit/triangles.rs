@@ -149,6 +149,11 @@ impl Triangles {
         triangles.values.iter().all(|&value| long(value).is_finite()).then_some(triangles)
     }
 
+    /// Numbers that a solve reads, there and back once each.
+    pub fn entries(&self) -> usize {
+        self.values.len()
+    }
+
     /// Solves L Lᵀ x = b in place.
     pub fn solve(&mut self, vector: &mut [f32]) {
         wide(

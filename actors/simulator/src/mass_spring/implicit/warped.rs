@@ -110,6 +110,11 @@ impl Warped {
         self.is_ready()
     }
 
+    /// Numbers of the factor.
+    pub fn entries(&self) -> usize {
+        self.factor.as_ref().map_or(0, Triangles::entries)
+    }
+
     /// Whether there is a factor.
     pub fn is_ready(&self) -> bool {
         self.factor.is_some()

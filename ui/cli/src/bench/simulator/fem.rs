@@ -6,7 +6,7 @@ use std::path::Path;
 use nalgebra::Vector3;
 use trocar::summary::{BenchResult, Better};
 use trocar_kernel::bench::median_and_spread;
-use trocar_simulator::dynamic_fem::{Config, DynamicFem, Inputs};
+use trocar_simulator::dynamic_fem::{Config, Constitution, DynamicFem, Inputs};
 use trocar_simulator::elasticity::Elastic;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, Load};
 
@@ -49,6 +49,15 @@ pub fn contact_secs(held: usize) -> Result<(f64, f64), Failure> {
     contact_of(&mut precomputed([8, 8, 8], [0.1; 3])?, held)
 }
 
+/// Surface nodes of a block that is held at ten, and median time of reading where all of them are.
+pub fn surface_secs(cells: [usize; 3]) -> Result<(usize, (f64, f64)), Failure> {
+    let mut body = precomputed(cells, [0.1; 3])?;
+    contact_of(&mut body, 10)?;
+    let mut out = Vec::new();
+    let figure = per_run(50, || body.surface_displacements(black_box(&mut out)));
+    Ok((body.compliance().nodes().len(), figure))
+}
+
 /// Linear finite elements with a precomputed inverse.
 pub fn linear() -> Result<Vec<BenchResult>, Failure> {
     let mut rows = Vec::new();
@@ -60,10 +69,19 @@ pub fn linear() -> Result<Vec<BenchResult>, Failure> {
         times.push(secs(|| made = precomputed(cells, size).map(drop)));
         made?;
     }
-    rows.push(at_most("linear_fem_precompute_1009_nodes", "s", median_and_spread(&times), 1.0));
+    let precompute = median_and_spread(&times);
+    rows.push(at_most("linear_fem_precompute_1009_nodes", "s", precompute, 1.0));
+    // The inverse where the surface is, from the triangles of the same size: it cannot be had for less.
+    let freedoms = body.compliance().row(0, 0).len() as f64;
+    let work =
+        Work { operations: freedoms.powi(3) * 2.0 / 3.0, single: false, bytes: 4.0 * freedoms.powi(2) };
+    rows.push(share("linear_fem_precompute_1009_nodes", precompute.0, work));
 
     let contact = contact_of(&mut body, 10)?;
     rows.push(at_most("linear_fem_contact_10_nodes", "µs", scaled(contact, 1e6), 20.0));
+    // The triangles of what the held nodes do to each other, there and back.
+    let work = Work { operations: 2.0 * 900.0, single: false, bytes: 2.0 * 8.0 * 450.0 };
+    rows.push(share("linear_fem_contact_10_nodes", contact.0, work));
     let mut out = Vec::new();
     let surface = per_run(200, || body.surface_displacements(black_box(&mut out)));
     rows.push(at_most("linear_fem_surface_1009_nodes", "µs", scaled(surface, 1e6), 100.0));
@@ -87,6 +105,10 @@ pub fn linear() -> Result<Vec<BenchResult>, Failure> {
         bar.surface_displacements(black_box(&mut out));
     });
     rows.push(at_most("linear_fem_bar_320_nodes", "ms", scaled(step, 1e3), 0.2));
+    // Rows of the held node and of the loaded one, three axes each.
+    let numbers = (6 * bar.compliance().row(0, 0).len()) as f64;
+    let work = Work { operations: 2.0 * numbers, single: true, bytes: 4.0 * numbers };
+    rows.push(share("linear_fem_bar_320_nodes", step.0, work));
     Ok(rows)
 }
 
@@ -95,9 +117,14 @@ const DAMPING: f64 = 2e-2;
 
 /// A corotational beam that sags under its weight.
 pub fn beam(cells: [usize; 3]) -> Result<DynamicFem, Failure> {
+    beam_of(Constitution::Corotational, cells)
+}
+
+/// A beam that answers so to deformation.
+pub fn beam_of(constitution: Constitution, cells: [usize; 3]) -> Result<DynamicFem, Failure> {
     let (mesh, wall) = block(cells, [0.1, 0.02, 0.02])?;
     let elastic = Elastic::new(1e5, 0.3).map_err(Failure::internal)?;
-    let config = Config { stiffness_damping: DAMPING, ..Config::default() };
+    let config = Config { constitution, stiffness_damping: DAMPING, ..Config::default() };
     DynamicFem::new(mesh, &elastic, &config, &wall).map_err(Failure::internal)
 }
 

@@ -37,11 +37,24 @@ pub fn thread_secs(edges: usize, lying: bool) -> Result<(f64, f64), Failure> {
 
 /// Thread with contacts among its turns, and a rod beside PyElastica's.
 pub fn thread(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
-    let mut rows = vec![
-        at_most("thread_100", "ms", scaled(thread_secs(100, false)?, 1e3), 0.3),
-        at_most("thread_300", "ms", scaled(thread_secs(300, false)?, 1e3), 1.0),
-        at_most("thread_300_lying", "ms", scaled(thread_secs(300, true)?, 1e3), 1.0),
-    ];
+    let mut rows = Vec::new();
+    for (name, edges, lying, bar) in [
+        ("thread_100", 100, false, 0.3),
+        ("thread_300", 300, false, 1.0),
+        ("thread_300_lying", 300, true, 1.0),
+    ] {
+        let figure = thread_secs(edges, lying)?;
+        rows.push(at_most(name, "ms", scaled(figure, 1e3), bar));
+        // Of an edge at least: its strain, bend and twist with their derivatives, the factor of a band of eleven numbers to
+        // either side of four unknowns, and one way there and back through it; contacts come on top.
+        let edges = edges as f64;
+        let work = Work {
+            operations: edges * (400.0 + 4.0 * 11.0 * 11.0 + 4.0 * 4.0 * 11.0),
+            single: false,
+            bytes: edges * 8.0 * 4.0 * 12.0 * 3.0,
+        };
+        rows.push(share(name, figure.0, work));
+    }
     if let Some(python) = python {
         rows.extend(beside_elastica(python)?);
     }

@@ -3,7 +3,7 @@
 use std::hint::black_box;
 
 use trocar::summary::{BenchResult, Better};
-use trocar_simulator::dynamic_fem::Inputs;
+use trocar_simulator::dynamic_fem::{Constitution, Inputs};
 
 use super::bodies::GRAVITY;
 use super::{fem, flows, per_run, rigid, scaled, secs, soft, told};
@@ -21,19 +21,27 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
         made?;
         row("fem_precompute", 6 * n * n * n, (time * 1e6, 0.0));
     }
-    for cells in [[10, 2, 2], [20, 3, 3], [32, 5, 5], [48, 8, 8]] {
-        let mut body = fem::beam(cells)?;
-        let inputs = Inputs { acceleration: GRAVITY, ..Inputs::default() };
-        let mut failed = None;
-        let figure = per_run(10, || {
-            if let Err(error) = body.step(1e-3, black_box(&inputs)) {
-                failed = Some(error);
+    for cells in [[4; 3], [7; 3], [10; 3], [14; 3]] {
+        let (nodes, figure) = fem::surface_secs(cells)?;
+        row("fem_surface", nodes, scaled(figure, 1e6));
+    }
+    for (what, constitution) in
+        [("fem_corotational", Constitution::Corotational), ("fem_neo_hookean", Constitution::NeoHookean)]
+    {
+        for cells in [[10, 2, 2], [20, 3, 3], [32, 5, 5], [48, 8, 8]] {
+            let mut body = fem::beam_of(constitution, cells)?;
+            let inputs = Inputs { acceleration: GRAVITY, ..Inputs::default() };
+            let mut failed = None;
+            let figure = per_run(10, || {
+                if let Err(error) = body.step(1e-3, black_box(&inputs)) {
+                    failed = Some(error);
+                }
+            });
+            if let Some(error) = failed {
+                return Err(Failure::internal(error));
             }
-        });
-        if let Some(error) = failed {
-            return Err(Failure::internal(error));
+            row(what, body.mesh().tets().len(), scaled(figure, 1e6));
         }
-        row("fem_corotational", body.mesh().tets().len(), scaled(figure, 1e6));
     }
     for held in [5, 10, 20, 40, 80] {
         row("fem_contact", held, scaled(fem::contact_secs(held)?, 1e6));

@@ -41,26 +41,31 @@ fn read_bandwidth(bytes: f64) -> f64 {
     })
 }
 
-/// Additions and multiplications that this thread does in a second when nothing else is in its way.
+/// Additions and multiplications that this thread does in a second when nothing else is in its way, with the widest
+/// registers that it has: as the kernels are run.
 macro_rules! peak {
     ($name:ident, $number:ty, $lanes:literal) => {
         fn $name() -> f64 {
-            const ROUNDS: usize = 1 << 20;
+            const ROUNDS: usize = 1 << 19;
             let mut sums = black_box([1.0 as $number; $lanes]);
             let (factor, term) = black_box((0.999_999 as $number, 1e-6 as $number));
-            let rate = fastest((2 * ROUNDS * $lanes) as f64, || {
-                for _ in 0..ROUNDS {
-                    sums.iter_mut().for_each(|sum| *sum = *sum * factor + term);
-                }
+            fastest((2 * ROUNDS * $lanes) as f64, || {
+                pulp::Arch::new().dispatch(
+                    #[inline(always)]
+                    || {
+                        for _ in 0..ROUNDS {
+                            sums.iter_mut().for_each(|sum| *sum = *sum * factor + term);
+                        }
+                    },
+                );
                 black_box(&mut sums);
-            });
-            rate
+            })
         }
     };
 }
-// As many sums as fill eight registers of 16 bytes: none waits for another.
-peak!(peak_single, f32, 32);
-peak!(peak_double, f64, 16);
+// As many sums as fill eight registers of 32 bytes: none waits for another.
+peak!(peak_single, f32, 64);
+peak!(peak_double, f64, 32);
 
 /// The share of what is possible, for a step that takes `step_secs`.
 pub fn share(name: &str, step_secs: f64, work: Work) -> BenchResult {
