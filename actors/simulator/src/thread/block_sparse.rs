@@ -7,6 +7,8 @@
 //!
 //! Blocks are not exchanged for their size. The rod's own part is positive definite; a contact that slides adds `p nᵀ`, its
 //! push against its normal, with `p·n = 1`: elimination takes that back as it would what is symmetric.
+// One index walks several arrays.
+#![allow(clippy::needless_range_loop)]
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
