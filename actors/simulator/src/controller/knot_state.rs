@@ -15,7 +15,7 @@ use crate::thread::knot::{KnotKind, Reading, Throw, identify, notation};
 /// Ticks from one look at its knot to the next.
 const KNOT_EVERY: u64 = 50;
 /// Ticks from one look at the order of its throws to the next.
-const READ_EVERY: u64 = 5;
+const READ_EVERY: u64 = 10;
 /// Throws of a knot at most.
 const THROWS_MAX: usize = 8;
 

@@ -48,7 +48,11 @@ impl Deformation {
             }
             let [a, b, c, d] = tet.map(|node| displacements[node as usize]);
             let edges = Matrix3::from_columns(&[b - a, c - a, d - a]);
-            let gradient = Matrix3::identity() + edges * mesh.inverse_shapes()[index];
+            let by = edges * mesh.inverse_shapes()[index];
+            if most.exceeds(by.norm()) {
+                continue;
+            }
+            let gradient = Matrix3::identity() + by;
             let (rotation, strain) = rotation_and_strain(&gradient);
             if rotation > most.rotation {
                 (most.rotation, most.rotated_tet) = (rotation, index as u32);
@@ -58,6 +62,16 @@ impl Deformation {
             }
         }
         most
+    }
+
+    /// Whether no element whose gradient is as near to 1 as this (Frobenius) turns or is strained further. The rotation in it
+    /// is the one that is nearest to it, so its strain is no more than that, and the rotation no further from 1 than twice that.
+    fn exceeds(&self, size: f64) -> bool {
+        // More than rounding needs.
+        let size = size * (1.0 + 1e-9);
+        size < 1.0
+            && size <= self.strain
+            && 2.0 * (size * std::f64::consts::FRAC_1_SQRT_2).asin() <= self.rotation
     }
 
     /// Whether both are small enough for linear elasticity to be believed.
@@ -113,5 +127,37 @@ mod tests {
         assert!((rotation - 0.4).abs() < 1e-12 && (strain - 0.2).abs() < 1e-12, "{rotation} {strain}");
         let (rotation, strain) = rotation_and_strain(&Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, -0.5)));
         assert!(rotation > 3.0 && strain.is_infinite());
+    }
+
+    #[test]
+    fn what_is_passed_over_is_neither_turned_nor_strained_the_most() {
+        use nalgebra::Point3;
+        use rand::{Rng, SeedableRng};
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(6);
+        // Elements that do not touch each other.
+        let count = 60;
+        let corners = [[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [0.2, 1.0, 0.1], [0.1, 0.2, 1.0]];
+        let place = |element: u32, corner: [f64; 3]| {
+            Point3::new(corner[0] + 2.0 * f64::from(element), corner[1], corner[2])
+        };
+        let rest: Vec<_> =
+            (0..count).flat_map(|element| corners.map(|corner| place(element, corner))).collect();
+        let tets: Vec<_> = (0..count).map(|k| [4 * k, 4 * k + 1, 4 * k + 2, 4 * k + 3]).collect();
+        let mesh = TetMesh::new(&rest, &tets, &crate::tet_mesh::MeshRules::default()).expect("a mesh");
+        for size in [1e-3, 0.05, 0.3, 2.0] {
+            let moved: Vec<_> =
+                rest.iter().map(|_| Vector3::from_fn(|_, _| random.random_range(-size..size))).collect();
+            let found = Deformation::of(&mesh, &moved);
+            let (mut rotation, mut strain) = (0.0, 0.0);
+            for (index, tet) in tets.iter().enumerate() {
+                let [a, b, c, d] = tet.map(|node| moved[node as usize]);
+                let by = Matrix3::from_columns(&[b - a, c - a, d - a]) * mesh.inverse_shapes()[index];
+                let own = rotation_and_strain(&(Matrix3::identity() + by));
+                (rotation, strain) = (f64::max(rotation, own.0), f64::max(strain, own.1));
+            }
+            assert_eq!((found.rotation, found.strain), (rotation, strain), "{size}");
+            // Without knowing any, none is passed over.
+            assert!(!Deformation::default().exceeds(size) && found.exceeds(0.0));
+        }
     }
 }

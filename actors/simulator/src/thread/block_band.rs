@@ -20,7 +20,7 @@ pub(crate) const LANES: usize = 8;
 pub(crate) type LaneCell = [[f64; LANES]; 4];
 
 /// A block, column by column.
-type Columns = [[f64; 4]; 4];
+pub(super) type Columns = [[f64; 4]; 4];
 
 /// The lower half of the symmetric matrix.
 #[derive(Clone, Debug, Default)]
@@ -194,7 +194,7 @@ impl Factors {
 }
 
 #[inline]
-fn columns(block: &Block) -> Columns {
+pub(super) fn columns(block: &Block) -> Columns {
     block.data.0
 }
 
@@ -203,8 +203,8 @@ fn transposed(of: &Columns) -> Columns {
     std::array::from_fn(|column| std::array::from_fn(|row| of[row][column]))
 }
 
-#[inline]
-fn product(a: &Columns, b: &Columns) -> Columns {
+#[inline(always)]
+pub(super) fn product(a: &Columns, b: &Columns) -> Columns {
     let mut c = [[0.0; 4]; 4];
     for column in 0..4 {
         for k in 0..4 {
@@ -216,8 +216,8 @@ fn product(a: &Columns, b: &Columns) -> Columns {
     c
 }
 
-#[inline]
-fn subtract_product(c: &mut Columns, a: &Columns, b: &Columns) {
+#[inline(always)]
+pub(super) fn subtract_product(c: &mut Columns, a: &Columns, b: &Columns) {
     for column in 0..4 {
         for k in 0..4 {
             for row in 0..4 {
@@ -228,7 +228,7 @@ fn subtract_product(c: &mut Columns, a: &Columns, b: &Columns) {
 }
 
 #[inline]
-fn times(a: &Columns, x: &[f64; 4]) -> [f64; 4] {
+pub(super) fn times(a: &Columns, x: &[f64; 4]) -> [f64; 4] {
     let mut value = [0.0; 4];
     for k in 0..4 {
         for row in 0..4 {
@@ -239,7 +239,7 @@ fn times(a: &Columns, x: &[f64; 4]) -> [f64; 4] {
 }
 
 #[inline]
-fn subtract_from(value: &mut [f64; 4], a: &Columns, x: &[f64; 4]) {
+pub(super) fn subtract_from(value: &mut [f64; 4], a: &Columns, x: &[f64; 4]) {
     for k in 0..4 {
         for row in 0..4 {
             value[row] -= a[k][row] * x[k];
@@ -272,7 +272,7 @@ fn subtract(value: &mut LaneCell, block: &Columns, x: &LaneCell) {
 }
 
 #[inline]
-fn inverse(of: &Columns, slanted: bool) -> Option<Columns> {
+pub(super) fn inverse(of: &Columns, slanted: bool) -> Option<Columns> {
     if slanted { inverse_slanted(of) } else { inverse_symmetric(of) }
 }
 

@@ -4,7 +4,7 @@
 //! | Part | File |
 //! |---|---|
 //! | Discrete elastic rod, implicit | `rod.rs` |
-//! | Direct solver along the rod | `block_band.rs` |
+//! | Direct solvers along the rod, and where its strands push each other | `block_band.rs`, `block_sparse.rs` |
 //! | Contact with static friction | `contact/` |
 //! | One step of rod and contacts together, and of companions: a needle, a tissue | `island/` |
 //! | Elastic bodies that it is tied around | [`elastic`] |
@@ -16,14 +16,16 @@
 //! A thread of 2-0 silk weighs 41 ng per segment of a millimetre's half and carries newtons: explicit steps would have
 //! to be under a microsecond, and iterative projection needs as many sweeps as there are segments before a pull at one
 //! end is felt at the other. Here one factorisation along the rod, O(n), carries any tension over its whole length in
-//! one iteration. Contacts with obstacles are springs within that factorisation, O(n) as well; contacts of strands see
-//! each other through the compliance of the rod with those springs, so that a knot under load is one problem and not a
-//! sequence of collisions. Either obey Coulomb's law as a function of where the surfaces are, which gives way a little
-//! (`contact/law.rs`), so that Newton's method finds it in a few steps even where dozens of places stick and slide on
-//! each other: 180 contacts of a thread at rest on a table cost one factorisation.
+//! one iteration. Contacts with obstacles are springs within that factorisation, O(n) as well. So are contacts of strands
+//! with each other, in an order of elimination that makes use of how long and thin a knot is, so that a knot under load is
+//! one problem and not a sequence of collisions; beside companions and what gives way they see each other through the
+//! compliance of the rod with those springs. All obey Coulomb's law as a function of where the surfaces are, which gives way
+//! a little (`contact/law.rs`), so that Newton's method finds it in a few steps even where dozens of places stick and slide
+//! on each other: 180 contacts of a thread at rest on a table cost one factorisation.
 
 mod adapt;
 pub(crate) mod block_band;
+pub(crate) mod block_sparse;
 mod boundary;
 pub(crate) mod contact;
 pub mod elastic;
@@ -92,8 +94,8 @@ pub struct ThreadReport {
     pub iterations: usize,
     /// Contacts that push at the end.
     pub contacts: usize,
-    /// Newton steps on the laws of the contacts, over all parts: factorisations with those of obstacles, and solutions of
-    /// the dense problem of strands.
+    /// Newton steps on the laws of the contacts, over all parts: factorisations with their springs, and solutions of the dense
+    /// problem of companions.
     pub sweeps: usize,
     /// The largest strain of an edge, up to sign.
     pub strain_max: f64,

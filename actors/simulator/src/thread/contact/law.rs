@@ -1,7 +1,7 @@
 //! Coulomb's law at a place that gives way: force as a function of where the surfaces are, and its slope.
 
 use super::Rows;
-use crate::thread::block_band::{Added, Cell};
+use crate::thread::block_band::{Added, Block, Cell};
 
 /// What a place does, and with it how its force changes with where its surfaces are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,29 +96,61 @@ impl Law {
         }
     }
 
-    /// Adds the slope of the force to the matrix of a rod.
+    /// Adds the slope of the force to the matrix of a rod, of a place that touches two neighbouring block rows.
     #[inline]
     pub fn add(&self, rows: &Rows, friction: f64, compliance: f64, to: &mut Added) {
-        let stiffness = 1.0 / compliance;
-        let mut outer = |force: &[Cell; 2], apart: &[Cell; 2], factor: f64| {
-            let (first, second) = (rows.nodes[0] as usize, rows.nodes[1] as usize);
-            let apart = apart.map(|cell| (cell * factor).transpose());
+        let (first, second) = (rows.nodes[0] as usize, rows.nodes[1] as usize);
+        to.slanted |= self.slopes(rows, friction, compliance, |force, apart| {
+            let apart = [apart[0].transpose(), apart[1].transpose()];
             to.diagonal[first] += force[0] * apart[0];
             to.diagonal[second] += force[1] * apart[1];
             to.below[second] += force[1] * apart[0];
             to.above[second] += force[0] * apart[1];
-        };
-        let cells = |k: usize| [rows.cells[k][0], rows.cells[k][1]];
+        });
+    }
+
+    /// The slope of the force of a place that touches four block rows, and whether it is not symmetric.
+    #[inline]
+    pub fn blocks(&self, rows: &Rows, friction: f64, compliance: f64) -> ([[Block; 4]; 4], bool) {
+        let mut blocks = [[Block::zeros(); 4]; 4];
+        let slanted = self.slopes(rows, friction, compliance, |force, apart| {
+            for (of, apart) in apart.iter().enumerate() {
+                let apart = apart.transpose();
+                for (on, force) in force.iter().enumerate() {
+                    blocks[on][of] += force * apart;
+                }
+            }
+        });
+        (blocks, slanted)
+    }
+
+    /// The slope of the force as a sum of products: which forces on the block rows go with which of their motions. Whether it
+    /// is not symmetric.
+    #[inline]
+    fn slopes(
+        &self,
+        rows: &Rows,
+        friction: f64,
+        compliance: f64,
+        mut outer: impl FnMut(&[Cell; 4], &[Cell; 4]),
+    ) -> bool {
+        let stiffness = 1.0 / compliance;
         match *self {
-            Self::Open => {}
-            Self::Sticks => (0..3).for_each(|k| outer(&cells(k), &cells(k), stiffness)),
+            Self::Open => false,
+            Self::Sticks => {
+                for cells in &rows.cells {
+                    outer(&cells.map(|cell| cell * stiffness), cells);
+                }
+                false
+            }
             Self::Slides { along: [x, y], share } => {
-                let (normal, first, second) = (cells(0), cells(1), cells(2));
-                let push = std::array::from_fn(|k| normal[k] - (first[k] * x + second[k] * y) * friction);
-                outer(&push, &normal, stiffness);
-                let across = std::array::from_fn(|k| second[k] * x - first[k] * y);
-                outer(&across, &across, share * stiffness);
-                to.slanted |= friction > 0.0;
+                let [normal, first, second] = &rows.cells;
+                let push: [Cell; 4] =
+                    std::array::from_fn(|k| normal[k] - (first[k] * x + second[k] * y) * friction);
+                outer(&push.map(|cell| cell * stiffness), normal);
+                let across: [Cell; 4] = std::array::from_fn(|k| second[k] * x - first[k] * y);
+                outer(&across.map(|cell| cell * (share * stiffness)), &across);
+                friction > 0.0
             }
         }
     }

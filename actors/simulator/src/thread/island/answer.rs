@@ -3,22 +3,28 @@
 //! A contact with an obstacle touches two neighbouring nodes: what it answers is a spring within the band of the rod's
 //! matrix, once it is known whether it is open, sticks or slides. So these are found by Newton's method on the law
 //! itself (the active sets of Alart, Curnier 1991; Hintermüller, Ito, Kunisch 2002), each iteration one factorisation
-//! along the rod, however many they are. Contacts of strands with each other couple nodes that are far apart along the
-//! rod, those with what gives way are coupled through that, and so are ties with companions: they are solved as one dense
-//! problem through the compliance of all of these, and in turn with those springs.
+//! along the rod, however many they are. Contacts of strands with each other are such springs as well, between nodes that are
+//! far apart along the rod: each iteration is one factorisation of a sparse matrix then.
+//!
+//! Contacts with what gives way are coupled through that, and ties with companions through these: they are solved as one
+//! dense problem through the compliance of all of them, strands that push each other included, and in turn with the springs
+//! of obstacles. Strands that are springs beside a dense problem were tried: where a tied strand pulls on its knot the two go
+//! in circles.
 
 use super::companion::{Companion, Tied};
-use super::{Active, Failure, Island, TOLERANCE};
+use super::{Active, Failure, Island, Nearest, TOLERANCE};
 use crate::thread::block_band::{Cell, LANES};
 use crate::thread::contact::{CONTACTS_MAX, Law, Rule, SOFTENING};
 use crate::thread::{ThreadReport, Trouble};
 use crate::wide::wide;
 
-/// Factorisations in search of what the contacts with obstacles do at most.
+/// Factorisations in search of what contacts that are springs do at most.
 const ROUNDS_MAX: usize = 10;
 /// Where those go in circles, with each of [`SOFTENING`] at most.
 const SOFTENED_ROUNDS_MAX: usize = 8;
-/// Times that the contacts with obstacles and those of strands are solved in turn at most.
+/// The same two where strands that push each other are among them.
+const KNOTTED_ROUNDS_MAX: (usize, usize) = (24, 20);
+/// Times that the contacts that are springs and the dense problem are solved in turn at most.
 const TURNS_MAX: usize = 8;
 /// A place does not change what it does for less \[N\]: `TOLERANCE` of a thread that gives way by a metre per newton, as
 /// one of 2-0 silk in steps of a millisecond does.
@@ -36,6 +42,7 @@ impl Island {
         report: &mut ThreadReport,
     ) -> Result<(), Failure> {
         // With the forces of the last time the rod moves nearly as it will; what it then stays away from is no contact.
+        self.with_obstacles = self.sprung.len();
         self.factorise(1.0)?;
         self.settle(report)?;
         let moved = &self.moved;
@@ -47,6 +54,14 @@ impl Island {
         let mut contacts = self.dense.iter().filter(|contact| contact.tie.is_none());
         if let Some(beyond) = contacts.nth(CONTACTS_MAX) {
             return Err(Failure { node: beyond.key.edge as usize, why: Trouble::TooManyContacts });
+        }
+        // Beside ties and what gives way strands are part of the dense problem.
+        if self.dense.iter().all(Active::is_of_strands) {
+            self.sprung.append(&mut self.dense);
+        }
+        if self.is_knotted() {
+            self.factorise(1.0)?;
+            self.settle(report)?;
         }
         self.dense.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
         self.join(companion)?;
@@ -68,23 +83,46 @@ impl Island {
             }
         }
         self.take_ties()?;
-        for contact in self.dense.iter_mut().chain(&mut self.banded) {
+        for contact in self.dense.iter_mut().chain(&mut self.sprung) {
             // Drawn as far as it gives way, whether it sticks or slides.
             contact.drawn = [-contact.compliance * contact.force[1], -contact.compliance * contact.force[2]];
         }
         Ok(())
     }
 
-    /// The factors of the rod's matrix with the springs of the contacts with obstacles, so many times as soft.
+    /// Whether strands push each other within the rod's matrix.
+    fn is_knotted(&self) -> bool {
+        self.sprung.len() > self.with_obstacles
+    }
+
+    /// The factors of the rod's matrix with the springs of the contacts, so many times as soft.
     fn factorise(&mut self, softness: f64) -> Result<(), Failure> {
         self.added.clear(self.right.len());
-        for contact in &mut self.banded {
+        for contact in &mut self.sprung {
             contact.law = contact.next;
+        }
+        let (obstacles, strands) = self.sprung.split_at(self.with_obstacles);
+        for contact in obstacles {
             let yields = softness * contact.compliance;
             contact.law.add(&contact.rows, contact.friction, yields, &mut self.added);
         }
-        let added = (!self.banded.is_empty()).then_some(&self.added);
-        self.factors.find(&self.matrix, added).map_err(|node| Failure {
+        let added = (!obstacles.is_empty()).then_some(&self.added);
+        let found = if strands.is_empty() {
+            self.factors.find(&self.matrix, added)
+        } else {
+            let couples = strands.iter().map(|contact| [contact.key.edge, contact.key.feature]);
+            self.sparse.analyse(self.right.len(), couples);
+            self.sparse.begin(&self.matrix, added);
+            for (number, contact) in strands.iter().enumerate() {
+                if contact.law != Law::Open {
+                    let yields = softness * contact.compliance;
+                    let (blocks, slanted) = contact.law.blocks(&contact.rows, contact.friction, yields);
+                    self.sparse.add_couple(number, &blocks, slanted);
+                }
+            }
+            self.sparse.factorise()
+        };
+        found.map_err(|node| Failure {
             node,
             why: if self.at.positions[node].iter().all(|x| x.is_finite()) {
                 Trouble::NotPositive
@@ -94,47 +132,75 @@ impl Island {
         })
     }
 
-    /// Moves the rod with the forces of the contacts of strands as they are until the contacts with obstacles obey their
-    /// law, beginning with the factors that there are. Whether those were the right ones.
+    /// Moves the rod with the factors that there are: with the dense problem's forces and those of springs so many times as
+    /// soft.
+    fn carry(&mut self, softness: f64) {
+        self.moved.clone_from(&self.right);
+        for contact in &self.dense {
+            contact.rows.push(&contact.force, &mut self.moved);
+        }
+        for contact in &self.sprung {
+            let yields = softness * contact.compliance;
+            let force = contact.law.linear(contact.offset, contact.friction, yields);
+            contact.rows.push(&force, &mut self.moved);
+        }
+        if self.is_knotted() {
+            self.sparse.solve(&mut self.moved);
+        } else {
+            self.factors.solve(&mut self.moved);
+        }
+    }
+
+    /// Moves the rod with the forces of the dense problem as they are until the contacts that are springs obey their law,
+    /// beginning with the factors that there are. Whether those were the right ones. Where none are found, what came nearest
+    /// to the laws of strands is left.
     fn settle(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
+        let knotted = self.is_knotted();
+        let (rounds, softened) = if knotted { KNOTTED_ROUNDS_MAX } else { (ROUNDS_MAX, SOFTENED_ROUNDS_MAX) };
         let mut first = true;
-        let plain = std::iter::once((1.0, ROUNDS_MAX));
-        for (softness, most) in plain.chain(SOFTENING.map(|softness| (softness, SOFTENED_ROUNDS_MAX))) {
+        let mut left = if knotted { self.sweeps_max } else { usize::MAX };
+        self.nearest.error = f64::INFINITY;
+        let plain = std::iter::once((1.0, rounds));
+        for (softness, most) in plain.chain(SOFTENING.map(|softness| (softness, softened))) {
             for _ in 0..most {
+                if left == 0 {
+                    break;
+                }
                 if !first {
                     report.sweeps += 1;
+                    left -= 1;
                     self.factorise(softness)?;
                 }
-                self.moved.clone_from(&self.right);
-                for contact in &self.dense {
-                    contact.rows.push(&contact.force, &mut self.moved);
-                }
-                for contact in &self.banded {
-                    let yields = softness * contact.compliance;
-                    let force = contact.law.linear(contact.offset, contact.friction, yields);
-                    contact.rows.push(&force, &mut self.moved);
-                }
-                self.factors.solve(&mut self.moved);
-                let right = self.obeyed(softness);
-                if right && softness == 1.0 {
+                self.carry(softness);
+                let error = self.error(softness);
+                if error <= TOLERANCE && softness == 1.0 {
                     return Ok(first);
                 }
                 first = false;
-                if right {
+                if error <= TOLERANCE {
                     break;
                 }
+                if knotted && softness == 1.0 && error < self.nearest.error {
+                    self.nearest.take(error, &self.moved, &self.sprung);
+                }
+            }
+        }
+        if self.nearest.error.is_finite() {
+            self.moved.clone_from(&self.nearest.moved);
+            for (contact, force) in self.sprung.iter_mut().zip(&self.nearest.forces) {
+                contact.force = *force;
             }
         }
         Ok(false)
     }
 
-    /// Whether contacts with obstacles, so many times as soft, are as they were taken to be; and what they are taken to be
-    /// next.
-    fn obeyed(&mut self, softness: f64) -> bool {
+    /// How far contacts that are springs, so many times as soft, are from their law \[m\], and what they are taken to be next.
+    /// What is near enough is moved on by that much.
+    fn error(&mut self, softness: f64) -> f64 {
         let (mut changed, mut off) = (false, false);
         self.rest.clear();
         self.rest.resize(self.right.len(), Cell::zeros());
-        for contact in &mut self.banded {
+        for contact in &mut self.sprung {
             let by = contact.rows.apart(&self.moved);
             let apart: [f64; 3] = std::array::from_fn(|k| contact.offset[k] + by[k]);
             let yields = softness * contact.compliance;
@@ -151,16 +217,21 @@ impl Island {
             }
             contact.next = contact.law.next(law, contact.friction);
         }
-        if changed {
-            return false;
-        }
         if !off {
-            return true;
+            return 0.0;
+        }
+        let knotted = self.is_knotted();
+        if changed && !knotted {
+            return f64::INFINITY;
         }
         // What is lacking moves the rod on, and the places by how much they are away from their law.
-        self.factors.solve(&mut self.rest);
+        if knotted {
+            self.sparse.solve(&mut self.rest);
+        } else {
+            self.factors.solve(&mut self.rest);
+        }
         let mut largest = 0.0_f64;
-        for contact in &self.banded {
+        for contact in &self.sprung {
             if contact.next != Law::Open {
                 let by = contact.rows.apart(&self.rest);
                 largest = by.iter().fold(largest, |most, by| most.max(by.abs()));
@@ -170,12 +241,11 @@ impl Island {
             for (moved, rest) in self.moved.iter_mut().zip(&self.rest) {
                 *moved += rest;
             }
-            return true;
         }
-        false
+        largest
     }
 
-    /// Where the contacts of strands are, with their forces.
+    /// Where the places of the dense problem are, with their forces.
     fn measure(&mut self) {
         for (place, contact) in self.dense.iter().enumerate() {
             let apart = contact.rows.apart(&self.moved);
@@ -188,7 +258,7 @@ impl Island {
         self.give_way();
     }
 
-    /// The problem of the contacts of strands: their compliance through the rod and its springs, column by column.
+    /// The dense problem: the compliance of its places through the rod and its springs, column by column.
     fn pose(&mut self) {
         let places = self.dense.len();
         let rows = 3 * places;
@@ -271,7 +341,21 @@ impl Island {
     }
 }
 
+impl Nearest {
+    fn take(&mut self, error: f64, moved: &[Cell], contacts: &[Active]) {
+        self.error = error;
+        self.moved.clear();
+        self.moved.extend_from_slice(moved);
+        self.forces.clear();
+        self.forces.extend(contacts.iter().map(|contact| contact.force));
+    }
+}
+
 impl Active {
+    fn is_of_strands(&self) -> bool {
+        self.tie.is_none() && self.key.with == 0
+    }
+
     fn rule(&self) -> Rule {
         self.tie.map_or(Rule::Contact { friction: self.friction }, |tie| tie.rule)
     }

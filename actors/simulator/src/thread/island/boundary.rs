@@ -42,7 +42,7 @@ impl Island {
             let left = self.turn_left(hold, share);
             self.hold_torques[index] += stiffness * left * weight;
         }
-        let contacts = self.dense.iter().chain(&self.banded).filter(|contact| contact.tie.is_none());
+        let contacts = self.dense.iter().chain(&self.sprung).filter(|contact| contact.tie.is_none());
         for contact in contacts.filter(|contact| contact.key.with > 0) {
             let index = contact.key.with as usize - 1;
             let force = -contact.rows.vector(&contact.force) * weight;

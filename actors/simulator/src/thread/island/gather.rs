@@ -14,7 +14,7 @@ const DEPTH_MAX: f64 = 0.15;
 
 impl Island {
     /// The candidates that are near, as rows, with the forces of the last time: those with other strands and with the elastic
-    /// body in `dense`, those with obstacles in `banded`. `ahead` is for how long it is expected to go on as it does \[s\].
+    /// body in `dense` for now, those with obstacles in `sprung`. `ahead` is for how long it is expected to go on as it does \[s\].
     pub(super) fn gather(
         &mut self,
         material: &ThreadMaterial,
@@ -33,7 +33,7 @@ impl Island {
             Cell::new(by.x, by.y, by.z, self.trial.spins.get(node).copied().unwrap_or(0.0) * ahead)
         }));
         self.dense.clear();
-        self.banded.clear();
+        self.sprung.clear();
         self.near.clear();
         let surface = companion.surface();
         for index in 0..self.candidates.found.len() {
@@ -41,7 +41,7 @@ impl Island {
             if surface.is_some_and(|surface| key.with as usize == surface + 1) {
                 self.note_near(material, around, key, companion);
             } else if let Some(active) = self.contact(material, around, key) {
-                let list = if key.with == 0 { &mut self.dense } else { &mut self.banded };
+                let list = if key.with == 0 { &mut self.dense } else { &mut self.sprung };
                 list.push(active);
             }
         }

@@ -15,6 +15,7 @@ use companion::{Companion, Link, Tie, Tied, Tolerance};
 pub(crate) use elastic::TiedAround;
 
 use crate::thread::block_band::{Added, BlockBand, Cell, Factors, LaneCell};
+use crate::thread::block_sparse::BlockSparse;
 use crate::thread::contact::{
     Candidates, Complementarity, Law, Motion, Rows, Rule, passed_through, passed_through_face,
 };
@@ -67,6 +68,15 @@ struct TieOf {
     yields: [f64; 3],
 }
 
+/// What came nearest to the laws of the contacts.
+#[derive(Clone, Debug, Default)]
+struct Nearest {
+    /// How far it is away from them \[m\].
+    error: f64,
+    moved: Vec<Cell>,
+    forces: Vec<[f64; 3]>,
+}
+
 /// Room for a step.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Island {
@@ -77,6 +87,12 @@ pub(crate) struct Island {
     matrix: BlockBand,
     added: Added,
     factors: Factors,
+    /// The factors of a rod whose strands push each other.
+    sparse: BlockSparse,
+    /// Contacts in `sprung` that are with obstacles; those after them are of strands with each other. None of these means
+    /// that the factors are those near the diagonal.
+    with_obstacles: usize,
+    nearest: Nearest,
     right: Vec<Cell>,
     moved: Vec<Cell>,
     expected: Vec<Cell>,
@@ -86,10 +102,10 @@ pub(crate) struct Island {
     reach: Vec<f64>,
     motions: Vec<Motion>,
     candidates: Candidates,
-    /// Contacts of strands with each other and with what gives way, and ties.
+    /// Contacts with what gives way, ties, and contacts of strands with each other beside those.
     dense: Vec<Active>,
-    /// Contacts with obstacles.
-    banded: Vec<Active>,
+    /// Contacts that are springs in the rod's matrix: with obstacles, and of strands with each other.
+    sprung: Vec<Active>,
     former: Vec<ContactMemory>,
     problem: Complementarity,
     hold_forces: Vec<Vector3<f64>>,
@@ -336,7 +352,7 @@ impl Island {
 
     /// All contacts that are solved for.
     fn contacts(&self) -> impl Iterator<Item = &Active> {
-        self.dense.iter().chain(&self.banded).filter(|contact| contact.tie.is_none())
+        self.dense.iter().chain(&self.sprung).filter(|contact| contact.tie.is_none())
     }
 
     /// Halves a change of the iterate that takes back the one before: contacts whose places jump between two edges, or turn
@@ -386,7 +402,7 @@ impl Island {
         }
         at.follow(&self.trial);
         self.former.clear();
-        let contacts = self.dense.iter().chain(&self.banded).filter(|contact| contact.tie.is_none());
+        let contacts = self.dense.iter().chain(&self.sprung).filter(|contact| contact.tie.is_none());
         self.former.extend(contacts.filter(|contact| contact.force[0] > 0.0).map(|contact| {
             let drawn = contact.rows.vector(&[0.0, contact.drawn[0], contact.drawn[1]]);
             ContactMemory { key: contact.key, force: contact.rows.vector(&contact.force), drawn }

@@ -59,6 +59,12 @@ impl Laurent {
         Self { lowest: self.lowest + other.lowest, coefficients }.trimmed()
     }
 
+    /// Times the variable so many times.
+    fn shifted(&self, power: i32) -> Self {
+        let lowest = if self.coefficients.is_empty() { 0 } else { self.lowest + power };
+        Self { lowest, coefficients: self.coefficients.clone() }
+    }
+
     /// The same of the mirror image.
     #[must_use]
     pub fn mirrored(&self) -> Self {
@@ -101,14 +107,16 @@ pub fn jones(diagram: &Diagram) -> Result<Laurent, KnotError> {
         for (pairing, value) in &states {
             for (power, joins) in [(1, [(a, b), (c, d)]), (-1, [(a, d), (b, c)])] {
                 let mut pairing = pairing.clone();
-                let mut value = value.times(&Laurent::term(1, power));
+                let mut value = value.shifted(power);
                 for (one, other) in joins {
                     if join(&mut pairing, one, other) {
                         value = value.times(&circle);
                     }
                 }
-                let sum = next.get(&pairing).map_or_else(|| value.clone(), |sum| sum.plus(&value));
-                next.insert(pairing, sum);
+                match next.get_mut(&pairing) {
+                    Some(sum) => *sum = sum.plus(&value),
+                    None => drop(next.insert(pairing, value)),
+                }
             }
         }
         states = next;
