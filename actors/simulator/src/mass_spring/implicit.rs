@@ -80,7 +80,7 @@ impl MassSpring {
     #[must_use]
     pub fn factor_entries(&self) -> usize {
         match self.implicit.as_deref() {
-            Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) => warped.entries(),
+            Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) => warped.factor_entries(),
             _ => 0,
         }
     }

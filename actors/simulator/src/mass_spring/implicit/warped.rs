@@ -111,7 +111,7 @@ impl Warped {
     }
 
     /// Numbers of the factor.
-    pub fn entries(&self) -> usize {
+    pub fn factor_entries(&self) -> usize {
         self.factor.as_ref().map_or(0, Triangles::entries)
     }
 
