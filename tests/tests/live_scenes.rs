@@ -19,16 +19,27 @@ fn two_rates_come_to_the_same_and_feel_the_same_live_as_in_virtual_time() {
     // None waits for another: each has a rate of its own, in the order of their targets.
     let rates = ["organ", "membrane", "haptics.left"].map(|name| row(name).achieved_hz);
     assert!(rates.windows(2).all(|pair| pair[0] < pair[1]), "{rates:?} Hz");
-    let lockstep = finish(&app, &scenario, &lockstep(1));
+    // Where in one of the organ's steps of 50 ms a hand begins to press is chance, live: what it feels lies among what it feels
+    // when it begins at any of them.
+    let begins = "seconds = 1.5, to = [-0.050, 0.0, 0.0]";
+    let phases = ["1.50", "1.51", "1.52", "1.53", "1.54"].map(|seconds| {
+        let later = begins.replace("1.5,", &format!("{seconds},"));
+        finish(&app, &edited(&app, "two-rates", &[(begins, &later)]), &lockstep(1))
+    });
     let felt = |of: &trocar::run::RunOutcome, measure: &str| of.summary.task.metrics["outcome"][measure];
     for (measure, tolerance) in [
-        ("hand.left.felt_stiffness_n_per_m.mean", 0.2),
-        ("hand.right.felt_stiffness_n_per_m.mean", 0.2),
-        ("organ.contact_force_n.largest", 0.2),
-        ("membrane.contact_force_n.largest", 0.2),
+        ("hand.left.felt_stiffness_n_per_m.mean", 0.1),
+        ("hand.right.felt_stiffness_n_per_m.mean", 0.1),
+        ("organ.contact_force_n.largest", 0.1),
+        ("membrane.contact_force_n.largest", 0.1),
     ] {
-        let (found, expected) = (felt(&live, measure), felt(&lockstep, measure));
-        println!("{measure}: {found} live, {expected} in virtual time");
-        assert!((found / expected - 1.0).abs() < tolerance, "{measure}: {found} live, {expected} otherwise");
+        let found = felt(&live, measure);
+        let expected = phases.each_ref().map(|run| felt(run, measure));
+        let (low, high) = expected.iter().fold((f64::INFINITY, 0.0_f64), |(l, h), &f| (l.min(f), h.max(f)));
+        println!("{measure}: {found} live, {expected:?} in virtual time");
+        assert!(
+            (1.0 - tolerance) * low < found && found < (1.0 + tolerance) * high,
+            "{measure}: {found} live, {expected:?} otherwise"
+        );
     }
 }
