@@ -107,6 +107,46 @@ fn an_endless_loop_is_fenced_left_behind_and_replaced() {
 }
 
 #[test]
+fn a_long_first_step_is_no_stall_unless_it_holds_hands_and_a_long_later_one_is() {
+    /// Takes four limits over its first step, and hangs in its twentieth until it is let go.
+    struct Builder {
+        done: Arc<AtomicU32>,
+        let_go: Arc<AtomicBool>,
+    }
+    impl Controller for Builder {
+        fn access(&self) -> Access {
+            Access::new()
+        }
+        fn tick(&mut self, _: &Tick<'_>, _: &Snapshot, _: &mut Commands) -> Result<(), ControllerError> {
+            let begun = Instant::now();
+            let step = self.done.load(Ordering::Relaxed);
+            while step == 0 && begun.elapsed() < Duration::from_millis(400)
+                || step == 19 && !self.let_go.load(Ordering::Relaxed)
+            {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            self.done.fetch_add(1, Ordering::Relaxed);
+            Ok(())
+        }
+    }
+    for (class, first_stall) in [(RuntimeClass::Simulation, 19), (RuntimeClass::Haptics, 0)] {
+        let (done, let_go) = (Arc::new(AtomicU32::new(0)), Arc::new(AtomicBool::new(false)));
+        let (counter, flag) = (done.clone(), let_go.clone());
+        let mut spec = ControllerSpec::new("builder", 1, class, 500.0, move |_| {
+            Ok(Box::new(Builder { done: counter.clone(), let_go: flag.clone() }) as Box<dyn Controller>)
+        });
+        spec.child = spec.child.with_heartbeat_limit(ms(100));
+        let live = LiveSession::start(session(vec![spec])).expect("starts");
+        eventually("a step counts as a stall", || {
+            live.incidents().iter().any(|row| row.cause == Cause::Stall)
+        });
+        assert_eq!(done.load(Ordering::Relaxed), first_stall, "{class:?}");
+        let_go.store(true, Ordering::Relaxed);
+        assert_eq!(live.stop(0).code, 0);
+    }
+}
+
+#[test]
 fn the_model_resumes_after_a_panic_and_does_not_try_the_batch_again() {
     let (a, wish) = toy("a", 1, 500.0);
     let (b, other) = toy("b", 2, 500.0);

@@ -195,13 +195,18 @@ impl Body<'_> {
             }
             let begun = self.shared.clock.now();
             self.life.bump(begun);
-            let outcome = if self.writer.seat.seam.is_held() {
+            let held = self.writer.seat.seam.is_held();
+            let outcome = if held {
                 Ok(())
             } else {
                 guarded(|| self.step(due)).unwrap_or_else(|panic| Err(Cause::Panic(panic)))
             };
             let ended = self.shared.clock.now();
             self.life.bump(ended);
+            // After the beat: who saw it the other way round would take a long first step for a stall.
+            if !held {
+                self.life.settled.store(true, Ordering::Release);
+            }
             if self.life.is_abandoned() {
                 return Cause::Stop;
             }

@@ -457,7 +457,7 @@ fn share(
             child: id,
             name: name.to_owned(),
             class: spec.class,
-            heartbeat_limit: spec.heartbeat_limit,
+            limits: [spec.silence_limit(false), spec.silence_limit(true)],
             ticks: spec.rate_hz > 0.0,
             life: ArcSwap::from(Life::new(0)),
             stats: TickStats::new(name, spec.rate_hz),

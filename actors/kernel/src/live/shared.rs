@@ -27,6 +27,8 @@ pub(crate) struct Life {
     pub(crate) tid: AtomicU32,
     /// Constructed: the watchdog may look.
     pub(crate) running: AtomicBool,
+    /// It came through its first step.
+    pub(crate) settled: AtomicBool,
     /// It shall end in good order.
     pub(crate) stop: AtomicBool,
     /// Nobody waits for it any more.
@@ -58,12 +60,20 @@ pub(crate) struct Seat {
     pub(crate) child: ChildId,
     pub(crate) name: String,
     pub(crate) class: RuntimeClass,
-    pub(crate) heartbeat_limit: SimTime,
+    /// Longest silence before and after the first step of a life.
+    pub(crate) limits: [SimTime; 2],
     /// Whether its heart beats without anybody asking.
     pub(crate) ticks: bool,
     pub(crate) life: ArcSwap<Life>,
     pub(crate) stats: TickStats,
     pub(crate) seam: Seam,
+}
+
+impl Seat {
+    /// Longest silence of a life that has, or has not yet, come through its first step.
+    pub(crate) fn limit(&self, settled: bool) -> SimTime {
+        self.limits[usize::from(settled)]
+    }
 }
 
 /// Where faults are injected: flags that the host looks at, so that controllers need no annotations.

@@ -45,7 +45,7 @@ pub(super) fn start(shared: Arc<Shared>) -> std::io::Result<()> {
 
 fn watch(shared: &Shared) {
     let _ = shared.reports.try_send(Report::Permission(sched::promote_current(RuntimeClass::Watchdog)));
-    let shortest = shared.seats().map(|seat| seat.heartbeat_limit).min().unwrap_or(PAUSE_MAX);
+    let shortest = shared.seats().map(|seat| seat.limit(true)).min().unwrap_or(PAUSE_MAX);
     let pause = SimTime(shortest.0 / 8).clamp(PAUSE_MIN, PAUSE_MAX);
     let now = shared.clock.now();
     let mut watches: Vec<Watch> = shared.seats().map(|seat| Watch::new(seat.life.load_full(), now)).collect();
@@ -67,7 +67,7 @@ fn watch(shared: &Shared) {
                 *watch = Watch::new(seat.life.load_full(), now);
             }
             look(shared, seat, watch, now, blind);
-            let limit = watch.since + seat.heartbeat_limit;
+            let limit = watch.since + limit_of(seat, watch);
             if !watch.told && limit > now {
                 next = next.min(limit);
             }
@@ -81,6 +81,8 @@ fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bo
         watch.since = now;
         return;
     }
+    // Before the beat: a first step that ends in between has then beaten as well.
+    let limit = limit_of(seat, watch);
     let (beat, beat_at) = watch.life.heart.look();
     let late = watch.life.late.load(Ordering::Relaxed);
     if late != watch.late {
@@ -95,15 +97,16 @@ fn look(shared: &Shared, seat: &Seat, watch: &mut Watch, now: SimTime, blind: bo
         watch.cpu = cpu_of(&watch.life);
         return;
     }
-    if watch.told || now.since(watch.since) < seat.heartbeat_limit {
-        return;
-    }
-    if is_starved(watch, seat.heartbeat_limit, now) {
+    if watch.told || now.since(watch.since) < limit || is_starved(watch, limit, now) {
         return;
     }
     watch.told = true;
     shared.fence(seat.child, watch.life.incarnation + 1);
     shared.report(Event::Stalled { child: seat.child, incarnation: watch.life.incarnation });
+}
+
+fn limit_of(seat: &Seat, watch: &Watch) -> SimTime {
+    seat.limit(watch.life.settled.load(Ordering::Acquire))
 }
 
 fn cpu_of(life: &Life) -> SimTime {

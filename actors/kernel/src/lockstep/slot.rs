@@ -293,11 +293,8 @@ impl Slot {
         let extra = self.ailments.slow + std::mem::take(&mut self.ailments.stall);
         if extra > SimTime::ZERO {
             self.pending = Some(Pending { at: now + extra, number, due: now });
-            self.stalls_at = if extra > self.spec.child.heartbeat_limit {
-                now + self.spec.child.heartbeat_limit
-            } else {
-                NEVER
-            };
+            let limit = self.spec.child.silence_limit(self.resumed);
+            self.stalls_at = if extra > limit { now + limit } else { NEVER };
             return Ticked::Busy;
         }
         self.step((number, now), now, scene, registry)

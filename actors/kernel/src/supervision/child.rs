@@ -99,6 +99,9 @@ pub struct ChildSpec {
     pub restart: Restart,
     /// Longest time without a heartbeat while it runs; longer is a stall.
     pub heartbeat_limit: SimTime,
+    /// The same in the first step of each life, in which it takes in the scene as it stands: meshes, factors,
+    /// trees. Never less than `heartbeat_limit`.
+    pub first_step_limit: SimTime,
     /// Longest time from the order to start to the end of its construction.
     pub start_limit: SimTime,
     /// Longest time from the order to stop to its end; longer and it is abandoned.
@@ -111,15 +114,23 @@ pub struct ChildSpec {
 
 impl ChildSpec {
     /// The defaults of a controller of `class` that ticks at `rate_hz`: permanent, a stall after 50 ms but
-    /// no less than twenty periods, 5 s to start, 200 ms to stop.
+    /// no less than twenty periods, 5 s to start, 200 ms to stop. Those that hold hands, commit or speak for the
+    /// station get no longer for their first step; the others, whom nobody waits for, 5 s.
     pub fn new(id: impl Into<String>, class: RuntimeClass, rate_hz: f64) -> Self {
         let twenty_periods =
             if rate_hz > 0.0 { SimTime::from_secs_f64(20.0 / rate_hz) } else { SimTime::ZERO };
+        let heartbeat_limit = twenty_periods.max(SimTime::from_millis(50));
+        let start_limit = SimTime::from_millis(5_000);
         Self {
             id: id.into(),
             restart: if class == RuntimeClass::Recorder { Restart::Transient } else { Restart::Permanent },
-            heartbeat_limit: twenty_periods.max(SimTime::from_millis(50)),
-            start_limit: SimTime::from_millis(5_000),
+            heartbeat_limit,
+            first_step_limit: if class.takes_in_the_scene() {
+                heartbeat_limit.max(start_limit)
+            } else {
+                heartbeat_limit
+            },
+            start_limit,
             shutdown_limit: SimTime::from_millis(200),
             rate_hz,
             class,
@@ -130,10 +141,23 @@ impl ChildSpec {
         self.restart = restart;
         self
     }
-    /// The same with another heartbeat limit.
+    /// The same with another heartbeat limit, and no shorter a first step.
     pub fn with_heartbeat_limit(mut self, limit: SimTime) -> Self {
         self.heartbeat_limit = limit;
+        self.first_step_limit = self.first_step_limit.max(limit);
         self
+    }
+    /// Longest silence of a life that has, or has not yet, come through its first step.
+    pub fn silence_limit(&self, settled: bool) -> SimTime {
+        if settled { self.heartbeat_limit } else { self.first_step_limit.max(self.heartbeat_limit) }
+    }
+}
+
+impl RuntimeClass {
+    /// Whether its children build, in the first step of a life, what they need of the whole scene, while nobody
+    /// waits for them.
+    const fn takes_in_the_scene(self) -> bool {
+        matches!(self, Self::Collision | Self::Simulation | Self::Task | Self::Recorder)
     }
 }
 
