@@ -8,7 +8,7 @@
 //!
 //! Contacts with what gives way are coupled through that, and ties with companions through these: they are solved as one
 //! dense problem through the compliance of all of them, strands that push each other included, and in turn with the springs
-//! of obstacles. Strands that are springs beside a dense problem were tried: where a tied strand pulls on its knot the two go
+//! of obstacles. Where these turns do not end the obstacles that are touched become part of the dense problem. Strands that are springs beside a dense problem were tried: where a tied strand pulls on its knot the two go
 //! in circles.
 
 use super::companion::{Companion, Tied};
@@ -25,7 +25,7 @@ const SOFTENED_ROUNDS_MAX: usize = 8;
 /// The same two where strands that push each other are among them.
 const KNOTTED_ROUNDS_MAX: (usize, usize) = (24, 20);
 /// Times that the contacts that are springs and the dense problem are solved in turn at most.
-const TURNS_MAX: usize = 8;
+const TURNS_MAX: usize = 5;
 /// A place does not change what it does for less \[N\]: `TOLERANCE` of a thread that gives way by a metre per newton, as
 /// one of 2-0 silk in steps of a millisecond does.
 const FORCE_TOLERANCE: f64 = 1e-9;
@@ -65,22 +65,11 @@ impl Island {
         }
         self.dense.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
         self.join(companion)?;
-        for _ in 0..TURNS_MAX {
-            if self.dense.is_empty() {
-                break;
-            }
-            self.pose();
-            report.sweeps += self.problem.solve(self.sweeps_max.max(1), TOLERANCE);
-            for (place, contact) in self.dense.iter_mut().enumerate() {
-                contact.force.copy_from_slice(&self.problem.force[3 * place..][..3]);
-            }
-            if self.settle(report)? {
-                break;
-            }
-            self.measure();
-            if self.problem.error() <= TOLERANCE {
-                break;
-            }
+        if !self.take_turns(report)? && self.draw_in() {
+            self.factorise(1.0)?;
+            self.settle(report)?;
+            self.join(companion)?;
+            self.take_turns(report)?;
         }
         self.take_ties()?;
         for contact in self.dense.iter_mut().chain(&mut self.sprung) {
@@ -88,6 +77,46 @@ impl Island {
             contact.drawn = [-contact.compliance * contact.force[1], -contact.compliance * contact.force[2]];
         }
         Ok(())
+    }
+
+    /// Solves the dense problem and the contacts that are springs in turn. Whether each ended at what the other ended at.
+    fn take_turns(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
+        for _ in 0..TURNS_MAX {
+            if self.dense.is_empty() {
+                return Ok(true);
+            }
+            self.pose();
+            report.sweeps += self.problem.solve(self.sweeps_max.max(1), TOLERANCE);
+            for (place, contact) in self.dense.iter_mut().enumerate() {
+                contact.force.copy_from_slice(&self.problem.force[3 * place..][..3]);
+            }
+            if self.settle(report)? {
+                return Ok(true);
+            }
+            self.measure();
+            if self.problem.error() <= TOLERANCE {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Makes contacts with obstacles that push, or are about to, part of the dense problem: where what is tied is tied next to
+    /// one of them, the two go in circles. Whether there are any.
+    fn draw_in(&mut self) -> bool {
+        let before = self.dense.len();
+        let Self { sprung, dense, moved, .. } = self;
+        sprung.retain(|contact| {
+            let apart = contact.offset[0] + contact.rows.apart(moved)[0];
+            let is_near = contact.force[0] > 0.0 || contact.next != Law::Open || apart < NEAR;
+            if is_near {
+                dense.push(contact.clone());
+            }
+            !is_near
+        });
+        self.with_obstacles = self.sprung.len();
+        self.dense.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
+        self.dense.len() > before
     }
 
     /// Whether strands push each other within the rod's matrix.
