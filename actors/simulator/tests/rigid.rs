@@ -185,6 +185,51 @@ fn stack_contacts(states: &[RigidState], half: f64) -> Vec<RigidContact> {
 }
 
 #[test]
+fn a_cube_that_slides_or_spins_on_its_corners_is_rubbed_against_its_slip() {
+    let (half, friction, aside) = (0.01, 0.3, 0.4_f64);
+    let mass = RigidMass { mass: 0.02, inertia: Vector3::repeat(0.02 * 4.0 * half * half / 6.0) };
+    let down = Vector3::new(aside.cos(), aside.sin(), 0.0);
+    let rubbed = |states: &[RigidState]| -> Vec<RigidContact> {
+        let contacts = stack_contacts(states, half).into_iter();
+        contacts.map(|contact| RigidContact { friction, ..contact }).collect()
+    };
+    for (angle, spin, steps) in [(0.5_f64, 0.0, 400), (0.5, 30.0, 400), (0.0, 30.0, 40)] {
+        let gravity = down * (GRAVITY * angle.sin()) - Vector3::z() * (GRAVITY * angle.cos());
+        let mut state = at(0.0, 0.0, half);
+        state.angular_momentum = mass.inertia.component_mul(&(Vector3::z() * spin));
+        let mut cube = bodies(&[mass], &[state], gravity, Integrator::Symplectic);
+        for step in 0..steps {
+            let contacts = rubbed(cube.states());
+            cube.step(1e-3, &[], &contacts).expect("a step");
+            let state = &cube.states()[0];
+            for (contact, impulse) in contacts.iter().zip(cube.impulses()) {
+                let slip = mass.velocity(state)
+                    + mass.angular_velocity(state).cross(&(contact.point_in_world - state.position));
+                let slip = Vector3::new(slip.x, slip.y, 0.0);
+                let across = Vector3::new(impulse.impulse.x, impulse.impulse.y, 0.0);
+                // Coulomb's law takes as much energy as any friction of its size could (Moreau 1988).
+                let most = friction * impulse.impulse.z * slip.norm();
+                assert!(
+                    (across.dot(&slip) + most).abs() < 0.01 * most + 1e-12,
+                    "{angle} rad, {spin} rad/s, step {step}: {across:?} against {slip:?}"
+                );
+            }
+        }
+        let (state, secs) = (&cube.states()[0], 1e-3 * f64::from(steps));
+        if spin == 0.0 {
+            let velocity = mass.velocity(state);
+            let expected = down * (GRAVITY * (angle.sin() - friction * angle.cos()) * secs);
+            assert!((velocity - expected).norm() < 1e-3 * expected.norm(), "{velocity:?}, not {expected:?}");
+        } else if angle == 0.0 {
+            // All corners bear the same and are as far from the axis.
+            let slows = friction * GRAVITY * mass.mass * half * 2.0_f64.sqrt() / mass.inertia.z;
+            let (left, expected) = (mass.angular_velocity(state).z, spin - slows * secs);
+            assert!((left - expected).abs() < 1e-2 * spin, "{left}, not {expected} rad/s");
+        }
+    }
+}
+
+#[test]
 fn a_stack_of_cubes_stays_at_rest_and_is_pushed_out_of_the_floor_without_a_jump() {
     let half = 0.01_f64;
     let cube = RigidMass { mass: 0.01, inertia: Vector3::repeat(0.01 * (2.0 * half).powi(2) / 6.0) };

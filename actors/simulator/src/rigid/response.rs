@@ -23,6 +23,8 @@ struct Row {
     /// Inverse of what the contact feels as mass, along the normal, and in all directions.
     normal_mass: f64,
     mass: Matrix3<f64>,
+    /// The same in that direction across in which the contact is felt least.
+    least_mass: f64,
     /// What an impulse makes of its speed, over all directions \[1/kg\].
     yields: f64,
     along: f64,
@@ -80,6 +82,15 @@ fn push(
             velocities[body][1] += inverse[body].1 * row.arms[side].cross(impulse) * sign;
         }
     }
+}
+
+/// What an impulse across `normal` makes of the speed across at most, over all directions \[1/kg\].
+fn most_across(feels: &Matrix3<f64>, normal: &Vector3<f64>) -> f64 {
+    let across = Matrix3::identity() - normal * normal.transpose();
+    let feels = across * feels * across;
+    // Of the two numbers that are not zero: their sum, and the sum of their squares.
+    let (sum, squares) = (feels.trace(), feels.norm_squared());
+    0.5 * (sum + (2.0 * squares - sum * sum).max(0.0).sqrt())
 }
 
 impl Response {
@@ -144,6 +155,7 @@ impl Response {
                 friction: contact.friction,
                 normal_mass: 1.0 / normal.dot(&(feels * normal)),
                 mass: feels.try_inverse().unwrap_or_else(Matrix3::zeros),
+                least_mass: 1.0 / most_across(&feels, &normal),
                 yields: feels.trace() / 3.0,
                 along: 0.0,
                 across: Vector3::zeros(),
@@ -200,14 +212,16 @@ impl Response {
                 row.along = along;
                 push(velocities, inverse, row, &impulse);
                 turn(turning, row, &impulse);
-                // What would stop the slip, as far as Coulomb's cone lets it.
+                // What would stop the slip, if Coulomb's cone lets it. Else as much as it does against the slip itself: what
+                // would stop it leans to the side wherever a body turns more easily than it moves.
                 let slip = speed(velocities, row) + turned(turning, row) - row.surface;
                 let slip = slip - row.normal * slip.dot(&row.normal);
+                let most = row.friction * row.along;
                 let mut across = row.across - row.mass * slip;
                 across -= row.normal * across.dot(&row.normal);
-                let (size, most) = (across.norm(), row.friction * row.along);
-                if size > most {
-                    across *= most / size;
+                if across.norm() > most {
+                    across = row.across - slip * row.least_mass;
+                    across *= (most / across.norm().max(f64::MIN_POSITIVE)).min(1.0);
                 }
                 let impulse = across - row.across;
                 change = change.max(impulse.norm() * row.yields);
