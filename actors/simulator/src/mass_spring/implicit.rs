@@ -4,6 +4,8 @@
 mod cholesky;
 mod conjugate_gradients;
 mod node_blocks;
+mod operator;
+mod quad;
 mod triangles;
 mod warped;
 
@@ -14,6 +16,7 @@ use super::{Config, Input, LinearSolver, MassSpring, Network, Report, StepError,
 use cholesky::Cholesky;
 use conjugate_gradients::ConjugateGradients;
 use node_blocks::NodeBlocks;
+use operator::Operator;
 use warped::Warped;
 
 /// Slip \[m/s\] at which friction has reached its full size; below, it is a drag.
@@ -23,6 +26,7 @@ const CREEP: f64 = 1e-3;
 #[derive(Clone, Debug)]
 pub(super) struct Implicit {
     matrix: StepMatrix,
+    operator: Operator,
     solver: Solver,
     /// Right-hand side, and what is solved for: change of velocity \[m/s\].
     right: Vec<Vector3<f64>>,
@@ -39,9 +43,9 @@ enum Solver {
 }
 
 impl Implicit {
-    /// Follows a network that has changed. Conjugate gradients on the nodes' own blocks keep nothing of it; what a
-    /// factorisation knows of it is made anew.
+    /// Follows a network that has changed: what is known of it is made anew.
     pub fn follow(&mut self, network: &Network) {
+        self.operator.forget();
         for list in [&mut self.right, &mut self.change, &mut self.lead] {
             list.resize(network.masses.len(), Vector3::zeros());
         }
@@ -67,6 +71,7 @@ impl Implicit {
         };
         Self {
             matrix: StepMatrix::default(),
+            operator: Operator::default(),
             solver,
             right: zeros.clone(),
             change: zeros.clone(),
@@ -190,17 +195,16 @@ impl MassSpring {
         input: &Input<'_>,
         report: &mut Report,
     ) -> Result<(), StepError> {
-        let Implicit { matrix, solver, right, change, .. } = implicit;
-        let system = (&*matrix, &self.network, input.contacts);
+        let Implicit { matrix, operator, solver, right, change, .. } = implicit;
         let (iterations, residual) = match solver {
             Solver::Cholesky(solver) => {
                 return solver.solve(matrix, &self.network, input.contacts, right, change);
             }
             Solver::Warped(solver, warped, _) if warped.is_ready() => {
-                solver.solve(&mut **warped, system, right, change)
+                solver.solve(&mut **warped, operator, right, change)
             }
             Solver::NodeBlocks(solver, blocks) | Solver::Warped(solver, _, blocks) => {
-                solver.solve(blocks, system, right, change)
+                solver.solve(blocks, operator, right, change)
             }
         };
         report.iterations += iterations;
@@ -210,7 +214,10 @@ impl MassSpring {
 
     /// Brings the preconditioner to where the iteration stands.
     fn prepare_solver(&self, implicit: &mut Implicit, h: f64, input: &Input<'_>) {
-        let Implicit { matrix, solver, .. } = implicit;
+        let Implicit { matrix, operator, solver, .. } = implicit;
+        if !matches!(solver, Solver::Cholesky(_)) {
+            operator.take(matrix, &self.network, input.contacts, (h, self.config.lag));
+        }
         let Config { lag, damping, .. } = self.config;
         match solver {
             Solver::Cholesky(_) => {}

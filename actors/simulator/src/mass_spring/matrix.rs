@@ -1,6 +1,6 @@
 //! The matrix of a backward Euler step, M(1 + hα) + hC + h²K, element by element: each contributes `a·I + b·u uᵀ` times the
 //! products of its weights, four numbers, so that a product with a vector reads less memory than an assembled matrix of
-//! the same network would. Definite by construction: of a compressed spring only what acts along its axis is kept.
+//! the same network would (`implicit/operator.rs`). Definite by construction: of a compressed spring only what acts along its axis is kept.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -17,10 +17,6 @@ pub(super) struct Block {
 }
 
 impl Block {
-    #[inline]
-    fn times(&self, vector: &Vector3<f64>) -> Vector3<f64> {
-        vector * self.all + self.axis * (self.along * self.axis.dot(vector))
-    }
     pub(super) fn matrix(&self) -> Matrix3<f64> {
         Matrix3::from_diagonal_element(self.all) + self.axis * self.axis.transpose() * self.along
     }
@@ -66,39 +62,6 @@ impl StepMatrix {
         let all = h * drag;
         let normal = if pressing > 0.0 { h * h * contact.stiffness + h * contact.damping } else { 0.0 };
         self.contacts.push(Block { all, along: normal - all, axis: contact.normal });
-    }
-
-    /// Adds the product of springs and hinges, and of contacts, with `vector` to `product`.
-    pub fn add_product(
-        &self,
-        network: &Network,
-        contacts: &[Contact],
-        vector: &[Vector3<f64>],
-        product: &mut [Vector3<f64>],
-    ) {
-        for (spring, block) in network.springs.iter().zip(&self.springs) {
-            let [a, b] = spring.nodes.map(|node| node as usize);
-            let force = block.times(&(vector[b] - vector[a]));
-            product[a] -= force;
-            product[b] += force;
-        }
-        for (hinge, block) in network.hinges.iter().zip(&self.hinges) {
-            let ([a, b, c, d], w) = (hinge.nodes.map(|node| node as usize), hinge.weights);
-            let sum = vector[a] * w[0] + vector[b] * w[1] + vector[c] * w[2] + vector[d] * w[3];
-            let force = block.times(&sum);
-            product[a] += force * w[0];
-            product[b] += force * w[1];
-            product[c] += force * w[2];
-            product[d] += force * w[3];
-        }
-        for (contact, block) in contacts.iter().zip(&self.contacts) {
-            let sum: Vector3<f64> =
-                contact.joint().into_iter().map(|(node, share)| vector[node as usize] * share).sum();
-            let force = block.times(&sum);
-            for (node, share) in contact.joint() {
-                product[node as usize] += force * share;
-            }
-        }
     }
 
     /// Calls `each` with every product of two nodes: row, column and block; (row, column) but not (column, row).

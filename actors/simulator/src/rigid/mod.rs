@@ -86,6 +86,12 @@ impl RigidBodies {
         &self.response.impulses
     }
 
+    /// How often the last step went through all contacts.
+    #[must_use]
+    pub fn rounds(&self) -> u32 {
+        self.response.rounds
+    }
+
     /// Lets the next step begin with these impulses, one for each of its contacts: with the states, they are what a run goes
     /// on from, bit for bit. What is not finite counts as none.
     pub fn begin_with(&mut self, impulses: &[ContactImpulse]) {

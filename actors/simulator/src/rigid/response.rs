@@ -37,6 +37,8 @@ struct Row {
 pub(super) struct Response {
     rows: Vec<Row>,
     pub impulses: Vec<ContactImpulse>,
+    /// Over all contacts in the last step.
+    pub rounds: u32,
     /// Velocity and angular velocity.
     velocities: Vec<[Vector3<f64>; 2]>,
     undo: Vec<[Vector3<f64>; 2]>,
@@ -109,11 +111,12 @@ impl Response {
         config: &ContactConfig,
     ) {
         self.undo.clear();
+        self.rounds = 0;
         if contacts.is_empty() && joints.is_empty() {
             self.impulses.clear();
             return;
         }
-        let Self { rows, impulses, velocities, undo, inverse, turning } = self;
+        let Self { rows, impulses, rounds, velocities, undo, inverse, turning } = self;
         turning.clear();
         turning.extend(joints.iter().map(Turning::begin));
         // A list of other length is of other contacts; one of the same that is not the same costs rounds, no more.
@@ -197,6 +200,7 @@ impl Response {
         impulses.clear();
         let count = rows.len();
         for round in 0..config.iterations {
+            *rounds += 1;
             // The largest speed that this round still changes.
             let mut change = 0.0_f64;
             for (turning, joint) in turning.iter_mut().zip(joints.iter()) {

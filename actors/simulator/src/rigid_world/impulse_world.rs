@@ -62,6 +62,12 @@ impl ImpulseWorld {
         &self.settings
     }
 
+    /// Contacts that the last step solved for, and how often it went through them.
+    #[must_use]
+    pub fn effort(&self) -> (usize, u32) {
+        (self.solver.impulses().len(), self.solver.rounds())
+    }
+
     /// One with nothing in it.
     pub(super) fn empty(settings: RigidSettings, solver: RigidBodies, now: SimTime) -> Self {
         Self {

@@ -19,7 +19,7 @@ const STYLE: &str = "<style>svg{background:#fff;font:13px sans-serif}.grid{strok
                      text.c0,circle.c0{fill:#0072b2}text.c1,circle.c1{fill:#d55e00}text.c2,circle.c2{fill:#009e73}\
                      text.c3,circle.c3{fill:#cc79a7}text.c4,circle.c4{fill:#56b4e9}text.c5,circle.c5{fill:#e69f00}\
                      text.c6,circle.c6{fill:#000}text.c7,circle.c7{fill:#999}\
-                     .dashed{stroke-dasharray:6 4}</style>";
+                     .dashed{stroke-dasharray:6 4}.dotted{stroke-dasharray:1.5 3}</style>";
 const CLASSES: [&str; 8] = ["c0", "c1", "c2", "c3", "c4", "c5", "c6", "c7"];
 
 /// Sizes and times of one kind of work, smallest first.
@@ -62,9 +62,13 @@ pub fn growth(rows: &[BenchResult], of: &str) -> Option<String> {
     let mut chart = Chart::new(SIZE[0], SIZE[1], "cost against size", x, y);
     chart.axes(of, unit, 10, 10);
     for (index, (what, line)) in lines.iter().enumerate() {
-        // Who comes second to a colour has a broken line.
-        let class = CLASSES[index % CLASSES.len()];
-        let class = &if index < CLASSES.len() { class.to_owned() } else { format!("{class} dashed") };
+        // Who comes second to a colour has a broken line, who comes third a dotted one.
+        let colour = CLASSES[index % CLASSES.len()];
+        let class = &match index / CLASSES.len() {
+            0 => colour.to_owned(),
+            1 => format!("{colour} dashed"),
+            _ => format!("{colour} dotted"),
+        };
         chart.line(class, line.iter().copied());
         for (size, time) in line {
             chart.dot(class, (x.pixel(*size), y.pixel(*time)), 3.0, &format!("{what}: {time:.3} {unit}"));

@@ -1,14 +1,17 @@
 //! The nodes' own 3 × 3 blocks as preconditioner: nothing is kept from one step to the next.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Matrix3;
 
 use super::StepMatrix;
 use super::conjugate_gradients::Preconditioner;
+use super::quad::Quad;
 use crate::mass_spring::{Contact, Network};
 
 #[derive(Clone, Debug, Default)]
 pub(super) struct NodeBlocks {
     inverse: Vec<Matrix3<f64>>,
+    /// Their columns.
+    columns: Vec<[Quad; 3]>,
 }
 
 impl NodeBlocks {
@@ -41,13 +44,20 @@ impl NodeBlocks {
                 Matrix3::zeros()
             };
         }
+        self.columns.clear();
+        self.columns.extend(
+            self.inverse.iter().map(|inverse| {
+                std::array::from_fn(|column| Quad::from(&inverse.column(column).into_owned()))
+            }),
+        );
     }
 }
 
 impl Preconditioner for NodeBlocks {
-    fn apply(&mut self, _: &StepMatrix, residual: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
-        for ((product, inverse), residual) in product.iter_mut().zip(&self.inverse).zip(residual) {
-            *product = inverse * residual;
+    #[inline(always)]
+    fn apply(&mut self, _: &[f64], residual: &[Quad], product: &mut [Quad]) {
+        for ((product, [x, y, z]), residual) in product.iter_mut().zip(&self.columns).zip(residual) {
+            *product = *x * residual.0[0] + *y * residual.0[1] + *z * residual.0[2];
         }
     }
 }

@@ -10,6 +10,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::StepMatrix;
 use super::conjugate_gradients::Preconditioner;
+use super::quad::Quad;
 use super::triangles::Triangles;
 use crate::mass_spring::Network;
 
@@ -26,6 +27,8 @@ pub(super) struct Warped {
     /// Axes of each node at rest, as columns.
     at_rest: Vec<Matrix3<f64>>,
     now: Vec<Matrix3<f64>>,
+    /// The same, axis by axis, as an iteration reads them.
+    axes_now: Vec<[[f32; 3]; 3]>,
     axes: Vec<[Vector3<f64>; 2]>,
     vector: Vec<f32>,
 }
@@ -107,6 +110,12 @@ impl Warped {
             self.factor = self.entries(network, mobility, (h, lag, damping));
         }
         self.turn(network, positions);
+        self.axes_now.clear();
+        self.axes_now.extend(
+            self.now
+                .iter()
+                .map(|axes| std::array::from_fn(|axis| std::array::from_fn(|k| axes[(k, axis)] as f32))),
+        );
         self.is_ready()
     }
 
@@ -179,20 +188,25 @@ impl Warped {
 }
 
 impl Preconditioner for Warped {
-    fn apply(&mut self, matrix: &StepMatrix, residual: &[Vector3<f64>], product: &mut [Vector3<f64>]) {
+    #[inline(always)]
+    fn apply(&mut self, masses: &[f64], residual: &[Quad], product: &mut [Quad]) {
         let Some(factor) = &mut self.factor else { return product.copy_from_slice(residual) };
         // What a held node is pushed with concerns nobody, and moves nobody else.
-        let all = self.vector.chunks_exact_mut(3).zip(&self.now).zip(residual);
-        for (((slot, axes), residual), mass) in all.zip(&matrix.masses) {
-            let own = if *mass > 0.0 { axes.tr_mul(residual) } else { Vector3::zeros() };
-            slot.iter_mut().zip(&own).for_each(|(slot, value)| *slot = *value as f32);
+        let all = self.vector.chunks_exact_mut(3).zip(&self.axes_now).zip(residual);
+        for (((slot, axes), residual), mass) in all.zip(masses) {
+            let free = f32::from(u8::from(*mass > 0.0));
+            let [x, y, z, _] = residual.0.map(|value| value as f32 * free);
+            for (slot, [a, b, c]) in slot.iter_mut().zip(axes) {
+                *slot = a * x + b * y + c * z;
+            }
         }
         factor.solve(&mut self.vector);
-        let solved = self.vector.chunks_exact(3).zip(&self.now);
-        for ((product, (slot, axes)), mass) in product.iter_mut().zip(solved).zip(&matrix.masses) {
-            let own = Vector3::new(f64::from(slot[0]), f64::from(slot[1]), f64::from(slot[2]));
+        let solved = self.vector.chunks_exact(3).zip(&self.axes_now);
+        for ((product, (slot, [u, v, w])), mass) in product.iter_mut().zip(solved).zip(masses) {
             // A held node does not move.
-            *product = if *mass > 0.0 { axes * own } else { Vector3::zeros() };
+            let free = f32::from(u8::from(*mass > 0.0));
+            let along = |k: usize| f64::from((u[k] * slot[0] + v[k] * slot[1] + w[k] * slot[2]) * free);
+            *product = Quad([along(0), along(1), along(2), 0.0]);
         }
     }
 }

@@ -21,6 +21,10 @@ pub fn block(cells: [usize; 3], size: [f64; 3]) -> Result<(TetMesh, Vec<u32>), F
     Ok((mesh, wall))
 }
 
+/// What gauze is made of.
+pub const CLOTH: SurfaceMaterial =
+    SurfaceMaterial { membrane_stiffness: 500.0, bending_stiffness: 1e-6, density: 0.15 };
+
 /// Gauze: 10 × 10 cm of `n` × `n` squares, held at two corners.
 pub fn cloth(n: u32, integrator: Integrator) -> Result<MassSpring, Failure> {
     let at = |i: u32| 0.1 * f64::from(i) / f64::from(n);
@@ -34,8 +38,7 @@ pub fn cloth(n: u32, integrator: Integrator) -> Result<MassSpring, Failure> {
             })
         })
         .collect();
-    let material = SurfaceMaterial { membrane_stiffness: 500.0, bending_stiffness: 1e-6, density: 0.15 };
-    let network = Network::from_surface(&points, &triangles, &material).map_err(Failure::internal)?;
+    let network = Network::from_surface(&points, &triangles, &CLOTH).map_err(Failure::internal)?;
     let config = Config { integrator, damping: 1.0, ..Config::default() };
     MassSpring::new(network, points, &[0, n], config).map_err(Failure::internal)
 }

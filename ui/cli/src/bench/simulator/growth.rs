@@ -6,7 +6,7 @@ use trocar::summary::{BenchResult, Better};
 use trocar_simulator::dynamic_fem::{Constitution, Inputs};
 
 use super::bodies::GRAVITY;
-use super::{fem, flows, per_run, rigid, scaled, secs, soft, told};
+use super::{fem, flows, per_run, rigid, scaled, secs, soft, surgery, told};
 use crate::failure::Failure;
 
 /// Median times of steps by size, as rows of a plot \[µs\].
@@ -57,6 +57,23 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
     for cells in [[10, 3, 2], [30, 7, 2], [40, 10, 10]] {
         let tets = 6 * cells.iter().product::<usize>();
         row("xpbd", tets, scaled(soft::xpbd_secs(cells, 5)?, 1e6));
+    }
+    for n in [16, 32, 64, 128] {
+        row("xpbd_cloth", 2 * (n * n) as usize, scaled(soft::xpbd_cloth_secs(n)?, 1e6));
+        row("cut", 2 * (n * n) as usize, scaled(surgery::cut_secs(n)?, 1e6));
+    }
+    for edges in [30, 100, 300, 1_000] {
+        row("xpbd_rod", edges as usize, scaled(soft::xpbd_rod_secs(edges)?, 1e6));
+    }
+    for cells in [[4, 3, 2], [8, 6, 4], [12, 10, 6]] {
+        let (nodes, figure) = surgery::sew_secs(cells)?;
+        row("suture", nodes, scaled(figure, 1e6));
+    }
+    for nodes in [10, 30, 100, 300, 1_000] {
+        row("coupling", nodes as usize, scaled(surgery::couple_secs(nodes)?, 1e6));
+    }
+    for puffs in [300, 2_000, 10_000, 50_000] {
+        row("smoke", puffs, scaled(surgery::smoke_secs(puffs)?, 1e6));
     }
     for edges in [30, 100, 300] {
         row("thread", edges, scaled(flows::thread_secs(edges, false)?, 1e6));

@@ -12,6 +12,7 @@ mod peers;
 mod rigid;
 mod roofline;
 mod soft;
+mod surgery;
 
 use std::path::Path;
 
@@ -81,10 +82,11 @@ pub fn elements(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     })
 }
 
-/// Cloth and position-based bodies.
+/// Rigid bodies, cloth and position-based bodies.
 pub fn soft(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     alone(|| {
-        let mut rows = soft::cloth(python)?;
+        let mut rows = vec![rigid::share_of_pile()?];
+        rows.extend(soft::cloth(python)?);
         rows.extend(soft::position_based(python)?);
         Ok(rows)
     })

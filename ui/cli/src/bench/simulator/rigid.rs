@@ -1,17 +1,20 @@
 //! Rigid bodies of our own.
 
+use trocar::summary::BenchResult;
 use trocar_scene::{Entity, Motion, Pose, RigidBody, Shape, SimTime, Velocity};
 use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings, World};
 
 use super::per_run;
+use super::roofline::{Work, share};
 use crate::failure::Failure;
 
 /// Edge of the boxes \[m\], and how far apart they begin.
 const EDGE: f64 = 0.01;
 const APART: f64 = 0.0105;
 
-/// Median time of a step of boxes that fall on each other and onto a floor, from the first touch on: none sleeps yet.
-pub fn pile_secs(bodies: usize) -> Result<(f64, f64), Failure> {
+/// Median time of a step of boxes that fall on each other and onto a floor, from the first touch on: none sleeps yet. And how
+/// many contacts are gone through in a step, each time that they are counted.
+fn pile(bodies: usize) -> Result<((f64, f64), f64), Failure> {
     let settings = RigidSettings { floor_height: Some(0.0), ..RigidSettings::default() };
     let mut world = <ImpulseWorld as World>::new(settings, SimTime::ZERO).map_err(Failure::internal)?;
     let body = RigidBody { motion: Motion::Dynamic, mass: 0.005, friction: 0.4, ..RigidBody::default() };
@@ -24,13 +27,30 @@ pub fn pile_secs(bodies: usize) -> Result<(f64, f64), Failure> {
         let entity = Entity::new(0, 0, index as u32 + 1);
         world.insert_body(entity, &body, &shape, &at, &Velocity::default()).map_err(Failure::internal)?;
     }
-    let mut failed = None;
+    let (mut failed, mut steps, mut visits) = (None, 0.0, 0.0);
     let mut step = || {
         if let Err(error) = World::step(&mut world) {
             failed = Some(error);
         }
+        let (contacts, rounds) = world.effort();
+        steps += 1.0;
+        visits += contacts as f64 * f64::from(rounds);
     };
     (0..20).for_each(|_| step());
-    let figure = per_run(10, step);
-    failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
+    let figure = per_run(10, &mut step);
+    failed.map_or(Ok((figure, visits / steps)), |error| Err(Failure::internal(error)))
+}
+
+/// Median time of a step of a pile of so many boxes.
+pub fn pile_secs(bodies: usize) -> Result<(f64, f64), Failure> {
+    pile(bodies).map(|(figure, _)| figure)
+}
+
+/// How much of the machine a pile of a hundred boxes gets.
+pub fn share_of_pile() -> Result<BenchResult, Failure> {
+    let (figure, visits) = pile(100)?;
+    // Of a contact each time: three relative velocities of two bodies, each a cross product; as many impulses on both, each a
+    // cross product, a turning and an addition; the law in between.
+    let operations = visits * (3.0 * 2.0 * 15.0 + 3.0 * 2.0 * 36.0 + 60.0);
+    Ok(share("rigid_100", figure.0, Work { operations, single: false, bytes: 0.0 }))
 }

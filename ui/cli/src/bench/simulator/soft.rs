@@ -3,10 +3,13 @@
 use std::hint::black_box;
 use std::path::Path;
 
+use nalgebra::Point3;
 use trocar::summary::{BenchResult, Better};
 use trocar_kernel::bench::median_and_spread;
-use trocar_simulator::mass_spring::{Input, Integrator, LinearSolver, MassSpring, TooLarge};
-use trocar_simulator::xpbd::{XpbdConfig, XpbdInput};
+use trocar_simulator::mass_spring::{
+    Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, TooLarge,
+};
+use trocar_simulator::xpbd::{Body, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
 use super::bodies::{GRAVITY, cloth as gauze, position_based as beam};
 use super::peers::{BulletCloth, PypbdBeam, SaggingBeam};
@@ -136,6 +139,38 @@ pub fn xpbd_secs(cells: [usize; 3], runs: usize) -> Result<(f64, f64), Failure> 
         }
     });
     failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
+}
+
+/// Median time of a step of 5 ms of a network whose springs and hinges are such constraints.
+fn network_secs(network: &Network, rest: &[Point3<f64>], held: &[u32]) -> Result<(f64, f64), Failure> {
+    let distances = distances_of(network);
+    let (masses, bends) = (&network.masses, &network.hinges);
+    let body = Body { rest, masses, distances: &distances, bends, ..Body::default() };
+    let config = XpbdConfig { parts: 1, iterations: 5, damping: 1.0, ..XpbdConfig::default() };
+    let mut body = Xpbd::new(&body, held, config).map_err(Failure::internal)?;
+    let input = XpbdInput { gravity: GRAVITY, ..XpbdInput::default() };
+    let mut failed = None;
+    let figure = per_run(5, || {
+        if let Err(error) = body.step(5e-3, black_box(&input)) {
+            failed = Some(error);
+        }
+    });
+    failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
+}
+
+/// The same of a gauze of `n` × `n` squares.
+pub fn xpbd_cloth_secs(n: u32) -> Result<(f64, f64), Failure> {
+    let (gauze, _) = explicit(n)?;
+    network_secs(gauze.network(), &gauze.state().positions, &[0, n])
+}
+
+/// The same of a rod of so many edges.
+pub fn xpbd_rod_secs(edges: u32) -> Result<(f64, f64), Failure> {
+    let rest: Vec<_> = (0..=edges).map(|node| Point3::new(1e-3 * f64::from(node), 0.0, 0.0)).collect();
+    let lines: Vec<_> = (0..edges).map(|edge| [edge, edge + 1]).collect();
+    let material = LineMaterial { axial_stiffness: 100.0, bending_stiffness: 2e-5, density: 2e-3 };
+    let network = Network::from_line(&rest, &lines, &material).map_err(Failure::internal)?;
+    network_secs(&network, &rest, &[0, 1])
 }
 
 /// The beam that pypbd and we let sag: 2,520 tetrahedra.
