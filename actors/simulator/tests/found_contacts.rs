@@ -16,7 +16,9 @@ use trocar_scene::{
     EntityAllocator, Events, Frozen, Jobs, Primitive, RestPositions, SimTime, Store, Tick, VertexPositions,
     VertexVelocities, WriterRules,
 };
-use trocar_simulator::controller::{ContactSums, MassSpringController, SoftContacts, XpbdController};
+use trocar_simulator::controller::{
+    ContactSums, DynamicFemController, MassSpringController, SoftContacts, XpbdController,
+};
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 const DETECTOR: u16 = 9;
@@ -31,6 +33,10 @@ fn springs(context: &BuildContext<'_>) -> Result<MassSpringController, Controlle
 
 fn xpbd(context: &BuildContext<'_>) -> Result<XpbdController, ControllerError> {
     XpbdController::new(GRAVITY, context)
+}
+
+fn elements(context: &BuildContext<'_>) -> Result<DynamicFemController, ControllerError> {
+    DynamicFemController::new(GRAVITY, context)
 }
 
 fn scene(text: &str) -> Store {
@@ -232,6 +238,9 @@ fn block(method: &str) -> String {
 const SOFT: &str = "xpbd = { matter = { volume = { young_modulus = 2e4, poisson_ratio = 0.3, density = 1000.0 } }, \
                     parts = 10, damping = 20.0 }";
 
+const FINITE: &str = "dynamic_fem = { young_modulus = 2e4, poisson_ratio = 0.3, density = 1000.0, mass_damping = 20.0, \
+                      stiffness_damping = 0.002 }";
+
 /// A block that falls on a table: it comes to rest on it, and what it weighs is borne.
 fn block_rests<C: Controller>(
     method: &str,
@@ -267,36 +276,54 @@ fn soft_blocks_fall_on_a_table_and_lie_on_it() {
         "mass_spring = { springs = { volume = { young_modulus = 2e4, density = 1000.0 } }, damping = 20.0";
     block_rests(&format!("{of_springs} }}"), springs);
     block_rests(&format!("{of_springs}, method = \"implicit\" }}"), springs);
+    block_rests(FINITE, elements);
+}
+
+/// How far a block goes in 0.2 s down a slope of 17 degrees, whose tangent is 0.31, and how much faster it becomes in a second.
+fn down_a_slope<C: Controller>(
+    method: &str,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError>,
+    settles: u32,
+) -> (f64, f64) {
+    let table = TABLE.replace("0.0151, 0.0147", "0.2, 0.1");
+    let mut stage = Stage::new(scene(&format!("{table}{}", block(method))), 1000.0, build);
+    let mut others = vec![Other::detector(&stage, 2, &[["table", "body"]])];
+    let middle = |stage: &Stage<C>| {
+        let places = stage.get::<VertexPositions>("body").positions;
+        places.iter().map(|place| place.x).sum::<f64>() / places.len() as f64
+    };
+    run(&mut stage, &mut others, settles);
+    let speed = |stage: &Stage<C>| {
+        let speeds = stage.get::<VertexVelocities>("body").velocities;
+        speeds.iter().map(|speed| speed.x).sum::<f64>() / speeds.len() as f64
+    };
+    let (start, begun) = (middle(&stage), speed(&stage));
+    run(&mut stage, &mut others, 200);
+    (middle(&stage) - start, (speed(&stage) - begun) / 0.2)
 }
 
 #[test]
 fn on_a_slope_it_stays_or_slides_as_friction_says() {
-    // The table is level, gravity is not: 17 degrees, whose tangent is 0.31.
-    let tilted = |context: &BuildContext<'_>| XpbdController::new(Vector3::new(2.9, 0.0, -9.37), context);
-    let slides = |friction: f64, damping: f64| {
-        let table = TABLE.replace("0.0151, 0.0147", "0.2, 0.1");
+    // The table is level, gravity is not.
+    let tilted = Vector3::new(2.9, 0.0, -9.37);
+    // It leans back when it has come to lie.
+    let settles = |damping: f64| if damping > 0.0 { 300 } else { 100 };
+    let positions = |friction: f64, damping: f64| {
         let method = SOFT.replace("damping = 20.0", &format!("damping = {damping}, friction = {friction}"));
-        let mut stage = Stage::new(scene(&format!("{table}{}", block(&method))), 1000.0, tilted);
-        let mut others = vec![Other::detector(&stage, 2, &[["table", "body"]])];
-        let middle = |stage: &Stage<XpbdController>| {
-            let places = stage.get::<VertexPositions>("body").positions;
-            places.iter().map(|place| place.x).sum::<f64>() / places.len() as f64
-        };
-        // It leans back when it has come to lie.
-        run(&mut stage, &mut others, if damping > 0.0 { 300 } else { 100 });
-        let speed = |stage: &Stage<XpbdController>| {
-            let speeds = stage.get::<VertexVelocities>("body").velocities;
-            speeds.iter().map(|speed| speed.x).sum::<f64>() / speeds.len() as f64
-        };
-        let (start, begun) = (middle(&stage), speed(&stage));
-        run(&mut stage, &mut others, 200);
-        (middle(&stage) - start, (speed(&stage) - begun) / 0.2)
+        down_a_slope(&method, |context| XpbdController::new(tilted, context), settles(damping))
     };
-    let (smooth, rubbed, rough) = (slides(0.0, 0.0), slides(0.15, 0.0), slides(0.6, 20.0));
-    assert!((smooth.1 / 2.9 - 1.0).abs() < 0.02, "{} m/s²", smooth.1);
-    let expected = 2.9 - 0.15 * 9.37;
-    assert!((rubbed.1 / expected - 1.0).abs() < 0.1, "{} m/s², not {expected}", rubbed.1);
-    assert!(rough.0.abs() < 2e-4, "{} m", rough.0);
+    let finite = |friction: f64, damping: f64| {
+        let damped = format!("mass_damping = {damping}, friction = {friction}");
+        let method = FINITE.replace("mass_damping = 20.0", &damped);
+        down_a_slope(&method, |context| DynamicFemController::new(tilted, context), settles(damping))
+    };
+    for slides in [&positions as &dyn Fn(f64, f64) -> (f64, f64), &finite] {
+        let (smooth, rubbed, rough) = (slides(0.0, 0.0), slides(0.15, 0.0), slides(0.6, 20.0));
+        assert!((smooth.1 / 2.9 - 1.0).abs() < 0.02, "{} m/s²", smooth.1);
+        let expected = 2.9 - 0.15 * 9.37;
+        assert!((rubbed.1 / expected - 1.0).abs() < 0.1, "{} m/s², not {expected}", rubbed.1);
+        assert!(rough.0.abs() < 2e-4, "{} m", rough.0);
+    }
 }
 
 /// Two sheets on a table: the table bears both, whoever moves them.

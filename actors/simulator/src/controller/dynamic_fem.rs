@@ -9,7 +9,7 @@ use super::deformable::Deformable;
 use super::dynamic_fem_memory::DynamicFemMemory;
 use super::heat::{Coagulated, Heated};
 use super::parting::{Elements, Parting, Split, Weakness};
-use super::soft::{Measures, Outlook, Reshaped, Site, SoftController, SoftMethod};
+use super::soft::{Measures, Outlook, Reshaped, Site, SoftController, SoftMethod, Terms};
 use super::tools::Rod;
 use super::touch::{Skin, Touch};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Report};
@@ -37,6 +37,8 @@ pub struct DynamicFemBody {
     pub stiffness_damping: f64,
     /// Force per depth of a contact \[N/m\].
     pub contact_stiffness: f64,
+    /// Coulomb friction against other bodies that detectors find it to touch; instruments slide on it.
+    pub friction: f64,
     /// Whether blades cut it; then they do not push it.
     pub cut: bool,
     /// Tension that tears it \[Pa\]; without one nothing does.
@@ -54,6 +56,7 @@ impl Default for DynamicFemBody {
             mass_damping: 1.0,
             stiffness_damping: 0.005,
             contact_stiffness: 300.0,
+            friction: 0.3,
             cut: false,
             strength: None,
         }
@@ -68,6 +71,7 @@ impl Component for DynamicFemBody {
         ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
         ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
         ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
         ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
     }
     fn schema() -> Option<serde_json::Value> {
@@ -155,6 +159,8 @@ impl Elements for Solver {
 pub struct DynamicFemMethod {
     of: Solver,
     parting: Option<Parting>,
+    /// One over the mass of each node, 0 where it is anchored \[1/kg\].
+    mobility: Vec<f64>,
     contacts: Vec<Contact>,
     prescribed: Vec<(u32, Point3<f64>)>,
     /// Of the last step.
@@ -173,8 +179,10 @@ impl SoftMethod for DynamicFemMethod {
         let parting = Parting::new(body, kind.weakness()?, scene)?;
         let heated = parting.as_ref().map(Parting::heated).unwrap_or_default();
         let solver = kind.solver(body, &memory, &heated)?;
+        let mobility = mobility(&solver, body);
         let of = Solver { kind: *kind, solver, memory };
-        Ok(Self { of, parting, contacts: Vec::new(), prescribed: Vec::new(), report: None, unsolved: [0; 2] })
+        let (contacts, prescribed) = (Vec::new(), Vec::new());
+        Ok(Self { of, parting, mobility, contacts, prescribed, report: None, unsolved: [0; 2] })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
@@ -194,7 +202,16 @@ impl SoftMethod for DynamicFemMethod {
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
         let Some(parting) = &mut self.parting else { return Ok(None) };
-        parting.reshape(&mut self.of, body, site, out)
+        let reshaped = parting.reshape(&mut self.of, body, site, out)?;
+        if reshaped.is_some() {
+            self.mobility = mobility(&self.of.solver, body);
+        }
+        Ok(reshaped)
+    }
+
+    fn terms(&self) -> Option<Terms<'_>> {
+        let DynamicFemBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
+        Some(Terms { masses_inverse: &self.mobility, stiffness, friction })
     }
 
     fn publish(&mut self, body: &Deformable, site: &Site<'_>, out: &mut Commands) {
@@ -288,6 +305,18 @@ impl DynamicFemMethod {
             residual
         )
     }
+}
+
+/// One over the mass of each node, 0 where it is anchored or has none left \[1/kg\].
+fn mobility(solver: &DynamicFem, body: &Deformable) -> Vec<f64> {
+    let inverse = |mass: &f64| if *mass > 0.0 { mass.recip() } else { 0.0 };
+    let mut mobility: Vec<f64> = solver.masses().iter().map(inverse).collect();
+    for &node in &body.pinned {
+        if let Some(mobility) = mobility.get_mut(node as usize) {
+            *mobility = 0.0;
+        }
+    }
+    mobility
 }
 
 /// Steps every body that carries [`DynamicFemBody`].

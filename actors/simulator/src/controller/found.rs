@@ -25,6 +25,7 @@ use trocar_scene::{
     VertexVelocities,
 };
 
+use super::dynamic_fem::DynamicFemBody;
 use super::mass_spring::MassSpringBody;
 use super::xpbd::XpbdBody;
 use crate::tet_mesh::Stars;
@@ -147,12 +148,15 @@ pub(super) fn access(access: Access, bodies: &[Entity]) -> Access {
         .reads::<VertexVelocities>()
         .reads::<MassSpringBody>()
         .reads::<XpbdBody>()
+        .reads::<DynamicFemBody>()
         .writes::<SoftContacts>(EntitySet::Of(bodies.to_vec()))
 }
 
 /// Whether a controller of soft bodies answers for a body.
 pub(super) fn answers(scene: &Snapshot, entity: Entity) -> bool {
-    let is_soft = scene.get::<MassSpringBody>(entity).is_some() || scene.get::<XpbdBody>(entity).is_some();
+    let is_soft = scene.get::<MassSpringBody>(entity).is_some()
+        || scene.get::<XpbdBody>(entity).is_some()
+        || scene.get::<DynamicFemBody>(entity).is_some();
     is_soft && scene.get::<Frozen>(entity).is_none()
 }
 
