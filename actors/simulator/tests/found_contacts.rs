@@ -374,6 +374,44 @@ fn sheets_of_two_controllers_lie_on_each_other() {
     lie_on_each_other([&of_springs(""), &of_positions()], springs, Some(xpbd), true);
 }
 
+/// A sheet of which one half is held and the other, folded over it, falls on the first: it lies there. Without anybody who looks
+/// for that it falls through and hangs.
+fn lies_on_itself<C: Controller>(
+    method: &str,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    let anchors = "anchors = { regions = [{ box = { min = [-1.0, -1.0, -1e-4], max = [0.001, 1.0, 1e-4] } }] }";
+    let fall = |looks: bool| {
+        let text = scene(&format!("{}{anchors}\n", sheet("body", 0.0, method)));
+        let mut stage = Stage::new(text, 1000.0, build);
+        let mut folded = stage.get::<VertexPositions>("body");
+        for place in Arc::make_mut(&mut folded.positions).iter_mut().filter(|place| place.x > 0.001) {
+            (place.x, place.z) = (-0.97 * place.x, 1e-3 + 0.02 * place.x);
+        }
+        stage.put("body", folded);
+        stage.rebuild(build);
+        let mut others = Vec::new();
+        if looks {
+            others.push(Other::sweeper(&stage, 1, ["body", "body"]));
+            others.push(Other::detector(&stage, 2, &[["body", "body"]]));
+        }
+        run(&mut stage, &mut others, 1000);
+        stage
+    };
+    let lies = fall(true);
+    let [low, high] = span(&lies, "body");
+    assert!(low > -1e-3 && high < 3e-3, "{method}: from {low} to {high} m");
+    assert!(fastest(&lies, "body") < 0.02, "{method}: it comes to rest, at {} m/s", fastest(&lies, "body"));
+    let [low, _] = span(&fall(false), "body");
+    assert!(low < -0.01, "{method}: nobody tells it, and it hangs: {low} m");
+}
+
+#[test]
+fn a_sheet_that_is_folded_lies_on_itself() {
+    lies_on_itself(&of_springs(""), springs);
+    lies_on_itself(&of_positions(), xpbd);
+}
+
 /// Linear momentum of a body \[kg·m/s\], and what has been given it and it has not taken yet \[N·s\].
 fn momentum<C: Controller>(stage: &Stage<C>, name: &str) -> Vector3<f64> {
     let masses = stage.get::<SoftContacts>(name).masses_inverse;

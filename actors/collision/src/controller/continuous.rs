@@ -23,7 +23,8 @@ const HELD_MAX: usize = 256;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ContinuousConfig {
-    /// Names of two bodies each; the first one may be a line: a needle, a thread, a band.
+    /// Names of two bodies each; the first one may be a line: a needle, a thread, a band. The same one twice is a surface
+    /// against itself.
     pub pairs: Vec<[String; 2]>,
     /// Stiffness of a pair of bodies, whatever the number of its contacts \[N/m\].
     #[serde(default = "report::stiffness")]
@@ -106,7 +107,9 @@ impl Moved {
 }
 
 struct Pair {
+    /// The same one twice where it is a surface against itself.
     bodies: [Moved; 2],
+    is_self: bool,
 }
 
 impl Pair {
@@ -114,6 +117,9 @@ impl Pair {
     fn look<'a>(&self, finder: &'a mut ImpactFinder) -> &'a [FoundImpact] {
         let [first, second] = &self.bodies;
         let Some(surface) = second.surface() else { return &[] };
+        if self.is_self {
+            return finder.surface_self(&surface, 0.0);
+        }
         if let Some((segments, radius)) = first.body.segments() {
             let line = Line::new(&first.before, segments, radius);
             let line = line.and_then(|line| SweptLine::new(line, &first.now));
@@ -151,10 +157,11 @@ impl ContinuousController {
     /// # Errors
     /// A body that there is none of, or that cannot be used.
     pub fn new(config: &ContinuousConfig, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
-        bodies::refuse_twins(&config.pairs, "impacts")?;
         let pair = |[first, second]: &[String; 2]| {
-            let first = Moved::new(context, first, Wanted::SurfaceOrLine)?;
-            Ok(Pair { bodies: [first, Moved::new(context, second, Wanted::Surface)?] })
+            let is_self = first == second;
+            let wanted = if is_self { Wanted::Surface } else { Wanted::SurfaceOrLine };
+            let first = Moved::new(context, first, wanted)?;
+            Ok(Pair { bodies: [first, Moved::new(context, second, Wanted::Surface)?], is_self })
         };
         Ok(Self {
             pairs: config.pairs.iter().map(pair).collect::<Result<_, ControllerError>>()?,

@@ -76,7 +76,8 @@ pub fn sew_secs(cells: [usize; 3]) -> Result<(usize, (f64, f64)), Failure> {
     let (mesh, _) = block(cells, size)?;
     let nodes = mesh.rest().len();
     let below: Vec<u32> = (0..nodes as u32).filter(|&node| mesh.rest()[node as usize].z < 1e-9).collect();
-    let elastic = Elastic::new(3e4, 0.4).map_err(Failure::internal)?;
+    // Skin: what is softer is pushed down by millimetres before it gives to a tip.
+    let elastic = Elastic::new(5e5, 0.4).map_err(Failure::internal)?;
     let tissue = Tissue::new(mesh, &elastic, &below).map_err(Failure::internal)?;
     // All but straight, 40 mm, its tip above the middle of the block, down.
     let shape = NeedleShape { radius: 5.0, angle: 0.008, wire_radius: 3e-4, taper: 5e-3, density: 7900.0 };
