@@ -380,7 +380,8 @@ fn lies_on_itself<C: Controller>(
     method: &str,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
 ) {
-    let anchors = "anchors = { regions = [{ box = { min = [-1.0, -1.0, -1e-4], max = [0.001, 1.0, 1e-4] } }] }";
+    let anchors =
+        "anchors = { regions = [{ box = { min = [-1.0, -1.0, -1e-4], max = [0.001, 1.0, 1e-4] } }] }";
     let fall = |looks: bool| {
         let text = scene(&format!("{}{anchors}\n", sheet("body", 0.0, method)));
         let mut stage = Stage::new(text, 1000.0, build);

@@ -32,7 +32,7 @@ use super::soft::{Measures, Site, finite_vertices};
 use super::tools::{Rod, rods_of_all};
 use super::touch::{COLLISIONS_MAX, Touch, collision};
 use crate::elasticity::POISSON_MAX;
-use crate::linear_fem::{Cache, Deformation, LinearFem, LinearFemError, ROTATION_LIMIT, STRAIN_LIMIT};
+use crate::linear_fem::{Cache, Deformation, LinearFem, LinearFemError};
 use crate::tet_mesh::{MeshRules, TetMesh};
 
 /// How often in a tick the surface is looked at for what is still in a rod.
@@ -435,15 +435,7 @@ impl Body {
     }
 
     fn doubt(&self, tick: &Tick<'_>) -> Doubtful {
-        let Deformation { rotation, strain, .. } = self.deformation;
-        let reason = format!(
-            "an element turned by {:.0}°, one strained by {:.0} %: beyond {:.0}° or {:.0} % linear elasticity \
-             misleads; 'dynamic_fem' bears more",
-            rotation.to_degrees(),
-            100.0 * strain.min(1e3),
-            ROTATION_LIMIT.to_degrees(),
-            100.0 * STRAIN_LIMIT
-        );
+        let reason = format!("{}; 'dynamic_fem' bears more", self.deformation.doubt());
         Doubtful { reason, since: tick.time }
     }
 

@@ -8,8 +8,8 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
-    Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Entity, EntitySet, Frozen,
-    Instrument, JawState, Measured, Pose, Primitive, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
+    Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Doubtful, Entity, EntitySet,
+    Frozen, Instrument, JawState, Measured, Pose, Primitive, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
 };
 
 use super::deformable::Deformable;
@@ -23,6 +23,7 @@ use super::thread_obstacles::Parts;
 use super::thread_told::{Told, collision};
 use super::touch::COLLISIONS_MAX;
 use crate::elasticity::Elastic;
+use crate::linear_fem::Deformation;
 use crate::needle::NeedleState;
 use crate::suture::{Around, Grip, Suture, SutureReport, SutureState, Tissue};
 use crate::tet_mesh::{MeshRules, TetMesh};
@@ -32,6 +33,8 @@ use crate::thread::{Obstacle, Reaction, ThreadState};
 const STEP: f64 = 1e-3;
 /// Jaws that open by more than this beyond closed let go \[rad\].
 const OPENING: f64 = 0.05;
+/// In one of so many ticks it is looked whether the tissue goes beyond what linear elasticity can say.
+const DOUBT_EVERY: u64 = 20;
 /// Pieces of the needle's line.
 const PIECES: usize = 24;
 /// Of a held needle against its instrument \[N/m\], \[N·m/rad\]: steel jaws.
@@ -49,6 +52,8 @@ pub struct SutureController {
     knot: KnotState,
     has_knot: bool,
     report: SutureReport,
+    /// Of the tissue.
+    deformation: Deformation,
     grips: Vec<Grip>,
     parts: Parts,
     leading: Leading,
@@ -116,6 +121,7 @@ impl SutureController {
             knot: scene.get::<KnotState>(*needle).cloned().unwrap_or_default(),
             has_knot: false,
             report: SutureReport::default(),
+            deformation: Deformation::default(),
             grips: Vec::new(),
             parts: Parts::default(),
             leading: Leading::default(),
@@ -281,6 +287,11 @@ impl SutureController {
         }
         self.memory.met.clear();
         self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
+        if tick.number.is_multiple_of(DOUBT_EVERY) {
+            let tissue = self.suture.tissue();
+            let moved = tissue.positions().iter().zip(tissue.mesh().rest()).map(|(now, rest)| now - rest);
+            self.deformation = Deformation::of(tissue.mesh(), &moved.collect::<Vec<_>>());
+        }
         self.memory.penetration_max = self.memory.penetration_max.max(self.report.penetration_max);
         self.memory.state = Some(self.suture.state().clone());
         Ok(())
@@ -309,7 +320,7 @@ impl SutureController {
         CollisionList { collisions, penetration_max: self.memory.penetration_max }
     }
 
-    fn write(&mut self, scene: &Snapshot, out: &mut Commands) {
+    fn write(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) {
         let (line, body) = (self.needle.entity, self.tissue.entity);
         if !self.has_line {
             self.has_line = true;
@@ -323,6 +334,9 @@ impl SutureController {
         let body_from_world = scene.world_pose(body).inverse();
         let positions: Vec<_> =
             self.suture.tissue().positions().iter().map(|point| body_from_world * point).collect();
+        if !self.deformation.is_small() && scene.get::<Doubtful>(body).is_none() {
+            out.put(body, Doubtful { reason: self.deformation.doubt(), since: tick.time });
+        }
         // Quasi-static: it has no velocities.
         let still = vec![Vector3::zeros(); positions.len()];
         self.tissue.write(&positions, &still, out);
@@ -370,6 +384,9 @@ impl SutureController {
             let off = exits.filter_map(|bite| Some((tissue.at_rest(&bite.exit?.0) - plan).norm()));
             put("exit_off_plan_m", off.fold(f64::INFINITY, f64::min).min(1.0));
         }
+        put("tissue_rotation_max_rad", self.deformation.rotation);
+        // Of an element that is inside out it is infinite.
+        put("tissue_strain_max", self.deformation.strain.min(1e3));
         put("frozen", f64::from(u8::from(self.frozen)));
         self.knot.measure(name, &mut measured.values);
     }
@@ -390,6 +407,7 @@ impl Controller for SutureController {
             .writes::<LineMesh>(needle.clone())
             .writes::<SutureMemory>(needle.clone())
             .writes::<KnotState>(needle)
+            .writes::<Doubtful>(EntitySet::Of(vec![self.tissue.entity]))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
     }
@@ -399,7 +417,7 @@ impl Controller for SutureController {
         if !self.frozen {
             match self.step(scene, tick) {
                 Ok(()) => {
-                    self.write(scene, out);
+                    self.write(scene, tick, out);
                     list = self.tell(tick);
                 }
                 Err(why) => {

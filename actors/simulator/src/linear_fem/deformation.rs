@@ -74,6 +74,18 @@ impl Deformation {
             && 2.0 * (size * std::f64::consts::FRAC_1_SQRT_2).asin() <= self.rotation
     }
 
+    /// Why linear elasticity is not to be believed of it, for people.
+    #[must_use]
+    pub fn doubt(&self) -> String {
+        format!(
+            "an element turned by {:.0}°, one strained by {:.0} %: beyond {:.0}° or {:.0} % linear elasticity misleads",
+            self.rotation.to_degrees(),
+            100.0 * self.strain.min(1e3),
+            ROTATION_LIMIT.to_degrees(),
+            100.0 * STRAIN_LIMIT
+        )
+    }
+
     /// Whether both are small enough for linear elasticity to be believed.
     #[must_use]
     pub fn is_small(&self) -> bool {
