@@ -205,8 +205,7 @@ fn assert_orders(what: &str, smooth: &Smooth, meshes: &[TetMesh]) {
 fn the_error_of_a_smooth_solution_falls_with_the_square_of_the_edges() {
     let mut random = Pcg64Mcg::seed_from_u64(5);
     let grids = [4_usize, 8, 16].map(|cells| {
-        let grid =
-            BoxCells { cells: [cells; 3], size: Vector3::repeat(0.04), origin: Point3::origin() };
+        let grid = BoxCells { cells: [cells; 3], size: Vector3::repeat(0.04), origin: Point3::origin() };
         let (mut nodes, tets) = box_cells(&grid);
         // A tenth of a cell's edge.
         let shift = 0.004 / cells as f64;

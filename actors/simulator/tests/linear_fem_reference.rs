@@ -29,11 +29,37 @@ fn the_beam_deflects_as_scikit_fem_says() {
 
 #[test]
 fn the_error_falls_towards_the_answer_of_quadratic_elements() {
-    let found = [[10, 2, 2], [20, 4, 4], [40, 8, 8], [80, 16, 16]].map(|cells| { let t = std::time::Instant::now(); let d = deflection(cells); eprintln!("{cells:?} {d:e} {:?}", t.elapsed()); d });
+    let found = [[10, 2, 2], [20, 4, 4], [40, 8, 8], [80, 16, 16]].map(|cells| {
+        let t = std::time::Instant::now();
+        let d = deflection(cells);
+        eprintln!("{cells:?} {d:e} {:?}", t.elapsed());
+        d
+    });
     eprintln!("{found:?}");
-    for w in found.windows(3) { let r = (w[1]-w[0])/(w[2]-w[1]); eprintln!("aitken {:e} order {} richardson {:e}", w[2] + (w[2]-w[1])/(r-1.0), r.log2(), w[2] + (w[2]-w[1])/3.0); }
-    let f = [[10, 2, 2], [20, 4, 4], [40, 8, 8]].map(|cells| { let t = std::time::Instant::now(); let d = lowest_frequency(cells); eprintln!("{cells:?} {d:e} {:?}", t.elapsed()); d });
-    for w in f.windows(3) { let r = (w[1]-w[0])/(w[2]-w[1]); eprintln!("aitken {:e} order {} richardson {:e}", w[2] + (w[2]-w[1])/(r-1.0), r.log2(), w[2] + (w[2]-w[1])/3.0); }
+    for w in found.windows(3) {
+        let r = (w[1] - w[0]) / (w[2] - w[1]);
+        eprintln!(
+            "aitken {:e} order {} richardson {:e}",
+            w[2] + (w[2] - w[1]) / (r - 1.0),
+            r.log2(),
+            w[2] + (w[2] - w[1]) / 3.0
+        );
+    }
+    let f = [[10, 2, 2], [20, 4, 4], [40, 8, 8]].map(|cells| {
+        let t = std::time::Instant::now();
+        let d = lowest_frequency(cells);
+        eprintln!("{cells:?} {d:e} {:?}", t.elapsed());
+        d
+    });
+    for w in f.windows(3) {
+        let r = (w[1] - w[0]) / (w[2] - w[1]);
+        eprintln!(
+            "aitken {:e} order {} richardson {:e}",
+            w[2] + (w[2] - w[1]) / (r - 1.0),
+            r.log2(),
+            w[2] + (w[2] - w[1]) / 3.0
+        );
+    }
 }
 
 /// The lowest frequencies \[Hz\], by subspace iteration with the consistent mass.

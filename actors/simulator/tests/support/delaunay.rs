@@ -26,9 +26,10 @@ pub fn tetrahedra(points: &[Point3<f64>]) -> Vec<[u32; 4]> {
     let count = points.len() as u32;
     let mut all = points.to_vec();
     let reach = points.iter().map(|point| point.coords.amax()).fold(0.0, f64::max) * 100.0;
-    all.extend([[-1.0, -1.0, -1.0], [3.0, -1.0, -1.0], [-1.0, 3.0, -1.0], [-1.0, -1.0, 3.0]].map(|at| {
-        Point3::from(at.map(|x: f64| x * reach))
-    }));
+    all.extend(
+        [[-1.0, -1.0, -1.0], [3.0, -1.0, -1.0], [-1.0, 3.0, -1.0], [-1.0, -1.0, 3.0]]
+            .map(|at| Point3::from(at.map(|x: f64| x * reach))),
+    );
     let of = |tet: [u32; 4]| (tet, circumsphere(&all, tet).expect("general position"));
     let mut tets = vec![of([count, count + 1, count + 2, count + 3])];
     for point in 0..count {

@@ -25,7 +25,12 @@ pub fn factored(matrix: &BlockMatrix) -> SparseCholesky {
 }
 
 /// A direct f64 solve: displacements of all nodes.
-pub fn direct(mesh: &TetMesh, material: &Elastic, fixed: &[u32], forces: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+pub fn direct(
+    mesh: &TetMesh,
+    material: &Elastic,
+    fixed: &[u32],
+    forces: &[Vector3<f64>],
+) -> Vec<Vector3<f64>> {
     let (numbers, count) = numbers(mesh, fixed);
     let mut factor = factored(&stiffness(mesh, material, &numbers, count));
     let mut right = vec![0.0; 3 * count];
