@@ -85,7 +85,10 @@ fn a_free_thread_keeps_its_momentum_and_gains_no_energy() {
     for [linear, _, gone, most] in [coarse, middle, fine] {
         // Solutions carry rounding times the ratio of axial stiffness to inertia, 1e8.
         assert!(linear < 1e-6, "{linear} of its momentum");
-        assert!(most < 1.0 + 1e-6 && (0.0..0.03).contains(&gone), "{gone} of its energy, at most {most} times it");
+        assert!(
+            most < 1.0 + 1e-6 && (0.0..0.03).contains(&gone),
+            "{gone} of its energy, at most {most} times it"
+        );
     }
     // Backward Euler slows what turns in proportion to the step, and swallows what quivers faster than it steps.
     for pair in [[coarse, middle], [middle, fine]] {

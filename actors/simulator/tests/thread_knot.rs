@@ -127,9 +127,8 @@ fn alexander(points: &[Point3<f64>], t: f64) -> f64 {
     unders.sort_by(|a, b| (a.0, a.1).partial_cmp(&(b.0, b.1)).expect("numbers"));
     // Arcs run from one passage under to the next.
     let n = unders.len();
-    let arc_at = |edge: usize, along: f64| {
-        unders.partition_point(|under| (under.0, under.1) < (edge, along)) % n
-    };
+    let arc_at =
+        |edge: usize, along: f64| unders.partition_point(|under| (under.0, under.1) < (edge, along)) % n;
     let mut matrix = nalgebra::DMatrix::<f64>::zeros(n, n);
     for (row, under) in unders.iter().enumerate() {
         let (into, out, over) = (row, (row + 1) % n, arc_at(under.2, under.3));
