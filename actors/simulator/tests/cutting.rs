@@ -1,13 +1,15 @@
 //! Cutting: what comes apart, how large it is, what the springs make of it.
 
+#[path = "support/sheet.rs"]
+mod sheet;
+
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use sheet::follow;
 use trocar_simulator::cutting::{Sheet, Sweep, TopologyChange, VertexChange};
-use trocar_simulator::elasticity::Alteration;
 use trocar_simulator::mass_spring::{
-    Config, Followed, Input, Integrator, LinearSolver, MassSpring, Network, Patch, State, SurfaceMaterial,
-    TooLarge,
+    Config, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
 };
 
 const GAUZE: SurfaceMaterial =
@@ -70,27 +72,6 @@ fn check(sheet: &Sheet) {
     // Wound alike: an edge runs each way once at most.
     edges.sort_unstable();
     assert!(edges.windows(2).all(|pair| pair[0] != pair[1]), "an edge with three triangles");
-}
-
-/// Brings a solver up to date with its sheet.
-fn follow(solver: &mut MassSpring, sheet: &Sheet, change: &TopologyChange) -> Followed {
-    let mut pinned = solver.pinned().to_vec();
-    change.carry_members(&mut pinned, solver.state().positions.len());
-    let patch = Patch {
-        rest: sheet.rest(),
-        elements: sheet.triangles(),
-        altered: &|_| Alteration::NONE,
-        about: &|vertex| sheet.about(vertex),
-        stale: &change.stale,
-    };
-    let carry = |state: &mut State| {
-        change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
-        change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
-    };
-    let stays = |node| pinned.contains(&node);
-    solver
-        .follow(&patch, stays, carry, |network, patch| network.follow_surface(patch, &GAUZE))
-        .expect("a network")
 }
 
 #[test]
@@ -193,7 +174,7 @@ fn a_thousand_random_cuts_never_halve_the_safe_step_and_springs_stay_those_of_th
         let to = [from[0] + 0.4 * place()[0], from[1] + 0.4 * place()[1]];
         let change = sheet.cut(&solver.state().positions.clone(), &[stab(from, to)]).expect("a cut");
         done += usize::from(!change.is_empty());
-        follow(&mut solver, &sheet, &change);
+        follow(&mut solver, &sheet, &change, &GAUZE);
         least = least.min(solver.safe_step());
         if cut % 100 == 99 {
             check(&sheet);
@@ -295,7 +276,7 @@ fn a_circle_cut_out_of_gauze_has_the_right_area() {
     for pair in way.windows(2) {
         let change = sheet.cut(&solver.state().positions.clone(), &[stab(pair[0], pair[1])]).expect("a cut");
         if !change.is_empty() {
-            follow(&mut solver, &sheet, &change);
+            follow(&mut solver, &sheet, &change, &GAUZE);
         }
         solver.step(2e-3, &input).expect("a step");
         apart += 1;
@@ -345,7 +326,7 @@ fn tension_opens_a_slit_and_tears_beyond_the_limit() {
         let mut solver = MassSpring::new(network, pulled, &ends, config).expect("a solver");
         let change =
             sheet.cut(&solver.state().positions.clone(), &[stab([0.0, -0.06], [0.0, -0.03])]).expect("a cut");
-        follow(&mut solver, &sheet, &change);
+        follow(&mut solver, &sheet, &change, &GAUZE);
         let lips: Vec<usize> = (0..sheet.rest().len())
             .filter(|&node| sheet.rest()[node].x.abs() < 1e-3 && sheet.rest()[node].y < -0.049)
             .collect();
@@ -353,7 +334,7 @@ fn tension_opens_a_slit_and_tears_beyond_the_limit() {
             solver.step(5e-3, &Input::default()).expect("a step");
             let change = sheet.tear(&solver.state().positions, tear).expect("a tear");
             if !change.is_empty() {
-                follow(&mut solver, &sheet, &change);
+                follow(&mut solver, &sheet, &change, &GAUZE);
             }
         }
         check(&sheet);

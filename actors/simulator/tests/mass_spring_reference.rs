@@ -108,12 +108,16 @@ fn an_inextensible_line_hangs_as_a_catenary() {
             solver.step(0.02, &under_gravity()).expect("a step");
         }
         let sag = -solver.state().positions.iter().map(|point| point.z).fold(0.0, f64::min);
-        (sag / 0.362_782_19 - 1.0).abs()
+        // The catenary's parameter is the pull along over the weight of a metre. Every link has the same of it.
+        let pull = solver.pull_on(&[0]).x.abs() / (material.density * G);
+        [(sag / 0.362_782_19 - 1.0).abs(), (pull / 0.163_168_27 - 1.0).abs()]
     };
     let (coarse, fine) = (error_of(20), error_of(80));
-    assert!(fine < 1e-3, "{fine}");
-    let order = (coarse / fine).log2() / 2.0;
-    assert!((1.8..2.2).contains(&order), "errors {coarse} and {fine}: order {order}");
+    for (what, coarse, fine) in [("sag", coarse[0], fine[0]), ("parameter", coarse[1], fine[1])] {
+        assert!(fine < 1e-3, "{what}: {fine}");
+        let order = (coarse / fine).log2() / 2.0;
+        assert!((1.8..2.2).contains(&order), "{what}: errors {coarse} and {fine}, order {order}");
+    }
 }
 
 /// Tip of a cantilever of 1 m and EI 1 under a force at its end that keeps its direction.

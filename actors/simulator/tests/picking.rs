@@ -1,10 +1,13 @@
 //! Picking: who holds what, and that it follows.
 
+#[path = "support/sheet.rs"]
+mod sheet;
+
 use nalgebra::{Isometry3, Point3, Vector3};
+use sheet::follow;
 use trocar_simulator::cutting::{Sheet, Sweep};
-use trocar_simulator::elasticity::Alteration;
 use trocar_simulator::mass_spring::{
-    Config, Input, Integrator, LinearSolver, MassSpring, Network, Patch, Prescribed, State, SurfaceMaterial,
+    Config, Input, Integrator, LinearSolver, MassSpring, Network, Prescribed, SurfaceMaterial,
 };
 use trocar_simulator::picking::{Jaws, PickError, Picks};
 
@@ -117,21 +120,7 @@ fn a_held_sheet_follows_through_a_solver_and_a_cut() {
             let sweep = Sweep { before: edge(0.13), after: edge(0.098) };
             let change = sheet.cut(&solver.state().positions.clone(), &[sweep]).expect("a cut");
             assert!(!change.is_empty());
-            let patch = Patch {
-                rest: sheet.rest(),
-                elements: sheet.triangles(),
-                altered: &|_| Alteration::NONE,
-                about: &|vertex| sheet.about(vertex),
-                stale: &change.stale,
-            };
-            let carry = |state: &mut State| {
-                change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
-                change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
-            };
-            let stays = |node| [0, 13, 26].contains(&node);
-            solver
-                .follow(&patch, stays, carry, |network, patch| network.follow_surface(patch, &material))
-                .expect("a network");
+            follow(&mut solver, &sheet, &change, &material);
             picks.follow(&change.triangles, sheet.triangles(), &solver.state().positions, &[now]);
             assert!(picks.of(9).expect("a pick").triangles.len() > 2);
         }

@@ -14,13 +14,14 @@ use trocar_scene::mesh::TetData;
 use trocar_scene::{
     Access, Activation, ActivationMode, BuildContext, Burn, Commands, Component, Controller, ControllerError,
     Entity, EntitySet, Frozen, HeatFrozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy,
-    RestPositions, Snapshot, SurfaceMesh, Temperature, Tick, VertexPositions,
+    RestPositions, Snapshot, SurfaceMesh, Temperature, TetMesh, Tick, VertexPositions,
 };
 
 use super::cauterised::{CauterisedBody, ElectrodeTip};
 use super::deformable::Deformable;
 use super::dynamic_fem::DynamicFemBody;
 use super::heat::{Coagulated, CoagulatedElements, RemovedElements};
+use super::heat_parted::{PartedMesh, births};
 use super::linear_fem::LinearFemBody;
 use super::mass_spring::MassSpringBody;
 use super::membrane::SurfaceElements;
@@ -34,7 +35,8 @@ use crate::electrosurgery::{
 };
 use crate::tet_mesh::Birth;
 
-/// Ticks between two states that a later life goes on from; whatever removes tissue is kept at once.
+/// Ticks between two states that a later life goes on from, whatever removes tissue is kept at once; and between two looks at
+/// what blades have parted, as heat goes over to another mesh then.
 const STATE_EVERY: u64 = 10;
 /// Change of an element's stiffness, relative to what it was at first, that is worth a new factor.
 const COAGULATED_CHANGE: f64 = 0.05;
@@ -75,6 +77,8 @@ struct Body {
     area_before: f64,
     areas: Vec<f64>,
     frozen: bool,
+    /// Vertices that blades have made, of those that heat knows.
+    births: usize,
     /// What is on at it in this tick.
     electrodes: Vec<Electrode>,
 }
@@ -109,10 +113,22 @@ impl Body {
         }
         let material = kind.material();
         let lattice = LatticeConfig { spacing: kind.spacing, ..LatticeConfig::default() };
+        let membrane = kind.thickness.map(|thickness| (thickness, triangles.as_slice()));
+        // Of a membrane that nobody knows the first mesh of, this is it.
+        let is_first = kind.thickness.is_some() && known.is_none();
+        let parted = if is_first { Ok(None) } else { PartedMesh::read(scene, entity, membrane) };
+        let parted = parted.map_err(wrong)?;
+        let parted = parted.as_ref().map(PartedMesh::parted);
         let heated = match known {
-            Some(known) => Electrosurgery::restore(&tissue, material, lattice, &known.state),
-            None => Electrosurgery::new(&tissue, material, lattice),
+            Some(known) => {
+                Electrosurgery::restore_parted(&tissue, parted.as_ref(), material, lattice, &known.state)
+            }
+            None => Electrosurgery::new(&tissue, material, lattice).and_then(|mut heated| {
+                parted.as_ref().map_or(Ok(()), |parted| heated.part(parted))?;
+                Ok(heated)
+            }),
         };
+        let births = births(scene, entity).map_or(0, |births| births.len());
         let tissue = heated.map_err(|error| wrong(error.to_string()))?;
         let removed = known.map(|known| known.state.removed.clone()).unwrap_or_default();
         let is_moved = moved_by(scene, entity).is_some();
@@ -136,10 +152,26 @@ impl Body {
             area_before,
             areas,
             frozen,
+            births,
             electrodes: Vec::new(),
         };
         this.areas = pieces(&this.surface(), &this.body.rest);
         Ok(this)
+    }
+
+    /// Heat goes over to what blades have made of it since the last look.
+    fn part(&mut self, tick: &Tick<'_>, scene: &Snapshot) -> Result<(), String> {
+        let entity = self.body.entity;
+        let born = births(scene, entity).map_or(0, |births| births.len());
+        if born == self.births || !tick.number.is_multiple_of(STATE_EVERY) {
+            return Ok(());
+        }
+        self.births = born;
+        let membrane = self.kind.thickness.map(|thickness| (thickness, self.triangles.as_slice()));
+        match PartedMesh::read(scene, entity, membrane)? {
+            Some(mesh) => self.tissue.part(&mesh.parted()).map_err(|error| error.to_string()),
+            None => Ok(()),
+        }
     }
 
     /// Its surface without what is gone.
@@ -163,12 +195,13 @@ impl Body {
             let is_charred = self.tissue.is_charred(vertex as u32);
             *omega = if is_charred { omega.max(CHARRED) } else { omega.min(DENATURED) };
         }
-        // What a vertex came apart into is as warm as it, and what is between two is between.
-        if let Some(cuts) = scene.get::<VolumeCuts>(self.body.entity) {
-            grow(&cuts.births, [&mut celsius, &mut omega]);
-        }
-        if let Some(of) = scene.get::<SurfaceElements>(self.body.entity) {
-            grow(&of.births, [&mut celsius, &mut omega]);
+        // What a vertex has come apart into since the last look is as warm as it, and what is between two is between.
+        if let (Some(births), Some(rest)) =
+            (births(scene, self.body.entity), scene.get::<RestPositions>(self.body.entity))
+        {
+            let first = rest.positions.len().saturating_sub(births.len());
+            let known = celsius.len().saturating_sub(first).min(births.len());
+            grow(&births[known..], [&mut celsius, &mut omega]);
         }
         out.put(self.body.entity, Temperature { celsius: Arc::new(celsius) });
         out.put(self.body.entity, Burn { omega: Arc::new(omega) });
@@ -389,6 +422,7 @@ impl Controller for ElectrosurgeryController {
             .reads::<VertexPositions>()
             .reads::<RestPositions>()
             .reads::<VolumeCuts>()
+            .reads::<TetMesh>()
             .reads::<SurfaceElements>()
             .reads::<SurfaceMesh>()
             .writes::<SurfaceMesh>(EntitySet::Of(still.clone()))
@@ -407,7 +441,12 @@ impl Controller for ElectrosurgeryController {
         self.switch_on(scene);
         for body in &mut self.bodies {
             if !body.frozen {
-                match body.tissue.step(tick.period.as_secs_f64(), &body.electrodes) {
+                let parted = body.part(tick, scene);
+                let stepped = parted.and_then(|()| {
+                    let stepped = body.tissue.step(tick.period.as_secs_f64(), &body.electrodes);
+                    stepped.map_err(|error| error.to_string())
+                });
+                match stepped {
                     Ok(report) => {
                         body.volume_removed += report.removed_volume;
                         body.hottest = body.hottest.max(report.hottest);
@@ -423,7 +462,7 @@ impl Controller for ElectrosurgeryController {
                         body.frozen = true;
                         if body.is_moved {
                             // Whoever moves it says whether it stands still: it only heats no further.
-                            freeze(body.body.entity, Still::Heat, error.to_string(), tick, out);
+                            freeze(body.body.entity, Still::Heat, error, tick, out);
                         } else {
                             body.body.freeze(&error, tick, out);
                         }

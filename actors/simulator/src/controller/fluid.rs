@@ -82,7 +82,10 @@ impl Component for Liquid {
 /// A surface that liquids do not pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct LiquidWall {}
+pub struct LiquidWall {
+    /// Whether liquids slide along it freely. Otherwise it drags them, by bumps of half a particle.
+    pub smooth: bool,
+}
 
 impl Component for LiquidWall {
     const NAME: &'static str = "liquid_wall";
@@ -129,6 +132,7 @@ pub struct FluidController {
     walls: Vec<Wall>,
     places: Vec<Point3<f64>>,
     speeds: Vec<Vector3<f64>>,
+    normals: Vec<Vector3<f64>>,
     order: Vec<(u64, u32)>,
     walls_move: bool,
     /// Walls that are taken where they were last, because where the scene has them nothing can be.
@@ -181,6 +185,7 @@ impl FluidController {
             walls: Vec::new(),
             places: Vec::new(),
             speeds: Vec::new(),
+            normals: Vec::new(),
             order: Vec::new(),
             walls_move: false,
             held: Vec::new(),
@@ -260,8 +265,21 @@ impl FluidController {
         self.walls = now;
         // Once more when they have come to rest.
         if moved || self.walls_move {
+            self.normals.clear();
+            for wall in &self.walls {
+                let is_smooth = scene.get::<LiquidWall>(wall.entity).is_some_and(|kind| kind.smooth);
+                let normal = |sample: &WallSample| {
+                    if is_smooth {
+                        wall.liquid_from_wall * sample.across(&wall.positions)
+                    } else {
+                        Vector3::zeros()
+                    }
+                };
+                self.normals.extend(wall.samples.iter().map(normal));
+            }
             self.fluid
                 .set_walls(&self.places, &self.speeds)
+                .and_then(|()| self.fluid.set_wall_normals(&self.normals))
                 .map_err(|error| format!("its walls: {error}"))?;
         }
         self.walls_move = moved;

@@ -21,6 +21,7 @@ mod found_forces;
 pub mod grafts;
 pub mod grips;
 pub mod heat;
+mod heat_parted;
 pub mod instruments;
 pub mod irrigation;
 pub mod knot_state;

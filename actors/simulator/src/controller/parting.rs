@@ -59,7 +59,7 @@ impl VolumeCuts {
     ///
     /// # Errors
     /// What of it is not.
-    fn fits(&self, nodes: usize, tets: usize) -> Result<(), String> {
+    pub(super) fn fits(&self, nodes: usize, tets: usize) -> Result<(), String> {
         let first = (nodes.checked_sub(self.births.len()), tets.checked_sub(self.parts_of.len()));
         let (Some(first_node), Some(first_tet)) = first else {
             let (births, parts) = (self.births.len(), self.parts_of.len());

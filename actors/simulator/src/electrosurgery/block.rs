@@ -46,6 +46,13 @@ pub(super) fn padded(cell: usize) -> usize {
     x + 1 + PADDED * (y + 1 + PADDED * (z + 1))
 }
 
+/// The place beside one in an array with a layer around it.
+#[inline]
+pub(super) fn beside(at: usize, (axis, way): (usize, i32)) -> usize {
+    let step = [1, PADDED, PADDED * PADDED][axis];
+    if way < 0 { at - step } else { at + step }
+}
+
 /// The cells along a side: in the block, in the layer around it, and in the block beyond.
 pub(super) fn side_cells((axis, way): (usize, i32)) -> impl Iterator<Item = (usize, usize, usize)> {
     let (a, b) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -58,10 +65,7 @@ pub(super) fn side_cells((axis, way): (usize, i32)) -> impl Iterator<Item = (usi
         let index = |[x, y, z]: [usize; 3]| x + EDGE * (y + EDGE * z);
         let (own, beyond) = if way < 0 { (0, EDGE - 1) } else { (EDGE - 1, 0) };
         let own_cell = index(place(own));
-        let step = [1, PADDED, PADDED * PADDED][axis];
-        let own_padded = padded(own_cell);
-        let halo = if way < 0 { own_padded - step } else { own_padded + step };
-        (own_cell, halo, index(place(beyond)))
+        (own_cell, beside(padded(own_cell), (axis, way)), index(place(beyond)))
     })
 }
 
@@ -98,6 +102,14 @@ impl Block {
     #[inline]
     pub(super) fn site(&self, cell: usize) -> &Site {
         &self.raster.sites[cell]
+    }
+
+    /// Whether something was cut between a cell and the one beside it.
+    #[inline]
+    pub(super) fn is_cut_off(&self, cell: usize, (axis, way): (usize, i32)) -> bool {
+        let own = padded(cell);
+        let first = if way < 0 { beside(own, (axis, way)) } else { own };
+        self.raster.cut.get(first).is_some_and(|cut| cut & (1 << axis) != 0)
     }
 
     /// Whether nothing ever happened in it that must be remembered.

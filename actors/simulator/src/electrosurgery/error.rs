@@ -47,6 +47,9 @@ pub enum ElectrosurgeryError {
     /// The lattice over the mesh would need more room than there is.
     #[error("elements lie in {0} cells of the search grid: at most 100,000,000 are held; use a coarser grid")]
     TooLarge(usize),
+    /// What blades have made of it cannot be of this tissue.
+    #[error("parted: {0}")]
+    Parted(String),
     /// A state that does not belong to this tissue, or that holds numbers that cannot be.
     #[error("state: {0}")]
     State(String),

@@ -10,6 +10,7 @@
 //! | Heat on the lattice at the tip | `thermal_grid.rs`, `block.rs` |
 //! | Heat in the organ's mesh | `organ_heat.rs` |
 //! | What became of the elements | `burn.rs` |
+//! | Tissue that blades have parted | `parting.rs` |
 //! | Where the heat went | `ledger.rs` |
 
 pub mod arrhenius;
@@ -22,6 +23,7 @@ mod error;
 mod ledger;
 mod material;
 mod organ_heat;
+mod parting;
 mod source;
 mod state;
 #[cfg(test)]
@@ -37,12 +39,14 @@ pub use electrode::{Electrode, Mode};
 pub use error::{ElectrosurgeryError, HeatStepError};
 pub use ledger::{HeatLedger, HeatReport};
 pub use material::{BODY, ThermalMaterial};
+pub use parting::Parted;
 pub use state::{BlockState, ElectrosurgeryState};
 pub use tissue::Tissue;
 
 use block::{Block, CELLS, CHARRED};
 use burn::ElementBurns;
 use organ_heat::OrganHeat;
+use parting::Rim;
 use source::Source;
 use thermal_grid::{Books, ThermalGrid};
 use tissue::TissueLattice;
@@ -107,8 +111,12 @@ pub struct HeatCell {
 pub struct Electrosurgery {
     material: ThermalMaterial,
     positions: Vec<Point3<f64>>,
-    /// Corners and conduction of each element, to take them away.
+    /// Corners and conduction of each element of the mesh as it is now, to take them away.
     elements: Vec<([u32; 4], [[f64; 4]; 4])>,
+    /// Elements of the first mesh and those of now that are parts of them, sorted.
+    parts: Vec<(u32, u32)>,
+    /// Where the first mesh ends.
+    rim: Rim,
     corners: usize,
     organ: OrganHeat,
     organ_damage: Vec<f64>,
@@ -133,7 +141,7 @@ impl Electrosurgery {
         error::parameter("spacing", lattice.spacing, 1e-5..=1e-2, "1e-5 to 0.01 m")?;
         error::parameter("blocks_max", lattice.blocks_max as f64, 1.0..=65_536.0, "1 to 65536")?;
         tissue.check()?;
-        let elements = (0..tissue.element_count())
+        let elements: Vec<_> = (0..tissue.element_count())
             .map(|element| {
                 let mut corners = [0; 4];
                 let found = tissue.corners(element);
@@ -145,6 +153,8 @@ impl Electrosurgery {
         Ok(Self {
             material,
             positions: tissue.positions().to_vec(),
+            parts: (0..elements.len() as u32).map(|element| (element, element)).collect(),
+            rim: Rim::of(tissue),
             elements,
             corners: tissue.corners(0).len(),
             organ: OrganHeat::new(tissue, &material),
@@ -208,9 +218,8 @@ impl Electrosurgery {
         for (damage, celsius) in self.organ_damage.iter_mut().zip(&self.organ.celsius) {
             *damage += dt * self.material.damage.rate(*celsius);
         }
-        for element in &self.burns.gone {
-            let (corners, conduction) = &self.elements[*element as usize];
-            self.organ.disconnect(&corners[..self.corners], conduction);
+        for index in 0..self.burns.gone.len() {
+            self.disconnect(self.burns.gone[index]);
         }
         report.steam_rate /= dt;
         report.smoke_rate /= dt;
@@ -249,7 +258,7 @@ impl Electrosurgery {
     #[must_use]
     pub fn factors(&self, element: u32) -> ElementFactors {
         let element = element as usize;
-        if element >= self.elements.len() {
+        if element >= self.burns.is_removed.len() {
             return ElementFactors { stiffness: 1.0, length: 1.0, charred: 0.0, is_removed: false };
         }
         let (coagulated, charred) = self.burns.shares(element);
@@ -264,9 +273,9 @@ impl Electrosurgery {
     /// Temperature \[°C\] and Ω of a vertex: of the cell that it lies in where the lattice is in use, else of the mesh.
     #[must_use]
     pub fn vertex(&self, vertex: u32) -> Option<(f64, f64)> {
-        let vertex = vertex as usize;
-        let (celsius, damage) = (*self.organ.celsius.get(vertex)?, self.organ_damage[vertex]);
-        Some(match self.grid.cell_near(&self.positions[vertex]) {
+        let at = vertex as usize;
+        let (celsius, damage) = (*self.organ.celsius.get(at)?, self.organ_damage[at]);
+        Some(match self.grid.cell_near(&self.positions[at], vertex) {
             Some((block, cell)) => {
                 let block = &self.grid.blocks[block];
                 (celsius + block.excess[cell], damage.max(block.damage[cell]))
@@ -279,7 +288,7 @@ impl Electrosurgery {
     #[must_use]
     pub fn is_charred(&self, vertex: u32) -> bool {
         let place = self.positions.get(vertex as usize);
-        place.and_then(|place| self.grid.cell_near(place)).is_some_and(|(block, cell)| {
+        place.and_then(|place| self.grid.cell_near(place, vertex)).is_some_and(|(block, cell)| {
             let block = &self.grid.blocks[block];
             block.flags[cell] & CHARRED != 0 && block.is_tissue(cell)
         })
@@ -298,7 +307,7 @@ impl Electrosurgery {
         (cells, sides * self.grid.spacing.powi(2))
     }
 
-    /// Number of vertices.
+    /// Number of vertices, with those that blades have made of them.
     #[must_use]
     pub fn vertex_count(&self) -> usize {
         self.positions.len()

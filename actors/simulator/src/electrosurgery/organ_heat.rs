@@ -22,7 +22,9 @@ pub(super) struct OrganHeat {
     pub celsius: Vec<f64>,
     /// \[J/K\].
     pub capacity: Vec<f64>,
-    capacity_least: Vec<f64>,
+    pub capacity_least: Vec<f64>,
+    /// Volume that belongs to each vertex, with what has gone since \[m³\].
+    pub whole: Vec<f64>,
     /// Heat loss to blood \[W/K\].
     pub perfusion: Vec<f64>,
     arterial: f64,
@@ -99,6 +101,10 @@ impl Conduction {
 
 /// The conduction of an element \[W/K\]: k V ∇λa·∇λb.
 pub(super) fn element_conduction(tissue: &Tissue<'_>, element: usize, conductivity: f64) -> [[f64; 4]; 4] {
+    // A blade may leave slivers; what has no extent would conduct without limit.
+    if tissue.is_flat(element) {
+        return [[0.0; 4]; 4];
+    }
     let at = |vertex: u32| tissue.positions()[vertex as usize];
     let gradients = match tissue {
         Tissue::Volume { tets, .. } => {
@@ -145,6 +151,7 @@ impl OrganHeat {
             arterial: material.arterial,
             held: vec![false; vertices],
             conduction: Conduction::new(vertices, elements),
+            whole: volume,
             rest: std::array::from_fn(|_| vec![0.0; vertices]),
         }
     }

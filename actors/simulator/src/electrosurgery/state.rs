@@ -6,7 +6,7 @@ use super::block::{Block, CELLS};
 use super::burn::ElementBurns;
 use super::error::ElectrosurgeryError;
 use super::ledger::HeatLedger;
-use super::{Electrosurgery, LatticeConfig, ThermalMaterial, Tissue};
+use super::{Electrosurgery, LatticeConfig, Parted, ThermalMaterial, Tissue};
 
 /// A block of the lattice; cells in the order x, y, z, x fastest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -40,6 +40,9 @@ pub struct ElectrosurgeryState {
     pub perfusion: Vec<f64>,
     /// Whether vertices are held.
     pub held: Vec<bool>,
+    /// Volumes that belonged to the vertices before anything went \[m³\].
+    #[serde(default)]
+    pub whole: Vec<f64>,
     /// Volumes of each element that are removed, coagulated, charred \[m³\].
     pub burns: Vec<[f64; 3]>,
     /// Volume of cells that went of each element \[m³\].
@@ -106,6 +109,7 @@ impl Electrosurgery {
             capacity: self.organ.capacity.clone(),
             perfusion: self.organ.perfusion.clone(),
             held: self.organ.held.clone(),
+            whole: self.organ.whole.clone(),
             burns: (0..removed.len()).map(|e| [removed[e], coagulated[e], charred[e]]).collect(),
             touched: self.burns.touched.clone(),
             owed: self.burns.owed,
@@ -126,12 +130,34 @@ impl Electrosurgery {
         lattice: LatticeConfig,
         state: &ElectrosurgeryState,
     ) -> Result<Self, ElectrosurgeryError> {
+        Self::restore_parted(tissue, None, material, lattice, state)
+    }
+
+    /// The same of tissue that blades have parted, perhaps further than when the state was taken.
+    ///
+    /// # Errors
+    /// As [`Electrosurgery::restore`]; what does not go with the first mesh.
+    pub fn restore_parted(
+        tissue: &Tissue<'_>,
+        parted: Option<&Parted<'_>>,
+        material: ThermalMaterial,
+        lattice: LatticeConfig,
+        state: &ElectrosurgeryState,
+    ) -> Result<Self, ElectrosurgeryError> {
         let mut restored = Self::new(tissue, material, lattice)?;
-        let (vertices, elements) = (restored.positions.len(), restored.elements.len());
+        let (first, elements) = (restored.positions.len(), restored.elements.len());
+        let now = parted.map_or(first, |parted| parted.tissue.positions().len());
+        let vertices = state.celsius.len();
+        if !(first..=now).contains(&vertices) {
+            return wrong(format!("celsius: {vertices} values, {first} to {now} are valid"));
+        }
         fits("celsius", &state.celsius, vertices, -273.15)?;
         fits("damage", &state.damage, vertices, 0.0)?;
         fits("capacity", &state.capacity, vertices, 0.0)?;
         fits("perfusion", &state.perfusion, vertices, 0.0)?;
+        if !state.whole.is_empty() || vertices != first {
+            fits("whole", &state.whole, vertices, 0.0)?;
+        }
         let HeatLedger { supplied, latent, steam, removed, perfusion, held, stored_before } = state.ledger;
         let ledger = [supplied, latent, steam, removed, perfusion, held, stored_before];
         fits("ledger", &ledger, ledger.len(), f64::MIN)?;
@@ -151,16 +177,13 @@ impl Electrosurgery {
         if !is_sorted || state.blocks.len() > lattice.blocks_max {
             return wrong(format!("blocks: at most {}, sorted by their keys, are valid", lattice.blocks_max));
         }
-        let lost = (0..vertices)
-            .find(|vertex| state.capacity[*vertex] <= 0.0 && restored.organ.capacity[*vertex] > 0.0);
+        let lost = (0..vertices).find(|&vertex| {
+            let whole = state.whole.get(vertex).or(restored.organ.whole.get(vertex));
+            state.capacity[vertex] <= 0.0 && whole.is_none_or(|whole| *whole > 0.0)
+        });
         if let Some(vertex) = lost {
             return wrong(format!("capacity: vertex {vertex} has none"));
         }
-        restored.organ.celsius.clone_from(&state.celsius);
-        restored.organ.capacity.clone_from(&state.capacity);
-        restored.organ.perfusion.clone_from(&state.perfusion);
-        restored.organ.held.clone_from(&state.held);
-        restored.organ_damage.clone_from(&state.damage);
         restored.ledger = state.ledger;
         for (element, [removed, coagulated, charred]) in state.burns.iter().enumerate() {
             restored.burns.removed[element] = *removed;
@@ -172,13 +195,12 @@ impl Electrosurgery {
             if std::mem::replace(&mut restored.burns.is_removed[*element as usize], true) {
                 return wrong(format!("removed: element {element} is named twice"));
             }
-            let (corners, conduction) = &restored.elements[*element as usize];
-            restored.organ.disconnect(&corners[..restored.corners], conduction);
         }
         restored.burns.order.clone_from(&state.removed);
         restored.burns.touched.clone_from(&state.touched);
         restored.burns.due.clone_from(&state.due);
         restored.burns.owed = state.owed;
+        restored.restore_nodes(state, parted)?;
         for block in &state.blocks {
             block.check()?;
             let Some(kept) = restored.grid.remember(block.key) else {

@@ -6,13 +6,15 @@
 //! mesh, and no seam between lattice and mesh has to be kept continuous. Heat passes from the lattice to the mesh where a
 //! block that has cooled is given back, and at the rim of the active blocks.
 
-use super::block::{Block, CELLS, CHARRED, COAGULATED, REMOVED, SIDES, TISSUE, padded, side_cells, xyz};
+use super::block::{
+    Block, CELLS, CHARRED, COAGULATED, REMOVED, SIDES, TISSUE, beside, padded, side_cells, xyz,
+};
 use super::burn::{CellEvent, ElementBurns, cell_number};
 use super::enthalpy::Enthalpy;
 use super::ledger::{HeatLedger, HeatReport};
 use super::material::ThermalMaterial;
 use super::organ_heat::OrganHeat;
-use super::tissue::{PADDED, TissueLattice};
+use super::tissue::{PADDED, Site, TissueLattice};
 
 /// Cells along an edge of a block.
 pub(super) const EDGE: usize = 8;
@@ -137,6 +139,21 @@ impl ThermalGrid {
         self.blocks.last_mut()
     }
 
+    /// Tissue was parted: cells lie otherwise in the mesh, and some are cut off from their neighbours. They keep their tissue,
+    /// and the element of the first mesh that they are told by.
+    pub(super) fn part(&mut self, lattice: TissueLattice) {
+        self.lattice = lattice;
+        for block in &mut self.blocks {
+            let Some(raster) = self.lattice.raster(block.key) else { continue };
+            for (site, now) in block.raster.sites.iter_mut().zip(raster.sites.iter()) {
+                if now.nodes != [0; 4] {
+                    *site = Site { element: site.element, ..*now };
+                }
+            }
+            block.raster.cut = raster.cut;
+        }
+    }
+
     /// Conduction and perfusion for a time that is stable.
     pub(super) fn diffuse(&mut self, dt: f64, books: &mut Books<'_>) {
         let volume = self.cell_volume();
@@ -155,16 +172,22 @@ impl ThermalGrid {
             let (excess, conduction) = (&self.padded_excess, &self.padded_conduction);
             let scale = dt / (self.spacing * self.spacing);
             let mut lost = 0.0;
+            let is_whole = block.raster.cut.is_empty();
             for cell in 0..CELLS {
                 let at = padded(cell);
                 let (own, through) = (excess[at], conduction[at]);
                 let flow = |beyond: usize| through.min(conduction[beyond]) * (excess[beyond] - own);
-                let flows = flow(at - 1)
-                    + flow(at + 1)
-                    + flow(at - PADDED)
-                    + flow(at + PADDED)
-                    + flow(at - PADDED * PADDED)
-                    + flow(at + PADDED * PADDED);
+                let flows = if is_whole {
+                    flow(at - 1)
+                        + flow(at + 1)
+                        + flow(at - PADDED)
+                        + flow(at + PADDED)
+                        + flow(at - PADDED * PADDED)
+                        + flow(at + PADDED * PADDED)
+                } else {
+                    let ways = SIDES.into_iter().filter(|side| !block.is_cut_off(cell, *side));
+                    ways.fold(0.0, |sum, side| sum + flow(beside(at, side)))
+                };
                 if !block.is_tissue(cell) {
                     next[cell] = 0.0;
                     continue;
@@ -181,7 +204,7 @@ impl ThermalGrid {
             books.ledger.perfusion += lost * volume;
             // What leaves the active blocks arrives in the mesh.
             for (side, _) in SIDES.iter().zip(is_rim).filter(|(_, is_rim)| *is_rim) {
-                for (cell, halo, _) in side_cells(*side) {
+                for (cell, halo, _) in side_cells(*side).filter(|at| !block.is_cut_off(at.0, *side)) {
                     let flow = conduction[padded(cell)].min(conduction[halo]) * excess[padded(cell)];
                     if flow != 0.0 {
                         let joules = scale * flow * volume;
@@ -330,7 +353,9 @@ impl ThermalGrid {
         kept.clear();
         for block in self.blocks.iter().filter(|block| block.is_active && block.peak > LEAVES) {
             for side in SIDES {
-                let through = side_cells(side).filter(|(_, halo, _)| block.raster.share[*halo] > 0.0);
+                let through = side_cells(side).filter(|(cell, halo, _)| {
+                    block.raster.share[*halo] > 0.0 && !block.is_cut_off(*cell, side)
+                });
                 let most = through.map(|(cell, _, _)| block.excess[cell].abs()).fold(0.0, f64::max);
                 if most > ARRIVES {
                     wanted.push(block.beyond(side));
@@ -365,11 +390,12 @@ impl ThermalGrid {
         (self.wanted, self.kept) = (wanted, kept);
     }
 
-    /// The cell at a place: the nearest of those about it that are tissue, else the nearest that were. Block and cell.
-    pub(super) fn cell_near(&self, point: &nalgebra::Point3<f64>) -> Option<(usize, usize)> {
+    /// The cell at a vertex: the nearest of those about it that are tissue, else the nearest that were; where something was cut,
+    /// rather one on its side of that. Block and cell.
+    pub(super) fn cell_near(&self, point: &nalgebra::Point3<f64>, vertex: u32) -> Option<(usize, usize)> {
         let at = point.coords / self.spacing;
         let number = [at.x, at.y, at.z].map(|x| x.floor() as i32);
-        let mut best: Option<(bool, f64, usize, usize)> = None;
+        let mut best: Option<((bool, bool), f64, usize, usize)> = None;
         for offset in 0..27_i32 {
             let near = [offset % 3 - 1, offset / 3 % 3 - 1, offset / 9 - 1];
             let near: [i32; 3] = std::array::from_fn(|axis| number[axis] + near[axis]);
@@ -379,9 +405,11 @@ impl ThermalGrid {
             if self.blocks[index].flags[cell] & TISSUE == 0 {
                 continue;
             }
-            let is_gone = !self.blocks[index].is_tissue(cell);
+            let block = &self.blocks[index];
+            let is_beyond = !block.raster.cut.is_empty() && !block.site(cell).nodes.contains(&vertex);
+            let is_gone = !block.is_tissue(cell);
             let distance = (0..3).map(|axis| (f64::from(near[axis]) + 0.5 - at[axis]).powi(2)).sum();
-            let now = (is_gone, distance, index, cell);
+            let now = ((is_gone, is_beyond), distance, index, cell);
             if best.is_none_or(|best| (now.0, now.1) < (best.0, best.1)) {
                 best = Some(now);
             }

@@ -81,6 +81,15 @@ impl Tissue<'_> {
 
     /// Looks through everything once.
     pub(super) fn check(&self) -> Result<(), ElectrosurgeryError> {
+        self.check_places()?;
+        let count = self.element_count();
+        let flat: Vec<u32> =
+            (0..count).filter(|element| self.is_flat(*element)).map(|element| element as u32).collect();
+        if flat.is_empty() { Ok(()) } else { Err(ElectrosurgeryError::Degenerate(flat)) }
+    }
+
+    /// The same, but that elements may have no extent.
+    pub(super) fn check_places(&self) -> Result<(), ElectrosurgeryError> {
         let (positions, count) = (self.positions(), self.element_count());
         if count == 0 || count > ELEMENTS_MAX || u32::try_from(positions.len()).is_err() {
             return Err(ElectrosurgeryError::Count(count));
@@ -102,11 +111,11 @@ impl Tissue<'_> {
         if !astray.is_empty() {
             return Err(ElectrosurgeryError::NoVertex { elements: astray, vertices: positions.len() });
         }
-        let flat = which(&|element| self.is_flat(element), count);
-        if flat.is_empty() { Ok(()) } else { Err(ElectrosurgeryError::Degenerate(flat)) }
+        Ok(())
     }
 
-    fn is_flat(&self, element: usize) -> bool {
+    /// Whether an element has no extent.
+    pub(super) fn is_flat(&self, element: usize) -> bool {
         let corners = self.corners(element);
         let at = |corner: usize| self.positions()[corners[corner] as usize];
         let longest = (0..corners.len())
@@ -224,6 +233,9 @@ pub(super) struct Raster {
     /// Share of each cell that is tissue, also of the cells around the block.
     pub share: Box<[f32; PADDED * PADDED * PADDED]>,
     pub sites: Box<[Site; EDGE * EDGE * EDGE]>,
+    /// Of each cell, also of those around the block: a bit for each axis where something was cut between it and the next one.
+    /// Where nothing was, there are none.
+    pub cut: Vec<u8>,
 }
 
 /// The pieces of a tissue, to be found by place.
@@ -234,11 +246,30 @@ pub(super) struct TissueLattice {
     bin: f64,
     /// Bins and the pieces in them, sorted.
     bins: Vec<([i32; 3], u32)>,
+    /// Triangles beyond which nothing hangs together.
+    cuts: Vec<[Point3<f64>; 3]>,
 }
 
 fn cell_of(point: &Point3<f64>, size: f64) -> [i32; 3] {
     // Saturating: positions are within 1 km, and a cell is at least 10 µm.
     [point.x, point.y, point.z].map(|x| (x / size).floor() as i32)
+}
+
+/// Whether a way from a place meets a triangle, its border included, its own end not (Möller, Trumbore 1997).
+fn passes(from: &Point3<f64>, way: &Vector3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> bool {
+    const BORDER: f64 = 1e-9;
+    let (u, v) = (b - a, c - a);
+    let across = way.cross(&v);
+    let determinant = u.dot(&across);
+    if determinant.abs() <= 1e-12 * u.norm() * v.norm() * way.norm() {
+        return false;
+    }
+    let off = from - a;
+    let first = off.dot(&across) / determinant;
+    let turned = off.cross(&u);
+    let second = way.dot(&turned) / determinant;
+    let share = v.dot(&turned) / determinant;
+    (0.0..1.0).contains(&share) && first >= -BORDER && second >= -BORDER && first + second <= 1.0 + BORDER
 }
 
 fn boxes(min: [i32; 3], max: [i32; 3]) -> impl Iterator<Item = [i32; 3]> {
@@ -267,7 +298,52 @@ impl TissueLattice {
             bins.extend(within.map(|bin| (bin, index as u32)));
         }
         bins.sort_unstable();
-        Ok(Self { spacing, pieces, bin, bins })
+        Ok(Self { spacing, pieces, bin, bins, cuts: Vec::new() })
+    }
+
+    /// The same where elements are parts of others, by whose numbers they are known, and something has been cut.
+    pub(super) fn parted(mut self, of: &[u32], cuts: &[[Point3<f64>; 3]]) -> Self {
+        self.pieces.iter_mut().for_each(|piece| piece.element = of[piece.element as usize]);
+        self.cuts = cuts.to_vec();
+        self
+    }
+
+    /// Which cells from `first` on are cut off from the next one along an axis: where the way from middle to middle passes a
+    /// triangle. A middle that lies in one is of the side before it.
+    fn cut_links(&self, first: [i32; 3]) -> Vec<u8> {
+        let mut links = Vec::new();
+        let middle = |cell: [usize; 3]| {
+            Point3::from(std::array::from_fn(|axis| {
+                (f64::from(first[axis] + cell[axis] as i32) + 0.5) * self.spacing
+            }))
+        };
+        for &[a, b, c] in &self.cuts {
+            let (min, max) = (a.inf(&b).inf(&c), a.sup(&b).sup(&c));
+            let (low, high) = (cell_of(&min, self.spacing), cell_of(&max, self.spacing));
+            let last = PADDED as i32 - 1;
+            // The cell before may reach it.
+            let range = |axis: usize| {
+                let from = (low[axis] - first[axis] - 1).clamp(0, last + 1) as usize;
+                let to = (high[axis] - first[axis] + 1).clamp(0, last + 1) as usize;
+                from..to
+            };
+            for z in range(2) {
+                for y in range(1) {
+                    for x in range(0) {
+                        let at: Point3<f64> = middle([x, y, z]);
+                        for axis in 0..3 {
+                            let mut way = Vector3::zeros();
+                            way[axis] = self.spacing;
+                            if passes(&at, &way, &[a, b, c]) {
+                                links.resize(PADDED * PADDED * PADDED, 0);
+                                links[x + PADDED * (y + PADDED * z)] |= 1 << axis;
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        links
     }
 
     /// Which cells of a block, and of the layer around it, are tissue, and where they lie in the mesh. `None` where there
@@ -295,7 +371,8 @@ impl TissueLattice {
         for (share, taken) in share.iter_mut().zip(&taken) {
             *share = taken.count_ones() as f32 / 64.0;
         }
-        best.iter().any(|count| *count > 0).then_some(Raster { share, sites })
+        let cut = self.cut_links(first);
+        best.iter().any(|count| *count > 0).then_some(Raster { share, sites, cut })
     }
 
     /// Claims the samples of cells that lie in a piece.

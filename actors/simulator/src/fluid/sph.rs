@@ -6,7 +6,9 @@
 //! SPH*, 2012), scaled so that a flat wall continues the lattice of particles before it, and have pressures of their own,
 //! which are solved for as well (Shao and Lo, *Incompressible SPH method for simulating Newtonian and non-Newtonian flows
 //! with a free surface*, 2003): with the pressure of the particle before it alone, what presses on a floor is not what a
-//! column weighs over its area. Walls are smooth: they push, but do not hold.
+//! column weighs over its area. Walls push, but do not hold. What slides along samples meets them one after another, as
+//! bumps half a spacing high, and is dragged by them; where it is said which way a sample faces, only what acts that way
+//! is left, and the wall is smooth there.
 //!
 //! On the rayon pool, with the same bits for any number of threads. What two particles do to each other is computed alike from both sides, so that momentum is kept to the last
 //! bits.
@@ -28,6 +30,9 @@ const NEIGHBOURS_MIN: usize = 8;
 /// No particle comes nearer to a sample of a wall, in spacings: in the middle of a square of samples, 0.71 away from each, it
 /// would be through.
 const NEAREST: f64 = 0.9;
+/// The same of the plane of a smooth wall, which has no gaps; a sample stands for what is so near to it along the plane.
+const NEAREST_PLANE: f64 = 0.7;
+const BESIDE: f64 = 0.75;
 /// Sum of kernels times volumes in one layer of a lattice, and in the next one: what a flat wall counts of its own samples,
 /// and of the particles before it.
 const LAYER: f64 = 0.7006;
@@ -53,6 +58,8 @@ pub struct Fluid {
     wall_cells: CellStarts,
     walls: Vec<Point3<f64>>,
     wall_velocities: Vec<Vector3<f64>>,
+    /// Which way each faces; zero where nobody said.
+    wall_normals: Vec<Vector3<f64>>,
     /// What each stands for \[m³\].
     wall_volumes: Vec<f32>,
     /// As they were given: which one it is.
@@ -105,6 +112,7 @@ impl Fluid {
             wall_cells,
             walls: Vec::new(),
             wall_velocities: Vec::new(),
+            wall_normals: Vec::new(),
             wall_volumes: Vec::new(),
             wall_forces: Vec::new(),
             wall_places: Vec::new(),
@@ -200,6 +208,8 @@ impl Fluid {
         self.walls.extend(self.wall_cells.order.iter().map(|index| samples[*index as usize]));
         self.wall_velocities.clear();
         self.wall_velocities.extend(self.wall_cells.order.iter().map(|index| velocities[*index as usize]));
+        self.wall_normals.clear();
+        self.wall_normals.resize(samples.len(), Vector3::zeros());
         self.wall_volumes.clear();
         for sample in &self.walls {
             let mut sum = 0.0;
@@ -214,6 +224,24 @@ impl Fluid {
         self.wall_axes.set(&self.wall_places);
         self.wall_forces.clear();
         self.wall_forces.resize(samples.len(), Vector3::zeros());
+        Ok(())
+    }
+
+    /// Which way the wall faces at each sample, as they were given last, of any length; either side will do. There it is
+    /// smooth: it acts that way only. Of a normal that is zero nothing is known, and until this is told of none.
+    ///
+    /// # Errors
+    /// Another number of normals than of samples, numbers that are not finite.
+    pub fn set_wall_normals(&mut self, normals: &[Vector3<f64>]) -> Result<(), FluidError> {
+        if normals.len() != self.walls.len() {
+            return Err(FluidError::State { count: normals.len(), most: self.walls.len() });
+        }
+        if let Some(particle) = normals.iter().position(|normal| !normal.iter().all(|x| x.is_finite())) {
+            return Err(FluidError::NotFinite { particle });
+        }
+        for (to, from) in self.wall_normals.iter_mut().zip(&self.wall_cells.order) {
+            *to = normals[*from as usize].try_normalize(0.0).unwrap_or_else(Vector3::zeros);
+        }
         Ok(())
     }
 
@@ -498,10 +526,18 @@ impl Fluid {
             for (other, gradient) in
                 rows.of(row as usize).gradients().filter(|(other, _)| *other >= particles)
             {
-                // As an impulse; divided by the step's time at its end.
                 let wall = rows.wet[other - particles] as usize;
+                let normal = &self.wall_normals[wall];
                 let [x, y, z, _] = push(row as usize, other, &gradient).map(f64::from);
-                self.wall_forces[self.wall_cells.order[wall] as usize] += Vector3::new(x, y, z) * (dt * mass);
+                let mut push = Vector3::new(x, y, z);
+                if *normal != Vector3::zeros() {
+                    // What the unevenness of the samples makes of it along the wall is taken back.
+                    let across = normal * push.dot(normal);
+                    state.velocities[row as usize] += (push - across) * dt;
+                    push = across;
+                }
+                // As an impulse; divided by the step's time at its end.
+                self.wall_forces[self.wall_cells.order[wall] as usize] += push * (dt * mass);
             }
         }
         self.pressure.clear();
@@ -513,6 +549,8 @@ impl Fluid {
     /// drop. Whoever is near to a sample comes no nearer.
     fn contain(&mut self, dt: f64) {
         let near = NEAREST * self.config.spacing;
+        let near_plane = NEAREST_PLANE * self.config.spacing;
+        let beside = (BESIDE * self.config.spacing).powi(2);
         let mass = self.config.density * self.particle_volume();
         // In a corner the second sample may send back to the first.
         for _ in 0..2 {
@@ -522,7 +560,17 @@ impl Fluid {
                     self.rows.of(a).gradients().filter(|(other, _)| *other >= self.rows.particles)
                 {
                     let b = self.rows.wet[other - self.rows.particles] as usize;
-                    let apart = self.state.positions[a] - self.walls[b];
+                    let mut apart = self.state.positions[a] - self.walls[b];
+                    let mut near = near;
+                    let facing = &self.wall_normals[b];
+                    if *facing != Vector3::zeros() {
+                        // A smooth wall is as far off as its plane, where the sample stands for it.
+                        let across = facing * apart.dot(facing);
+                        if (apart - across).norm_squared() > beside {
+                            continue;
+                        }
+                        (apart, near) = (across, near_plane);
+                    }
                     let distance = apart.norm();
                     if distance == 0.0 {
                         continue;

@@ -30,6 +30,13 @@ impl WallSample {
             }),
         )
     }
+
+    /// Across its triangle, with the vertices there, of any length \[m²\].
+    #[must_use]
+    pub fn across(&self, positions: &[Point3<f64>]) -> Vector3<f64> {
+        let [a, b, c] = self.nodes.map(|node| positions[node as usize]);
+        (b - a).cross(&(c - a))
+    }
 }
 
 /// Samples of a surface, about a `spacing` \[m\] apart, at most `most`. Triangles with corners that are not there are left out.

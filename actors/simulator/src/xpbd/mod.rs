@@ -439,7 +439,8 @@ impl Xpbd {
             velocities.iter_mut().zip(nodes.places.iter_mut()).zip(&scratch.forces)
         {
             if place[3] > 0.0 {
-                *velocity = (*velocity + (input.gravity + force * place[3]) * h) * kept;
+                // What acts is not damped, else all that hangs would weigh too little.
+                *velocity = *velocity * kept + (input.gravity + force * place[3]) * h;
             }
             (0..3).for_each(|axis| place[axis] += velocity[axis] * h);
         }

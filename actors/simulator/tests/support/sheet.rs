@@ -1,0 +1,31 @@
+//! Springs that follow a sheet.
+
+use trocar_simulator::cutting::{Sheet, TopologyChange};
+use trocar_simulator::elasticity::Alteration;
+use trocar_simulator::mass_spring::{Followed, MassSpring, Patch, State, SurfaceMaterial};
+
+/// Brings a solver of springs up to date with the sheet that it moves.
+pub fn follow(
+    solver: &mut MassSpring,
+    sheet: &Sheet,
+    change: &TopologyChange,
+    material: &SurfaceMaterial,
+) -> Followed {
+    let mut pinned = solver.pinned().to_vec();
+    change.carry_members(&mut pinned, solver.state().positions.len());
+    let patch = Patch {
+        rest: sheet.rest(),
+        elements: sheet.triangles(),
+        altered: &|_| Alteration::NONE,
+        about: &|vertex| sheet.about(vertex),
+        stale: &change.stale,
+    };
+    let carry = |state: &mut State| {
+        change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
+        change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
+    };
+    let stays = |node| pinned.contains(&node);
+    solver
+        .follow(&patch, stays, carry, |network, patch| network.follow_surface(patch, material))
+        .expect("a network")
+}
