@@ -22,6 +22,10 @@ const STYLE: &str = "<style>svg{background:#fff;font:13px sans-serif}.grid{strok
                      .dashed{stroke-dasharray:6 4}.dotted{stroke-dasharray:1.5 3}</style>";
 const CLASSES: [&str; 8] = ["c0", "c1", "c2", "c3", "c4", "c5", "c6", "c7"];
 
+/// Width of a letter and height of a line of text, in pixels.
+const LETTER: f64 = 7.5;
+const LEADING: f64 = 13.0;
+
 /// Sizes and times of one kind of work, smallest first.
 type Line = Vec<(f64, f64)>;
 
@@ -50,6 +54,36 @@ fn decades(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (10f64.powf(low), 10f64.powf(high.log10().ceil().max(low + 1.0)))
 }
 
+/// The name of a line, at its end.
+struct Name<'a> {
+    class: String,
+    what: &'a str,
+    at: (f64, f64),
+}
+
+/// Moves names down until none is written over another, from the top on.
+fn apart(mut names: Vec<Name<'_>>) -> Vec<Name<'_>> {
+    names.sort_by(|a, b| a.at.1.total_cmp(&b.at.1));
+    let width = |name: &Name<'_>| LETTER * name.what.len() as f64;
+    for index in 1..names.len() {
+        let (placed, rest) = names.split_at_mut(index);
+        let name = &mut rest[0];
+        // Each that is in the way is above it afterwards, and they are few.
+        for _ in 0..placed.len() {
+            let covers = |other: &&Name<'_>| {
+                (name.at.1 - other.at.1).abs() < LEADING
+                    && name.at.0 < other.at.0 + width(other)
+                    && other.at.0 < name.at.0 + width(name)
+            };
+            let Some(lower) = placed.iter().filter(covers).map(|other| other.at.1).reduce(f64::max) else {
+                break;
+            };
+            name.at.1 = lower + LEADING;
+        }
+    }
+    names
+}
+
 /// The picture as SVG, over the number of what is named; `None` when there is nothing that grows.
 pub fn growth(rows: &[BenchResult], of: &str) -> Option<String> {
     let lines = lines(rows);
@@ -61,6 +95,7 @@ pub fn growth(rows: &[BenchResult], of: &str) -> Option<String> {
     let y = Scale::log(decades(points().map(|point| point.1)), SIZE[1] - below, top);
     let mut chart = Chart::new(SIZE[0], SIZE[1], "cost against size", x, y);
     chart.axes(of, unit, 10, 10);
+    let mut names = Vec::new();
     for (index, (what, line)) in lines.iter().enumerate() {
         // Who comes second to a colour has a broken line, who comes third a dotted one.
         let colour = CLASSES[index % CLASSES.len()];
@@ -74,8 +109,11 @@ pub fn growth(rows: &[BenchResult], of: &str) -> Option<String> {
             chart.dot(class, (x.pixel(*size), y.pixel(*time)), 3.0, &format!("{what}: {time:.3} {unit}"));
         }
         if let Some((size, time)) = line.last() {
-            chart.text(class, (x.pixel(*size) + 8.0, y.pixel(*time) + 4.0), what);
+            names.push(Name { class: class.clone(), what, at: (x.pixel(*size) + 8.0, y.pixel(*time) + 4.0) });
         }
+    }
+    for Name { class, what, at } in apart(names) {
+        chart.text(&class, at, what);
     }
     let svg = chart.finish();
     // Behind the opening tag.
@@ -112,6 +150,11 @@ mod tests {
             svg.contains(">build</text>") && svg.contains(">1000</text>") && svg.contains(">10000</text>")
         );
         assert_eq!(growth(&rows[..1], "triangles"), None);
+        let name = |what, x, y| Name { class: String::new(), what, at: (x, y) };
+        let found =
+            apart(vec![name("under", 5.0, 12.0), name("over", 0.0, 10.0), name("beside", 300.0, 11.0)]);
+        let places: Vec<_> = found.iter().map(|name| (name.what, name.at.1)).collect();
+        assert_eq!(places, [("over", 10.0), ("beside", 11.0), ("under", 23.0)]);
         assert_eq!(growth(&[row("a_growth_b_0", 1.0), row("a_growth_b_10", 0.0)], "triangles"), None);
     }
 }
