@@ -15,6 +15,7 @@ use trocar_scene::{
 use super::deformable::Deformable;
 use super::grips::{CLOSED, holds};
 use super::knot_state::KnotState;
+use super::knot_watch::KnotWatch;
 use super::suture_body::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};
 use super::thread_edges::{EDGES_EVERY, fineness, follow, held};
 use super::thread_grips::{Leading, Pull, SPARED, pulls, update};
@@ -46,7 +47,7 @@ pub struct SutureController {
     kind: SutureNeedle,
     suture: Suture,
     memory: SutureMemory,
-    knot: KnotState,
+    knot: KnotWatch,
     has_knot: bool,
     report: SutureReport,
     grips: Vec<Grip>,
@@ -113,7 +114,7 @@ impl SutureController {
             kind,
             suture,
             memory,
-            knot: scene.get::<KnotState>(*needle).cloned().unwrap_or_default(),
+            knot: KnotWatch::new(scene.get::<KnotState>(*needle), 0),
             has_knot: false,
             report: SutureReport::default(),
             grips: Vec::new(),
@@ -269,7 +270,7 @@ impl SutureController {
         if let Some(thread) = &self.suture.state().thread {
             let forces = self.suture.hold_forces();
             self.pulls = pulls(&mut self.memory.grips, &self.parts, scene, thread, forces);
-            let looked = self.knot.look(&thread.positions, tick.number);
+            let looked = self.knot.look(thread, self.suture.thread_radius(), tick)?;
             self.has_knot &= !looked.changed;
             if looked.is_another {
                 self.memory.loop_min = None;
@@ -329,7 +330,7 @@ impl SutureController {
         out.put(line, self.memory.clone());
         if !self.has_knot {
             self.has_knot = true;
-            out.put(line, self.knot.clone());
+            out.put(line, self.knot.state().clone());
         }
     }
 
@@ -371,7 +372,7 @@ impl SutureController {
             put("exit_off_plan_m", off.fold(f64::INFINITY, f64::min).min(1.0));
         }
         put("frozen", f64::from(u8::from(self.frozen)));
-        self.knot.measure(name, &mut measured.values);
+        self.knot.state().measure(name, &mut measured.values);
     }
 }
 

@@ -6,6 +6,7 @@
 //! told. Instruments feel what the thread exerts on their rods, and what it pulls at their jaws. An elastic body that a
 //! thread is tied around is stepped with it ([`Tied`]).
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Vector3};
@@ -17,11 +18,13 @@ use trocar_scene::{
 
 use super::deformable::Deformable;
 use super::knot_state::KnotState;
+use super::knot_watch::KnotWatch;
 use super::refused::{Refused, Still};
 use super::soft::finite_vertices;
 use super::thread_body::ThreadBody;
 use super::thread_edges::{EDGES_EVERY, adapt};
 use super::thread_grips::{Leading, Pull, pulls, update};
+use super::thread_lines::Lines;
 use super::thread_memory::{Met, ThreadMemory};
 use super::thread_obstacles::{Form, Part, Parts};
 use super::thread_tied::{Tied, TiedBody};
@@ -31,12 +34,12 @@ use crate::linear_fem::Cache;
 use crate::thread::{Elastic, Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
 
 struct Body {
-    body: Deformable,
+    lines: Lines,
     kind: ThreadBody,
     thread: Thread,
     tied: Option<Tied>,
     memory: ThreadMemory,
-    knot: KnotState,
+    knot: KnotWatch,
     /// Whether the scene has that already.
     has_knot: bool,
     parts: Parts,
@@ -45,8 +48,6 @@ struct Body {
     /// On each part, the mean over the last tick.
     reactions: Vec<Reaction>,
     pulls: Vec<(Entity, Pull)>,
-    /// Whether the scene has its line already.
-    has_line: bool,
     frozen: bool,
 }
 
@@ -70,12 +71,28 @@ impl ThreadController {
         context: &BuildContext<'_>,
     ) -> Result<Self, ControllerError> {
         let (mut bodies, mut refused): (Vec<Body>, Vec<Refused>) = (Vec::new(), Vec::new());
-        for entity in Deformable::carriers::<ThreadBody>(context.scene) {
+        let carriers = Deformable::carriers::<ThreadBody>(context.scene);
+        let kinds = carriers.iter().filter_map(|entity| context.scene.get::<ThreadBody>(*entity));
+        let named: BTreeMap<&String, usize> =
+            kinds.flat_map(|kind| &kind.together_with).fold(BTreeMap::new(), |mut named, name| {
+                *named.entry(name).or_default() += 1;
+                named
+            });
+        for entity in carriers {
             let Some(kind) = context.scene.get::<ThreadBody>(entity) else { continue };
             let name = context.scene.name(entity);
+            match named.get(&name) {
+                // It goes with the one that names it.
+                Some(1) if kind.together_with.is_empty() => continue,
+                Some(1) | None => {}
+                Some(_) => {
+                    let why = format!("together_with: '{name}' is named by several threads");
+                    return Err(ControllerError::Scene(why));
+                }
+            }
             let wrong = |why| ControllerError::Scene(format!("'{name}': {why}"));
             let built = Deformable::read(context.scene, entity)
-                .and_then(|body| Body::new(kind.clone(), body, context.scene).map_err(wrong));
+                .and_then(|body| Body::new(kind.clone(), body, context.scene, bodies.len() as u64).map_err(wrong));
             let built = match built {
                 Ok(built) => built,
                 Err(error) => {
@@ -99,7 +116,8 @@ impl ThreadController {
 impl Controller for ThreadController {
     fn access(&self) -> Access {
         let refused = self.refused.iter().map(|body| body.entity);
-        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
+        let bodies: Vec<Entity> =
+            self.bodies.iter().flat_map(|body| body.lines.entities()).chain(refused).collect();
         let around = self.bodies.iter().filter_map(|body| body.tied.as_ref()).map(Tied::entity);
         let moved: Vec<Entity> = bodies.iter().copied().chain(around).collect();
         Deformable::access(&moved)
@@ -123,7 +141,7 @@ impl Controller for ThreadController {
         let mut measured = Measured::default();
         let mut depth_max = 0.0_f64;
         for (index, body) in self.bodies.iter_mut().enumerate() {
-            let world_from_thread = scene.world_pose(body.body.entity);
+            let world_from_thread = scene.world_pose(body.lines.first().entity);
             body.reactions.clear();
             body.pulls.clear();
             if !body.frozen {
@@ -141,7 +159,7 @@ impl Controller for ThreadController {
                     Ok(Some(())) => {
                         body.write(out);
                         let told = Told {
-                            thread: body.body.entity,
+                            thread: body.lines.first().entity,
                             world_from_thread,
                             parts: &body.parts,
                             reactions: &body.reactions,
@@ -154,7 +172,7 @@ impl Controller for ThreadController {
                     Ok(None) => {}
                     Err(why) => {
                         body.frozen = true;
-                        body.body.freeze(&why, tick, out);
+                        body.lines.freeze(&why, tick, out);
                     }
                 }
             }
@@ -171,27 +189,11 @@ impl Controller for ThreadController {
 }
 
 impl Body {
-    fn new(kind: ThreadBody, mut body: Deformable, scene: &Snapshot) -> Result<Self, String> {
-        let chain = |(edge, ends): (usize, &[u32; 2])| *ends == [edge as u32, edge as u32 + 1];
-        if body.segments.is_empty() || !body.segments.iter().enumerate().all(chain) {
-            return Err(
-                "its line is not one thread from its first vertex to its last: give it a mesh of a line"
-                    .into(),
-            );
-        }
-        let material = kind.material();
-        body.radius = material.radius;
-        let known = scene.get::<ThreadMemory>(body.entity);
-        let thread = match known {
-            Some(memory) => Thread::restore(material, memory.state(&body.positions, &body.velocities)),
-            None => {
-                let laid = kind.nodes()?;
-                if let Some(nodes) = &laid {
-                    body.lie(nodes.clone());
-                }
-                Thread::new(material, &body.positions)
-            }
-        };
+    fn new(kind: ThreadBody, body: Deformable, scene: &Snapshot, index: u64) -> Result<Self, String> {
+        let entity = body.entity;
+        let known = scene.get::<ThreadMemory>(entity);
+        let lines = Lines::read(&kind, body, scene)?;
+        let thread = lines.thread(&kind, known);
         let tied = kind.tied_around.as_ref().map(|name| Tied::new(name, scene)).transpose()?;
         let parts = Parts::around(tied.as_ref().map(|tied| (tied.entity(), tied.kind.friction)));
         Ok(Self {
@@ -200,16 +202,15 @@ impl Body {
             memory: known
                 .cloned()
                 .unwrap_or_else(|| ThreadMemory { loop_min: -1.0, ..ThreadMemory::default() }),
-            knot: scene.get::<KnotState>(body.entity).cloned().unwrap_or_default(),
+            knot: KnotWatch::new(scene.get::<KnotState>(entity), index),
             has_knot: known.is_some(),
-            has_line: known.is_some(),
-            frozen: scene.get::<Frozen>(body.entity).is_some(),
+            frozen: scene.get::<Frozen>(entity).is_some(),
             parts,
             leading: Leading::default(),
             report: ThreadReport::default(),
             reactions: Vec::new(),
             pulls: Vec::new(),
-            body,
+            lines,
             kind,
         })
     }
@@ -241,8 +242,7 @@ impl Body {
             self.memory.loop_min = -1.0;
         }
         if self.kind.adaptive && tick.number.is_multiple_of(EDGES_EVERY) {
-            let changed = adapt(&self.kind, &mut self.thread, &mut self.body, &mut self.memory.grips)?;
-            self.has_line &= !changed;
+            adapt(&self.kind, &mut self.thread, &mut self.lines, &mut self.memory.grips)?;
         }
         self.leading.spare(&self.memory.grips, &self.parts, self.thread.state());
         let count = (period / self.kind.step - 1e-9).ceil().max(1.0);
@@ -257,10 +257,8 @@ impl Body {
             self.leading.holds.clear();
             self.leading.twist_holds.clear();
             self.leading.add(&self.memory.grips, &self.parts, scene, fractions[1]);
-            let rest = &self.body.rest;
-            self.leading
-                .holds
-                .extend(self.body.pinned.iter().map(|&node| Hold::fixed(node as usize, rest[node as usize])));
+            let anchored = self.lines.anchored().iter();
+            self.leading.holds.extend(anchored.map(|&(node, place)| Hold::fixed(node, place)));
             let around = Surroundings {
                 gravity,
                 holds: &self.leading.holds,
@@ -291,7 +289,7 @@ impl Body {
         self.memory.met.clear();
         self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
         self.memory.penetration_max = self.memory.penetration_max.max(report.penetration_max);
-        self.look(tick.number);
+        self.look(tick)?;
         if let Some(tied) = &mut self.tied
             && tied.settle(tick.number)?
         {
@@ -314,8 +312,8 @@ impl Body {
     }
 
     /// Which knot it is, and how long its loop has been at the shortest since.
-    fn look(&mut self, number: u64) {
-        let looked = self.knot.look(self.thread.positions(), number);
+    fn look(&mut self, tick: &Tick<'_>) -> Result<(), String> {
+        let looked = self.knot.look(self.thread.state(), self.thread.material().radius, tick)?;
         self.has_knot &= !looked.changed;
         if looked.is_another {
             self.memory.loop_min = -1.0;
@@ -324,34 +322,30 @@ impl Body {
             let (now, least) = (strands.loop_length(), self.memory.loop_min);
             self.memory.loop_min = if least < 0.0 { now } else { least.min(now) };
         }
+        Ok(())
     }
 
     fn write(&mut self, out: &mut Commands) {
-        if !self.has_line {
-            self.has_line = true;
-            out.put(
-                self.body.entity,
-                LineMesh { segments: self.body.segments.clone(), radius: self.body.radius },
-            );
-        }
+        let entity = self.lines.first().entity;
         if !self.has_knot {
             self.has_knot = true;
-            out.put(self.body.entity, self.knot.clone());
+            out.put(entity, self.knot.state().clone());
         }
-        let state = self.thread.state();
-        self.body.write(&state.positions, &state.velocities, out);
-        out.put(self.body.entity, self.memory.clone());
+        self.lines.write(self.thread.state(), out);
+        out.put(entity, self.memory.clone());
         if let Some(tied) = &mut self.tied {
             tied.write(out);
         }
     }
 
     fn measure(&self, measured: &mut Measured) {
+        let (name, state) = (&self.lines.first().name, self.thread.state());
+        for (name, tension) in self.lines.tensions(state) {
+            measured.values.insert(format!("{name}.tension_n"), tension);
+        }
         let mut put = |what: &str, value: f64| {
-            measured.values.insert(format!("{}.{what}", self.body.name), value);
+            measured.values.insert(format!("{name}.{what}"), value);
         };
-        let state = self.thread.state();
-        put("tension_n", state.tensions.iter().copied().fold(0.0, f64::max));
         put("held_nodes", self.memory.grips.iter().map(|grip| grip.nodes.len()).sum::<usize>() as f64);
         put("held_force_n", self.pulls.iter().map(|(_, pull)| pull.force.norm()).sum());
         put("contact_force_n", self.reactions.iter().map(|reaction| reaction.force.norm()).sum());
@@ -363,7 +357,7 @@ impl Body {
         put("contacts", self.report.contacts as f64);
         put("iterations", self.report.iterations as f64);
         put("frozen", f64::from(u8::from(self.frozen)));
-        self.knot.measure(&self.body.name, &mut measured.values);
+        self.knot.state().measure(name, &mut measured.values);
         if let Some(tied) = &self.tied {
             let pressing = state.contacts.iter().filter(|contact| contact.key.with == 1);
             let tension = |edge: u32| state.tensions.get(edge as usize).copied().unwrap_or(0.0);

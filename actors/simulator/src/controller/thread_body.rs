@@ -12,6 +12,8 @@ use crate::thread::{NODES_MAX, ThreadMaterial};
 /// Throws of a thread that is laid tied, and places that one goes through, at most.
 const THROWS_MAX: usize = 8;
 const PLACES_MAX: usize = 1000;
+/// Threads that one can touch at most.
+const THREADS_MAX: usize = 8;
 
 /// Sutures by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -123,6 +125,9 @@ pub struct ThreadBody {
     pub adaptive: bool,
     /// How it lies at the beginning.
     pub laid: Option<Laid>,
+    /// Names of other threads that it can touch and be tied to, each of which carries a `thread` as well: of the same material
+    /// and at the same pose. They are stepped with it in one problem, by what this one says of steps, edges and tools.
+    pub together_with: Vec<String>,
     /// The name of the elastic body that it is drawn or tied around, which carries `tied`. It is stepped with the thread.
     pub tied_around: Option<String>,
 }
@@ -139,6 +144,7 @@ impl Default for ThreadBody {
             edges: [1.5, 2e-3],
             adaptive: false,
             laid: None,
+            together_with: Vec::new(),
             tied_around: None,
         }
     }
@@ -161,6 +167,8 @@ impl Component for ThreadBody {
         ComponentError::range("step", self.step, 1e-5..=crate::thread::STEP_MAX, "1e-5 to 2e-3 s")?;
         ComponentError::range("edges[0]", self.edges[0], 0.5..=20.0, "0.5 to 20 diameters")?;
         ComponentError::range("edges[1]", self.edges[1], 1e-4..=0.05, "1e-4 to 0.05 m")?;
+        let others = self.together_with.len() as f64;
+        ComponentError::range("together_with", others, 0.0..=THREADS_MAX as f64, "at most 8 threads")?;
         match &self.laid {
             None => Ok(()),
             Some(Laid::Through { places }) => {

@@ -12,6 +12,10 @@
 //! | Which knot it is | [`knot`] |
 //! | How it lies at the beginning | [`laid`] |
 //!
+//! Several threads are one state whose nodes follow one after the other, with an edge that joins nothing between two of them
+//! ([`Thread::several`]): its blocks of the matrix are empty, and a thread that touches another is one strand that touches
+//! another.
+//!
 //! # Why this method
 //! A thread of 2-0 silk weighs 41 ng per segment of a millimetre's half and carries newtons: explicit steps would have
 //! to be under a microsecond, and iterative projection needs as many sweeps as there are segments before a pull at one
@@ -131,6 +135,15 @@ impl Thread {
         Self::restore(material, ThreadState::at_rest(positions))
     }
 
+    /// Several of one material at rest, each through its own positions \[m\]: their nodes follow one after the other, and
+    /// they touch each other as they touch themselves, in one problem per step.
+    ///
+    /// # Errors
+    /// As [`Thread::new`], by the numbers of nodes of all together.
+    pub fn several(material: ThreadMaterial, threads: &[&[Point3<f64>]]) -> Result<Self, ThreadError> {
+        Self::restore(material, ThreadState::of_several(threads))
+    }
+
     /// One that goes on from `state`, bit for bit.
     ///
     /// # Errors
@@ -172,6 +185,11 @@ impl Thread {
     pub fn step(&mut self, dt: f64, around: &Surroundings) -> Result<ThreadReport, ThreadStepError> {
         check_step(dt)?;
         around.check(self.state.positions.len())?;
+        let nothing = |hold: &TwistHold| !self.state.joins(hold.edge);
+        if let Some(index) = around.twist_holds.iter().position(nothing) {
+            let why = "its edge is between two threads".to_owned();
+            return Err(ThreadStepError::Given { what: "twist hold", index, why });
+        }
         let Self { material, state, island, presses } = self;
         let Some(elastic) = &around.elastic else {
             presses.clear();
