@@ -78,13 +78,12 @@ impl Closing {
             thread.positions[node]
         });
         let left = usize::from(taken[0].x > 0.0);
-        println!("{taken:?} {:?} {:?} needle {:?}", thread.positions[0], thread.positions[count-1], state.needle.pose());
         let hands =
             [("hand.left", across(&taken[left])), ("hand.right", across(&taken[1 - left]))];
         stage.put("needle", SutureMemory { state: Some(state), ..SutureMemory::default() });
         for (name, at) in &hands {
             stage.put(name, Pose::from(*at));
-            stage.put(name, jaws(0.4));
+            stage.put(name, jaws(0.0));
         }
         stage.rebuild(build);
         Self { stage, hands }
@@ -135,15 +134,15 @@ struct Seen {
 
 fn closed(half_turns: &[i32], friction: f64) -> Seen {
     let mut closing = Closing::new(half_turns, friction);
-    closing.tick(0.0);
     let before = closing.gap();
-    closing.jaws(0.0);
     closing.tick(0.0);
-    println!("{:?}", closing.stage.get::<SutureMemory>("needle").grips);
     assert_eq!(closing.stage.measured("needle.held_by"), 2.0, "both hands hold the thread");
     let mut felt = 0.0_f64;
-    for _ in 0..400 {
+    for tick in 0..400 {
         closing.tick(SPEED / HZ);
+        if tick % 20 == 0 {
+            println!("{half_turns:?} {friction} {tick} gap {} tension {} loop {} strands {}", closing.gap(), closing.stage.measured("needle.thread_tension_n"), closing.stage.measured("needle.loop_m"), closing.stage.measured("needle.contacts"));
+        }
         felt = felt.max(closing.felt());
         if closing.stage.measured("needle.thread_tension_n") > DRAWN {
             break;

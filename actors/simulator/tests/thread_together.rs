@@ -60,15 +60,13 @@ fn grasper(x: f64) -> Pose {
     Isometry3::from_parts(Vector3::new(x, 0.006, 0.0).into(), turn * closing).into()
 }
 
-/// Jaws close on the upper end and draw it to the right by a centimetre; another life begins on the way, if `ends` says so.
+/// Jaws hold the upper end, and draw it to the right by a centimetre; another life begins on the way, if `ends` says so.
 fn drawn(text: &str, ends: bool) -> Stage<ThreadController> {
     let mut stage = Stage::new(scene(text), HZ, build);
     for tick in 0..360 {
-        let closed = f64::from(tick) / 60.0;
-        let (angle, rate) = if closed < 1.0 { (0.2 * (1.0 - closed), -1.6) } else { (0.0, 0.0) };
         let x = 0.015 + 0.010 * ((f64::from(tick) - 60.0) / 250.0).clamp(0.0, 1.0);
         stage.put("grasper", grasper(x));
-        stage.put("grasper", JawState { angle, rate, ..JawState::default() });
+        stage.put("grasper", JawState::default());
         if ends && tick == 200 {
             stage.rebuild(build);
         }

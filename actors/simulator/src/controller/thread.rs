@@ -16,6 +16,7 @@ use trocar_scene::{
     Instrument, JawState, Measured, Pose, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
 };
 
+use super::coupled::Coupled;
 use super::deformable::Deformable;
 use super::knot_state::KnotState;
 use super::knot_watch::KnotWatch;
@@ -25,6 +26,7 @@ use super::thread_body::ThreadBody;
 use super::thread_edges::{EDGES_EVERY, adapt};
 use super::thread_grips::{Leading, Pull, pulls, update};
 use super::thread_lines::Lines;
+use super::thread_lying::LyingOn;
 use super::thread_memory::{Met, ThreadMemory};
 use super::thread_obstacles::{Form, Part, Parts};
 use super::thread_tied::{Tied, TiedBody};
@@ -38,6 +40,7 @@ struct Body {
     kind: ThreadBody,
     thread: Thread,
     tied: Option<Tied>,
+    lying: Option<LyingOn>,
     memory: ThreadMemory,
     knot: KnotWatch,
     /// Whether the scene has that already.
@@ -120,7 +123,7 @@ impl Controller for ThreadController {
             self.bodies.iter().flat_map(|body| body.lines.entities()).chain(refused).collect();
         let around = self.bodies.iter().filter_map(|body| body.tied.as_ref()).map(Tied::entity);
         let moved: Vec<Entity> = bodies.iter().copied().chain(around).collect();
-        Deformable::access(&moved)
+        Coupled::access(Deformable::access(&moved), &bodies)
             .reads::<ThreadBody>()
             .reads::<TiedBody>()
             .reads::<Pose>()
@@ -195,10 +198,18 @@ impl Body {
         let lines = Lines::read(&kind, body, scene)?;
         let thread = lines.thread(&kind, known);
         let tied = kind.tied_around.as_ref().map(|name| Tied::new(name, scene)).transpose()?;
-        let parts = Parts::around(tied.as_ref().map(|tied| (tied.entity(), tied.kind.friction)));
+        let lying = match &kind.lies_on {
+            Some(on) => Some(LyingOn::new(on, lines.first(), scene)?),
+            None => None,
+        };
+        let parts = match &lying {
+            Some(lying) => Parts::on(lying.entity(), lying.friction()),
+            None => Parts::around(tied.as_ref().map(|tied| (tied.entity(), tied.kind.friction))),
+        };
         Ok(Self {
             thread: thread.map_err(|error| error.to_string())?,
             tied,
+            lying,
             memory: known
                 .cloned()
                 .unwrap_or_else(|| ThreadMemory { loop_min: -1.0, ..ThreadMemory::default() }),
@@ -248,12 +259,21 @@ impl Body {
         let count = (period / self.kind.step - 1e-9).ceil().max(1.0);
         let dt = period / count;
         self.reactions.resize(self.parts.list.len(), Reaction::default());
+        if let Some(lying) = &mut self.lying {
+            lying.meet(self.lines.first().entity, world_from_thread, scene, tick)?;
+        }
         let mut report = ThreadReport::default();
         for step in 0..count as usize {
             let fractions = [step, step + 1].map(|step| step as f64 / count);
             let elastic = self.tied.as_ref().and_then(Tied::elastic);
+            if let Some(lying) = &mut self.lying {
+                lying.begin();
+            }
+            let of_elastic = elastic.map(|body| (body.positions(), body.triangles()));
+            let (of_soft, soft) = self.lying.as_mut().map(LyingOn::parts).unzip();
+            let yielding = of_elastic.or(of_soft);
             let obstacles: Vec<Obstacle<'_>> =
-                self.parts.list.iter().map(|part| part.obstacle(fractions, elastic)).collect();
+                self.parts.list.iter().map(|part| part.obstacle(fractions, yielding)).collect();
             self.leading.holds.clear();
             self.leading.twist_holds.clear();
             self.leading.add(&self.memory.grips, &self.parts, scene, fractions[1]);
@@ -268,7 +288,14 @@ impl Body {
                 spared: &self.leading.spared,
                 elastic: elastic.map(|body| Elastic { obstacle: 0, body }),
             };
-            let done = self.thread.step(dt, &around).map_err(|error| error.to_string())?;
+            let done = match soft {
+                Some(surface) => self.thread.step_on(dt, &around, 0, surface),
+                None => self.thread.step(dt, &around),
+            };
+            let done = done.map_err(|error| error.to_string())?;
+            if let Some(lying) = &mut self.lying {
+                lying.met(dt, self.thread.state());
+            }
             if let Some(tied) = &mut self.tied {
                 tied.deform(self.thread.presses());
             }
@@ -336,6 +363,9 @@ impl Body {
         if let Some(tied) = &mut self.tied {
             tied.write(out);
         }
+        if let Some(lying) = &self.lying {
+            lying.publish(entity, out);
+        }
     }
 
     fn measure(&self, measured: &mut Measured) {
@@ -357,6 +387,10 @@ impl Body {
         put("contacts", self.report.contacts as f64);
         put("iterations", self.report.iterations as f64);
         put("frozen", f64::from(u8::from(self.frozen)));
+        if let Some(lying) = &self.lying {
+            put("lying_force_n", self.reactions.first().map_or(0.0, |reaction| reaction.force.norm()));
+            put("coupling_behind_m", lying.behind());
+        }
         self.knot.state().measure(name, &mut measured.values);
         if let Some(tied) = &self.tied {
             let pressing = state.contacts.iter().filter(|contact| contact.key.with == 1);

@@ -35,13 +35,14 @@ mod material;
 mod rows;
 mod sewing;
 mod state;
+mod strands;
 mod surface;
 mod tip;
 mod tissue;
 
 pub use error::SutureError;
 pub use material::Resistance;
-pub use state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, NeedleContact, SutureState, Tip};
+pub use state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, NeedleContact, StrandContact, SutureState, Tip};
 pub use tissue::{NODES_MAX, Place, Tissue, Way};
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -236,10 +237,17 @@ impl Suture {
         let length = self.solid.shape().length();
         surface::nodes_in_tissue(&self.state, length, &self.resistance, &mut keep);
         let radius = self.thread_radius();
-        match &mut self.state.thread {
-            Some(thread) => Ok(thread.adapt(radius, fineness, &keep)?),
-            None => Ok(None),
+        let SutureState { thread, strand_contacts, .. } = &mut self.state;
+        let Some(thread) = thread else { return Ok(None) };
+        let renumbered = thread.adapt(radius, fineness, &keep)?;
+        if let Some(now) = &renumbered {
+            // Which part of an edge that was divided touched is not known: the first takes over what is remembered.
+            for contact in &mut *strand_contacts {
+                contact.edge = now.edges[contact.edge as usize][0];
+            }
+            strand_contacts.dedup_by_key(|contact| contact.edge);
         }
+        Ok(renumbered)
     }
 
     /// Of the thread \[m\]; 0 where there is none.

@@ -8,6 +8,7 @@
 //! | Contact with static friction | `contact/` |
 //! | One step of rod and contacts together, and of companions: a needle, a tissue | `island/` |
 //! | Elastic bodies that it is tied around | [`elastic`] |
+//! | Soft bodies that it lies on and that others move | [`soft`] |
 //! | Short edges where they are needed | `adapt.rs` |
 //! | Which knot it is | [`knot`] |
 //! | How it lies at the beginning | [`laid`] |
@@ -41,6 +42,7 @@ pub mod laid;
 mod material;
 mod measure;
 pub(crate) mod rod;
+pub mod soft;
 mod state;
 
 pub use adapt::{Fineness, Renumbered};
@@ -184,12 +186,7 @@ impl Thread {
     /// Input that makes no sense, by name; or the node at which no step could be found. The state is then what it was.
     pub fn step(&mut self, dt: f64, around: &Surroundings) -> Result<ThreadReport, ThreadStepError> {
         check_step(dt)?;
-        around.check(self.state.positions.len())?;
-        let nothing = |hold: &TwistHold| !self.state.joins(hold.edge);
-        if let Some(index) = around.twist_holds.iter().position(nothing) {
-            let why = "its edge is between two threads".to_owned();
-            return Err(ThreadStepError::Given { what: "twist hold", index, why });
-        }
+        self.check_around(around)?;
         let Self { material, state, island, presses } = self;
         let Some(elastic) = &around.elastic else {
             presses.clear();
@@ -206,6 +203,46 @@ impl Thread {
         let done = island.step(material, state, dt, around, &mut tied);
         *presses = tied.presses;
         done
+    }
+
+    /// Goes on by `dt` \[s\] with one of the obstacles giving way: the surface of a soft body that somebody else moves, a mesh
+    /// whose triangles are turned outwards, its vertices where the nodes of `surface` are. What became of these that tells
+    /// afterwards.
+    ///
+    /// # Errors
+    /// As [`Thread::step`]; what has become of the surface means nothing then.
+    pub fn step_on(
+        &mut self,
+        dt: f64,
+        around: &Surroundings,
+        obstacle: usize,
+        surface: &mut soft::SoftSurface,
+    ) -> Result<ThreadReport, ThreadStepError> {
+        check_step(dt)?;
+        self.check_around(around)?;
+        let given = |why: &str| {
+            Err(ThreadStepError::Given { what: "soft surface", index: obstacle, why: why.to_owned() })
+        };
+        if around.elastic.is_some() {
+            return given("an elastic body gives way already");
+        }
+        match around.obstacles.get(obstacle).map(|obstacle| obstacle.shape) {
+            Some(Shape::Mesh { from, .. }) if from.len() == surface.moved().len() => {}
+            _ => return given("that obstacle is not it"),
+        }
+        let Self { material, state, island, presses } = self;
+        presses.clear();
+        island.step(material, state, dt, around, &mut soft::LyingOn { surface, obstacle })
+    }
+
+    fn check_around(&self, around: &Surroundings) -> Result<(), ThreadStepError> {
+        around.check(self.state.positions.len())?;
+        let nothing = |hold: &TwistHold| !self.state.joins(hold.edge);
+        if let Some(index) = around.twist_holds.iter().position(nothing) {
+            let why = "its edge is between two threads".to_owned();
+            return Err(ThreadStepError::Given { what: "twist hold", index, why });
+        }
+        Ok(())
     }
 
     /// Forces of the holds on the thread in the last step, in their order \[N\].

@@ -234,6 +234,7 @@ impl Island {
         report: &mut ThreadReport,
         companion: &mut impl Companion,
     ) -> Result<(), Failure> {
+        companion.begin(dt);
         let diameter = material.diameter();
         let tolerance = companion.tolerance().unwrap_or(Tolerance {
             free: (0.1 * diameter, LENGTH_TOLERANCE),
@@ -458,7 +459,10 @@ impl Island {
                 return Err(Failure { node: candidate.key.edge as usize, why: Trouble::PassedThrough });
             }
         }
-        Ok(())
+        match companion.stops([from, to]) {
+            Some(node) => Err(Failure { node, why: Trouble::PassedThrough }),
+            None => Ok(()),
+        }
     }
 
     /// The edge whose length differs most from what its tension says, and by how much of it.

@@ -1,0 +1,127 @@
+//! A soft body that a thread lies on and that another controller moves: what passes between the two is in the scene, as it is
+//! between bodies that are coupled ([`CouplingGiven`]).
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_scene::{Commands, Entity, Snapshot, Tick};
+
+use super::coupled::{Partner, other};
+use super::coupling::{CoupledWith, CouplingGiven, Lies};
+use super::deformable::Deformable;
+use super::soft::Site;
+use super::thread_body::LiesOn;
+use super::thread_obstacles::Yielding;
+use super::xpbd::XpbdBody;
+use crate::thread::ThreadState;
+use crate::thread::soft::SoftSurface;
+use crate::xpbd::company::{Company, Guest};
+
+/// Places of an edge that can touch a triangle: contacts count triangles in such steps.
+const PLACES: u32 = 4;
+
+/// Such a body, as the thread meets it.
+pub struct LyingOn {
+    partner: Partner,
+    friction: f64,
+    surface: SoftSurface,
+    guests: Vec<Guest>,
+}
+
+impl LyingOn {
+    /// Finds it by name. `thread` is the thread, whose frame it is met in.
+    ///
+    /// # Errors
+    /// There is no such body, or it cannot be lain on, and why.
+    pub fn new(on: &LiesOn, thread: &Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let told = |why: String| format!("it lies on '{}': {why}", on.body);
+        let lies = Some(Lies { friction: on.friction, ..Lies::default() });
+        let rule = CoupledWith { body: on.body.clone(), joined: None, lies };
+        let body = other(thread, &rule, scene).map_err(told)?;
+        if scene.get::<XpbdBody>(body.entity).is_some() {
+            return Err(told("that is moved by 'xpbd', which takes nothing from a thread; valid: 'dynamic_fem'".into()));
+        }
+        let known = scene.get::<CouplingGiven>(thread.entity);
+        let known = known.and_then(|known| known.to.iter().find(|to| to.body == Some(body.entity)));
+        let partner = Partner::new(thread, &body, thread.radius, &rule, scene, known).map_err(told)?;
+        Ok(Self { partner, friction: on.friction, surface: SoftSurface::default(), guests: Vec::new() })
+    }
+
+    /// Which body.
+    #[must_use]
+    pub fn entity(&self) -> Entity {
+        self.partner.entity
+    }
+
+    /// Coulomb's coefficient on it.
+    #[must_use]
+    pub fn friction(&self) -> f64 {
+        self.friction
+    }
+
+    /// How far the node that is furthest from where the thread takes it to be is from there \[m\].
+    #[must_use]
+    pub fn behind(&self) -> f64 {
+        self.partner.given.ghosts.furthest_behind()
+    }
+
+    /// A tick begins: hears what the body tells, and puts its nodes where that says.
+    ///
+    /// # Errors
+    /// Why it cannot go on.
+    pub fn meet(
+        &mut self,
+        thread: Entity,
+        world_from_thread: &Isometry3<f64>,
+        scene: &Snapshot,
+        tick: &Tick<'_>,
+    ) -> Result<(), String> {
+        let site = Site {
+            scene,
+            tick,
+            world_from_body: world_from_thread,
+            gravity: Vector3::zeros(),
+            rods: &[],
+            touches: &[],
+            forces: &[],
+            led: &[],
+        };
+        self.partner.follow(&site)?;
+        self.partner.hear(thread, &site)?;
+        self.guests.clear();
+        self.partner.given.ghosts.meet(&Company::default(), &[], &mut self.guests);
+        Ok(())
+    }
+
+    /// A step begins.
+    pub fn begin(&mut self) {
+        let is_wall = self.partner.is_wall;
+        let guests = self.partner.given.ghosts.guests();
+        let guests = guests.map(|guest| if is_wall { guest.as_wall() } else { guest });
+        self.surface.begin(guests, &self.partner.surface);
+    }
+
+    /// Nodes and triangles as an obstacle, and what gives way of it.
+    pub fn parts(&mut self) -> (Yielding<'_>, &mut SoftSurface) {
+        let nodes: &[Point3<f64>] = self.partner.given.ghosts.positions();
+        ((nodes, &self.partner.surface), &mut self.surface)
+    }
+
+    /// A step of `dt` \[s\] is over, after which the thread is so.
+    pub fn met(&mut self, dt: f64, state: &ThreadState) {
+        let given = &mut self.partner.given;
+        if !self.partner.is_wall {
+            given.ghosts.met(dt, self.surface.moved(), 0.0);
+        }
+        given.near.clear();
+        let touched = state.contacts.iter().filter(|contact| contact.key.with == 1);
+        let triangles =
+            touched.filter_map(|contact| self.partner.surface.get((contact.key.feature / PLACES) as usize));
+        given.near.extend(triangles.flatten());
+        given.near.sort_unstable();
+        given.near.dedup();
+    }
+
+    /// Tells the body what it was given.
+    pub fn publish(&self, thread: Entity, out: &mut Commands) {
+        out.put(thread, CouplingGiven { to: vec![self.partner.given.clone()] });
+    }
+}
