@@ -117,7 +117,8 @@ fn a_strand_that_is_shot_at_the_wire_does_not_pass_and_gives_it_what_it_loses() 
     let last = thread_state.positions.len();
     thread_state.velocities[turn..last].fill(Vector3::new(0.0, 0.0, -speed));
     let of_thread = |state: &ThreadState| -> Vector3<f64> {
-        let half = |edge: Option<usize>| edge.and_then(|edge| state.rest_lengths.get(edge)).copied().unwrap_or(0.0);
+        let half =
+            |edge: Option<usize>| edge.and_then(|edge| state.rest_lengths.get(edge)).copied().unwrap_or(0.0);
         (0..state.positions.len())
             .map(|node| {
                 let length = 0.5 * (half(node.checked_sub(1)) + half(Some(node)));

@@ -154,7 +154,10 @@ fn a_thread_drawn_over_a_block_presses_it_in_and_gives_it_what_it_takes() {
 #[test]
 fn a_thread_that_is_not_told_of_the_block_passes_it_by() {
     let stage = drawn("", 0.004, false);
-    assert_eq!(stage.get::<VertexPositions>("block").positions, stage.get::<RestPositions>("block").positions);
+    assert_eq!(
+        stage.get::<VertexPositions>("block").positions,
+        stage.get::<RestPositions>("block").positions
+    );
     let inside = |point: &&Point3<f64>| point.z < 0.007 && point.x.abs() < 0.007;
     let thread = stage.get::<VertexPositions>("thread").positions;
     assert!(thread.iter().filter(inside).count() > 5, "it lies where the block is");
@@ -183,7 +186,10 @@ fn what_cannot_be_lain_on_is_refused_by_name() {
         Both::new(&context).err().expect("refused").to_string()
     };
     let nobody = refused("lies_on = { body = \"liver\" }");
-    assert!(nobody.contains("'thread'") && nobody.contains("'liver'") && nobody.contains("no such"), "{nobody}");
+    assert!(
+        nobody.contains("'thread'") && nobody.contains("'liver'") && nobody.contains("no such"),
+        "{nobody}"
+    );
     let hard = refused("lies_on = { body = \"grasper\" }");
     assert!(hard.contains("'grasper'") && hard.contains("dynamic_fem"), "{hard}");
 }
@@ -218,7 +224,8 @@ fn a_thread_that_falls_on_free_masses_gives_them_the_momentum_that_it_loses() {
         })
         .collect();
     let of_thread = |state: &ThreadState| -> Vector3<f64> {
-        let half = |edge: Option<usize>| edge.and_then(|edge| state.rest_lengths.get(edge)).copied().unwrap_or(0.0);
+        let half =
+            |edge: Option<usize>| edge.and_then(|edge| state.rest_lengths.get(edge)).copied().unwrap_or(0.0);
         (0..state.positions.len())
             .map(|node| {
                 let length = 0.5 * (half(node.checked_sub(1)) + half(Some(node)));

@@ -85,14 +85,14 @@ impl KnotWatch {
             return Ok(looked);
         }
         let is_for_knot = tick.number % KNOT_EVERY == 1 && !self.lies_still(points, STILL * radius);
-        let is_for_order = !self.is_unreadable
-            && self.state.reading.is_some()
-            && tick.number.is_multiple_of(READ_EVERY);
+        let is_for_order =
+            !self.is_unreadable && self.state.reading.is_some() && tick.number.is_multiple_of(READ_EVERY);
         if is_for_knot {
             self.seen.clear();
             self.seen.extend_from_slice(points);
             self.is_unreadable = false;
-            let (points, ends): (Vec<Point3<f64>>, Vec<[usize; 2]>) = (points.clone(), thread.threads().collect());
+            let (points, ends): (Vec<Point3<f64>>, Vec<[usize; 2]>) =
+                (points.clone(), thread.threads().collect());
             self.is_looking = tick.jobs.submit(self.begin(move || {
                 let threads: Vec<&[Point3<f64>]> =
                     ends.iter().map(|[first, last]| &points[*first..=*last]).collect();

@@ -94,8 +94,9 @@ impl ThreadController {
                 }
             }
             let wrong = |why| ControllerError::Scene(format!("'{name}': {why}"));
-            let built = Deformable::read(context.scene, entity)
-                .and_then(|body| Body::new(kind.clone(), body, context.scene, bodies.len() as u64).map_err(wrong));
+            let built = Deformable::read(context.scene, entity).and_then(|body| {
+                Body::new(kind.clone(), body, context.scene, bodies.len() as u64).map_err(wrong)
+            });
             let built = match built {
                 Ok(built) => built,
                 Err(error) => {

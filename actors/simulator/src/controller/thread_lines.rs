@@ -96,7 +96,8 @@ impl Lines {
             let nodes: Vec<&[Point3<f64>]> = self.list.iter().map(|line| &line.positions[..]).collect();
             return Thread::several(kind.material(), &nodes);
         };
-        let positions: Vec<Point3<f64>> = self.list.iter().flat_map(|line| line.positions.iter().copied()).collect();
+        let positions: Vec<Point3<f64>> =
+            self.list.iter().flat_map(|line| line.positions.iter().copied()).collect();
         let velocities: Vec<Vector3<f64>> =
             self.list.iter().flat_map(|line| line.velocities.iter().copied()).collect();
         Thread::restore(kind.material(), memory.state(&positions, &velocities))

@@ -15,8 +15,11 @@ use crate::thread::ThreadState;
 use crate::thread::soft::SoftSurface;
 use crate::xpbd::company::{Company, Guest};
 
-/// Places of an edge that can touch a triangle: contacts count triangles in such steps.
-const PLACES: u32 = 4;
+/// Triangles that are nearer than this to the thread are listed before they are touched: who moves them tells in time what is
+/// to be expected \[m\].
+const NEAR: f64 = 3e-3;
+/// Nodes of the thread that share a box.
+const RUN: usize = 8;
 
 /// Such a body, as the thread meets it.
 pub struct LyingOn {
@@ -37,7 +40,9 @@ impl LyingOn {
         let rule = CoupledWith { body: on.body.clone(), joined: None, lies };
         let body = other(thread, &rule, scene).map_err(told)?;
         if scene.get::<XpbdBody>(body.entity).is_some() {
-            return Err(told("that is moved by 'xpbd', which takes nothing from a thread; valid: 'dynamic_fem'".into()));
+            return Err(told(
+                "that is moved by 'xpbd', which takes nothing from a thread; valid: 'dynamic_fem'".into(),
+            ));
         }
         let known = scene.get::<CouplingGiven>(thread.entity);
         let known = known.and_then(|known| known.to.iter().find(|to| to.body == Some(body.entity)));
@@ -111,17 +116,34 @@ impl LyingOn {
         if !self.partner.is_wall {
             given.ghosts.met(dt, self.surface.moved(), 0.0);
         }
-        given.near.clear();
-        let touched = state.contacts.iter().filter(|contact| contact.key.with == 1);
-        let triangles =
-            touched.filter_map(|contact| self.partner.surface.get((contact.key.feature / PLACES) as usize));
-        given.near.extend(triangles.flatten());
-        given.near.sort_unstable();
-        given.near.dedup();
+        near(state, given.ghosts.positions(), &self.partner.surface, &mut given.near);
     }
 
     /// Tells the body what it was given.
     pub fn publish(&self, thread: Entity, out: &mut Commands) {
         out.put(thread, CouplingGiven { to: vec![self.partner.given.clone()] });
     }
+}
+
+/// Lists the nodes of triangles that are near to the thread, ascending.
+fn near(state: &ThreadState, nodes: &[Point3<f64>], triangles: &[[u32; 3]], found: &mut Vec<u32>) {
+    found.clear();
+    let bounds = |points: &mut dyn Iterator<Item = &Point3<f64>>| {
+        let none = [Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)];
+        points.fold(none, |[low, high], at| [low.inf(&at.coords), high.sup(&at.coords)])
+    };
+    let runs: Vec<[Vector3<f64>; 2]> =
+        state.positions.chunks(RUN).map(|run| bounds(&mut run.iter())).collect();
+    for triangle in triangles {
+        let corners = triangle.map(|node| nodes[node as usize]);
+        let [low, high] = bounds(&mut corners.iter());
+        let is_near = |run: &[Vector3<f64>; 2]| {
+            (0..3).all(|axis| run[0][axis] - NEAR <= high[axis] && low[axis] <= run[1][axis] + NEAR)
+        };
+        if runs.iter().any(is_near) {
+            found.extend(triangle);
+        }
+    }
+    found.sort_unstable();
+    found.dedup();
 }

@@ -131,7 +131,8 @@ impl Parts {
         let thread_from_world = world_from_thread.inverse();
         if let Some((entity, friction)) = self.tied {
             let in_frame = self.is_in_frame;
-            let to = if in_frame { Isometry3::identity() } else { thread_from_world * scene.world_pose(entity) };
+            let to =
+                if in_frame { Isometry3::identity() } else { thread_from_world * scene.world_pose(entity) };
             let met = Met { entity, part: 0, at: to };
             self.list.push(Part { met, to, form: Form::Elastic, friction, rod: None, jaw: None });
         }

@@ -42,7 +42,9 @@ mod tissue;
 
 pub use error::SutureError;
 pub use material::Resistance;
-pub use state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, NeedleContact, StrandContact, SutureState, Tip};
+pub use state::{
+    BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, NeedleContact, StrandContact, SutureState, Tip,
+};
 pub use tissue::{NODES_MAX, Place, Tissue, Way};
 
 use nalgebra::{Isometry3, Point3, Vector3};

@@ -485,7 +485,8 @@ pub(super) fn touched(room: &Room, tied: &[Tied], contacts: &mut Vec<NeedleConta
 /// What strands on the needle came to at the end of a part.
 pub(super) fn crossed(room: &Room, tied: &[Tied], contacts: &mut Vec<StrandContact>) {
     let first = room.layout.strands;
-    let forces = (0..room.strands.len()).map(|index| (tied[first + index].force, room.directions[first + index]));
+    let forces =
+        (0..room.strands.len()).map(|index| (tied[first + index].force, room.directions[first + index]));
     strands::remember(&room.strands, forces, contacts);
 }
 

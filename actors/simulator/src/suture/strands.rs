@@ -87,7 +87,8 @@ pub(super) fn near(solid: &Solid, state: &SutureState, radius: f64, dt: f64, out
             nearest.distance_squared.sqrt() - radii
         };
         let own = (0..CHORDS).filter(|chord| !is_swage(solid, begin, *chord));
-        let best = own.map(|chord| (gap(chord), chord)).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let best =
+            own.map(|chord| (gap(chord), chord)).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         if let Some((gap, chord)) = best.filter(|(gap, _)| *gap < reach) {
             found.push((gap, Strand { edge, chord }));
         }
@@ -138,17 +139,17 @@ pub(super) fn contact(
         let nodes = [edge, edge + 1].into_iter().zip(&rows.cells[k]);
         let moved = nodes.map(|(node, cell)| {
             let by = of_start(node).map_or(Vector3::zeros(), |from| at.positions[node] - from);
-            cell[0] * by.x + cell[1] * by.y + cell[2] * by.z + cell[3] * at.turns.get(node).copied().unwrap_or(0.0)
+            cell[0] * by.x
+                + cell[1] * by.y
+                + cell[2] * by.z
+                + cell[3] * at.turns.get(node).copied().unwrap_or(0.0)
         });
         moved.sum::<f64>() - directions[k].dot(&carried)
     };
     let known = start.strand_contacts.iter().find(|known| known.edge as usize == edge);
     let drawn = known.map_or(Vector3::zeros(), |known| known.drawn);
-    let gap = [
-        away.norm() - material.radius - wire_radius,
-        t1.dot(&drawn) + slid(1),
-        t2.dot(&drawn) + slid(2),
-    ];
+    let gap =
+        [away.norm() - material.radius - wire_radius, t1.dot(&drawn) + slid(1), t2.dot(&drawn) + slid(2)];
     let force = known.map_or(Vector3::zeros(), |known| known.force);
     rows::strand(needle, &touching, rows, gap, FRICTION, &force)
 }
@@ -175,7 +176,8 @@ pub(super) fn passes(
         let swept = Sweep { from: [from[edge], from[edge + 1]], to: [to[edge], to[edge + 1]] };
         let ends = || swept.from.iter().chain(&swept.to);
         let beyond = |axis: usize| {
-            ends().all(|end| end[axis] < low[axis] - radius) || ends().all(|end| end[axis] > high[axis] + radius)
+            ends().all(|end| end[axis] < low[axis] - radius)
+                || ends().all(|end| end[axis] > high[axis] + radius)
         };
         if (0..3).any(beyond) {
             continue;

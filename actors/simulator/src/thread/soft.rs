@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
 
+use super::Trouble;
 use super::elastic::SurfacePlace;
 use super::island::companion::{Companion, Giving, Link};
-use super::Trouble;
 use crate::xpbd::company::{Guest, GuestMoved};
 
 /// Cosine of the angle between faces beyond which they meet in a ridge: 40°.
@@ -186,7 +186,8 @@ impl Companion for LyingOn<'_> {
                 }
                 for (k, direction) in directions.iter().enumerate() {
                     for (m, toward) in toward.iter().enumerate() {
-                        giving.compliance[(3 * column + m) * rows + 3 * row + k] = goes * direction.dot(toward);
+                        giving.compliance[(3 * column + m) * rows + 3 * row + k] =
+                            goes * direction.dot(toward);
                     }
                 }
             }

@@ -132,7 +132,10 @@ impl ThreadState {
     pub fn threads(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
         let last = self.positions.len().saturating_sub(1);
         let breaks = || (0..last).filter(|edge| self.rest_lengths[*edge] == 0.0);
-        std::iter::once(0).chain(breaks().map(|edge| edge + 1)).zip(breaks().chain([last])).map(<[usize; 2]>::from)
+        std::iter::once(0)
+            .chain(breaks().map(|edge| edge + 1))
+            .zip(breaks().chain([last]))
+            .map(<[usize; 2]>::from)
     }
 
     /// Where along the thread each node is, without strain, from the first one \[m\]; nodes of different threads are further

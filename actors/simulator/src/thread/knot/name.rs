@@ -187,7 +187,8 @@ pub fn identify_joined(threads: &[&[Point3<f64>]]) -> Result<Knot, KnotError> {
         return identify(one);
     }
     let places = threads.iter().flat_map(|thread| thread.iter());
-    let middle = places.clone().map(|at| at.coords).sum::<Vector3<f64>>() / places.clone().count().max(1) as f64;
+    let middle =
+        places.clone().map(|at| at.coords).sum::<Vector3<f64>>() / places.clone().count().max(1) as f64;
     let radius = places.map(|at| (at.coords - middle).norm()).fold(0.0, f64::max);
     let mut found: Vec<(Knot, usize)> = Vec::new();
     let mut error = None;
