@@ -268,7 +268,7 @@ impl Body {
             let fractions = [step, step + 1].map(|step| step as f64 / count);
             let elastic = self.tied.as_ref().and_then(Tied::elastic);
             if let Some(lying) = &mut self.lying {
-                lying.begin();
+                lying.begin(dt, 1.0 / (count - step as f64));
             }
             let of_elastic = elastic.map(|body| (body.positions(), body.triangles()));
             let (of_soft, soft) = self.lying.as_mut().map(LyingOn::parts).unzip();

@@ -13,7 +13,6 @@ use super::thread_obstacles::Yielding;
 use super::xpbd::XpbdBody;
 use crate::thread::ThreadState;
 use crate::thread::soft::SoftSurface;
-use crate::xpbd::company::{Company, Guest};
 
 /// Triangles that are nearer than this to the thread are listed before they are touched: who moves them tells in time what is
 /// to be expected \[m\].
@@ -26,7 +25,8 @@ pub struct LyingOn {
     partner: Partner,
     friction: f64,
     surface: SoftSurface,
-    guests: Vec<Guest>,
+    /// Of the way that nodes are behind, what they go in this step.
+    share: f64,
 }
 
 impl LyingOn {
@@ -47,7 +47,7 @@ impl LyingOn {
         let known = scene.get::<CouplingGiven>(thread.entity);
         let known = known.and_then(|known| known.to.iter().find(|to| to.body == Some(body.entity)));
         let partner = Partner::new(thread, &body, thread.radius, &rule, scene, known).map_err(told)?;
-        Ok(Self { partner, friction: on.friction, surface: SoftSurface::default(), guests: Vec::new() })
+        Ok(Self { partner, friction: on.friction, surface: SoftSurface::default(), share: 0.0 })
     }
 
     /// Which body.
@@ -68,7 +68,7 @@ impl LyingOn {
         self.partner.given.ghosts.furthest_behind()
     }
 
-    /// A tick begins: hears what the body tells, and puts its nodes where that says.
+    /// A tick begins: hears what the body tells.
     ///
     /// # Errors
     /// Why it cannot go on.
@@ -91,17 +91,17 @@ impl LyingOn {
         };
         self.partner.follow(&site)?;
         self.partner.hear(thread, &site)?;
-        self.guests.clear();
-        self.partner.given.ghosts.meet(&Company::default(), &[], &mut self.guests);
         Ok(())
     }
 
-    /// A step begins.
-    pub fn begin(&mut self) {
+    /// A step of `dt` \[s\] begins, in which nodes go such a share of the way that they are behind.
+    pub fn begin(&mut self, dt: f64, share: f64) {
+        self.share = if self.partner.is_wall { 0.0 } else { share };
         let is_wall = self.partner.is_wall;
-        let guests = self.partner.given.ghosts.guests();
-        let guests = guests.map(|guest| if is_wall { guest.as_wall() } else { guest });
-        self.surface.begin(guests, &self.partner.surface);
+        let ghosts = &self.partner.given.ghosts;
+        let guests = ghosts.guests().map(|guest| if is_wall { guest.as_wall() } else { guest });
+        let drift = ghosts.behind().iter().map(|behind| behind * (self.share / dt));
+        self.surface.begin(guests, drift, &self.partner.surface);
     }
 
     /// Nodes and triangles as an obstacle, and what gives way of it.
@@ -115,6 +115,7 @@ impl LyingOn {
         let given = &mut self.partner.given;
         if !self.partner.is_wall {
             given.ghosts.met(dt, self.surface.moved(), 0.0);
+            given.ghosts.caught_up(self.share);
         }
         near(state, given.ghosts.positions(), &self.partner.surface, &mut given.near);
     }

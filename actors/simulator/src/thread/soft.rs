@@ -35,16 +35,28 @@ pub struct SoftSurface {
     at: Vec<Point3<f64>>,
     /// Forces on the nodes \[N\].
     forces: Vec<Vector3<f64>>,
+    /// How fast each is put right in this step \[m/s\].
+    drift: Vec<Vector3<f64>>,
     /// How long the part is \[s\].
     part: f64,
     moved: Vec<GuestMoved>,
 }
 
 impl SoftSurface {
-    /// Has these nodes and triangles when a step begins: those of the obstacle, in their order.
-    pub fn begin(&mut self, guests: impl Iterator<Item = Guest>, triangles: &[[u32; 3]]) {
+    /// Has these nodes and triangles when a step begins: those of the obstacle, in their order. During the step each node is
+    /// moved at a velocity of `drift` \[m/s\], if there are any, beside what it does by itself: where it was taken to be may not
+    /// be where it is, and a surface that jumped could jump past the thread.
+    pub fn begin(
+        &mut self,
+        guests: impl Iterator<Item = Guest>,
+        drift: impl Iterator<Item = Vector3<f64>>,
+        triangles: &[[u32; 3]],
+    ) {
+        self.drift.clear();
+        self.drift.extend(drift);
         self.now.clear();
         self.now.extend(guests);
+        self.drift.resize(self.now.len(), Vector3::zeros());
         self.start.clear();
         self.start.extend(self.now.iter().map(|guest| guest.position));
         self.began.clone_from(&self.start);
@@ -150,11 +162,11 @@ impl Companion for LyingOn<'_> {
         soft.free.clear();
         soft.yields.clear();
         soft.began.clear();
-        for guest in &soft.now {
+        for (guest, drift) in soft.now.iter().zip(&soft.drift) {
             let mut alone = *guest;
             alone.go(dt, &Vector3::zeros());
             soft.began.push(guest.position);
-            soft.free.push(alone.position);
+            soft.free.push(alone.position + drift * dt);
             soft.yields.push(guest.mobility / (1.0 + dt * dt * guest.stiffness * guest.mobility) * dt * dt);
         }
         soft.at.clone_from(&soft.free);
@@ -210,9 +222,11 @@ impl Companion for LyingOn<'_> {
     fn finish(&mut self, links: &[Link], forces: &[[f64; 3]]) {
         let soft = &mut *self.surface;
         soft.gather(links, forces);
-        for ((guest, force), moved) in soft.now.iter_mut().zip(&soft.forces).zip(&mut soft.moved) {
+        let of_nodes = soft.now.iter_mut().zip(&soft.forces).zip(&soft.drift).zip(&mut soft.moved);
+        for (((guest, force), drift), moved) in of_nodes {
             let impulse = force * soft.part;
             guest.go(soft.part, &impulse);
+            guest.position += drift * soft.part;
             moved.impulse += impulse;
             moved.work += impulse.dot(&guest.velocity);
         }
