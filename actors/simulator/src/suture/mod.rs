@@ -7,6 +7,7 @@
 //! | What holds, presses and rubs, as rows | `rows.rs` |
 //! | Needle and tissue as companions in the thread's island | `sewing.rs` |
 //! | The needle's side and the thread on the surface | `surface.rs` |
+//! | Strands of the thread on the needle | `strands.rs` |
 //! | The tip at and in the tissue: in, on, out, back | `tip.rs` |
 //! | What is kept from step to step | `state.rs` |
 //!
@@ -22,11 +23,12 @@
 //!
 //! Needle and tissue are companions of the thread in its island ([`thread`](crate::thread)): what holds all three together is
 //! solved for in the problem of the thread's own contacts. So a sewn thread touches itself, the surface of the tissue and what
-//! is around it as any thread does, and is tied as one. The needle's side stays out of the surface as well.
+//! is around it as any thread does, and is tied as one. The needle's side stays out of the surface as well, and strands of its
+//! thread out of the needle.
 //!
 //! # Limits
-//! Tissue is stiffer by nothing where it has been cut, and the channel is as wide as what is in it. The needle does not touch
-//! its own thread, nor anything but tissue and the jaws that hold it. Next to a hole, as far as one place of the channel from
+//! Tissue is stiffer by nothing where it has been cut, and the channel is as wide as what is in it. The needle touches
+//! nothing but tissue, its own thread and the jaws that hold it; of its thread not what comes out of the swage. Next to a hole, as far as one place of the channel from
 //! the next, thread and needle do not touch the surface. Small displacements of the tissue only: see
 //! [`ROTATION_LIMIT`](crate::linear_fem::ROTATION_LIMIT).
 
