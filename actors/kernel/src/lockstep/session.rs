@@ -396,7 +396,8 @@ impl LockstepSession {
         let ticked = slot.tick(number, self.now, self.core.view(), &self.registry);
         let lived = !matches!(ticked, Ticked::Died(_));
         if lived {
-            slot.stats.ran(self.now, SimTime::ZERO, SimTime::from(begun.elapsed()));
+            let took = begun.elapsed().saturating_sub(std::mem::take(&mut slot.beside));
+            slot.stats.ran(self.now, SimTime::ZERO, SimTime::from(took));
             slot.stats.found(match &ticked {
                 Ticked::Ready(batch) => batch.commands.listed(),
                 _ => None,

@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use trocar_scene::{
     Batch, Commands, Controller, ControllerError, Entity, EntityAllocator, Events, JobOutput, Jobs,
@@ -111,6 +112,8 @@ pub(super) struct Slot {
     pub(super) epoch: u32,
     jobs: Jobs,
     deliveries: Vec<Delivery>,
+    /// What the jobs of the last step took: live they run beside it.
+    pub(super) beside: Duration,
     pub(super) cursor: u64,
     spare: Option<Box<Batch>>,
     /// The step that is not over yet.
@@ -160,6 +163,7 @@ impl Slot {
             epoch: 0,
             jobs: Jobs::default(),
             deliveries: Vec::new(),
+            beside: Duration::ZERO,
             cursor: 0,
             spare: None,
             pending: None,
@@ -385,12 +389,14 @@ impl Slot {
 
     /// Jobs run here and now, however long they are, and are delivered when they said they would be.
     fn take_jobs(&mut self, now: SimTime) {
+        let begun = Instant::now();
         while let Some(job) = self.jobs.next_submitted() {
             // A job that panics delivers nothing, as one that never ends.
             if let Ok(output) = guarded(job.work) {
                 self.deliveries.push(Delivery { at: now + job.takes, key: job.key, output });
             }
         }
+        self.beside = begun.elapsed();
     }
 }
 

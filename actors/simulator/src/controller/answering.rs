@@ -7,6 +7,7 @@ use trocar_scene::{Access, Commands, Entity, EntitySet, Snapshot};
 use super::coupling::{CoupledBody, CouplingGiven, CouplingTaken, GivenTo, TakenFrom};
 use super::deformable::Deformable;
 use super::soft::Site;
+use super::thread_body::ThreadBody;
 
 /// What is to be expected of the next step of a body.
 #[derive(Clone, Debug, Default)]
@@ -40,6 +41,8 @@ impl Answering {
             .filter(|(_, coupled)| names(coupled))
             .map(|(giver, _)| giver)
             .collect();
+        let on_it = |thread: &ThreadBody| thread.lies_on.as_ref().is_some_and(|lies| lies.body == body.name);
+        givers.extend(scene.iter::<ThreadBody>().filter(|(_, thread)| on_it(thread)).map(|(giver, _)| giver));
         givers.sort_unstable();
         if givers.is_empty() {
             return None;
@@ -61,6 +64,7 @@ impl Answering {
     pub fn access(access: Access, bodies: &[Entity]) -> Access {
         access
             .reads::<CoupledBody>()
+            .reads::<ThreadBody>()
             .reads::<CouplingGiven>()
             .writes::<CouplingTaken>(EntitySet::Of(bodies.to_vec()))
     }

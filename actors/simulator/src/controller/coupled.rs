@@ -26,18 +26,18 @@ use crate::xpbd::company::{Company, CompanyMoved, Guest, GuestMoved, Press, Tie}
 const STALE: f64 = 0.5;
 
 /// One of the bodies that a body is coupled with.
-struct Partner {
-    entity: Entity,
+pub(super) struct Partner {
+    pub(super) entity: Entity,
     rule: CoupledWith,
-    given: GivenTo,
+    pub(super) given: GivenTo,
     /// The ghost of each vertex that has one.
     ghost_of: BTreeMap<u32, u32>,
     tets: Arc<Vec<[u32; 4]>>,
     triangles: Arc<Vec<[u32; 3]>>,
     /// Its surface by ghosts, if the body lies on it.
-    surface: Vec<[u32; 3]>,
+    pub(super) surface: Vec<[u32; 3]>,
     lying: Option<Lying>,
-    is_wall: bool,
+    pub(super) is_wall: bool,
     /// By ghosts.
     ties: Vec<Tie>,
     presses: Vec<Press>,
@@ -210,7 +210,7 @@ impl Coupled {
 }
 
 /// The body that a rule names.
-fn other(body: &Deformable, rule: &CoupledWith, scene: &Snapshot) -> Result<Deformable, String> {
+pub(super) fn other(body: &Deformable, rule: &CoupledWith, scene: &Snapshot) -> Result<Deformable, String> {
     let entity = scene.find(&rule.body).ok_or("the scene has no such entity")?;
     if entity == body.entity {
         return Err("that is itself".into());
@@ -227,7 +227,7 @@ fn other(body: &Deformable, rule: &CoupledWith, scene: &Snapshot) -> Result<Defo
 }
 
 impl Partner {
-    fn new(
+    pub(super) fn new(
         body: &Deformable,
         other: &Deformable,
         thickness: f64,
@@ -323,7 +323,7 @@ impl Partner {
     }
 
     /// Looks whether the other body has come apart.
-    fn follow(&mut self, site: &Site<'_>) -> Result<(), String> {
+    pub(super) fn follow(&mut self, site: &Site<'_>) -> Result<(), String> {
         let scene = site.scene;
         let (Some(volume), Some(surface)) =
             (scene.get::<TetMesh>(self.entity), scene.get::<SurfaceMesh>(self.entity))
@@ -342,7 +342,7 @@ impl Partner {
     }
 
     /// Hears what the other body tells of its last step.
-    fn hear(&mut self, me: Entity, site: &Site<'_>) -> Result<(), String> {
+    pub(super) fn hear(&mut self, me: Entity, site: &Site<'_>) -> Result<(), String> {
         let scene = site.scene;
         self.is_wall = true;
         let Some(told) = scene.get::<CouplingTaken>(self.entity) else { return Ok(()) };

@@ -1,8 +1,8 @@
 //! Which knot a thread on a scene is tied into: its name, its throws in their order and with their hands, and what tells it
 //! from others.
 //!
-//! Threads are looked at now and then. What knot it is, and which throws it is the sum of, is told at once; the order of
-//! throws that are not all alike takes many looks ([`Reading`]), of which no tick does more than one.
+//! What knot it is, and which throws it is the sum of, one look tells; the order of throws that are not all alike takes many
+//! ([`Reading`]). [`KnotWatch`](super::knot_watch::KnotWatch) says when.
 
 use std::collections::BTreeMap;
 
@@ -10,12 +10,8 @@ use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError};
 
-use crate::thread::knot::{KnotKind, Reading, Throw, identify, notation};
+use crate::thread::knot::{KnotKind, Reading, Throw, identify_joined, notation};
 
-/// Ticks from one look at its knot to the next.
-const KNOT_EVERY: u64 = 50;
-/// Ticks from one look at the order of its throws to the next.
-const READ_EVERY: u64 = 10;
 /// Throws of a knot at most.
 const THROWS_MAX: usize = 8;
 
@@ -69,45 +65,24 @@ impl Component for KnotState {
     }
 }
 
-/// What a look has changed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Looked {
-    /// It has to be written.
-    pub changed: bool,
-    /// It is another knot than before.
-    pub is_another: bool,
-}
-
 impl KnotState {
-    /// Looks at a thread in tick `number`, if it is one for that.
-    pub fn look(&mut self, points: &[Point3<f64>], number: u64) -> Looked {
-        if number % KNOT_EVERY == 1 {
-            let found = Self::of(points);
-            let is_another = !self.is_same(&found);
-            if is_another {
-                *self = found;
-            }
-            return Looked { changed: is_another, is_another };
-        }
-        let Some(reading) = self.reading.as_mut().filter(|_| number.is_multiple_of(READ_EVERY)) else {
-            return Looked::default();
-        };
+    /// One look further at the order of its throws; `None` where they do not come undone one by one as they lie.
+    pub(super) fn read_on(mut self, points: &[Point3<f64>]) -> Option<Self> {
+        let reading = self.reading.as_mut()?;
         if !reading.look(points) {
-            // Throws that are mingled do not come undone one by one: perhaps when they have been drawn tight.
-            let now = Self::of(points);
-            if self.is_same(&now) {
-                self.reading = now.reading;
-            }
-        } else if reading.is_done() {
+            return None;
+        }
+        if reading.is_done() {
             let throws = reading.throws();
             self.reading = None;
             self.order(&throws);
         }
-        Looked { changed: true, is_another: false }
+        Some(self)
     }
 
-    fn of(points: &[Point3<f64>]) -> Self {
-        let Ok(knot) = identify(points) else {
+    /// Of threads through these nodes, joined one to the other \[m\]; the order of throws is read of one alone.
+    pub(super) fn of(threads: &[&[Point3<f64>]]) -> Self {
+        let Ok(knot) = identify_joined(threads) else {
             return Self { code: knot_code(None), ..Self::default() };
         };
         let reading = Reading::new(&knot.kind);
@@ -123,7 +98,7 @@ impl KnotState {
         };
         if reading.is_done() {
             state.order(&throws);
-        } else {
+        } else if threads.len() == 1 {
             state.reading = Some(reading);
         }
         state
@@ -137,7 +112,7 @@ impl KnotState {
     }
 
     /// Whether they are the same knot, and the sum of the same throws.
-    fn is_same(&self, other: &Self) -> bool {
+    pub(super) fn is_same(&self, other: &Self) -> bool {
         let sorted = |throws: &[i32]| {
             let mut sorted = throws.to_vec();
             sorted.sort_unstable();

@@ -15,6 +15,7 @@ use trocar_scene::{
 use super::deformable::Deformable;
 use super::grips::{CLOSED, holds};
 use super::knot_state::KnotState;
+use super::knot_watch::KnotWatch;
 use super::suture_body::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};
 use super::thread_edges::{EDGES_EVERY, fineness, follow, held};
 use super::thread_grips::{Leading, Pull, SPARED, pulls, update};
@@ -49,7 +50,7 @@ pub struct SutureController {
     kind: SutureNeedle,
     suture: Suture,
     memory: SutureMemory,
-    knot: KnotState,
+    knot: KnotWatch,
     has_knot: bool,
     report: SutureReport,
     /// Of the tissue.
@@ -118,7 +119,7 @@ impl SutureController {
             kind,
             suture,
             memory,
-            knot: scene.get::<KnotState>(*needle).cloned().unwrap_or_default(),
+            knot: KnotWatch::new(scene.get::<KnotState>(*needle), 0),
             has_knot: false,
             report: SutureReport::default(),
             deformation: Deformation::default(),
@@ -275,7 +276,7 @@ impl SutureController {
         if let Some(thread) = &self.suture.state().thread {
             let forces = self.suture.hold_forces();
             self.pulls = pulls(&mut self.memory.grips, &self.parts, scene, thread, forces);
-            let looked = self.knot.look(&thread.positions, tick.number);
+            let looked = self.knot.look(thread, self.suture.thread_radius(), tick)?;
             self.has_knot &= !looked.changed;
             if looked.is_another {
                 self.memory.loop_min = None;
@@ -343,7 +344,7 @@ impl SutureController {
         out.put(line, self.memory.clone());
         if !self.has_knot {
             self.has_knot = true;
-            out.put(line, self.knot.clone());
+            out.put(line, self.knot.state().clone());
         }
     }
 
@@ -388,7 +389,7 @@ impl SutureController {
         // Of an element that is inside out it is infinite.
         put("tissue_strain_max", self.deformation.strain.min(1e3));
         put("frozen", f64::from(u8::from(self.frozen)));
-        self.knot.measure(name, &mut measured.values);
+        self.knot.state().measure(name, &mut measured.values);
     }
 }
 

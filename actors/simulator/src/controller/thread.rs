@@ -6,6 +6,7 @@
 //! told. Instruments feel what the thread exerts on their rods, and what it pulls at their jaws. An elastic body that a
 //! thread is tied around is stepped with it ([`Tied`]).
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Vector3};
@@ -15,13 +16,17 @@ use trocar_scene::{
     Instrument, JawState, Measured, Pose, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
 };
 
+use super::coupled::Coupled;
 use super::deformable::Deformable;
 use super::knot_state::KnotState;
+use super::knot_watch::KnotWatch;
 use super::refused::{Refused, Still};
 use super::soft::finite_vertices;
 use super::thread_body::ThreadBody;
 use super::thread_edges::{EDGES_EVERY, adapt};
 use super::thread_grips::{Leading, Pull, pulls, update};
+use super::thread_lines::Lines;
+use super::thread_lying::LyingOn;
 use super::thread_memory::{Met, ThreadMemory};
 use super::thread_obstacles::{Form, Part, Parts};
 use super::thread_tied::{Tied, TiedBody};
@@ -31,12 +36,13 @@ use crate::linear_fem::Cache;
 use crate::thread::{Elastic, Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
 
 struct Body {
-    body: Deformable,
+    lines: Lines,
     kind: ThreadBody,
     thread: Thread,
     tied: Option<Tied>,
+    lying: Option<LyingOn>,
     memory: ThreadMemory,
-    knot: KnotState,
+    knot: KnotWatch,
     /// Whether the scene has that already.
     has_knot: bool,
     parts: Parts,
@@ -45,8 +51,6 @@ struct Body {
     /// On each part, the mean over the last tick.
     reactions: Vec<Reaction>,
     pulls: Vec<(Entity, Pull)>,
-    /// Whether the scene has its line already.
-    has_line: bool,
     frozen: bool,
 }
 
@@ -70,12 +74,29 @@ impl ThreadController {
         context: &BuildContext<'_>,
     ) -> Result<Self, ControllerError> {
         let (mut bodies, mut refused): (Vec<Body>, Vec<Refused>) = (Vec::new(), Vec::new());
-        for entity in Deformable::carriers::<ThreadBody>(context.scene) {
+        let carriers = Deformable::carriers::<ThreadBody>(context.scene);
+        let kinds = carriers.iter().filter_map(|entity| context.scene.get::<ThreadBody>(*entity));
+        let named: BTreeMap<&String, usize> =
+            kinds.flat_map(|kind| &kind.together_with).fold(BTreeMap::new(), |mut named, name| {
+                *named.entry(name).or_default() += 1;
+                named
+            });
+        for entity in carriers {
             let Some(kind) = context.scene.get::<ThreadBody>(entity) else { continue };
             let name = context.scene.name(entity);
+            match named.get(&name) {
+                // It goes with the one that names it.
+                Some(1) if kind.together_with.is_empty() => continue,
+                Some(1) | None => {}
+                Some(_) => {
+                    let why = format!("together_with: '{name}' is named by several threads");
+                    return Err(ControllerError::Scene(why));
+                }
+            }
             let wrong = |why| ControllerError::Scene(format!("'{name}': {why}"));
-            let built = Deformable::read(context.scene, entity)
-                .and_then(|body| Body::new(kind.clone(), body, context.scene).map_err(wrong));
+            let built = Deformable::read(context.scene, entity).and_then(|body| {
+                Body::new(kind.clone(), body, context.scene, bodies.len() as u64).map_err(wrong)
+            });
             let built = match built {
                 Ok(built) => built,
                 Err(error) => {
@@ -99,10 +120,11 @@ impl ThreadController {
 impl Controller for ThreadController {
     fn access(&self) -> Access {
         let refused = self.refused.iter().map(|body| body.entity);
-        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
+        let bodies: Vec<Entity> =
+            self.bodies.iter().flat_map(|body| body.lines.entities()).chain(refused).collect();
         let around = self.bodies.iter().filter_map(|body| body.tied.as_ref()).map(Tied::entity);
         let moved: Vec<Entity> = bodies.iter().copied().chain(around).collect();
-        Deformable::access(&moved)
+        Coupled::access(Deformable::access(&moved), &bodies)
             .reads::<ThreadBody>()
             .reads::<TiedBody>()
             .reads::<Pose>()
@@ -123,7 +145,7 @@ impl Controller for ThreadController {
         let mut measured = Measured::default();
         let mut depth_max = 0.0_f64;
         for (index, body) in self.bodies.iter_mut().enumerate() {
-            let world_from_thread = scene.world_pose(body.body.entity);
+            let world_from_thread = scene.world_pose(body.lines.first().entity);
             body.reactions.clear();
             body.pulls.clear();
             if !body.frozen {
@@ -141,7 +163,7 @@ impl Controller for ThreadController {
                     Ok(Some(())) => {
                         body.write(out);
                         let told = Told {
-                            thread: body.body.entity,
+                            thread: body.lines.first().entity,
                             world_from_thread,
                             parts: &body.parts,
                             reactions: &body.reactions,
@@ -154,7 +176,7 @@ impl Controller for ThreadController {
                     Ok(None) => {}
                     Err(why) => {
                         body.frozen = true;
-                        body.body.freeze(&why, tick, out);
+                        body.lines.freeze(&why, tick, out);
                     }
                 }
             }
@@ -171,45 +193,36 @@ impl Controller for ThreadController {
 }
 
 impl Body {
-    fn new(kind: ThreadBody, mut body: Deformable, scene: &Snapshot) -> Result<Self, String> {
-        let chain = |(edge, ends): (usize, &[u32; 2])| *ends == [edge as u32, edge as u32 + 1];
-        if body.segments.is_empty() || !body.segments.iter().enumerate().all(chain) {
-            return Err(
-                "its line is not one thread from its first vertex to its last: give it a mesh of a line"
-                    .into(),
-            );
-        }
-        let material = kind.material();
-        body.radius = material.radius;
-        let known = scene.get::<ThreadMemory>(body.entity);
-        let thread = match known {
-            Some(memory) => Thread::restore(material, memory.state(&body.positions, &body.velocities)),
-            None => {
-                let laid = kind.nodes()?;
-                if let Some(nodes) = &laid {
-                    body.lie(nodes.clone());
-                }
-                Thread::new(material, &body.positions)
-            }
-        };
+    fn new(kind: ThreadBody, body: Deformable, scene: &Snapshot, index: u64) -> Result<Self, String> {
+        let entity = body.entity;
+        let known = scene.get::<ThreadMemory>(entity);
+        let lines = Lines::read(&kind, body, scene)?;
+        let thread = lines.thread(&kind, known);
         let tied = kind.tied_around.as_ref().map(|name| Tied::new(name, scene)).transpose()?;
-        let parts = Parts::around(tied.as_ref().map(|tied| (tied.entity(), tied.kind.friction)));
+        let lying = match &kind.lies_on {
+            Some(on) => Some(LyingOn::new(on, lines.first(), scene)?),
+            None => None,
+        };
+        let parts = match &lying {
+            Some(lying) => Parts::on(lying.entity(), lying.friction()),
+            None => Parts::around(tied.as_ref().map(|tied| (tied.entity(), tied.kind.friction))),
+        };
         Ok(Self {
             thread: thread.map_err(|error| error.to_string())?,
             tied,
+            lying,
             memory: known
                 .cloned()
                 .unwrap_or_else(|| ThreadMemory { loop_min: -1.0, ..ThreadMemory::default() }),
-            knot: scene.get::<KnotState>(body.entity).cloned().unwrap_or_default(),
+            knot: KnotWatch::new(scene.get::<KnotState>(entity), index),
             has_knot: known.is_some(),
-            has_line: known.is_some(),
-            frozen: scene.get::<Frozen>(body.entity).is_some(),
+            frozen: scene.get::<Frozen>(entity).is_some(),
             parts,
             leading: Leading::default(),
             report: ThreadReport::default(),
             reactions: Vec::new(),
             pulls: Vec::new(),
-            body,
+            lines,
             kind,
         })
     }
@@ -241,26 +254,32 @@ impl Body {
             self.memory.loop_min = -1.0;
         }
         if self.kind.adaptive && tick.number.is_multiple_of(EDGES_EVERY) {
-            let changed = adapt(&self.kind, &mut self.thread, &mut self.body, &mut self.memory.grips)?;
-            self.has_line &= !changed;
+            adapt(&self.kind, &mut self.thread, &mut self.lines, &mut self.memory.grips)?;
         }
         self.leading.spare(&self.memory.grips, &self.parts, self.thread.state());
         let count = (period / self.kind.step - 1e-9).ceil().max(1.0);
         let dt = period / count;
         self.reactions.resize(self.parts.list.len(), Reaction::default());
+        if let Some(lying) = &mut self.lying {
+            lying.meet(self.lines.first().entity, world_from_thread, scene, tick)?;
+        }
         let mut report = ThreadReport::default();
         for step in 0..count as usize {
             let fractions = [step, step + 1].map(|step| step as f64 / count);
             let elastic = self.tied.as_ref().and_then(Tied::elastic);
+            if let Some(lying) = &mut self.lying {
+                lying.begin(dt, 1.0 / (count - step as f64));
+            }
+            let of_elastic = elastic.map(|body| (body.positions(), body.triangles()));
+            let (of_soft, soft) = self.lying.as_mut().map(LyingOn::parts).unzip();
+            let yielding = of_elastic.or(of_soft);
             let obstacles: Vec<Obstacle<'_>> =
-                self.parts.list.iter().map(|part| part.obstacle(fractions, elastic)).collect();
+                self.parts.list.iter().map(|part| part.obstacle(fractions, yielding)).collect();
             self.leading.holds.clear();
             self.leading.twist_holds.clear();
             self.leading.add(&self.memory.grips, &self.parts, scene, fractions[1]);
-            let rest = &self.body.rest;
-            self.leading
-                .holds
-                .extend(self.body.pinned.iter().map(|&node| Hold::fixed(node as usize, rest[node as usize])));
+            let anchored = self.lines.anchored().iter();
+            self.leading.holds.extend(anchored.map(|&(node, place)| Hold::fixed(node, place)));
             let around = Surroundings {
                 gravity,
                 holds: &self.leading.holds,
@@ -270,7 +289,14 @@ impl Body {
                 spared: &self.leading.spared,
                 elastic: elastic.map(|body| Elastic { obstacle: 0, body }),
             };
-            let done = self.thread.step(dt, &around).map_err(|error| error.to_string())?;
+            let done = match soft {
+                Some(surface) => self.thread.step_on(dt, &around, 0, surface),
+                None => self.thread.step(dt, &around),
+            };
+            let done = done.map_err(|error| error.to_string())?;
+            if let Some(lying) = &mut self.lying {
+                lying.met(dt, self.thread.state());
+            }
             if let Some(tied) = &mut self.tied {
                 tied.deform(self.thread.presses());
             }
@@ -291,7 +317,7 @@ impl Body {
         self.memory.met.clear();
         self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
         self.memory.penetration_max = self.memory.penetration_max.max(report.penetration_max);
-        self.look(tick.number);
+        self.look(tick)?;
         if let Some(tied) = &mut self.tied
             && tied.settle(tick.number)?
         {
@@ -314,8 +340,8 @@ impl Body {
     }
 
     /// Which knot it is, and how long its loop has been at the shortest since.
-    fn look(&mut self, number: u64) {
-        let looked = self.knot.look(self.thread.positions(), number);
+    fn look(&mut self, tick: &Tick<'_>) -> Result<(), String> {
+        let looked = self.knot.look(self.thread.state(), self.thread.material().radius, tick)?;
         self.has_knot &= !looked.changed;
         if looked.is_another {
             self.memory.loop_min = -1.0;
@@ -324,34 +350,33 @@ impl Body {
             let (now, least) = (strands.loop_length(), self.memory.loop_min);
             self.memory.loop_min = if least < 0.0 { now } else { least.min(now) };
         }
+        Ok(())
     }
 
     fn write(&mut self, out: &mut Commands) {
-        if !self.has_line {
-            self.has_line = true;
-            out.put(
-                self.body.entity,
-                LineMesh { segments: self.body.segments.clone(), radius: self.body.radius },
-            );
-        }
+        let entity = self.lines.first().entity;
         if !self.has_knot {
             self.has_knot = true;
-            out.put(self.body.entity, self.knot.clone());
+            out.put(entity, self.knot.state().clone());
         }
-        let state = self.thread.state();
-        self.body.write(&state.positions, &state.velocities, out);
-        out.put(self.body.entity, self.memory.clone());
+        self.lines.write(self.thread.state(), out);
+        out.put(entity, self.memory.clone());
         if let Some(tied) = &mut self.tied {
             tied.write(out);
+        }
+        if let Some(lying) = &self.lying {
+            lying.publish(entity, out);
         }
     }
 
     fn measure(&self, measured: &mut Measured) {
+        let (name, state) = (&self.lines.first().name, self.thread.state());
+        for (name, tension) in self.lines.tensions(state) {
+            measured.values.insert(format!("{name}.tension_n"), tension);
+        }
         let mut put = |what: &str, value: f64| {
-            measured.values.insert(format!("{}.{what}", self.body.name), value);
+            measured.values.insert(format!("{name}.{what}"), value);
         };
-        let state = self.thread.state();
-        put("tension_n", state.tensions.iter().copied().fold(0.0, f64::max));
         put("held_nodes", self.memory.grips.iter().map(|grip| grip.nodes.len()).sum::<usize>() as f64);
         put("held_force_n", self.pulls.iter().map(|(_, pull)| pull.force.norm()).sum());
         put("contact_force_n", self.reactions.iter().map(|reaction| reaction.force.norm()).sum());
@@ -363,7 +388,11 @@ impl Body {
         put("contacts", self.report.contacts as f64);
         put("iterations", self.report.iterations as f64);
         put("frozen", f64::from(u8::from(self.frozen)));
-        self.knot.measure(&self.body.name, &mut measured.values);
+        if let Some(lying) = &self.lying {
+            put("lying_force_n", self.reactions.first().map_or(0.0, |reaction| reaction.force.norm()));
+            put("coupling_behind_m", lying.behind());
+        }
+        self.knot.state().measure(name, &mut measured.values);
         if let Some(tied) = &self.tied {
             let pressing = state.contacts.iter().filter(|contact| contact.key.with == 1);
             let tension = |edge: u32| state.tensions.get(edge as usize).copied().unwrap_or(0.0);

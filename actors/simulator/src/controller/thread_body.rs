@@ -12,6 +12,8 @@ use crate::thread::{NODES_MAX, ThreadMaterial};
 /// Throws of a thread that is laid tied, and places that one goes through, at most.
 const THROWS_MAX: usize = 8;
 const PLACES_MAX: usize = 1000;
+/// Threads that one can touch at most.
+const THREADS_MAX: usize = 8;
 
 /// Sutures by name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -101,6 +103,24 @@ pub enum Laid {
     },
 }
 
+/// A soft body that a thread lies on, or is drawn around.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LiesOn {
+    /// Its name. It is moved by `dynamic_fem`.
+    pub body: String,
+    /// Coulomb's coefficient of the thread on it.
+    #[serde(default = "LiesOn::friction")]
+    pub friction: f64,
+}
+
+impl LiesOn {
+    /// Chosen, as between instruments and tissue.
+    fn friction() -> f64 {
+        0.3
+    }
+}
+
 /// A suture thread: it needs a mesh of a line, and `anchors` where it is to be held.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -123,6 +143,11 @@ pub struct ThreadBody {
     pub adaptive: bool,
     /// How it lies at the beginning.
     pub laid: Option<Laid>,
+    /// Names of other threads that it can touch and be tied to, each of which carries a `thread` as well: of the same material
+    /// and at the same pose. They are stepped with it in one problem, by what this one says of steps, edges and tools.
+    pub together_with: Vec<String>,
+    /// What soft body it lies on or is drawn around that another controller moves.
+    pub lies_on: Option<LiesOn>,
     /// The name of the elastic body that it is drawn or tied around, which carries `tied`. It is stepped with the thread.
     pub tied_around: Option<String>,
 }
@@ -139,6 +164,8 @@ impl Default for ThreadBody {
             edges: [1.5, 2e-3],
             adaptive: false,
             laid: None,
+            together_with: Vec::new(),
+            lies_on: None,
             tied_around: None,
         }
     }
@@ -161,6 +188,13 @@ impl Component for ThreadBody {
         ComponentError::range("step", self.step, 1e-5..=crate::thread::STEP_MAX, "1e-5 to 2e-3 s")?;
         ComponentError::range("edges[0]", self.edges[0], 0.5..=20.0, "0.5 to 20 diameters")?;
         ComponentError::range("edges[1]", self.edges[1], 1e-4..=0.05, "1e-4 to 0.05 m")?;
+        if let Some(lies) = &self.lies_on {
+            ComponentError::range("lies_on.friction", lies.friction, 0.0..=10.0, "0 to 10")?;
+            let around = f64::from(u8::from(self.tied_around.is_some()));
+            ComponentError::range("lies_on", around, 0.0..=0.0, "not beside 'tied_around'")?;
+        }
+        let others = self.together_with.len() as f64;
+        ComponentError::range("together_with", others, 0.0..=THREADS_MAX as f64, "at most 8 threads")?;
         match &self.laid {
             None => Ok(()),
             Some(Laid::Through { places }) => {

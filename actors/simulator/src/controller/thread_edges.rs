@@ -3,9 +3,9 @@
 
 use nalgebra::Point3;
 
-use super::deformable::Deformable;
 use super::thread_body::ThreadBody;
 use super::thread_grips::Grip;
+use super::thread_lines::Lines;
 use crate::thread::{Fineness, Renumbered, Thread};
 
 /// Ticks from one look at the edges to the next.
@@ -24,17 +24,17 @@ const NODES_MAX: usize = 1024;
 pub fn adapt(
     kind: &ThreadBody,
     thread: &mut Thread,
-    body: &mut Deformable,
+    lines: &mut Lines,
     grips: &mut [Grip],
 ) -> Result<bool, String> {
     let fineness = fineness(kind.edges, thread.material().diameter());
-    let pinned = body.pinned.iter().map(|node| *node as usize);
+    let pinned = lines.anchored().iter().map(|(node, _)| *node);
     let keep: Vec<usize> = held(grips).chain(pinned).collect();
     let Some(now) = thread.adapt(&fineness, &keep).map_err(|error| error.to_string())? else {
         return Ok(false);
     };
     follow(grips, &now);
-    body.lie(rest(&body.rest, &now));
+    lines.lie(&rest(&lines.rest(), &now), thread.state());
     Ok(true)
 }
 

@@ -103,6 +103,7 @@ fn taken(
 ) -> Option<Grip> {
     let ([_, pose], [Some(a), Some(b)]) = parts.instrument(entity)? else { return None };
     let edges = state.positions.len() - 1;
+    let joined = |edge: &usize| state.joins(*edge);
     let touched = [(a, -1.0), (b, 1.0)].map(|(jaw, inwards)| {
         let Some(rod) = parts.list[jaw].rod else { return Vec::new() };
         let touches = |edge: &usize| {
@@ -115,7 +116,7 @@ fn taken(
             let between = pose.rotation.inverse_transform_vector(&away).x * inwards > 0.7 * distance;
             between && distance - rod.radius - radius < 0.2 * radius + way
         };
-        (0..edges).filter(touches).collect::<Vec<usize>>()
+        (0..edges).filter(joined).filter(touches).collect::<Vec<usize>>()
     });
     let [first, second] = touched;
     let beside = |edge: &usize, others: &[usize]| others.iter().any(|other| other.abs_diff(*edge) <= BESIDE);
@@ -134,7 +135,7 @@ fn taken(
         return None;
     }
     let edge = |pair: &[usize]| {
-        let edge = (pair[1] == pair[0] + 1).then_some(pair[0])?;
+        let edge = (pair[1] == pair[0] + 1 && state.joins(pair[0])).then_some(pair[0])?;
         let in_instrument = pose.rotation.inverse_transform_vector(&state.directors[edge]);
         Some(HeldEdge { edge: edge as u32, in_instrument })
     };
@@ -212,6 +213,9 @@ impl Leading {
                 let mut arc = 0.0;
                 edges
                     .take_while(|edge| {
+                        if !state.joins(*edge) {
+                            return false;
+                        }
                         arc += state.rest_lengths[*edge];
                         arc < SPARED
                     })

@@ -12,13 +12,15 @@ use trocar_scene::{
 
 use super::thread_memory::Met;
 use super::tools::{Rod, rods_of_all};
-use crate::thread::elastic::ElasticBody;
 use crate::thread::{ContactMemory, Obstacle, Shape};
 
 /// Where a frame was at the last tick, and where it is.
 pub type FrameFromTo = [Isometry3<f64>; 2];
 /// Which parts of the list the jaws of an instrument are; none that it has not.
 pub type JawParts = [Option<usize>; 2];
+
+/// Nodes and triangles of what gives way.
+pub type Yielding<'a> = (&'a [Point3<f64>], &'a [[u32; 3]]);
 
 /// How finely shapes that are none of the thread's own are made of triangles.
 const DETAIL: Detail = Detail { segments: 24, fine_segments: 8 };
@@ -32,7 +34,7 @@ pub enum Form {
     Capsule([Point3<f64>; 2], f64),
     /// A surface that keeps its form.
     Mesh(Arc<Vec<Point3<f64>>>, Arc<Vec<[u32; 3]>>),
-    /// The elastic body that the thread is tied around.
+    /// The body that gives way: which the thread is tied around, or lies on.
     Elastic,
 }
 
@@ -54,16 +56,15 @@ pub struct Part {
 }
 
 impl Part {
-    /// As the solver wants it, for a part of the tick; the elastic body as it is now.
+    /// As the solver wants it, for a part of the tick; the body that gives way by its nodes and triangles as they are now.
     #[must_use]
-    pub fn obstacle<'a>(&'a self, fractions: [f64; 2], elastic: Option<&'a ElasticBody>) -> Obstacle<'a> {
+    pub fn obstacle<'a>(&'a self, fractions: [f64; 2], yielding: Option<Yielding<'a>>) -> Obstacle<'a> {
         let shape = match &self.form {
             Form::Sphere(radius) => Shape::Sphere { radius: *radius },
             Form::Capsule(ends, radius) => Shape::Capsule { ends: *ends, radius: *radius },
             Form::Mesh(points, triangles) => Shape::Mesh { from: points, to: points, triangles, radius: 0.0 },
             Form::Elastic => {
-                let (points, triangles) =
-                    elastic.map_or((&[][..], &[][..]), |body| (body.positions(), body.triangles()));
+                let (points, triangles) = yielding.unwrap_or((&[][..], &[][..]));
                 let shape = Shape::Mesh { from: points, to: points, triangles, radius: 0.0 };
                 // In its place to the bit.
                 return Obstacle::fixed(shape, self.to, self.friction);
@@ -95,8 +96,10 @@ fn is_same(met: &Met, other: &Met) -> bool {
 pub struct Parts {
     /// In the same order for the same scene; the elastic body is the first.
     pub list: Vec<Part>,
-    /// What the thread is tied around, and Coulomb's coefficient on it.
+    /// What gives way, and Coulomb's coefficient on it.
     tied: Option<(Entity, f64)>,
+    /// Whether its nodes are in the frame of the thread, and not in its own.
+    is_in_frame: bool,
     /// What analytic shapes look like, as long as they are the same.
     forms: BTreeMap<Entity, (SceneShape, Form)>,
     rods: Vec<Rod>,
@@ -107,6 +110,12 @@ impl Parts {
     #[must_use]
     pub fn around(tied: Option<(Entity, f64)>) -> Self {
         Self { tied, ..Self::default() }
+    }
+
+    /// The same of one that lies on a body whose nodes are in its own frame.
+    #[must_use]
+    pub fn on(body: Entity, friction: f64) -> Self {
+        Self { tied: Some((body, friction)), is_in_frame: true, ..Self::default() }
     }
 
     /// Lists all parts as the scene has them. `known` are those of the last tick.
@@ -121,7 +130,9 @@ impl Parts {
         rods_of_all(scene, world_from_thread, &mut self.rods);
         let thread_from_world = world_from_thread.inverse();
         if let Some((entity, friction)) = self.tied {
-            let to = thread_from_world * scene.world_pose(entity);
+            let in_frame = self.is_in_frame;
+            let to =
+                if in_frame { Isometry3::identity() } else { thread_from_world * scene.world_pose(entity) };
             let met = Met { entity, part: 0, at: to };
             self.list.push(Part { met, to, form: Form::Elastic, friction, rod: None, jaw: None });
         }
@@ -134,7 +145,12 @@ impl Parts {
             let thread_from_tip = thread_from_world * scene.world_pose(entity);
             let jaws = if instrument.kind.has_jaws() { usize::from(instrument.jaws.min(2)) } else { 0 };
             let jaw = (1..=jaws).contains(&count).then(|| count - 1);
-            let angle = scene.get::<JawState>(entity).map_or(0.0, |jaws| jaws.angle);
+            let state = scene.get::<JawState>(entity);
+            if jaw.is_some() && state.is_none() {
+                // Nobody has said yet how far its jaws are open: taken for closed, they would crush what lies between them.
+                continue;
+            }
+            let angle = state.map_or(0.0, |jaws| jaws.angle);
             let to = match jaw {
                 Some(side) => {
                     thread_from_tip * instrument_from_hinge(instrument.jaw_length, [1.0, -1.0][side], angle)

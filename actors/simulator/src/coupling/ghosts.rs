@@ -182,6 +182,17 @@ impl Ghosts {
         self.behind.iter().map(|behind| behind.norm()).fold(0.0, f64::max)
     }
 
+    /// How far each has to go to be where its node is \[m\].
+    #[must_use]
+    pub fn behind(&self) -> &[Vector3<f64>] {
+        &self.behind
+    }
+
+    /// They have gone such a share of that within a step of the faster body, beside what [`met`](Self::met) is told of it.
+    pub fn caught_up(&mut self, share: f64) {
+        self.behind.iter_mut().for_each(|behind| *behind *= 1.0 - share);
+    }
+
     /// Takes what the slower body tells after a step.
     ///
     /// # Errors

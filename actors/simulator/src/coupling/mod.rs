@@ -11,6 +11,9 @@
 //! and what the ghosts were given beyond what the body received (passivity by a tank: Franken, Stramigioli, Misra, Secchi,
 //! Macchelli 2011). What the tank cannot pay is made up for later, and what it lacks is forgiven within half a second or so.
 //!
+//! A thread that lies on such a body has contacts far stiffer than those springs: its ghosts are put right at a velocity, within
+//! its own continuous tests, and not paid for (see [`soft`](crate::thread::soft)).
+//!
 //! Stiff groups do not belong on both sides of that: needle, thread and what they rub on are stepped as one island
 //! (see [`thread`](crate::thread)).
 

@@ -7,6 +7,7 @@
 //! | What holds, presses and rubs, as rows | `rows.rs` |
 //! | Needle and tissue as companions in the thread's island | `sewing.rs` |
 //! | The needle's side and the thread on the surface | `surface.rs` |
+//! | Strands of the thread on the needle | `strands.rs` |
 //! | The tip at and in the tissue: in, on, out, back | `tip.rs` |
 //! | What is kept from step to step | `state.rs` |
 //!
@@ -22,11 +23,12 @@
 //!
 //! Needle and tissue are companions of the thread in its island ([`thread`](crate::thread)): what holds all three together is
 //! solved for in the problem of the thread's own contacts. So a sewn thread touches itself, the surface of the tissue and what
-//! is around it as any thread does, and is tied as one. The needle's side stays out of the surface as well.
+//! is around it as any thread does, and is tied as one. The needle's side stays out of the surface as well, and strands of its
+//! thread out of the needle.
 //!
 //! # Limits
-//! Tissue is stiffer by nothing where it has been cut, and the channel is as wide as what is in it. The needle does not touch
-//! its own thread, nor anything but tissue and the jaws that hold it. Next to a hole, as far as one place of the channel from
+//! Tissue is stiffer by nothing where it has been cut, and the channel is as wide as what is in it. The needle touches
+//! nothing but tissue, its own thread and the jaws that hold it; of its thread not what comes out of the swage. Next to a hole, as far as one place of the channel from
 //! the next, thread and needle do not touch the surface. Small displacements of the tissue only: see
 //! [`ROTATION_LIMIT`](crate::linear_fem::ROTATION_LIMIT).
 
@@ -35,13 +37,16 @@ mod material;
 mod rows;
 mod sewing;
 mod state;
+mod strands;
 mod surface;
 mod tip;
 mod tissue;
 
 pub use error::SutureError;
 pub use material::Resistance;
-pub use state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, NeedleContact, SutureState, Tip};
+pub use state::{
+    BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, NeedleContact, StrandContact, SutureState, Tip,
+};
 pub use tissue::{NODES_MAX, Place, Tissue, Way};
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -236,10 +241,17 @@ impl Suture {
         let length = self.solid.shape().length();
         surface::nodes_in_tissue(&self.state, length, &self.resistance, &mut keep);
         let radius = self.thread_radius();
-        match &mut self.state.thread {
-            Some(thread) => Ok(thread.adapt(radius, fineness, &keep)?),
-            None => Ok(None),
+        let SutureState { thread, strand_contacts, .. } = &mut self.state;
+        let Some(thread) = thread else { return Ok(None) };
+        let renumbered = thread.adapt(radius, fineness, &keep)?;
+        if let Some(now) = &renumbered {
+            // Which part of an edge that was divided touched is not known: the first takes over what is remembered.
+            for contact in &mut *strand_contacts {
+                contact.edge = now.edges[contact.edge as usize][0];
+            }
+            strand_contacts.dedup_by_key(|contact| contact.edge);
         }
+        Ok(renumbered)
     }
 
     /// Of the thread \[m\]; 0 where there is none.

@@ -155,6 +155,24 @@ pub(super) fn side(
     (joint, tie)
 }
 
+/// A strand of the thread on the needle: `rows` are what it does to the thread, from the needle to which the first of their
+/// directions points; `gap` along that, drawn along the others; `force` on the strand to begin with, in the world \[N\].
+pub(super) fn strand(
+    needle: &NeedleState,
+    touching: &Point3<f64>,
+    rows: Rows,
+    gap: [f64; 3],
+    friction: f64,
+    force: &Vector3<f64>,
+) -> Pair {
+    let directions = rows.directions;
+    let (mut joint, mut tie) = pair(directions, gap, Rule::Contact { friction });
+    joint.needle = directions.map(|direction| -on_needle(&direction, &(touching - needle.center)));
+    tie.rows = rows;
+    tie.force = tie.rule.confined(directions.map(|direction| force.dot(&direction)));
+    (joint, tie)
+}
+
 /// What a force and a torque do to the needle in a step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mobility {

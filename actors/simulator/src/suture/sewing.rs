@@ -7,7 +7,8 @@ use nalgebra::{Isometry3, Matrix3, Point3, Vector3, Vector6};
 use super::Around;
 use super::material::Resistance;
 use super::rows::{self, Joint, Mobility, Pair, Site};
-use super::state::{NeedleContact, SutureState, Tip};
+use super::state::{NeedleContact, StrandContact, SutureState, Tip};
+use super::strands::{self, Strand};
 use super::surface::{self, NeedleSide};
 use super::tissue::{Spot, Tissue};
 use crate::needle::{NeedleState, Solid};
@@ -36,6 +37,8 @@ pub(super) struct Layout {
     pub tip: Option<usize>,
     /// One of each place where the needle's side is near to the surface.
     pub sides: usize,
+    /// One of each strand that is near to the needle.
+    pub strands: usize,
 }
 
 /// Room for a part of a step, and what it came to.
@@ -47,6 +50,7 @@ pub(super) struct Room {
     /// Of the places in the channel, in their order.
     pub sites: Vec<Site>,
     pub sides: Vec<NeedleSide>,
+    pub strands: Vec<Strand>,
     /// Of all ties, in their order.
     pub joints: Vec<Joint>,
     /// Directions of their rows.
@@ -109,6 +113,8 @@ impl Sewing<'_> {
         self.room.sites.clear();
         self.room.presses.clear();
         surface::sides(self.solid, self.start, self.tissue, self.resistance, self.dt, &mut self.room.sides);
+        let radius = self.thread.map_or(0.0, |thread| thread.radius);
+        strands::near(self.solid, self.start, radius, self.dt, &mut self.room.strands);
     }
 
     /// Force and torque that the needle's inertia and weight leave over at the iterate.
@@ -321,6 +327,11 @@ impl Companion for Sewing<'_> {
         Some([self.tissue.before(), self.tissue.positions()])
     }
 
+    fn stops(&self, way: [&[Point3<f64>]; 2]) -> Option<usize> {
+        let (material, needle) = (self.thread?, self.room.needle?);
+        strands::passes(self.solid, material.radius, self.start, &needle, way)
+    }
+
     fn is_sharp(&self, triangle: u32, rim: usize) -> bool {
         self.tissue.is_sharp(triangle, rim)
     }
@@ -363,6 +374,14 @@ impl Companion for Sewing<'_> {
         for index in 0..self.room.sides.len() {
             let pair = self.side(&needle, &self.room.sides[index]);
             self.push(pair, &free, ties);
+        }
+        self.room.layout.strands = ties.len();
+        if let Some(material) = self.thread {
+            for index in 0..self.room.strands.len() {
+                let strand = self.room.strands[index];
+                let pair = strands::contact(self.solid, material, (self.start, &needle), at, &strand);
+                self.push(pair, &free, ties);
+            }
         }
         if self.room.forces.len() == ties.len() {
             ties.iter_mut().zip(&self.room.forces).for_each(|(tie, force)| tie.force = *force);
@@ -461,6 +480,14 @@ pub(super) fn touched(room: &Room, tied: &[Tied], contacts: &mut Vec<NeedleConta
             });
         }
     }
+}
+
+/// What strands on the needle came to at the end of a part.
+pub(super) fn crossed(room: &Room, tied: &[Tied], contacts: &mut Vec<StrandContact>) {
+    let first = room.layout.strands;
+    let forces =
+        (0..room.strands.len()).map(|index| (tied[first + index].force, room.directions[first + index]));
+    strands::remember(&room.strands, forces, contacts);
 }
 
 fn vector(directions: &[Vector3<f64>; 3], force: &[f64; 3]) -> Vector3<f64> {

@@ -5,6 +5,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::SutureError;
+use super::strands::STRANDS_MAX;
 use super::surface::SAMPLES_MAX;
 use super::tissue::{Place, Spot, Tissue};
 use crate::clone_in_place::clones_in_place;
@@ -84,6 +85,17 @@ pub struct NeedleContact {
     pub drawn: Vector3<f64>,
 }
 
+/// A strand of the thread that touches the needle.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StrandContact {
+    /// Edge of the thread.
+    pub edge: u32,
+    /// Of the needle on the strand, in the world \[N\].
+    pub force: Vector3<f64>,
+    /// How far it has been drawn from where it sticks, in the world \[m\].
+    pub drawn: Vector3<f64>,
+}
+
 /// Needle, thread and channel.
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub struct SutureState {
@@ -105,6 +117,8 @@ pub struct SutureState {
     pub bites_so_far: u32,
     /// Where the needle's side touches the surface.
     pub needle_contacts: Vec<NeedleContact>,
+    /// Where strands of the thread touch the needle.
+    pub strand_contacts: Vec<StrandContact>,
     /// What presses the surface, needle and thread, in the world.
     pub presses: Vec<Press>,
 }
@@ -119,6 +133,7 @@ clones_in_place!(SutureState {
     bites,
     bites_so_far,
     needle_contacts,
+    strand_contacts,
     presses,
 });
 
@@ -136,6 +151,7 @@ impl SutureState {
             bites: Vec::new(),
             bites_so_far: 0,
             needle_contacts: Vec::new(),
+            strand_contacts: Vec::new(),
             presses: Vec::new(),
         }
     }
@@ -199,6 +215,13 @@ impl SutureState {
         }
         if self.needle_contacts.len() > SAMPLES_MAX as usize || !self.needle_contacts.iter().all(touching) {
             return Err(SutureError::State("the needle touches the surface with no place of it"));
+        }
+        let edges = self.thread.as_ref().map_or(0, |thread| thread.rest_lengths.len());
+        let crossing = |contact: &StrandContact| {
+            (contact.edge as usize) < edges && finite(&contact.force) && finite(&contact.drawn)
+        };
+        if self.strand_contacts.len() > STRANDS_MAX || !self.strand_contacts.iter().all(crossing) {
+            return Err(SutureError::State("strands that touch the needle are none of the thread"));
         }
         Ok(())
     }

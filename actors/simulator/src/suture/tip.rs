@@ -4,7 +4,7 @@
 use nalgebra::{Point3, Vector3};
 
 use super::rows::COMPLIANCE;
-use super::sewing::touched;
+use super::sewing::{crossed, touched};
 use super::state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, Tip};
 use super::tissue::{Place, Way};
 use super::{EVENTS_MAX, Suture, SutureError};
@@ -76,6 +76,7 @@ impl Suture {
             thread.clone_from(self.island.trial());
         }
         touched(&self.room, self.island.tied(), &mut self.trial.needle_contacts);
+        crossed(&self.room, self.island.tied(), &mut self.trial.strand_contacts);
         self.trial.presses.clone_from(&self.room.presses);
         self.slide();
         self.tip_goes_on()?;

@@ -107,15 +107,14 @@ impl ThreadState {
 fn wanted_lengths(state: &ThreadState, radius: f64, fineness: &Fineness) -> Vec<f64> {
     let (points, rest) = (&state.positions, &state.rest_lengths);
     let mut wanted = vec![fineness.coarse; rest.len()];
-    let mut arcs = vec![0.0];
-    rest.iter().for_each(|length| arcs.push(arcs[arcs.len() - 1] + length));
+    let arcs = state.arcs();
     // Along x by where they begin: who begins beyond where another ends is not near to it, nor is anyone after.
     let near = 2.0 * radius + fineness.reach;
     let range = |edge: usize| {
         let (a, b) = (points[edge].x, points[edge + 1].x);
         [a.min(b), a.max(b)]
     };
-    let mut order: Vec<usize> = (0..rest.len()).collect();
+    let mut order: Vec<usize> = (0..rest.len()).filter(|edge| state.joins(*edge)).collect();
     order.sort_by(|&a, &b| range(a)[0].total_cmp(&range(b)[0]).then(a.cmp(&b)));
     for (place, &first) in order.iter().enumerate() {
         for &second in &order[place + 1..] {
@@ -135,17 +134,18 @@ fn wanted_lengths(state: &ThreadState, radius: f64, fineness: &Fineness) -> Vec<
             }
         }
     }
-    for node in 1..rest.len() {
+    let inner = |node: &usize| state.joins(node - 1) && state.joins(*node);
+    for node in (1..rest.len()).filter(inner) {
         let turns = turning(state, node);
         if turns > TURN_MAX {
             let length = (0.5 * (rest[node - 1] + rest[node]) * TURN_MAX / turns).max(fineness.fine);
             (node - 1..=node).for_each(|edge| wanted[edge] = wanted[edge].min(length));
         }
     }
-    for edge in 1..rest.len() {
+    for edge in (1..rest.len()).filter(inner) {
         wanted[edge] = wanted[edge].min(wanted[edge - 1] + GRADE * rest[edge - 1]);
     }
-    for edge in (1..rest.len()).rev() {
+    for edge in (1..rest.len()).rev().filter(inner) {
         wanted[edge - 1] = wanted[edge - 1].min(wanted[edge] + GRADE * rest[edge]);
     }
     wanted
@@ -185,19 +185,30 @@ fn divided(
             touched[contact.key.feature as usize] = true;
         }
     }
+    // Three nodes are the least of each thread.
+    let mut spare: Vec<usize> = vec![0; count];
+    for [first, last] in state.threads() {
+        spare[first..last].fill(last + 1 - first - 3);
+    }
+    let mut joined = 0;
     let mut deeds = vec![Deed::Parts(1); count];
     let mut edge = 0;
     let mut nodes = count + 1;
     while edge + 1 < count {
         let sum = state.rest_lengths[edge] + state.rest_lengths[edge + 1];
-        let joins = sum <= HYSTERESIS * wanted[edge].min(wanted[edge + 1])
+        if edge > 0 && !state.joins(edge - 1) {
+            joined = 0;
+        }
+        let joins = state.joins(edge)
+            && state.joins(edge + 1)
+            && sum <= HYSTERESIS * wanted[edge].min(wanted[edge + 1])
             && !touched[edge]
             && !touched[edge + 1]
             && !keep.contains(&(edge + 1))
             && turning(state, edge + 1) < STRAIGHT
-            // Three nodes are the least.
-            && nodes > 3;
+            && joined < spare[edge];
         if joins {
+            joined += 1;
             deeds[edge] = Deed::Joined;
             nodes -= 1;
             edge += 1;
@@ -269,9 +280,9 @@ fn divide(state: &ThreadState, edge: usize, parts: usize, to: &mut ThreadState) 
 /// were on average, but that the ends of the thread stay as they are.
 fn turned(state: &ThreadState, edge: usize) -> f64 {
     let rest = &state.rest_lengths;
-    if edge == 0 {
+    if edge == 0 || !state.joins(edge - 1) {
         0.0
-    } else if edge + 2 == rest.len() {
+    } else if !state.joins(edge + 2) {
         1.0
     } else {
         rest[edge + 1] / (rest[edge] + rest[edge + 1])
@@ -314,6 +325,10 @@ fn twist(state: &ThreadState, deeds: &[Deed], to: &mut ThreadState) {
     }
     let last = to.rest_lengths.len();
     for (node, more) in more.iter().enumerate().take(last).skip(1) {
+        if !to.joins(node - 1) || !to.joins(node) {
+            to.twists[node] = 0.0;
+            continue;
+        }
         let (before, after) = (tangent(to, node - 1), tangent(to, node));
         let carried = transport(&before, &after, &to.directors[node - 1]);
         let angle = angle_about(&carried, &to.directors[node], &after);

@@ -3,6 +3,7 @@
 use trocar_collision::primitive::closest_segments;
 
 use super::contact::nearest_segments;
+use super::state::PARTED;
 use super::{Thread, ThreadState};
 
 /// The two strands of a knot, each as the middle of the places where it touches, weighed by how hard it is pressed there;
@@ -16,7 +17,8 @@ pub struct Strands {
 }
 
 impl Strands {
-    /// Of the loop between the strands \[m\]: it grows by what slips through the knot.
+    /// Of the loop between the strands \[m\]: it grows by what slips through the knot. Of two threads that are tied together,
+    /// the end of the first and the beginning of the second: what is left of them beyond the knot.
     #[must_use]
     pub fn loop_length(&self) -> f64 {
         self.middles[1] - self.middles[0]
@@ -59,13 +61,14 @@ impl ThreadState {
 /// tightest bend are the same strand.
 #[must_use]
 pub fn nearest_edges(thread: &Thread) -> f64 {
-    let (points, rest) = (thread.positions(), &thread.state().rest_lengths);
+    let (points, state) = (thread.positions(), thread.state());
+    let (edges, arcs) = (state.rest_lengths.len(), state.arcs());
     let mut least = f64::INFINITY;
-    for first in 0..rest.len() {
-        let mut apart = 0.0;
-        for second in first + 2..rest.len() {
-            apart += rest[second - 1];
-            if second < first + 3 || apart < std::f64::consts::PI * thread.material().radius {
+    for first in (0..edges).filter(|edge| state.joins(*edge)) {
+        for second in (first + 2..edges).filter(|edge| state.joins(*edge)) {
+            let apart = arcs[second] - arcs[first + 1];
+            let is_beside = second < first + 3 && apart < 0.5 * PARTED;
+            if is_beside || apart < std::f64::consts::PI * thread.material().radius {
                 continue;
             }
             let edge = |k: usize| [points[k], points[k + 1]];

@@ -8,9 +8,14 @@
 //! | Contact with static friction | `contact/` |
 //! | One step of rod and contacts together, and of companions: a needle, a tissue | `island/` |
 //! | Elastic bodies that it is tied around | [`elastic`] |
+//! | Soft bodies that it lies on and that others move | [`soft`] |
 //! | Short edges where they are needed | `adapt.rs` |
 //! | Which knot it is | [`knot`] |
 //! | How it lies at the beginning | [`laid`] |
+//!
+//! Several threads are one state whose nodes follow one after the other, with an edge that joins nothing between two of them
+//! ([`Thread::several`]): its blocks of the matrix are empty, and a thread that touches another is one strand that touches
+//! another.
 //!
 //! # Why this method
 //! A thread of 2-0 silk weighs 41 ng per segment of a millimetre's half and carries newtons: explicit steps would have
@@ -37,6 +42,7 @@ pub mod laid;
 mod material;
 mod measure;
 pub(crate) mod rod;
+pub mod soft;
 mod state;
 
 pub use adapt::{Fineness, Renumbered};
@@ -131,6 +137,15 @@ impl Thread {
         Self::restore(material, ThreadState::at_rest(positions))
     }
 
+    /// Several of one material at rest, each through its own positions \[m\]: their nodes follow one after the other, and
+    /// they touch each other as they touch themselves, in one problem per step.
+    ///
+    /// # Errors
+    /// As [`Thread::new`], by the numbers of nodes of all together.
+    pub fn several(material: ThreadMaterial, threads: &[&[Point3<f64>]]) -> Result<Self, ThreadError> {
+        Self::restore(material, ThreadState::of_several(threads))
+    }
+
     /// One that goes on from `state`, bit for bit.
     ///
     /// # Errors
@@ -171,7 +186,7 @@ impl Thread {
     /// Input that makes no sense, by name; or the node at which no step could be found. The state is then what it was.
     pub fn step(&mut self, dt: f64, around: &Surroundings) -> Result<ThreadReport, ThreadStepError> {
         check_step(dt)?;
-        around.check(self.state.positions.len())?;
+        self.check_around(around)?;
         let Self { material, state, island, presses } = self;
         let Some(elastic) = &around.elastic else {
             presses.clear();
@@ -188,6 +203,46 @@ impl Thread {
         let done = island.step(material, state, dt, around, &mut tied);
         *presses = tied.presses;
         done
+    }
+
+    /// Goes on by `dt` \[s\] with one of the obstacles giving way: the surface of a soft body that somebody else moves, a mesh
+    /// whose triangles are turned outwards, its vertices where the nodes of `surface` are. What became of these that tells
+    /// afterwards.
+    ///
+    /// # Errors
+    /// As [`Thread::step`]; what has become of the surface means nothing then.
+    pub fn step_on(
+        &mut self,
+        dt: f64,
+        around: &Surroundings,
+        obstacle: usize,
+        surface: &mut soft::SoftSurface,
+    ) -> Result<ThreadReport, ThreadStepError> {
+        check_step(dt)?;
+        self.check_around(around)?;
+        let given = |why: &str| {
+            Err(ThreadStepError::Given { what: "soft surface", index: obstacle, why: why.to_owned() })
+        };
+        if around.elastic.is_some() {
+            return given("an elastic body gives way already");
+        }
+        match around.obstacles.get(obstacle).map(|obstacle| obstacle.shape) {
+            Some(Shape::Mesh { from, .. }) if from.len() == surface.moved().len() => {}
+            _ => return given("that obstacle is not it"),
+        }
+        let Self { material, state, island, presses } = self;
+        presses.clear();
+        island.step(material, state, dt, around, &mut soft::LyingOn { surface, obstacle })
+    }
+
+    fn check_around(&self, around: &Surroundings) -> Result<(), ThreadStepError> {
+        around.check(self.state.positions.len())?;
+        let nothing = |hold: &TwistHold| !self.state.joins(hold.edge);
+        if let Some(index) = around.twist_holds.iter().position(nothing) {
+            let why = "its edge is between two threads".to_owned();
+            return Err(ThreadStepError::Given { what: "twist hold", index, why });
+        }
+        Ok(())
     }
 
     /// Forces of the holds on the thread in the last step, in their order \[N\].

@@ -44,11 +44,15 @@ impl Iterate {
         self.turns.resize(edges, 0.0);
         self.tangents.resize(edges, Vector3::zeros());
         self.lengths.resize(edges, 0.0);
-        self.measure();
+        self.measure(state);
     }
 
-    fn measure(&mut self) {
+    fn measure(&mut self, state: &ThreadState) {
         for (edge, pair) in self.positions.windows(2).enumerate() {
+            if !state.joins(edge) {
+                (self.lengths[edge], self.tangents[edge]) = (1.0, Vector3::z());
+                continue;
+            }
             let along = pair[1] - pair[0];
             let length = along.norm();
             self.lengths[edge] = length;
@@ -59,14 +63,20 @@ impl Iterate {
     /// Carries the directors along with the edges after positions and turns have changed: time-parallel from the
     /// beginning of the step, then the turn.
     pub fn follow(&mut self, start: &ThreadState) {
-        self.measure();
+        self.measure(start);
         for edge in 0..self.tangents.len() {
+            if !start.joins(edge) {
+                continue;
+            }
             let before = (start.positions[edge + 1] - start.positions[edge]).normalize();
             let tangent = self.tangents[edge];
             let carried = transport(&before, &tangent, &start.directors[edge]);
             self.directors[edge] = perpendicular(&turn(&carried, &tangent, self.turns[edge]), &tangent);
         }
         for node in 1..self.tangents.len() {
+            if !start.joins(node - 1) || !start.joins(node) {
+                continue;
+            }
             let carried =
                 transport(&self.tangents[node - 1], &self.tangents[node], &self.directors[node - 1]);
             let angle = angle_about(&carried, &self.directors[node], &self.tangents[node]);
@@ -119,10 +129,10 @@ pub(crate) fn assemble(
     right: &mut [Cell],
 ) {
     inertia(material, start, at, dt, gravity, matrix, right);
-    for edge in 0..at.tangents.len() {
+    for edge in (0..at.tangents.len()).filter(|edge| start.joins(*edge)) {
         stretch(material, start, at, edge, matrix, right);
     }
-    for node in 1..at.tangents.len() {
+    for node in (1..at.tangents.len()).filter(|node| start.joins(node - 1) && start.joins(*node)) {
         bend(material, start, at, dt, node, matrix, right);
     }
 }
@@ -148,7 +158,7 @@ fn inertia(
             right[node][k] += force[k];
             matrix.diagonal[node][(k, k)] += stiffness;
         }
-        if node < at.turns.len() {
+        if start.joins(node) {
             let inertia = edge_inertia(material, start.rest_lengths[node]);
             right[node][3] +=
                 inertia * rate * (start.spins[node] * dt - at.turns[node]) - inertia * drag * at.turns[node];

@@ -10,14 +10,18 @@ use crate::clone_in_place::clones_in_place;
 /// Nodes of a thread at most.
 pub const NODES_MAX: usize = 4096;
 
-/// The whole state of a thread of `n` nodes and `n − 1` edges.
+/// What lies between two edges of different threads \[m\]: more than any thread is long.
+pub(crate) const PARTED: f64 = 1e3;
+
+/// The whole state of a thread of `n` nodes and `n − 1` edges; or of several threads, whose nodes follow one after the other.
+/// The edge from the last node of one to the first of the next joins nothing: it has no length, mass or stiffness.
 #[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ThreadState {
     /// Of the nodes, in the world \[m\].
     pub positions: Vec<Point3<f64>>,
     /// Of the nodes \[m/s\].
     pub velocities: Vec<Vector3<f64>>,
-    /// Of the edges, without strain \[m\].
+    /// Of the edges, without strain \[m\]; 0 of one that joins nothing.
     pub rest_lengths: Vec<f64>,
     /// A direction across each edge that turns with its material; unit.
     pub directors: Vec<Vector3<f64>>,
@@ -95,6 +99,56 @@ impl ThreadState {
         state
     }
 
+    /// Several threads at rest, each through its own positions \[m\], one after the other.
+    #[must_use]
+    pub fn of_several(threads: &[&[Point3<f64>]]) -> Self {
+        let mut all = Self::default();
+        for positions in threads {
+            let one = Self::at_rest(positions);
+            if !all.positions.is_empty() {
+                all.rest_lengths.push(0.0);
+                all.directors.push(Vector3::x());
+                all.spins.push(0.0);
+                all.tensions.push(0.0);
+            }
+            all.positions.extend(one.positions);
+            all.velocities.extend(one.velocities);
+            all.rest_lengths.extend(one.rest_lengths);
+            all.directors.extend(one.directors);
+            all.twists.extend(one.twists);
+            all.spins.extend(one.spins);
+            all.tensions.extend(one.tensions);
+        }
+        all
+    }
+
+    /// Whether an edge is part of a thread, and not what lies between the ends of two.
+    #[must_use]
+    pub fn joins(&self, edge: usize) -> bool {
+        self.rest_lengths.get(edge).is_some_and(|rest| *rest > 0.0)
+    }
+
+    /// Nodes of each thread, first and last.
+    pub fn threads(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
+        let last = self.positions.len().saturating_sub(1);
+        let breaks = || (0..last).filter(|edge| self.rest_lengths[*edge] == 0.0);
+        std::iter::once(0)
+            .chain(breaks().map(|edge| edge + 1))
+            .zip(breaks().chain([last]))
+            .map(<[usize; 2]>::from)
+    }
+
+    /// Where along the thread each node is, without strain, from the first one \[m\]; nodes of different threads are further
+    /// apart than any thread is long.
+    pub(crate) fn arcs(&self) -> Vec<f64> {
+        let mut arcs = Vec::with_capacity(self.positions.len());
+        arcs.push(0.0);
+        for rest in &self.rest_lengths {
+            arcs.push(arcs[arcs.len() - 1] + if *rest > 0.0 { *rest } else { PARTED });
+        }
+        arcs
+    }
+
     /// Length without strain \[m\].
     #[must_use]
     pub fn rest_length(&self) -> f64 {
@@ -140,13 +194,20 @@ impl ThreadState {
         let short = |i: &usize| {
             let length = (self.positions[i + 1] - self.positions[*i]).norm();
             let rest = self.rest_lengths[*i];
-            length < 0.01 * radius || rest.is_nan() || rest < 0.01 * radius || rest.is_infinite()
+            let is_none = rest.is_nan() || rest.is_infinite() || (rest < 0.01 * radius && rest != 0.0);
+            length < 0.01 * radius || is_none
         };
         let bad: Vec<_> = (0..n - 1).filter(short).collect();
         if !bad.is_empty() {
             return Err(ThreadError::NoLength(bad));
         }
+        if let Some([first, last]) = self.threads().find(|[first, last]| last - first < 2) {
+            return Err(ThreadError::Nodes(last + 1 - first));
+        }
         let folded = |i: &usize| {
+            if !self.joins(i - 1) || !self.joins(*i) {
+                return false;
+            }
             let (e, f) =
                 (self.positions[*i] - self.positions[i - 1], self.positions[i + 1] - self.positions[*i]);
             e.dot(&f) < -0.99 * e.norm() * f.norm()

@@ -5,7 +5,7 @@ use trocar_collision::continuous::{Sweep, edge_edge, segment_face};
 use trocar_collision::primitive::{Segment, closest_segments};
 
 use super::{Motion, Obstacle, Shape};
-use crate::thread::state::ContactKey;
+use crate::thread::state::{ContactKey, PARTED};
 
 /// Neighbouring edges that share a box.
 const RUN: usize = 8;
@@ -68,6 +68,7 @@ impl Candidates {
         self.arcs.clear();
         self.arcs.push(0.0);
         for rest in rest_lengths {
+            let rest = if *rest > 0.0 { *rest } else { PARTED };
             self.arcs.push(self.arcs.last().copied().unwrap_or(0.0) + rest);
         }
         let room = radius + 0.5 * slack;
@@ -101,14 +102,17 @@ impl Candidates {
         radius: f64,
     ) {
         let edges = positions.len() - 1;
-        let run = |of: usize| RUN * of..(RUN * (of + 1)).min(edges);
+        let arcs = &self.arcs;
+        let joins = |edge: &usize| joins(arcs, *edge);
+        let run = |of: usize| (RUN * of..(RUN * (of + 1)).min(edges)).filter(joins);
         for first in run(a) {
             let middle = Point3::from((positions[first].coords + positions[first + 1].coords) * 0.5);
             let half = 0.5 * (positions[first + 1] - positions[first]).norm();
             let moved = reach[first].max(reach[first + 1]);
             for second in run(b) {
                 // Half a turn of the tightest bend, in which opposite sides touch, is π/2 diameters along the strand.
-                if second < first + 3 || self.arcs[second] - self.arcs[first + 1] < 2.5 * radius {
+                let along = if second > first { arcs[second] - arcs[first + 1] } else { 0.0 };
+                if along < 2.5 * radius || (second < first + 3 && along < 0.5 * PARTED) {
                     continue;
                 }
                 let other = (positions[second].coords + positions[second + 1].coords) * 0.5;
@@ -136,12 +140,13 @@ impl Candidates {
     ) {
         let edges = positions.len() - 1;
         let with = 1 + index as u32;
+        let arcs = &self.arcs;
         if let Shape::HalfSpace { normal } = &obstacle.shape {
             for (pose, later) in [(&motion.from, false), (&motion.to, true)] {
                 let (normal, origin) = (pose.rotation * normal, pose.translation.vector);
-                for edge in 0..edges {
-                    // The last edge answers for both of its ends.
-                    for end in 0..=u32::from(edge + 1 == edges) {
+                for edge in (0..edges).filter(|edge| joins(arcs, *edge)) {
+                    // The last edge of a thread answers for both of its ends.
+                    for end in 0..=u32::from(edge + 1 == edges || !joins(arcs, edge + 1)) {
                         let node = edge + end as usize;
                         let key = ContactKey { with, edge: edge as u32, feature: end };
                         if normal.dot(&(positions[node].coords - origin)) <= room + reach[node]
@@ -159,7 +164,7 @@ impl Candidates {
                 if !self.boxes[run].overlaps(&bounds) {
                     continue;
                 }
-                for edge in RUN * run..(RUN * (run + 1)).min(edges) {
+                for edge in (RUN * run..(RUN * (run + 1)).min(edges)).filter(|edge| joins(arcs, *edge)) {
                     let mut own = Bounds::empty();
                     for node in [edge, edge + 1] {
                         own.add(&positions[node], room + reach[node]);
@@ -171,6 +176,11 @@ impl Candidates {
             }
         });
     }
+}
+
+/// Whether an edge is part of a thread, by where its nodes are along it.
+fn joins(arcs: &[f64], edge: usize) -> bool {
+    arcs[edge + 1] - arcs[edge] < 0.5 * PARTED
 }
 
 /// The boxes that the parts of an obstacle sweep.

@@ -72,9 +72,18 @@ pub(crate) trait Companion {
     /// The place of its surface in the list of obstacles, which has it as it is when the step begins.
     fn surface(&self) -> Option<usize>;
 
+    /// A part of a step of `dt` seconds begins, or does so anew for being shorter.
+    fn begin(&mut self, _dt: f64) {}
+
     /// Where the nodes of its surface were when the part began and are at the iterate, in the world \[m\]; none of a surface
     /// that hardly moves in a step.
     fn swept(&self) -> Option<[&[Point3<f64>]; 2]> {
+        None
+    }
+
+    /// An edge of the rod that passes through something of the companion's on the way of its nodes from the first to the second
+    /// of these \[m\].
+    fn stops(&self, _way: [&[Point3<f64>]; 2]) -> Option<usize> {
         None
     }
 

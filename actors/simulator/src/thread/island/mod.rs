@@ -216,7 +216,7 @@ impl Island {
     /// What is to be said of the rod at the end of a step.
     pub fn tell(&self, material: &ThreadMaterial, around: &Surroundings, report: &mut ThreadReport) {
         report.contacts = self.contacts().filter(|contact| contact.force[0] > 0.0).count();
-        let strains = self.at.lengths.iter().zip(&self.trial.rest_lengths);
+        let strains = self.at.lengths.iter().zip(&self.trial.rest_lengths).filter(|(_, rest)| **rest > 0.0);
         report.strain_max =
             strains.fold(0.0, |most, (length, rest)| f64::max(most, (length / rest - 1.0).abs()));
         report.penetration_max = self.penetration(material, around);
@@ -234,6 +234,7 @@ impl Island {
         report: &mut ThreadReport,
         companion: &mut impl Companion,
     ) -> Result<(), Failure> {
+        companion.begin(dt);
         let diameter = material.diameter();
         let tolerance = companion.tolerance().unwrap_or(Tolerance {
             free: (0.1 * diameter, LENGTH_TOLERANCE),
@@ -383,6 +384,9 @@ impl Island {
             |moved: &[Cell], node: usize| Vector3::new(moved[node][0], moved[node][1], moved[node][2]);
         for edge in 0..at.tangents.len() {
             let rest = self.trial.rest_lengths[edge];
+            if !self.trial.joins(edge) {
+                continue;
+            }
             let by = at.tangents[edge].dot(&(change(&self.moved, edge + 1) - change(&self.moved, edge)));
             at.tensions[edge] = material.axial_stiffness / rest * (at.lengths[edge] + by - rest);
         }
@@ -455,7 +459,10 @@ impl Island {
                 return Err(Failure { node: candidate.key.edge as usize, why: Trouble::PassedThrough });
             }
         }
-        Ok(())
+        match companion.stops([from, to]) {
+            Some(node) => Err(Failure { node, why: Trouble::PassedThrough }),
+            None => Ok(()),
+        }
     }
 
     /// The edge whose length differs most from what its tension says, and by how much of it.
@@ -463,6 +470,9 @@ impl Island {
         let mut worst = (0, 0.0);
         for (edge, length) in self.at.lengths.iter().enumerate() {
             let rest = self.trial.rest_lengths[edge];
+            if !self.trial.joins(edge) {
+                continue;
+            }
             let error = (length / rest - 1.0 - self.at.tensions[edge] / material.axial_stiffness).abs();
             // Not a number is the worst of all.
             if error > worst.1 || error.is_nan() {

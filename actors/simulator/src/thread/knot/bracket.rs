@@ -9,7 +9,11 @@ use super::diagram::Diagram;
 /// Crossings of a simplified diagram at most.
 pub const CROSSINGS_MAX: usize = 40;
 /// Pairings that are carried at once at most.
-const PAIRINGS_MAX: usize = 20_000;
+const PAIRINGS_MAX: usize = 5_000;
+/// Arcs of a diagram at most.
+const ARCS_MAX: usize = 2 * CROSSINGS_MAX;
+/// No arc.
+const NONE: u8 = u8::MAX;
 
 /// A polynomial with powers from `lowest` upwards.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -59,10 +63,27 @@ impl Laurent {
         Self { lowest: self.lowest + other.lowest, coefficients }.trimmed()
     }
 
-    /// Times the variable so many times.
-    fn shifted(&self, power: i32) -> Self {
-        let lowest = if self.coefficients.is_empty() { 0 } else { self.lowest + power };
-        Self { lowest, coefficients: self.coefficients.clone() }
+    /// Adds another, times so much, times the variable so often. Zeros at the ends stay until it is [trimmed](Self::trimmed).
+    fn add(&mut self, other: &Self, times: i64, power: i32) {
+        if other.coefficients.is_empty() {
+            return;
+        }
+        if self.coefficients.is_empty() {
+            self.lowest = other.lowest + power;
+        }
+        let from = other.lowest + power;
+        if from < self.lowest {
+            let more = (self.lowest - from) as usize;
+            self.coefficients.splice(..0, std::iter::repeat_n(0, more));
+            self.lowest = from;
+        }
+        let at = (from - self.lowest) as usize;
+        if self.coefficients.len() < at + other.coefficients.len() {
+            self.coefficients.resize(at + other.coefficients.len(), 0);
+        }
+        for (sum, value) in self.coefficients[at..].iter_mut().zip(&other.coefficients) {
+            *sum += times * value;
+        }
     }
 
     /// The same of the mirror image.
@@ -83,8 +104,8 @@ impl Laurent {
     }
 }
 
-/// Open ends joined two by two: each arc that is open with the one at its other end.
-type Pairing = BTreeMap<usize, usize>;
+/// Open ends joined two by two: each arc that is open has the one at its other end, all others [`NONE`].
+type Pairing = [u8; ARCS_MAX];
 
 /// The Jones polynomial of a diagram, in t.
 ///
@@ -99,23 +120,19 @@ pub fn jones(diagram: &Diagram) -> Result<Laurent, KnotError> {
         return Ok(Laurent::term(1, 0));
     }
     let places = diagram.places();
-    let circle = Laurent::term(-1, 2).plus(&Laurent::term(-1, -2));
-    let mut states: BTreeMap<Pairing, Laurent> = BTreeMap::from([(Pairing::new(), Laurent::term(1, 0))]);
+    // Powers of −A² − A⁻²: what so many circles that have closed are worth.
+    let circles: [&[(i32, i64)]; 3] = [&[(0, 1)], &[(-2, -1), (2, -1)], &[(-4, 1), (0, 2), (4, 1)]];
+    let mut states: BTreeMap<Pairing, Laurent> = BTreeMap::from([([NONE; ARCS_MAX], Laurent::term(1, 0))]);
     for crossing in order(diagram, &places) {
-        let [a, b, c, d] = diagram.around(crossing, &places).map(|(arc, _)| arc);
+        let [a, b, c, d] = diagram.around(crossing, &places).map(|(arc, _)| arc as u8);
         let mut next: BTreeMap<Pairing, Laurent> = BTreeMap::new();
         for (pairing, value) in &states {
             for (power, joins) in [(1, [(a, b), (c, d)]), (-1, [(a, d), (b, c)])] {
-                let mut pairing = pairing.clone();
-                let mut value = value.shifted(power);
-                for (one, other) in joins {
-                    if join(&mut pairing, one, other) {
-                        value = value.times(&circle);
-                    }
-                }
-                match next.get_mut(&pairing) {
-                    Some(sum) => *sum = sum.plus(&value),
-                    None => drop(next.insert(pairing, value)),
+                let mut pairing = *pairing;
+                let closed = joins.map(|(one, other)| usize::from(join(&mut pairing, one, other)));
+                let sum = next.entry(pairing).or_default();
+                for (more, times) in circles[closed[0] + closed[1]] {
+                    sum.add(value, *times, power + more);
                 }
             }
         }
@@ -159,20 +176,21 @@ fn order(diagram: &Diagram, places: &[[usize; 2]]) -> Vec<usize> {
 
 /// Joins an end of one arc to an end of another; true where that closes a circle. An arc that is open already is met at
 /// its other end.
-fn join(pairing: &mut Pairing, one: usize, other: usize) -> bool {
-    if one == other && !pairing.contains_key(&one) {
+fn join(pairing: &mut Pairing, one: u8, other: u8) -> bool {
+    let mut met = |arc: u8| std::mem::replace(&mut pairing[usize::from(arc)], NONE);
+    let first = met(one);
+    if one == other && first == NONE {
         // Both ends of a loop that nothing else has met.
         return true;
     }
-    let first = pairing.remove(&one);
-    if first == Some(other) {
-        pairing.remove(&other);
+    let second = met(other);
+    if first == other {
         return true;
     }
-    let second = pairing.remove(&other);
-    let (first, second) = (first.unwrap_or(one), second.unwrap_or(other));
-    pairing.insert(first, second);
-    pairing.insert(second, first);
+    let end = |far: u8, near: u8| if far == NONE { near } else { far };
+    let (first, second) = (end(first, one), end(second, other));
+    pairing[usize::from(first)] = second;
+    pairing[usize::from(second)] = first;
     false
 }
 

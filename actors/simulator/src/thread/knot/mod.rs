@@ -26,7 +26,7 @@ mod reading;
 pub use bracket::{CROSSINGS_MAX, Laurent, jones};
 pub use diagram::Diagram;
 pub use goeritz::signature_and_determinant;
-pub use name::{Hand, Knot, KnotKind, Throw, identify, identify_closed, notation};
+pub use name::{Hand, Knot, KnotKind, Throw, identify, identify_closed, identify_joined, notation};
 pub use polygon::{close_towards, simplified};
 pub use reading::{Reading, throws};
 

@@ -2,13 +2,13 @@
 
 use std::fmt;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::bracket::{Laurent, jones};
 use super::diagram::Diagram;
 use super::goeritz::signature_and_determinant;
-use super::polygon::directions;
+use super::polygon::{directions, turns_freely};
 use super::{KnotError, close_towards, simplified};
 
 /// Which way a throw is twisted.
@@ -76,6 +76,9 @@ pub struct Knot {
     pub crossings: usize,
 }
 
+/// How far out the ends of two threads are joined, in radii of all of them: beyond them, and nearer than the two ends that are
+/// left.
+const AWAY: f64 = 2.0;
 /// Throws of one knot at most.
 const THROWS_MAX: usize = 5;
 /// Wraps of one throw at most.
@@ -134,22 +137,35 @@ pub fn notation(throws: &[Throw]) -> String {
 /// What keeps the crossings of all closures from being read.
 pub fn identify(points: &[Point3<f64>]) -> Result<Knot, KnotError> {
     let mut found: Vec<(Knot, usize)> = Vec::new();
+    // Directions that were closed towards, and which of those that were found each gave.
+    let mut closed: Vec<(Vector3<f64>, Option<usize>)> = Vec::new();
     let mut error = None;
     let all = directions().count();
     for direction in directions() {
-        match identify_closed(&close_towards(points, &direction)?) {
-            Ok(knot) => {
-                let same = |of: &Knot| (&of.kind, &of.jones) == (&knot.kind, &knot.jones);
-                match found.iter_mut().find(|(of, _)| same(of)) {
-                    Some((_, votes)) => *votes += 1,
-                    None => found.push((knot, 1)),
+        let same = closed.iter().find(|(other, _)| turns_freely(points, other, &direction));
+        let of = match same {
+            Some((_, of)) => *of,
+            None => match identify_closed(&close_towards(points, &direction)?) {
+                Ok(knot) => {
+                    let same = |(of, _): &(Knot, usize)| (&of.kind, &of.jones) == (&knot.kind, &knot.jones);
+                    Some(found.iter().position(same).unwrap_or_else(|| {
+                        found.push((knot, 0));
+                        found.len() - 1
+                    }))
                 }
+                Err(other) => {
+                    error = error.or(Some(other));
+                    None
+                }
+            },
+        };
+        closed.push((direction, of));
+        if let Some(of) = of {
+            found[of].1 += 1;
+            // Those that are left cannot change it any more.
+            if 2 * found[of].1 > all {
+                break;
             }
-            Err(other) => error = error.or(Some(other)),
-        }
-        // Those that are left cannot change it any more.
-        if found.iter().any(|(_, votes)| 2 * votes > all) {
-            break;
         }
     }
     // The first of those with most votes.
@@ -157,6 +173,54 @@ pub fn identify(points: &[Point3<f64>]) -> Result<Knot, KnotError> {
     match (found.into_iter().find(|(_, votes)| Some(*votes) == most), error) {
         (Some((knot, _)), _) => Ok(knot),
         (None, error) => Err(error.unwrap_or(KnotError::Points(points.len()))),
+    }
+}
+
+/// The knot of several threads taken as one: the end of each is led away and joined to the beginning of the next, as the
+/// first end and the last are joined of one alone ([`identify`]). Two threads tied together by throws of their ends are the
+/// knot that one thread is which is tied into such throws, its loop cut through.
+///
+/// # Errors
+/// What keeps the crossings of all closures from being read.
+pub fn identify_joined(threads: &[&[Point3<f64>]]) -> Result<Knot, KnotError> {
+    if let [one] = threads {
+        return identify(one);
+    }
+    let places = threads.iter().flat_map(|thread| thread.iter());
+    let middle =
+        places.clone().map(|at| at.coords).sum::<Vector3<f64>>() / places.clone().count().max(1) as f64;
+    let radius = places.map(|at| (at.coords - middle).norm()).fold(0.0, f64::max);
+    let mut found: Vec<(Knot, usize)> = Vec::new();
+    let mut error = None;
+    for direction in directions() {
+        let mut line: Vec<Point3<f64>> = Vec::new();
+        for thread in threads {
+            let [Some(first), Some(last)] = [thread.first(), thread.last()] else {
+                return Err(KnotError::Points(thread.len()));
+            };
+            // Nearer than where the two that are left are joined, so that no two of the lines there cross.
+            let away = direction * (radius * AWAY);
+            line.push(first + away);
+            line.extend_from_slice(thread);
+            line.push(last + away);
+        }
+        line.remove(0);
+        line.pop();
+        match identify_closed(&close_towards(&line, &direction)?) {
+            Ok(knot) => {
+                let same = |(of, _): &&mut (Knot, usize)| (&of.kind, &of.jones) == (&knot.kind, &knot.jones);
+                match found.iter_mut().find(same) {
+                    Some((_, votes)) => *votes += 1,
+                    None => found.push((knot, 1)),
+                }
+            }
+            Err(other) => error = error.or(Some(other)),
+        }
+    }
+    let most = found.iter().map(|(_, votes)| *votes).max();
+    match (found.into_iter().find(|(_, votes)| Some(*votes) == most), error) {
+        (Some((knot, _)), _) => Ok(knot),
+        (None, error) => Err(error.unwrap_or(KnotError::Points(threads.len()))),
     }
 }
 
@@ -246,7 +310,8 @@ fn product(
             .sum();
         return sum == signature;
     }
-    if chosen.len() == THROWS_MAX {
+    // Products are as broad as their factors together.
+    if chosen.len() == THROWS_MAX || so_far.coefficients.len() >= wanted.coefficients.len() {
         return false;
     }
     for (k, throw) in kinds.iter().enumerate() {

@@ -35,6 +35,33 @@ pub fn close_towards(
     Ok(closed)
 }
 
+/// Whether an open curve closed towards `from` is the same knot as when it is closed towards `to`: neither of the lines that
+/// lead its ends away meets the curve while both turn from the one direction to the other.
+pub(super) fn turns_freely(points: &[Point3<f64>], from: &Vector3<f64>, to: &Vector3<f64>) -> bool {
+    let across = from.cross(to);
+    // Edges of an end touch its line at that end only.
+    let free = |end: &Point3<f64>, rest: &[Point3<f64>]| {
+        let mut before = across.dot(&(rest[0] - end));
+        rest.windows(2).all(|edge| {
+            let now = across.dot(&(edge[1] - end));
+            let first = std::mem::replace(&mut before, now);
+            if first * now > 0.0 {
+                return true;
+            }
+            // Where the edge meets the plane in which the line turns.
+            let share = if first == now { 0.0 } else { first / (first - now) };
+            let place = edge[0].lerp(&edge[1], share) - end;
+            place.cross(to).dot(&across) < 0.0 || from.cross(&place).dot(&across) < 0.0
+        })
+    };
+    match points {
+        [first, rest @ .., last] if !rest.is_empty() => {
+            free(first, &points[1..]) && free(last, &points[..=rest.len()])
+        }
+        _ => true,
+    }
+}
+
 /// Directions that an open curve is closed towards, evenly over the sphere (a spiral of equal areas), none of them along
 /// an axis.
 pub(super) fn directions() -> impl Iterator<Item = Vector3<f64>> {
@@ -73,14 +100,31 @@ fn removable(points: &[Point3<f64>], i: usize) -> bool {
         triangle[0].coords.inf(&triangle[1].coords).inf(&triangle[2].coords),
         triangle[0].coords.sup(&triangle[1].coords).sup(&triangle[2].coords),
     );
+    // On which sides of the triangle's box a point lies; an edge whose ends have a side in common is beside it.
+    let sides = |point: &Point3<f64>| -> u8 {
+        (0..3).fold(0, |sides, axis| {
+            sides << 2 | u8::from(point[axis] < low[axis]) << 1 | u8::from(point[axis] > high[axis])
+        })
+    };
     // Edges that do not end in a corner of the triangle; of those that do, only one in its plane could pass through it.
-    (2..n - 2).all(|k| {
-        let (a, b) = (points[(i + k) % n], points[(i + k + 1) % n]);
-        let beside = (0..3).any(|axis| {
-            (a[axis] < low[axis] && b[axis] < low[axis]) || (a[axis] > high[axis] && b[axis] > high[axis])
-        });
-        beside || !pierces(&a, &b, &triangle)
-    })
+    let clear = |from: usize, to: usize| {
+        let mut before = sides(&points[from]);
+        points[from..=to].windows(2).all(|edge| {
+            let now = sides(&edge[1]);
+            let beside = std::mem::replace(&mut before, now) & now != 0;
+            beside || !pierces(&edge[0], &edge[1], &triangle)
+        })
+    };
+    if i == 0 || i + 1 == n {
+        // The triangle's corners are at both ends of the list.
+        return clear(2 - usize::from(i != 0), n - 2 - usize::from(i != 0));
+    }
+    let (last_before, first_after) = (i.checked_sub(2), i + 2);
+    // The edge that closes the polygon is none of the triangle's unless a corner of the triangle ends it.
+    let closing = i >= 2 && i + 2 < n;
+    last_before.is_none_or(|last| clear(0, last))
+        && (first_after >= n || clear(first_after, n - 1))
+        && (!closing || !pierces(&points[n - 1], &points[0], &triangle))
 }
 
 /// Whether the segment passes through the triangle; touching counts.
