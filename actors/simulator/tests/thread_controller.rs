@@ -99,24 +99,6 @@ fn jaws_take_a_thread_feel_its_pull_and_let_it_go() {
 }
 
 #[test]
-fn jaws_of_which_nobody_has_said_how_far_they_are_open_hold_and_crush_nothing() {
-    // The thread lies in the middle of the jaws, which a scene begins with before whoever moves them has said anything.
-    let mut stage = Stage::new(scene(&format!("{GRASPER}{THREAD}")), HZ, build);
-    for _ in 0..3 {
-        stage.tick();
-        let tension = stage.measured("thread.tension_n");
-        assert!(stage.measured("thread.held_nodes") >= 2.0 && tension < 0.1, "{tension} N");
-    }
-    // Somebody says so: nothing changes when they are closed, and they let go when they are open.
-    stage.put("grasper", JawState::default());
-    stage.tick();
-    assert!(stage.measured("thread.held_nodes") >= 2.0);
-    stage.put("grasper", JawState { angle: 0.4, ..JawState::default() });
-    stage.tick();
-    assert_eq!(stage.measured("thread.held_nodes"), 0.0);
-}
-
-#[test]
 fn what_pulls_harder_than_the_pads_hold_slips_out_of_the_jaws() {
     let weak = GRASPER.replace("jaw_force_max = 5.0", "jaw_force_max = 0.5");
     let mut stage = Stage::new(scene(&format!("{weak}{THREAD}")), HZ, build);

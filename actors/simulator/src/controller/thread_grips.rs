@@ -68,11 +68,7 @@ pub fn update(
     busy: &[Entity],
 ) -> bool {
     let before = grips.len();
-    // Jaws of which nobody has said yet how far they are open are closed: they hold what lies between them, and do not crush it.
-    let angle = |entity| {
-        scene.get::<Instrument>(entity)?;
-        Some(scene.get::<JawState>(entity).map_or((0.0, 0.0), |jaws| (jaws.angle, jaws.rate)))
-    };
+    let angle = |entity| scene.get::<JawState>(entity).map(|jaws| (jaws.angle, jaws.rate));
     grips.retain(|grip| {
         angle(grip.instrument).is_some_and(|(angle, _)| angle <= CLOSED.max(grip.angle) + OPENING)
     });
