@@ -164,6 +164,7 @@ fn a_thread_is_laid_tied_and_told_which_knot_it_is() {
         let mut stage = Stage::new(scene(&laid), HZ, build);
         stage.tick();
         // A look is no part of the tick that begins it.
+        assert_eq!(stage.measured("thread.knot"), 0.0, "{half_turns}");
         stage.tick();
         assert_eq!(stage.measured("thread.knot"), code, "{half_turns}");
         assert!(stage.get::<VertexPositions>("thread").positions.len() > 50);
