@@ -145,12 +145,7 @@ impl Parts {
             let thread_from_tip = thread_from_world * scene.world_pose(entity);
             let jaws = if instrument.kind.has_jaws() { usize::from(instrument.jaws.min(2)) } else { 0 };
             let jaw = (1..=jaws).contains(&count).then(|| count - 1);
-            let state = scene.get::<JawState>(entity);
-            if jaw.is_some() && state.is_none() {
-                // Nobody has said yet how far its jaws are open: taken for closed, they would crush what lies between them.
-                continue;
-            }
-            let angle = state.map_or(0.0, |jaws| jaws.angle);
+            let angle = scene.get::<JawState>(entity).map_or(0.0, |jaws| jaws.angle);
             let to = match jaw {
                 Some(side) => {
                     thread_from_tip * instrument_from_hinge(instrument.jaw_length, [1.0, -1.0][side], angle)

@@ -31,6 +31,8 @@ pub(super) struct Strand {
     pub edge: usize,
     /// Which chord.
     pub chord: usize,
+    /// Between their surfaces when the part begins \[m\].
+    pub gap: f64,
 }
 
 fn chord_along(solid: &Solid, chord: usize) -> [f64; 2] {
@@ -60,12 +62,11 @@ pub(super) fn near(solid: &Solid, state: &SutureState, radius: f64, dt: f64, out
     let Some(thread) = &state.thread else { return };
     let needle = &state.needle;
     let speed = needle.velocity(solid).norm() + needle.spin(solid).norm() * 2.0 * solid.shape().radius;
-    let chords: Vec<Segment> = (0..CHORDS).map(|chord| chord_at(solid, needle, chord)).collect();
+    let chords: [Segment; CHORDS] = std::array::from_fn(|chord| chord_at(solid, needle, chord));
     let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
     for end in chords.iter().flatten() {
         (low, high) = (low.inf(&end.coords), high.sup(&end.coords));
     }
-    let mut found: Vec<(f64, Strand)> = Vec::new();
     let mut arc = 0.0;
     for (edge, rest) in thread.rest_lengths.iter().enumerate() {
         let begin = arc;
@@ -90,15 +91,14 @@ pub(super) fn near(solid: &Solid, state: &SutureState, radius: f64, dt: f64, out
         let best =
             own.map(|chord| (gap(chord), chord)).min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         if let Some((gap, chord)) = best.filter(|(gap, _)| *gap < reach) {
-            found.push((gap, Strand { edge, chord }));
+            out.push(Strand { edge, chord, gap });
         }
     }
-    if found.len() > STRANDS_MAX {
-        found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.edge.cmp(&b.1.edge)));
-        found.truncate(STRANDS_MAX);
-        found.sort_by_key(|(_, strand)| strand.edge);
+    if out.len() > STRANDS_MAX {
+        out.sort_unstable_by(|a, b| a.gap.total_cmp(&b.gap).then(a.edge.cmp(&b.edge)));
+        out.truncate(STRANDS_MAX);
+        out.sort_unstable_by_key(|strand| strand.edge);
     }
-    out.extend(found.into_iter().map(|(_, strand)| strand));
 }
 
 /// The contact of an edge with the wire at the iterate.
@@ -109,7 +109,7 @@ pub(super) fn contact(
     at: &Iterate,
     strand: &Strand,
 ) -> Pair {
-    let Strand { edge, chord } = *strand;
+    let Strand { edge, chord, .. } = *strand;
     let ends = [at.positions[edge], at.positions[edge + 1]];
     let wire = chord_at(solid, needle, chord);
     let [along, on_wire] = closest_segments(&ends, &wire).along;
@@ -163,8 +163,8 @@ pub(super) fn passes(
     [from, to]: [&[Point3<f64>]; 2],
 ) -> Option<usize> {
     let thread = start.thread.as_ref()?;
-    let [before, after]: [Vec<Segment>; 2] = [&start.needle, needle]
-        .map(|needle| (0..CHORDS).map(|chord| chord_at(solid, needle, chord)).collect());
+    let [before, after]: [[Segment; CHORDS]; 2] =
+        [&start.needle, needle].map(|needle| std::array::from_fn(|chord| chord_at(solid, needle, chord)));
     let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
     for end in before.iter().chain(&after).flatten() {
         (low, high) = (low.inf(&end.coords), high.sup(&end.coords));
