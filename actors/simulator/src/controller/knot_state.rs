@@ -2,7 +2,7 @@
 //! from others.
 //!
 //! What knot it is, and which throws it is the sum of, one look tells; the order of throws that are not all alike takes many
-//! ([`Reading`]). [`KnotWatch`](super::knot_watch::KnotWatch) says when.
+//! ([`Reading`]). `KnotWatch` (`knot_watch.rs`) says when.
 
 use std::collections::BTreeMap;
 
