@@ -417,19 +417,21 @@ fn the_readme_and_the_checks_name_the_same_commands() {
 }
 
 #[test]
-fn every_test_that_the_guarantees_name_exists() {
-    let page = std::fs::read_to_string(root().join("docs/guarantees.md")).expect("a readable page");
-    let (mut file, mut named) = (None, 0);
-    // Between backticks stands a test file, or a test of the file named before.
-    for word in page.split('`').skip(1).step_by(2) {
-        if word.ends_with(".rs") {
-            let text = std::fs::read_to_string(root().join(word));
-            file = Some((word, text.unwrap_or_else(|error| panic!("{word}: {error}"))));
-        } else if word.contains('_') && word.chars().all(|c| c.is_ascii_lowercase() || c == '_') {
-            let (name, text) = file.as_ref().expect("a file before its tests");
-            assert!(text.contains(&format!("fn {word}(")), "{name} has no test {word}");
-            named += 1;
+fn every_test_that_the_guarantees_and_the_validation_name_exists() {
+    for (page, least) in [("docs/guarantees.md", 20), ("docs/validation.md", 40)] {
+        let text = std::fs::read_to_string(root().join(page)).expect("a readable page");
+        let (mut file, mut named) = (None, 0);
+        // Between backticks stands a test file, or a test of the file named before.
+        for word in text.split('`').skip(1).step_by(2) {
+            if word.ends_with(".rs") {
+                let text = std::fs::read_to_string(root().join(word));
+                file = Some((word, text.unwrap_or_else(|error| panic!("{page}: {word}: {error}"))));
+            } else if word.contains('_') && word.chars().all(|c| c.is_ascii_lowercase() || c == '_') {
+                let (name, text) = file.as_ref().expect("a file before its tests");
+                assert!(text.contains(&format!("fn {word}(")), "{page}: {name} has no test {word}");
+                named += 1;
+            }
         }
+        assert!(named >= least, "{page}: {named} tests are named");
     }
-    assert!(named >= 20, "{named} tests are named");
 }

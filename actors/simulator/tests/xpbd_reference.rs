@@ -52,7 +52,7 @@ fn plain_chain(dt: f64, iterations: u32, order: impl Iterator<Item = usize> + Cl
     (-heights[20] - 1.0) / 0.041202
 }
 
-/// The table of the README and of `docs/validation.md`: stretch over the closed form, by the step \[s\] and by 1, 2, 5, 10, 20, 50
+/// The table of `docs/validation.md`: stretch over the closed form, by the step \[s\] and by 1, 2, 5, 10, 20, 50
 /// iterations.
 const TABLE: [(f64, [f64; 6]); 7] = [
     (2.5e-4, [1.003, 1.000, 1.000, 1.000, 1.000, 1.000]),
