@@ -25,19 +25,22 @@ pub fn block(cells: [usize; 3], size: [f64; 3]) -> Result<(TetMesh, Vec<u32>), F
 pub const CLOTH: SurfaceMaterial =
     SurfaceMaterial { membrane_stiffness: 500.0, bending_stiffness: 1e-6, density: 0.15 };
 
-/// Gauze: 10 × 10 cm of `n` × `n` squares, held at two corners.
-pub fn cloth(n: u32, integrator: Integrator) -> Result<MassSpring, Failure> {
+/// A sheet of 10 × 10 cm of `n` × `n` squares: its vertices and triangles.
+pub fn sheet(n: u32) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
     let at = |i: u32| 0.1 * f64::from(i) / f64::from(n);
-    let points: Vec<_> = (0..=n).flat_map(|j| (0..=n).map(move |i| Point3::new(at(i), at(j), 0.0))).collect();
-    let triangles: Vec<[u32; 3]> = (0..n)
-        .flat_map(|j| {
-            (0..n).flat_map(move |i| {
-                let [a, b, c, d] =
-                    [[i, j], [i + 1, j], [i, j + 1], [i + 1, j + 1]].map(|[i, j]| j * (n + 1) + i);
-                [[a, b, d], [a, d, c]]
-            })
+    let points = (0..=n).flat_map(|j| (0..=n).map(move |i| Point3::new(at(i), at(j), 0.0))).collect();
+    let triangles = (0..n).flat_map(|j| {
+        (0..n).flat_map(move |i| {
+            let [a, b, c, d] = [[i, j], [i + 1, j], [i, j + 1], [i + 1, j + 1]].map(|[i, j]| j * (n + 1) + i);
+            [[a, b, d], [a, d, c]]
         })
-        .collect();
+    });
+    (points, triangles.collect())
+}
+
+/// Gauze: such a sheet, held at two corners.
+pub fn cloth(n: u32, integrator: Integrator) -> Result<MassSpring, Failure> {
+    let (points, triangles) = sheet(n);
     let network = Network::from_surface(&points, &triangles, &CLOTH).map_err(Failure::internal)?;
     let config = Config { integrator, damping: 1.0, ..Config::default() };
     MassSpring::new(network, points, &[0, n], config).map_err(Failure::internal)

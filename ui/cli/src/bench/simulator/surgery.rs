@@ -14,21 +14,15 @@ use trocar_simulator::thread::{ThreadMaterial, ThreadState};
 use trocar_simulator::xpbd::company::{Company, Tie};
 use trocar_simulator::xpbd::{Body, Xpbd, XpbdConfig, XpbdInput};
 
-use super::bodies::{CLOTH, GRAVITY, block, cloth};
+use super::bodies::{self, CLOTH, GRAVITY, block, cloth};
 use super::per_run;
 use crate::failure::Failure;
 
 /// Median time of a snip of 1 mm into a gauze of `n` × `n` squares: the mesh is cut, its springs follow.
 pub fn cut_secs(n: u32) -> Result<(f64, f64), Failure> {
     let mut springs = cloth(n, Integrator::Explicit { too_large: TooLarge::Accept })?;
-    let positions = springs.state().positions.clone();
-    let square = |of: u32| (of % n, of / n);
-    let triangles = (0..n * n).flat_map(|of| {
-        let (i, j) = square(of);
-        let [a, b, c, d] = [[i, j], [i + 1, j], [i, j + 1], [i + 1, j + 1]].map(|[i, j]| j * (n + 1) + i);
-        [[a, b, d], [a, d, c]]
-    });
-    let mut sheet = Sheet::new(positions, triangles.collect()).map_err(Failure::internal)?;
+    let (positions, triangles) = bodies::sheet(n);
+    let mut sheet = Sheet::new(positions, triangles).map_err(Failure::internal)?;
     let (mut snips, mut failed) = (0, None);
     let mut snip = || {
         // Rows of snips 1 mm apart, none into another one.
