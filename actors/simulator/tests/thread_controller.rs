@@ -109,6 +109,23 @@ fn what_pulls_harder_than_the_pads_hold_slips_out_of_the_jaws() {
 }
 
 #[test]
+fn jaws_of_which_nobody_has_told_hold_what_they_are_closed_on() {
+    let mut stage = Stage::new(scene(&format!("{GRASPER}{THREAD}")), HZ, build);
+    let before = stage.get::<VertexPositions>("thread");
+    stage.tick();
+    assert!(!stage.has::<JawState>("grasper") && stage.measured("thread.held_nodes") >= 2.0);
+    // Closed jaws that did not hold would press it out with what is as hard as they are.
+    let contact = stage.measured("thread.contact_force_n");
+    assert!(contact < 0.1, "they squeeze it with {contact} N");
+    let after = stage.get::<VertexPositions>("thread");
+    let moved = before.positions.iter().zip(after.positions.iter()).map(|(a, b)| (b - a).norm());
+    assert!(moved.fold(0.0, f64::max) < 1e-5);
+    // Told that they are open, they let go.
+    lead(&mut stage, [0.015, 0.006, 0.0], 0.4, 0.0);
+    assert_eq!(stage.measured("thread.held_nodes"), 0.0);
+}
+
+#[test]
 fn another_life_goes_on_to_the_bit() {
     let text = format!("{GRASPER}{THREAD}");
     let mut whole = Stage::new(scene(&text), HZ, build);

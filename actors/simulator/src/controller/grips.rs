@@ -55,6 +55,14 @@ pub fn holds(kind: InstrumentKind) -> bool {
     kind.has_jaws() && kind != InstrumentKind::Scissors
 }
 
+/// Opening of an instrument's jaws \[rad\], and how fast they open \[rad/s\]; closed and at rest as long as nobody has told,
+/// as in the first tick of a scene. Whoever takes them as a body and as what holds has to take them alike: closed jaws that do not
+/// hold squeeze out what lies between them.
+#[must_use]
+pub fn opening(scene: &Snapshot, instrument: Entity) -> [f64; 2] {
+    scene.get::<JawState>(instrument).map_or([0.0; 2], |jaws| [jaws.angle, jaws.rate])
+}
+
 /// Whether the jaws of an instrument are closed, or its blades.
 #[must_use]
 pub fn is_closed(scene: &Snapshot, instrument: Entity) -> bool {

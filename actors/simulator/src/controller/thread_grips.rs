@@ -5,9 +5,9 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::closest_segments;
-use trocar_scene::{Entity, Instrument, JawState, Snapshot};
+use trocar_scene::{Entity, Instrument, Snapshot};
 
-use super::grips::{CLOSED, holds};
+use super::grips::{CLOSED, holds, opening};
 use super::thread_obstacles::{Parts, between};
 use crate::thread::{Hold, Spared, ThreadState, TwistHold};
 
@@ -68,9 +68,9 @@ pub fn update(
     busy: &[Entity],
 ) -> bool {
     let before = grips.len();
-    let angle = |entity| scene.get::<JawState>(entity).map(|jaws| (jaws.angle, jaws.rate));
     grips.retain(|grip| {
-        angle(grip.instrument).is_some_and(|(angle, _)| angle <= CLOSED.max(grip.angle) + OPENING)
+        let [angle, _] = opening(scene, grip.instrument);
+        scene.get::<Instrument>(grip.instrument).is_some() && angle <= CLOSED.max(grip.angle) + OPENING
     });
     let mut changed = before != grips.len();
     for (entity, instrument) in scene.iter::<Instrument>() {
@@ -78,7 +78,7 @@ pub fn update(
         if !holds(instrument.kind) || is_full {
             continue;
         }
-        let Some((angle, rate)) = angle(entity) else { continue };
+        let [angle, rate] = opening(scene, entity);
         if angle > CLOSED && rate >= 0.0 {
             continue;
         }

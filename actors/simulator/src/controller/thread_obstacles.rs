@@ -7,9 +7,10 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3};
 use trocar_scene::shapes::{Detail, instrument_from_hinge, surface_of};
 use trocar_scene::{
-    Entity, Instrument, JawState, RigidBody, Shape as SceneShape, Snapshot, SurfaceMesh, VertexPositions,
+    Entity, Instrument, RigidBody, Shape as SceneShape, Snapshot, SurfaceMesh, VertexPositions,
 };
 
+use super::grips::opening;
 use super::thread_memory::Met;
 use super::tools::{Rod, rods_of_all};
 use crate::thread::{ContactMemory, Obstacle, Shape};
@@ -145,7 +146,7 @@ impl Parts {
             let thread_from_tip = thread_from_world * scene.world_pose(entity);
             let jaws = if instrument.kind.has_jaws() { usize::from(instrument.jaws.min(2)) } else { 0 };
             let jaw = (1..=jaws).contains(&count).then(|| count - 1);
-            let angle = scene.get::<JawState>(entity).map_or(0.0, |jaws| jaws.angle);
+            let [angle, _] = opening(scene, entity);
             let to = match jaw {
                 Some(side) => {
                     thread_from_tip * instrument_from_hinge(instrument.jaw_length, [1.0, -1.0][side], angle)

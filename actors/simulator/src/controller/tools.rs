@@ -2,7 +2,9 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::shapes::{instrument_from_hinge, working_end};
-use trocar_scene::{Entity, Instrument, JawState, Snapshot, Velocity};
+use trocar_scene::{Entity, Instrument, Snapshot, Velocity};
+
+use super::grips::opening;
 
 /// Most of a shaft that takes part, from the hinge backwards \[m\].
 const SHAFT_REACH: f64 = 0.12;
@@ -29,7 +31,7 @@ pub fn rods_of_all(scene: &Snapshot, world_from_body: &Isometry3<f64>, rods: &mu
         let world_from_tip = scene.world_pose(entity);
         let body_from_tip = body_from_world * world_from_tip;
         let velocity = scene.get::<Velocity>(entity).copied().unwrap_or_default();
-        let angle = scene.get::<JawState>(entity).map_or(0.0, |jaws| jaws.angle);
+        let [angle, _] = opening(scene, entity);
         let mut add = |from: Point3<f64>, to: Point3<f64>, radius: f64| {
             let ends = [from, to];
             let velocities = ends.map(|end| {
