@@ -14,8 +14,8 @@ use trocar_scene::{
 use trocar_simulator::controller::smoke::Plume;
 use trocar_simulator::controller::{
     BleedingController, DynamicFemController, ElectrosurgeryController, FluidController, LinearFemController,
-    MassSpringController, SmokeController, ThreadController, VesselState, VitalSignsController,
-    XpbdController,
+    MassSpringController, SmokeController, SutureController, SutureMemory, ThreadController, VesselState,
+    VitalSignsController, XpbdController,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -155,6 +155,61 @@ fn a_linear_organ_whose_elements_have_lost_their_volume_is_frozen_and_the_other_
 fn a_thread_that_is_too_fast_stops_alone() {
     let line = "line = { length = 0.02, segments = 10, radius = 0.00015 }";
     too_fast(&two(line, "thread = { suture = \"silk2_0\" }"), 500.0, thread, "");
+}
+
+/// A needle over a pad.
+const SEWN: &str = r#"
+[[entity]]
+name = "bad"
+mesh = { block = { size = [0.024, 0.020, 0.012], cells = [4, 4, 2] } }
+sewn = {}
+anchors = { regions = [{ box = { min = [-1.0, -1.0, -1.0], max = [1.0, 1.0, -0.0059] } }] }
+[[entity]]
+name = "needle"
+pose = { translation = [0.0, 0.0, 0.02] }
+mesh = { line = { length = 0.03, segments = 3, radius = 0.0003 } }
+needle = { thread_length = 0.03 }
+"#;
+
+fn suture(context: &BuildContext<'_>) -> Result<SutureController, ControllerError> {
+    SutureController::new(GRAVITY, context)
+}
+
+/// That needle and tissue stand still with a reason, and the controller goes on telling so; in this life and in the next.
+fn sewing_stands_still(stage: &mut Stage<SutureController>, says: &str) {
+    let at = ["needle", "bad"].map(|name| positions(stage, name));
+    for _ in 0..2 {
+        (0..3).for_each(|_| stage.tick());
+        for (name, at) in ["needle", "bad"].iter().zip(&at) {
+            let frozen = stage.get::<Frozen>(name);
+            assert!(frozen.reason.contains(says), "'{says}' is missing in '{}'", frozen.reason);
+            assert_eq!(&positions(stage, name), at);
+        }
+        assert_eq!(stage.measured("needle.frozen"), 1.0);
+        stage.rebuild(suture);
+    }
+}
+
+#[test]
+fn a_needle_that_is_too_fast_stands_still_with_what_it_sews() {
+    let mut stage = Stage::new(scene(SEWN), 500.0, suture as Build<_>);
+    (0..3).for_each(|_| stage.tick());
+    assert!(!stage.has::<Frozen>("needle"));
+    let mut memory = stage.get::<SutureMemory>("needle");
+    let state = memory.state.as_mut().expect("a state");
+    state.needle.momentum = Vector3::new(1e200, -1e200, 1e200);
+    stage.put("needle", memory);
+    stage.rebuild(suture);
+    stage.tick();
+    sewing_stands_still(&mut stage, "");
+}
+
+#[test]
+fn tissue_that_has_lost_its_volume_is_refused_at_the_start_and_frozen_with_its_needle_later() {
+    let mut stage = Stage::new(scene(SEWN), 500.0, suture as Build<_>);
+    (0..3).for_each(|_| stage.tick());
+    collapse(&mut stage, suture);
+    sewing_stands_still(&mut stage, "'bad'");
 }
 
 #[test]

@@ -39,6 +39,7 @@ pub mod rest_place;
 pub mod rigid_bodies;
 mod rigid_declared;
 mod rigid_geometry;
+mod sewing;
 pub mod smoke;
 pub mod soft;
 pub mod suture;

@@ -3,400 +3,66 @@
 //!
 //! Jaws take what lies between them when they close: the needle rather than the thread. What they hold is coupled to the
 //! instrument by its compliance, and slips beyond what the jaws can hold; instruments are told the force. The thread touches
-//! itself, the tissue, instruments and rigid bodies.
+//! itself, the tissue, instruments and rigid bodies. What cannot go on stands still as a whole, as its parts are one island.
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::Vector3;
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Doubtful, Entity, EntitySet,
-    Frozen, Instrument, JawState, Measured, Pose, Primitive, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
+    Instrument, JawState, Measured, Pose, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
 };
 
 use super::deformable::Deformable;
-use super::grips::{CLOSED, holds};
 use super::knot_state::KnotState;
-use super::knot_watch::KnotWatch;
-use super::suture_body::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};
-use super::thread_edges::{EDGES_EVERY, fineness, follow, held};
-use super::thread_grips::{Leading, Pull, SPARED, pulls, update};
-use super::thread_memory::Met;
-use super::thread_obstacles::Parts;
-use super::thread_told::{Told, collision};
-use super::touch::COLLISIONS_MAX;
-use crate::elasticity::Elastic;
-use crate::linear_fem::Deformation;
-use crate::needle::NeedleState;
-use crate::suture::{Around, Grip, Suture, SutureReport, SutureState, Tissue};
-use crate::tet_mesh::{MeshRules, TetMesh};
-use crate::thread::{Obstacle, Reaction, ThreadState};
+use super::refused::{Refused, Still};
+use super::sewing::Sewing;
+use super::suture_body::{SewnTissue, SutureMemory, SutureNeedle};
 
-/// Longest step of the island \[s\].
-const STEP: f64 = 1e-3;
-/// Jaws that open by more than this beyond closed let go \[rad\].
-const OPENING: f64 = 0.05;
-/// In one of so many ticks it is looked whether the tissue goes beyond what linear elasticity can say.
-const DOUBT_EVERY: u64 = 20;
-/// Pieces of the needle's line.
-const PIECES: usize = 24;
-/// Of a held needle against its instrument \[N/m\], \[N·m/rad\]: steel jaws.
-const STIFFNESS: f64 = 2e4;
-const TURNING_STIFFNESS: f64 = 5.0;
+/// What is sewn, or why it cannot be.
+enum Sewn {
+    Going(Box<Sewing>),
+    /// Needle and tissue.
+    Refused([Refused; 2]),
+}
 
 /// Sews with the needle that carries [`SutureNeedle`], in the tissue that carries [`SewnTissue`].
 pub struct SutureController {
-    gravity: Vector3<f64>,
-    needle: Deformable,
-    tissue: Deformable,
-    kind: SutureNeedle,
-    suture: Suture,
-    memory: SutureMemory,
-    knot: KnotWatch,
-    has_knot: bool,
-    report: SutureReport,
-    /// Of the tissue.
-    deformation: Deformation,
-    grips: Vec<Grip>,
-    parts: Parts,
-    leading: Leading,
-    /// On each part, the mean over the last tick.
-    reactions: Vec<Reaction>,
-    pulls: Vec<(Entity, Pull)>,
-    forces: Vec<(Entity, Point3<f64>, Vector3<f64>)>,
-    has_line: bool,
-    frozen: bool,
+    needle: Entity,
+    tissue: Entity,
+    sewn: Sewn,
 }
 
 impl SutureController {
     /// Reads needle and tissue, and goes on from where an earlier life left them.
     ///
     /// # Errors
-    /// There is not one of each, or what is wrong with them.
+    /// There is not one of each; in a first life, what is wrong with them.
     pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let scene = context.scene;
-        let wrong = |why: String| ControllerError::Scene(format!("suture: {why}"));
         let (needles, tissues) =
             (Deformable::carriers::<SutureNeedle>(scene), Deformable::carriers::<SewnTissue>(scene));
-        let ([needle], [tissue]) = (&needles[..], &tissues[..]) else {
-            return Err(wrong(format!(
-                "there are {} entities with a 'needle' and {} with 'sewn'; one of each is valid",
+        let (&[needle], &[tissue]) = (&needles[..], &tissues[..]) else {
+            return Err(ControllerError::Scene(format!(
+                "suture: there are {} entities with a 'needle' and {} with 'sewn'; one of each is valid",
                 needles.len(),
                 tissues.len()
             )));
         };
-        let (Some(kind), Some(sewn)) =
-            (scene.get::<SutureNeedle>(*needle).cloned(), scene.get::<SewnTissue>(*tissue).copied())
-        else {
-            return Err(wrong("needle or tissue is gone".into()));
+        let sewn = match Sewing::new(gravity_in_world, [needle, tissue], scene) {
+            Ok(sewing) => Sewn::Going(Box::new(sewing)),
+            Err(error) => {
+                let of = |entity| Refused::of(context, entity, Still::Body, error.clone());
+                Sewn::Refused([of(needle)?, of(tissue)?])
+            }
         };
-        let mut line = Deformable::read(scene, *needle)?;
-        let body = Deformable::read(scene, *tissue)?;
-        let world_from_body = scene.world_pose(*tissue);
-        let rest: Vec<_> = body.rest.iter().map(|point| world_from_body * point).collect();
-        let mesh = TetMesh::new(&rest, &body.tets, &MeshRules::default())
-            .map_err(|error| wrong(error.to_string()))?;
-        let elastic =
-            Elastic::new(sewn.young_modulus, sewn.poisson_ratio).map_err(|error| wrong(error.to_string()))?;
-        let soft = Tissue::new(mesh, &elastic, &body.pinned).map_err(|error| wrong(error.to_string()))?;
-        let memory = scene.get::<SutureMemory>(*needle).cloned().unwrap_or_default();
-        let (state, is_new) = match &memory.state {
-            Some(state) => (state.clone(), false),
-            None => (begin(&kind, &scene.world_pose(*needle)).map_err(wrong)?, true),
-        };
-        let mut suture = Suture::new(&kind.shape(), Some(kind.material()), sewn.resistance(), soft, state)
-            .map_err(|error| wrong(error.to_string()))?;
-        if is_new {
-            suture.swage();
-        }
-        let mut nodes = Vec::new();
-        line_of(&suture, &scene.world_pose(*needle), &mut nodes);
-        line.lie(nodes);
-        line.radius = kind.wire_radius;
-        Ok(Self {
-            gravity: gravity_in_world,
-            frozen: scene.get::<Frozen>(*needle).is_some(),
-            needle: line,
-            tissue: body,
-            kind,
-            suture,
-            memory,
-            knot: KnotWatch::new(scene.get::<KnotState>(*needle), 0),
-            has_knot: false,
-            report: SutureReport::default(),
-            deformation: Deformation::default(),
-            grips: Vec::new(),
-            parts: Parts::default(),
-            leading: Leading::default(),
-            reactions: Vec::new(),
-            pulls: Vec::new(),
-            forces: Vec::new(),
-            has_line: false,
-        })
-    }
-
-    /// Takes and lets go.
-    fn update(&mut self, scene: &Snapshot, period: f64) {
-        let angle = |entity| scene.get::<JawState>(entity).map(|jaws| jaws.angle);
-        let stays = |held: &HeldNeedle| angle(held.instrument).is_some_and(|angle| angle <= CLOSED + OPENING);
-        self.memory.held.retain(stays);
-        let mut closed = Vec::new();
-        for (entity, instrument) in scene.iter::<Instrument>() {
-            if !holds(instrument.kind) || angle(entity).is_none_or(|angle| angle > CLOSED) {
-                continue;
-            }
-            closed.push(entity);
-            let holds_already = self.memory.held.iter().any(|held| held.instrument == entity)
-                || self.memory.grips.iter().any(|grip| grip.instrument == entity);
-            if self.memory.closed.contains(&entity) || holds_already {
-                continue;
-            }
-            let at = scene.world_pose(entity);
-            if let Some(along) = self.between(instrument, &at) {
-                let instrument_from_needle = at.inverse() * self.suture.state().needle.pose();
-                self.memory.held.push(HeldNeedle { instrument: entity, at, along, instrument_from_needle });
-            }
-        }
-        self.memory.closed = closed;
-        let busy: Vec<Entity> = self.memory.held.iter().map(|held| held.instrument).collect();
-        if let Some(thread) = &self.suture.state().thread {
-            let radius = self.suture.thread_radius();
-            if update(&mut self.memory.grips, &self.parts, scene, thread, radius, period, &busy) {
-                self.memory.loop_min = None;
-            }
-            self.leading.spare(&self.memory.grips, &self.parts, thread);
-            for held in &self.memory.held {
-                // The thread behind the tail lies in jaws that hold the needle there.
-                self.leading.spare_beginning(held.instrument, SPARED - held.along, &self.parts, thread);
-            }
-        }
-    }
-
-    /// Where the needle lies between the jaws of an instrument that is at `world_from_instrument`: arc length from its tail.
-    fn between(&self, instrument: &Instrument, world_from_instrument: &Isometry3<f64>) -> Option<f64> {
-        let reach = instrument.jaw_thickness.max(1e-3) + self.kind.wire_radius;
-        let inside = |point: &Point3<f64>| {
-            let own = world_from_instrument.inverse_transform_point(point);
-            let along = own.z.clamp(-instrument.jaw_length, 0.0);
-            let off = (own - Point3::new(0.0, 0.0, along)).norm();
-            (off <= reach).then_some(off)
-        };
-        let (solid, pose) = (self.suture.solid(), self.suture.state().needle.pose());
-        let length = solid.shape().length();
-        let places = (0..=4 * PIECES).filter_map(|piece| {
-            let along = length * piece as f64 / (4 * PIECES) as f64;
-            Some((along, inside(&(pose * solid.point(along)))?))
-        });
-        places.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(along, _)| along)
-    }
-
-    /// Makes edges of the thread as short as they have to be where it is tied, and no shorter elsewhere.
-    fn adapt(&mut self, world_from_needle: &Isometry3<f64>) -> Result<(), String> {
-        let fineness =
-            fineness([self.kind.knot_edge, self.kind.thread_edge], 2.0 * self.suture.thread_radius());
-        let keep: Vec<usize> = held(&self.memory.grips).collect();
-        let Some(now) = self.suture.adapt(&fineness, keep).map_err(|error| error.to_string())? else {
-            return Ok(());
-        };
-        follow(&mut self.memory.grips, &now);
-        let mut nodes = Vec::new();
-        line_of(&self.suture, world_from_needle, &mut nodes);
-        self.needle.lie(nodes);
-        self.has_line = false;
-        Ok(())
-    }
-
-    /// One tick; what instruments are told is left in `forces`, `reactions` and `pulls`.
-    fn step(&mut self, scene: &Snapshot, tick: &Tick<'_>) -> Result<(), String> {
-        let period = tick.period.as_secs_f64();
-        self.parts.read(scene, &Isometry3::identity(), self.kind.tool_friction, &self.memory.met);
-        if !self.parts.are(&self.memory.met)
-            && let Some(contacts) = self.suture.contacts_mut()
-        {
-            self.parts.renumber(&self.memory.met, contacts);
-        }
-        if tick.number.is_multiple_of(EDGES_EVERY) {
-            self.adapt(&scene.world_pose(self.needle.entity))?;
-        }
-        self.update(scene, period);
-        let count = (period / STEP - 1e-9).ceil().max(1.0);
-        self.forces.clear();
-        self.reactions.clear();
-        self.reactions.resize(self.parts.list.len(), Reaction::default());
-        for step in 0..count as usize {
-            let fractions = [step, step + 1].map(|step| step as f64 / count);
-            self.grips.clear();
-            for held in &self.memory.held {
-                let now = scene.world_pose(held.instrument);
-                let [from, to] = fractions
-                    .map(|share| held.at.try_lerp_slerp(&now, share, 1e-12).unwrap_or(now))
-                    .map(|at| at * held.instrument_from_needle);
-                self.grips.push(Grip {
-                    point: self.suture.solid().point(held.along),
-                    from,
-                    to,
-                    stiffness: STIFFNESS,
-                    turning_stiffness: TURNING_STIFFNESS,
-                    force_max: self.kind.jaw_force,
-                    torque_max: self.kind.jaw_torque,
-                });
-            }
-            self.leading.holds.clear();
-            self.leading.twist_holds.clear();
-            self.leading.add(&self.memory.grips, &self.parts, scene, fractions[1]);
-            let obstacles: Vec<Obstacle<'_>> =
-                self.parts.list.iter().map(|part| part.obstacle(fractions, None)).collect();
-            let around = Around {
-                gravity: self.gravity,
-                grips: &self.grips,
-                holds: &self.leading.holds,
-                twist_holds: &self.leading.twist_holds,
-                loads: &[],
-                obstacles: &obstacles,
-                spared: &self.leading.spared,
-            };
-            self.report = self.suture.step(period / count, &around).map_err(|error| error.to_string())?;
-            for (sum, reaction) in self.reactions.iter_mut().zip(self.suture.reactions()) {
-                sum.force += reaction.force / count;
-                sum.torque += reaction.torque / count;
-            }
-            // What slipped is held otherwise from now on.
-            for (held, gripped) in self.memory.held.iter_mut().zip(self.suture.gripped()) {
-                if let Some(wanted) = gripped.slipped {
-                    let now = scene.world_pose(held.instrument);
-                    let at = held.at.try_lerp_slerp(&now, fractions[1], 1e-12).unwrap_or(now);
-                    held.instrument_from_needle = at.inverse() * wanted;
-                }
-            }
-        }
-        let pose = self.suture.state().needle.pose();
-        for (held, gripped) in self.memory.held.iter_mut().zip(self.suture.gripped()) {
-            let place = pose * self.suture.solid().point(held.along);
-            self.forces.push((held.instrument, place, gripped.force));
-            held.at = scene.world_pose(held.instrument);
-        }
-        if let Some(thread) = &self.suture.state().thread {
-            let forces = self.suture.hold_forces();
-            self.pulls = pulls(&mut self.memory.grips, &self.parts, scene, thread, forces);
-            let looked = self.knot.look(thread, self.suture.thread_radius(), tick)?;
-            self.has_knot &= !looked.changed;
-            if looked.is_another {
-                self.memory.loop_min = None;
-            }
-            if let Some(strands) = thread.strands() {
-                let now = strands.loop_length();
-                self.memory.loop_min = Some(self.memory.loop_min.map_or(now, |least| least.min(now)));
-            }
-        }
-        self.memory.met.clear();
-        self.memory.met.extend(self.parts.list.iter().map(|part| Met { at: part.to, ..part.met }));
-        if tick.number.is_multiple_of(DOUBT_EVERY) {
-            let tissue = self.suture.tissue();
-            let moved = tissue.positions().iter().zip(tissue.mesh().rest()).map(|(now, rest)| now - rest);
-            self.deformation = Deformation::of(tissue.mesh(), &moved.collect::<Vec<_>>());
-        }
-        self.memory.penetration_max = self.memory.penetration_max.max(self.report.penetration_max);
-        self.memory.state = Some(self.suture.state().clone());
-        Ok(())
-    }
-
-    /// What instruments feel: the force on what they hold, and how far they are from it.
-    fn tell(&self, tick: &Tick<'_>) -> CollisionList {
-        let mut collisions = Vec::new();
-        let needle = self.needle.entity;
-        for (instrument, place, force) in &self.forces {
-            let depth = force.norm() / STIFFNESS;
-            let jaw = Primitive::Jaw(0);
-            collisions.push(collision(*instrument, jaw, needle, *place, *force, depth, tick.time));
-        }
-        let told = Told {
-            thread: needle,
-            world_from_thread: Isometry3::identity(),
-            parts: &self.parts,
-            reactions: &self.reactions,
-            pulls: &self.pulls,
-            displacement_max: 0.0,
-        };
-        told.tell(tick.time, &mut collisions);
-        collisions.sort_by(|a, b| b.force_in_world.norm().total_cmp(&a.force_in_world.norm()));
-        collisions.truncate(COLLISIONS_MAX);
-        CollisionList { collisions, penetration_max: self.memory.penetration_max }
-    }
-
-    fn write(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) {
-        let (line, body) = (self.needle.entity, self.tissue.entity);
-        if !self.has_line {
-            self.has_line = true;
-            let segments = self.needle.segments.clone();
-            out.put(line, LineMesh { segments, radius: self.needle.radius });
-        }
-        let mut nodes = Vec::new();
-        line_of(&self.suture, &scene.world_pose(line), &mut nodes);
-        let still = vec![Vector3::zeros(); nodes.len()];
-        self.needle.write(&nodes, &still, out);
-        let body_from_world = scene.world_pose(body).inverse();
-        let positions: Vec<_> =
-            self.suture.tissue().positions().iter().map(|point| body_from_world * point).collect();
-        if !self.deformation.is_small() && scene.get::<Doubtful>(body).is_none() {
-            out.put(body, Doubtful { reason: self.deformation.doubt(), since: tick.time });
-        }
-        // Quasi-static: it has no velocities.
-        let still = vec![Vector3::zeros(); positions.len()];
-        self.tissue.write(&positions, &still, out);
-        out.put(line, self.memory.clone());
-        if !self.has_knot {
-            self.has_knot = true;
-            out.put(line, self.knot.state().clone());
-        }
-    }
-
-    fn measure(&self, world_from_needle: &Isometry3<f64>, measured: &mut Measured) {
-        let state = self.suture.state();
-        let tissue = self.suture.tissue();
-        let name = &self.needle.name;
-        let mut put = |what: &str, value: f64| {
-            measured.values.insert(format!("{name}.{what}"), value);
-        };
-        let exits = state.bites.iter().filter(|bite| bite.exit.is_some());
-        put("entries", f64::from(state.bites_so_far));
-        put("exits", exits.clone().count() as f64);
-        put("punctured_at_n", state.bites.iter().map(|bite| bite.entry_force).fold(0.0, f64::max));
-        put("inside_m", self.report.length_inside);
-        put("tip_force_n", self.report.tip_force);
-        put("drag_n", self.report.drag);
-        put("tissue_force_n", self.report.force_on_tissue.norm());
-        put("tissue_energy_j", tissue.energy());
-        put("needle_energy_j", state.needle.kinetic_energy(self.suture.solid()));
-        put("held_by", (self.memory.held.len() + self.memory.grips.len()) as f64);
-        let tensions = state.thread.iter().flat_map(|thread| thread.tensions.iter().copied());
-        put("thread_tension_n", tensions.fold(0.0, f64::max));
-        let loop_now =
-            state.thread.as_ref().and_then(|thread| thread.strands()).map(|strands| strands.loop_length());
-        put("loop_m", loop_now.unwrap_or(0.0));
-        put("slip_m", loop_now.zip(self.memory.loop_min).map_or(0.0, |(now, least)| now - least));
-        put("thread_held_nodes", held(&self.memory.grips).count() as f64);
-        put("contacts", self.report.contacts as f64);
-        put("contact_force_n", self.reactions.iter().map(|reaction| reaction.force.norm()).sum());
-        put("surface_force_n", state.presses.iter().map(|press| press.force.norm()).sum());
-        put("penetration_m", self.memory.penetration_max);
-        put("iterations", self.report.iterations as f64);
-        // How much of the thread is past the place in the tissue that it reached first.
-        put("thread_through_m", state.channel.last().map_or(0.0, |point| (-point.along).max(0.0)));
-        if let Some(plan) = self.kind.planned_exit {
-            let plan = world_from_needle * Point3::from(plan);
-            let off = exits.filter_map(|bite| Some((tissue.at_rest(&bite.exit?.0) - plan).norm()));
-            put("exit_off_plan_m", off.fold(f64::INFINITY, f64::min).min(1.0));
-        }
-        put("tissue_rotation_max_rad", self.deformation.rotation);
-        // Of an element that is inside out it is infinite.
-        put("tissue_strain_max", self.deformation.strain.min(1e3));
-        put("frozen", f64::from(u8::from(self.frozen)));
-        self.knot.state().measure(name, &mut measured.values);
+        Ok(Self { needle, tissue, sewn })
     }
 }
 
 impl Controller for SutureController {
     fn access(&self) -> Access {
-        let needle = EntitySet::Of(vec![self.needle.entity]);
-        Deformable::access(&[self.needle.entity, self.tissue.entity])
+        let needle = EntitySet::Of(vec![self.needle]);
+        Deformable::access(&[self.needle, self.tissue])
             .reads::<SutureNeedle>()
             .reads::<SewnTissue>()
             .reads::<Pose>()
@@ -408,53 +74,26 @@ impl Controller for SutureController {
             .writes::<LineMesh>(needle.clone())
             .writes::<SutureMemory>(needle.clone())
             .writes::<KnotState>(needle)
-            .writes::<Doubtful>(EntitySet::Of(vec![self.tissue.entity]))
+            .writes::<Doubtful>(EntitySet::Of(vec![self.tissue]))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
-        let mut list = CollisionList { collisions: Vec::new(), penetration_max: 0.0 };
-        if !self.frozen {
-            match self.step(scene, tick) {
-                Ok(()) => {
-                    self.write(scene, tick, out);
-                    list = self.tell(tick);
-                }
-                Err(why) => {
-                    self.frozen = true;
-                    self.needle.freeze(&why, tick, out);
-                }
-            }
-        }
         let mut measured = Measured::default();
-        self.measure(&scene.world_pose(self.needle.entity), &mut measured);
+        let list = match &mut self.sewn {
+            Sewn::Going(sewing) => {
+                let list = sewing.tick(scene, tick, out);
+                sewing.measure(&scene.world_pose(self.needle), &mut measured);
+                list
+            }
+            Sewn::Refused(parts) => {
+                parts.iter_mut().for_each(|part| part.tell(tick, &mut measured, out));
+                CollisionList { collisions: Vec::new(), penetration_max: 0.0 }
+            }
+        };
         out.contribute(list);
         out.put(tick.me, measured);
         Ok(())
-    }
-}
-
-/// Needle and thread as a scene begins with them, in the world.
-fn begin(kind: &SutureNeedle, world_from_entity: &Isometry3<f64>) -> Result<SutureState, String> {
-    let solid = kind.shape().solid().map_err(|error| error.to_string())?;
-    let pose = world_from_entity * kind.pose()?;
-    let (tail, back) = (pose * solid.point(0.0), pose * -solid.tangent(0.0));
-    let nodes = kind.thread_nodes(tail, back, world_from_entity)?;
-    Ok(SutureState::new(NeedleState::at_rest(&pose), Some(ThreadState::at_rest(&nodes))))
-}
-
-/// Needle and thread as one line from the tip to the thread's end, in the frame of the entity.
-fn line_of(suture: &Suture, world_from_entity: &Isometry3<f64>, nodes: &mut Vec<Point3<f64>>) {
-    let own = |point: &Point3<f64>| world_from_entity.inverse_transform_point(point);
-    let (solid, pose) = (suture.solid(), suture.state().needle.pose());
-    let length = solid.shape().length();
-    nodes.clear();
-    nodes.extend(
-        (0..PIECES).map(|piece| own(&(pose * solid.point(length * (1.0 - piece as f64 / PIECES as f64))))),
-    );
-    match &suture.state().thread {
-        Some(thread) => nodes.extend(thread.positions.iter().map(own)),
-        None => nodes.push(own(&(pose * solid.point(0.0)))),
     }
 }
