@@ -8,15 +8,16 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use stage::{Stage, scene};
 use trocar_scene::{
-    BuildContext, Controller, ControllerError, Doubtful, Entity, Frozen, HeatFrozen, RestPositions, SimTime,
-    VertexPositions, VertexVelocities,
+    BuildContext, Controller, ControllerError, Doubtful, Entity, Frozen, HeatFrozen, Pose, RestPositions,
+    SimTime, Velocity, VertexPositions, VertexVelocities,
 };
 use trocar_simulator::controller::smoke::Plume;
 use trocar_simulator::controller::{
     BleedingController, DynamicFemController, ElectrosurgeryController, FluidController, LinearFemController,
-    MassSpringController, SmokeController, SutureController, SutureMemory, ThreadController, VesselState,
-    VitalSignsController, XpbdController,
+    MassSpringController, RigidBodiesController, SmokeController, SutureController, SutureMemory,
+    ThreadController, VesselState, VitalSignsController, XpbdController,
 };
+use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings};
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 
@@ -155,6 +156,48 @@ fn a_linear_organ_whose_elements_have_lost_their_volume_is_frozen_and_the_other_
 fn a_thread_that_is_too_fast_stops_alone() {
     let line = "line = { length = 0.02, segments = 10, radius = 0.00015 }";
     too_fast(&two(line, "thread = { suture = \"silk2_0\" }"), 500.0, thread, "");
+}
+
+#[test]
+fn a_rigid_body_that_spins_too_fast_or_has_no_volume_stops_alone() {
+    fn build(context: &BuildContext<'_>) -> Result<RigidBodiesController<ImpulseWorld>, ControllerError> {
+        RigidBodiesController::new(context, RigidSettings { floor_height: None, ..RigidSettings::default() })
+            .map_err(|error| ControllerError::Scene(error.to_string()))
+    }
+    let text = [("good", 0.0), ("bad", 0.1)].map(|(name, x)| {
+        format!(
+            "[[entity]]\nname = \"{name}\"\npose = {{ translation = [{x}, 0.0, 0.0] }}\n\
+             mesh = {{ block = {{ size = [0.02, 0.02, 0.02], cells = [1, 1, 1] }} }}\n\
+             rigid_body = {{ motion = \"dynamic\", mass = 0.1 }}\nvelocity = {{}}\n"
+        )
+    });
+    for no_volume in [false, true] {
+        let mut stage = Stage::new(scene(&text.concat()), 250.0, build as Build<_>);
+        (0..3).for_each(|_| stage.tick());
+        assert!(!stage.has::<Frozen>("bad"), "{}", stage.get::<Frozen>("bad").reason);
+        if no_volume {
+            let flat = positions(&stage, "bad").iter().map(|at| Point3::new(at.x, at.y, 0.0)).collect();
+            stage.put("bad", VertexPositions { positions: Arc::new(flat) });
+        } else {
+            stage.put(
+                "bad",
+                Velocity { linear: Vector3::zeros(), angular: Vector3::new(1e200, -1e200, 1e200) },
+            );
+        }
+        let at = stage.get::<Pose>("bad");
+        stage.rebuild(build);
+        for _ in 0..2 {
+            let before = stage.get::<Pose>("good");
+            (0..3).for_each(|_| stage.tick());
+            let frozen = stage.get::<Frozen>("bad").reason;
+            assert!(frozen.contains(if no_volume { "volume" } else { "not finite" }), "{frozen}");
+            assert_eq!(stage.get::<Pose>("bad"), at, "its last good state");
+            assert_eq!(stage.get::<Velocity>("bad"), Velocity::default());
+            assert!(stage.get::<Pose>("good").translation.z < before.translation.z, "the other falls on");
+            assert!(!stage.has::<Frozen>("good"));
+            stage.rebuild(build);
+        }
+    }
 }
 
 /// A needle over a pad.
