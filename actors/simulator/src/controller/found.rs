@@ -128,6 +128,12 @@ impl ContactSums {
         &mut all[at]
     }
 
+    /// The sum of one vertex \[N·s\], zero of one that got nothing.
+    pub(super) fn of_vertex(&self, vertex: u32) -> Vector3<f64> {
+        let at = self.vertices.binary_search(&vertex).ok();
+        at.and_then(|at| self.sums.get(at)).copied().unwrap_or_default()
+    }
+
     /// The sum of one vertex.
     pub(super) fn at(&mut self, vertex: u32) -> &mut Vector3<f64> {
         self.sums.resize(self.vertices.len(), Vector3::zeros());

@@ -18,6 +18,7 @@ pub mod electrosurgery;
 pub mod fluid;
 mod found;
 mod found_forces;
+mod found_movers;
 pub mod grafts;
 pub mod grips;
 pub mod heat;
