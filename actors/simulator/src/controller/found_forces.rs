@@ -19,6 +19,7 @@ use super::found::{
     ContactSums, FOUND_MAX, HeldContact, Met, Shape, SoftContacts, Surroundings, answers, rows,
 };
 use super::found_movers::{Given, Handle, Mover};
+use super::found_rigid::WholeSums;
 use crate::picking::Led;
 
 /// Times that all contacts are gone over.
@@ -77,8 +78,9 @@ struct Row {
     stiffness: f64,
     damping: f64,
     friction: f64,
-    /// Relative velocity of the places per force \[m/(N·s)\], and the step that it is for \[s\].
-    yields: f64,
+    /// Relative velocity of the places per impulse \[1/kg\], along the normal and at most across it, and the step that
+    /// forces are for \[s\].
+    yields: [f64; 2],
     step: f64,
     slack: f64,
     drawn: Vector3<f64>,
@@ -108,17 +110,20 @@ pub(super) fn answer<'a>(
         return;
     }
     // Taken out, so that it can be read while contacts are brought up to date.
-    let given =
-        |body: &mut Own<'_>| Given { giver: body.entity, vertices: std::mem::take(&mut body.memory.given) };
+    let given = |body: &mut Own<'_>| Given {
+        giver: body.entity,
+        vertices: std::mem::take(&mut body.memory.given),
+        wholes: std::mem::take(&mut body.memory.given_whole),
+    };
     let given: Vec<Given> = own.iter_mut().map(given).collect();
     let mut movers: Vec<Mover<'_>> = own.iter().map(|body| Mover::of(body, period)).collect();
     let mut rows = meet(own, surroundings, scene, (now, period), &given, &mut movers);
     for _ in 0..SWEEPS {
         rows.iter_mut().for_each(|row| row.press(&mut movers));
     }
-    let pushed: Vec<Entity> = movers.iter().map(|mover| mover.entity).collect();
+    let pushed: Vec<(Entity, bool)> = movers.iter().map(|mover| (mover.entity, mover.is_whole())).collect();
     for (body, given) in own.iter_mut().zip(given) {
-        body.memory.given = given.vertices;
+        (body.memory.given, body.memory.given_whole) = (given.vertices, given.wholes);
     }
     give(own, &rows, &pushed, now, period);
 }
@@ -224,20 +229,13 @@ fn meet<'a>(
         let mut kept = 0;
         contacts.retain_mut(|held| {
             let mine = shapes.iter().position(|(entity, _)| *entity == held.other);
-            let shape = mine.map_or_else(|| Shape::of(scene, held.other), |mine| shapes[mine].1.clone());
-            if held.is_followed() {
-                surroundings.look(body.entity, &body.shape.triangles);
-                surroundings.look(held.other, &shape.triangles);
-            }
-            let stars = [surroundings.of(body.entity), surroundings.of(held.other)];
             if held.is_old(now) {
                 return false;
             }
-            let Some(met) = held.meet([&body.shape, &shape], stars) else { return false };
+            let known = movers.iter().position(|mover| mover.entity == held.other);
             let other = match mine {
                 Some(mine) => Some(mine),
                 None if answers(scene, held.other) => {
-                    let known = movers.iter().position(|mover| mover.entity == held.other);
                     let new = || Mover::remote((scene, held.other), &falls, given);
                     match known.or_else(|| new().map(|new| add(movers, new))) {
                         Some(remote) => Some(remote),
@@ -248,8 +246,21 @@ fn meet<'a>(
                         }
                     }
                 }
-                None => None,
+                None => known.or_else(|| {
+                    let new = Mover::whole((scene, held.other), (now, period), given);
+                    new.map(|new| add(movers, new))
+                }),
             };
+            let mut shape = mine.map_or_else(|| Shape::of(scene, held.other), |mine| shapes[mine].1.clone());
+            if let Some((pose, motion)) = other.and_then(|other| movers[other].whole_motion()) {
+                (shape.world_from_body, shape.motion) = (pose, motion);
+            }
+            if held.is_followed() {
+                surroundings.look(body.entity, &body.shape.triangles);
+                surroundings.look(held.other, &shape.triangles);
+            }
+            let stars = [surroundings.of(body.entity), surroundings.of(held.other)];
+            let Some(met) = held.meet([&body.shape, &shape], stars) else { return false };
             if let Some(mut row) = Row::new(met, [Some(index), other], movers, period) {
                 let leaving = row.slip(movers).dot(&met.normal_in_world);
                 held.slack = match std::mem::replace(&mut held.is_in, met.depth > 0.0) {
@@ -275,8 +286,8 @@ fn add<'a>(movers: &mut Vec<Mover<'a>>, mover: Mover<'a>) -> usize {
     movers.len() - 1
 }
 
-/// Tells both sides what they get; `pushed` are all movers.
-fn give(own: &mut [Own<'_>], rows: &[Row], pushed: &[Entity], now: SimTime, period: f64) {
+/// Tells both sides what they get; `pushed` are all movers, and whether each moves as a whole.
+fn give(own: &mut [Own<'_>], rows: &[Row], pushed: &[(Entity, bool)], now: SimTime, period: f64) {
     for row in rows {
         let force = row.met.normal_in_world * row.normal + row.across;
         let held = own[row.body].memory.contacts.get_mut(row.contact);
@@ -285,7 +296,7 @@ fn give(own: &mut [Own<'_>], rows: &[Row], pushed: &[Entity], now: SimTime, peri
             // What slides is drawn as far as friction holds it.
             if row.stiffness > 0.0 {
                 let resists = row.stiffness * row.step + row.damping;
-                held.drawn += row.beyond * ((1.0 + resists * row.yields * row.step) / row.stiffness);
+                held.drawn += row.beyond * ((1.0 + resists * row.yields[1] * row.step) / row.stiffness);
             }
             if held.presses {
                 held.seen = now;
@@ -308,8 +319,14 @@ fn give(own: &mut [Own<'_>], rows: &[Row], pushed: &[Entity], now: SimTime, peri
                     let own_force = body_from_world.rotation * force;
                     body.forces.extend(shares.map(|(node, weight)| (node, own_force * weight)));
                 }
+                Some(mover) if pushed[mover].1 => {
+                    // Where the soft body gets it, so that of angular momentum nothing is lost either.
+                    let at = row.met.places[0].at_in_world;
+                    let sums = WholeSums::of(&mut own[row.body].memory.given_whole, pushed[mover].0);
+                    sums.add(&(force * (sign * period)), &at);
+                }
                 Some(mover) => {
-                    let sums = ContactSums::of(&mut own[row.body].memory.given, pushed[mover]);
+                    let sums = ContactSums::of(&mut own[row.body].memory.given, pushed[mover].0);
                     shares.for_each(|(node, weight)| *sums.at(node) += force * (sign * weight * period));
                 }
                 None => {}
@@ -323,11 +340,13 @@ impl Row {
     fn new(met: Met, sides: [Option<usize>; 2], movers: &mut [Mover<'_>], period: f64) -> Option<Self> {
         let handles = [0, 1].map(|side| {
             let mover = sides[side]?;
-            Some(movers[mover].hold(mover, &met.places[side]))
+            Some(movers[mover].hold(mover, &met.places[side], &met.places[0].at_in_world))
         });
         let all = || handles.iter().flatten().map(|handle| (&movers[handle.mover], handle));
-        let yields: f64 = all().map(|(mover, handle)| mover.yields(handle)).sum();
-        if yields.is_nan() || yields <= 0.0 || !met.depth.is_finite() {
+        let normal = &met.normal_in_world;
+        let yields = all().map(|(mover, handle)| mover.yields(handle, normal));
+        let yields = yields.fold([0.0; 2], |[along, across], [a, b]| [along + a, across + b]);
+        if !yields.iter().all(|yields| *yields > 0.0) || !met.depth.is_finite() {
             return None;
         }
         let all = || all().map(|(mover, _)| mover);
@@ -343,7 +362,7 @@ impl Row {
             met,
             handles,
             stiffness,
-            damping: 2.0 * DAMPING_RATIO * (stiffness / yields).sqrt(),
+            damping: 2.0 * DAMPING_RATIO * (stiffness / yields[0]).sqrt(),
             friction,
             yields,
             step,
@@ -374,7 +393,7 @@ impl Row {
     /// Once: what the contact exerts, all others as they are.
     fn press(&mut self, movers: &mut [Mover<'_>]) {
         let normal = self.met.normal_in_world;
-        let gives = self.yields * self.step;
+        let gives = self.yields[0] * self.step;
         let leaving = self.slip(movers).dot(&normal) - self.normal * gives;
         let depth = self.met.depth;
         let resists = self.stiffness * self.step + if depth > 0.0 { self.damping } else { 0.0 };
@@ -383,6 +402,7 @@ impl Row {
         let change = wanted.max(0.0) - self.normal;
         self.push(movers, &(normal * change));
         self.normal += change;
+        let gives = self.yields[1] * self.step;
         let slip = self.slip(movers) - self.across * gives;
         let across = slip - normal * slip.dot(&normal);
         let resists = self.stiffness * self.step + self.damping;

@@ -1,18 +1,21 @@
 //! What contacts push. For the time of a step vertices are taken as free; of each body only those are looked at that touch.
+//! Rigid bodies move as a whole.
 
 use std::collections::BTreeMap;
 
-use nalgebra::{UnitQuaternion, Vector3};
-use trocar_scene::{Entity, Snapshot};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use trocar_scene::{Entity, SimTime, Snapshot, Velocity};
 
 use super::found::{ContactSums, Place, Shape, SoftContacts};
 use super::found_forces::{Own, Terms};
+use super::found_rigid::{Whole, WholeSums};
 use crate::picking::Led;
 
 /// What the bodies of a controller have given others so far: who, and to whom.
 pub(super) struct Given {
     pub giver: Entity,
     pub vertices: Vec<ContactSums>,
+    pub wholes: Vec<WholeSums>,
 }
 
 /// A body that contacts push: one of the controller, or one that another moves.
@@ -22,7 +25,12 @@ pub(super) struct Mover<'a> {
     pub stiffness: f64,
     /// Until what it is given takes effect \[s\].
     pub step: f64,
-    vertices: Vertices<'a>,
+    matter: Matter<'a>,
+}
+
+enum Matter<'a> {
+    Vertices(Vertices<'a>),
+    Whole(Whole),
 }
 
 /// Where a contact pushes a mover.
@@ -32,6 +40,8 @@ pub(super) struct Handle {
     pub mover: usize,
     /// Vertices by their places among those that are touched, and their shares.
     nodes: [(usize, f64); 3],
+    /// Of one that moves as a whole.
+    at_in_world: Point3<f64>,
 }
 
 /// How the vertices of a body would move if nothing held them together.
@@ -90,7 +100,7 @@ impl Vertices<'_> {
                     speed += falls;
                 }
                 // What it has been given and has not taken yet moves it already.
-                for Given { giver, vertices } in given.iter() {
+                for Given { giver, vertices, .. } in given.iter() {
                     for sums in vertices.iter().filter(|sums| sums.body == Some(*entity)) {
                         speed += sums.of_vertex(node) * mass;
                         let known = taken.iter().filter(|taken| taken.body == Some(*giver));
@@ -122,8 +132,8 @@ impl<'a> Mover<'a> {
         let Terms { masses_inverse, stiffness, friction } = body.terms;
         let falls = body.gravity_in_body * period;
         let before = Before::Own { led: body.led, falls, period, forces };
-        let vertices = Vertices::new(&body.shape, masses_inverse, before);
-        Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, vertices }
+        let matter = Matter::Vertices(Vertices::new(&body.shape, masses_inverse, before));
+        Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, matter }
     }
 
     /// A body of vertices that another controller moves, which has told its masses.
@@ -137,34 +147,74 @@ impl<'a> Mover<'a> {
             return None;
         }
         let before = Before::Remote { entity, falls: *falls, given, taken: &told.taken };
-        let vertices = Vertices::new(&shape, &told.masses_inverse, before);
-        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: told.step, vertices })
+        let matter = Matter::Vertices(Vertices::new(&shape, &told.masses_inverse, before));
+        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: told.step, matter })
     }
 
-    /// To push it at a place; `mover` is its number.
-    pub fn hold(&mut self, mover: usize, place: &Place) -> Handle {
-        let mut nodes = [(0, 0.0); 3];
-        for (node, (vertex, share)) in nodes.iter_mut().zip(joint(place)) {
-            *node = (self.vertices.touch(vertex), share);
+    /// A rigid body whose controller takes impulses.
+    pub fn whole(
+        (scene, entity): (&Snapshot, Entity),
+        when: (SimTime, f64),
+        given: &[Given],
+    ) -> Option<Self> {
+        let matter = Matter::Whole(Whole::of(scene, entity, when, given)?);
+        // It is where what it has been given puts it, so that it answers at once.
+        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: 0.0, matter })
+    }
+
+    pub fn is_whole(&self) -> bool {
+        matches!(self.matter, Matter::Whole(_))
+    }
+
+    /// Where one is by now that moves as a whole, `world_from_body`, and how it moves.
+    pub fn whole_motion(&self) -> Option<(Isometry3<f64>, Velocity)> {
+        match &self.matter {
+            Matter::Whole(whole) => Some((whole.pose, whole.of_origin())),
+            Matter::Vertices(_) => None,
         }
-        Handle { mover, nodes }
     }
 
-    /// How much faster the place is for each impulse on it \[1/kg\].
-    pub fn yields(&self, handle: &Handle) -> f64 {
-        handle.shares().map(|(place, share)| share * share * self.vertices.touched[place].1).sum()
+    /// To push it at a place; `mover` is its number. One that moves as a whole is pushed at `at_in_world`.
+    pub fn hold(&mut self, mover: usize, place: &Place, at_in_world: &Point3<f64>) -> Handle {
+        let mut nodes = [(0, 0.0); 3];
+        if let Matter::Vertices(vertices) = &mut self.matter {
+            for (node, (vertex, share)) in nodes.iter_mut().zip(joint(place)) {
+                *node = (vertices.touch(vertex), share);
+            }
+        }
+        Handle { mover, nodes, at_in_world: *at_in_world }
+    }
+
+    /// How much faster the place is for each impulse on it, along a direction and at most across it \[1/kg\].
+    pub fn yields(&self, handle: &Handle, normal: &Vector3<f64>) -> [f64; 2] {
+        match &self.matter {
+            Matter::Whole(whole) => whole.yields(&handle.at_in_world, normal),
+            Matter::Vertices(Vertices { touched, .. }) => {
+                [handle.shares().map(|(place, share)| share * share * touched[place].1).sum(); 2]
+            }
+        }
     }
 
     /// How the place moves \[m/s\].
     pub fn speed(&self, handle: &Handle) -> Vector3<f64> {
-        handle.shares().map(|(place, share)| self.vertices.touched[place].0 * share).sum()
+        match &self.matter {
+            Matter::Whole(whole) => whole.speed(&handle.at_in_world),
+            Matter::Vertices(Vertices { touched, .. }) => {
+                handle.shares().map(|(place, share)| touched[place].0 * share).sum()
+            }
+        }
     }
 
     /// Gives the place an impulse \[N·s\].
     pub fn push(&mut self, handle: &Handle, impulse: &Vector3<f64>) {
-        for (place, share) in handle.shares() {
-            let (speed, mass) = &mut self.vertices.touched[place];
-            *speed += impulse * (share * *mass);
+        match &mut self.matter {
+            Matter::Whole(whole) => whole.push(&handle.at_in_world, impulse),
+            Matter::Vertices(Vertices { touched, .. }) => {
+                for (place, share) in handle.shares() {
+                    let (speed, mass) = &mut touched[place];
+                    *speed += impulse * (share * *mass);
+                }
+            }
         }
     }
 }

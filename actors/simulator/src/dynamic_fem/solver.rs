@@ -253,6 +253,9 @@ impl DynamicFem {
             report.factorisations += 1;
         }
         let value = self.minimise(dt, inputs, work, &mut report)?;
+        if inputs.springs.is_empty() && inputs.contacts.is_empty() && !work.held.contains(&true) {
+            self.balance(dt, work);
+        }
         if let Some(node) = work.now.iter().position(|point| !point.iter().all(|x| x.is_finite())) {
             return Err(StepError::NotFinite { node: node as u32 });
         }
@@ -475,6 +478,15 @@ impl DynamicFem {
             value = self.evaluate(dt, inputs, work, |work| &work.now);
         }
         Ok(value)
+    }
+
+    /// A body that nothing holds goes as a whole where the forces on it say, however far its parts are from balance among
+    /// each other: of its momentum nothing is left to the tolerance.
+    fn balance(&self, dt: f64, work: &mut Work) {
+        let mass: f64 = self.mass.lumped.iter().sum();
+        let resists = mass * (1.0 / dt + self.config.mass_damping) / dt;
+        let apart = work.gradient.iter().sum::<Vector3<f64>>() / resists;
+        work.now.iter_mut().for_each(|place| *place -= apart);
     }
 
     /// The acceleration has changed: begins where the potential is least, there, without it, or where the body is.
