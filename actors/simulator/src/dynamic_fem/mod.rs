@@ -13,7 +13,9 @@
 mod change;
 mod config;
 mod lbfgs;
+mod lent;
 mod material;
+mod near_cut;
 mod objective;
 mod outlook;
 mod polar;
@@ -21,6 +23,7 @@ mod solver;
 mod state;
 
 pub use config::{Config, DynamicFemError, Energies, MassMatrix, Report, StepError};
+pub use lent::Analysis;
 pub use material::{Constitution, JACOBIAN_MIN};
 pub use objective::{Contact, Coupling, Inputs, Spring};
 pub use solver::DynamicFem;

@@ -4,6 +4,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::config::{Config, DynamicFemError, Energies, MassMatrix, Report, StepError};
 use super::lbfgs::{Memory, dot};
+use super::lent::{self, Lent};
 use super::material::Material;
 use super::objective::{
     Coupling, Damping, Element, Inputs, Mass, Matter, add_couplings, add_hessian, add_springs, couplings,
@@ -37,20 +38,25 @@ pub struct DynamicFem {
     pub(super) mesh: TetMesh,
     pub(super) config: Config,
     pub(super) elements: Vec<Element>,
-    material: Material,
-    lame: [f64; 2],
+    pub(super) material: Material,
+    pub(super) lame: [f64; 2],
     pub(super) mass: Mass,
     /// Elements that each node has; one without stays where it is.
     pub(super) around: Vec<u32>,
-    /// Row of each node in the order of elimination; `None` for fixed ones.
+    pub(super) fixed: Vec<bool>,
+    /// Row of each node in the order of elimination; `None` for fixed ones, and for new ones where the factor is lent.
     pub(super) numbers: Vec<Option<u32>>,
     pub(super) positions: Vec<Point3<f64>>,
     pub(super) velocities: Vec<Vector3<f64>>,
     pub(super) accelerations: Vec<Vector3<f64>>,
     pub(super) debt: u32,
     pub(super) factored_at: FactoredAt,
-    hessian: BlockMatrix,
+    pub(super) hessian: BlockMatrix,
     pub(super) factor: SparseCholesky,
+    /// Where the factor is that of what the body was.
+    pub(super) lent: Option<Lent>,
+    /// See [`Self::analysed`].
+    pub(super) analysed: u32,
     pub(super) memory: Memory,
     /// Of the elastic energy \[J\]: it is a difference of terms that are as large as the body is stiff.
     rounding: f64,
@@ -114,14 +120,51 @@ impl DynamicFem {
         range("iterations_max", iterations, (1.0..=1e4).contains(&iterations), "1 to 10,000")?;
 
         let nodes = mesh.rest().len();
-        let mut free = vec![true; nodes];
+        let mut is_fixed = vec![false; nodes];
         for &node in fixed {
-            *free.get_mut(node as usize).ok_or(DynamicFemError::NoNode { node, nodes })? = false;
+            *is_fixed.get_mut(node as usize).ok_or(DynamicFemError::NoNode { node, nodes })? = true;
         }
-        let members: Vec<u32> = (0..nodes as u32).filter(|&node| free[node as usize]).collect();
-        if members.is_empty() {
+        if is_fixed.iter().all(|fixed| *fixed) {
             return Err(DynamicFemError::NothingFree(nodes));
         }
+        let (numbers, hessian, factor) = Self::analyse(&mesh, &is_fixed)?;
+        let still = vec![Vector3::zeros(); nodes];
+        let mut body = Self {
+            elements: Vec::new(),
+            around: Vec::new(),
+            material: Material::new(config.constitution, elastic),
+            lame: [elastic.lambda(), elastic.mu()],
+            mass: Mass { lumped: Vec::new(), consistent: None },
+            fixed: Vec::new(),
+            numbers,
+            positions: mesh.rest().to_vec(),
+            velocities: still.clone(),
+            accelerations: still,
+            debt: 0,
+            factored_at: FactoredAt::default(),
+            hessian,
+            factor,
+            lent: None,
+            analysed: 0,
+            memory: Memory::default(),
+            rounding: 0.0,
+            floor: 0.0,
+            work: Work::default(),
+            mesh,
+            config: *config,
+        };
+        body.look_at_mesh(fixed);
+        body.work.flat.resize(body.factor.rows(), 0.0);
+        Ok(body)
+    }
+
+    /// An order of the nodes that are free, the pattern in that order, and its factor, of which there are no numbers yet.
+    pub(super) fn analyse(
+        mesh: &TetMesh,
+        is_fixed: &[bool],
+    ) -> Result<(Vec<Option<u32>>, BlockMatrix, SparseCholesky), FactorError> {
+        let nodes = mesh.rest().len();
+        let members: Vec<u32> = (0..nodes as u32).filter(|&node| !is_fixed[node as usize]).collect();
         let mut local = vec![None; nodes];
         members.iter().enumerate().for_each(|(index, &node)| local[node as usize] = Some(index as u32));
         let edges = mesh.tets().iter().flat_map(|tet| {
@@ -133,41 +176,39 @@ impl DynamicFem {
         for (row, &index) in order.iter().enumerate() {
             numbers[members[index as usize] as usize] = Some(row as u32);
         }
-        let hessian = BlockMatrix::zeros(pattern(&mesh, &numbers, members.len()));
+        let hessian = BlockMatrix::zeros(pattern(mesh, &numbers, members.len()));
         let factor = SparseCholesky::new(hessian.pattern(), 1)?;
-        let consistent = (config.mass == MassMatrix::Consistent).then(|| {
+        Ok((numbers, hessian, factor))
+    }
+
+    /// All that follows from its mesh but the factor.
+    pub(super) fn look_at_mesh(&mut self, fixed: &[u32]) {
+        let (mesh, density) = (&self.mesh, self.config.density);
+        let nodes = mesh.rest().len();
+        let consistent = (self.config.mass == MassMatrix::Consistent).then(|| {
             let all: Vec<_> = (0..nodes as u32).map(Some).collect();
-            consistent_mass(&mesh, density, &all, nodes)
+            consistent_mass(mesh, density, &all, nodes)
         });
-        let still = vec![Vector3::zeros(); nodes];
-        let stiff = elastic.lambda().abs() + 2.0 * elastic.mu();
+        let [lambda, mu] = self.lame;
+        let stiff = lambda.abs() + 2.0 * mu;
         let extent = mesh.rest().iter().map(|point| point.coords.amax()).fold(0.0, f64::max);
         let springs = mesh.inverse_shapes().iter().zip(mesh.volumes());
         let squares: f64 =
             springs.map(|(shape, volume)| (shape.norm_squared() * volume * stiff).powi(2)).sum();
-        let mut around = vec![0; nodes];
-        mesh.tets().iter().flatten().for_each(|&node| around[node as usize] += 1);
-        Ok(Self {
-            elements: elements(&mesh),
-            around,
-            material: Material::new(config.constitution, elastic),
-            lame: [elastic.lambda(), elastic.mu()],
-            mass: Mass { lumped: mesh.lumped_masses(density), consistent },
-            numbers,
-            positions: mesh.rest().to_vec(),
-            velocities: still.clone(),
-            accelerations: still.clone(),
-            debt: 0,
-            factored_at: FactoredAt::default(),
-            hessian,
-            factor,
-            memory: Memory::new(nodes),
-            rounding: 1e-14 * stiff * mesh.volume(),
-            floor: 2.0 * f64::EPSILON * extent * squares.sqrt(),
-            work: Work { flat: vec![0.0; 3 * members.len()], product: still.clone(), ..Work::default() },
-            mesh,
-            config: *config,
-        })
+        self.rounding = 1e-14 * stiff * mesh.volume();
+        self.floor = 2.0 * f64::EPSILON * extent * squares.sqrt();
+        self.elements = elements(mesh);
+        self.mass = Mass { lumped: mesh.lumped_masses(density), consistent };
+        self.around = vec![0; nodes];
+        mesh.tets().iter().flatten().for_each(|&node| self.around[node as usize] += 1);
+        self.fixed = vec![false; nodes];
+        for &node in fixed {
+            if let Some(is_fixed) = self.fixed.get_mut(node as usize) {
+                *is_fixed = true;
+            }
+        }
+        self.memory = Memory::new(nodes);
+        self.work.product = vec![Vector3::zeros(); nodes];
     }
 
     /// The body at rest.
@@ -210,14 +251,14 @@ impl DynamicFem {
         Energies { kinetic: 0.5 * dot(&self.velocities, &product), elastic }
     }
 
-    fn matter<'a>(&'a self, dt: f64, before: &'a [(Matrix3<f64>, Matrix3<f64>)]) -> Matter<'a> {
+    pub(super) fn matter<'a>(&'a self, dt: f64, before: &'a [(Matrix3<f64>, Matrix3<f64>)]) -> Matter<'a> {
         let damping = Damping { mass: self.config.mass_damping, stiffness: self.config.stiffness_damping };
         Matter { elements: &self.elements, material: self.material, lame: self.lame, damping, before, dt }
     }
 
     /// Whether a node is neither fixed nor left behind.
     pub(super) fn moves(&self, node: usize) -> bool {
-        self.numbers[node].is_some() && self.around[node] > 0
+        !self.fixed[node] && self.around[node] > 0
     }
 
     /// One step of `dt` \[s\].
@@ -247,7 +288,11 @@ impl DynamicFem {
             inverted: 0,
             first_inverted: None,
         };
-        if self.factored_at.dt != dt || self.factored_at.positions.is_empty() || self.debt >= DEBT_MAX {
+        let is_none = self.factored_at.dt != dt || self.factored_at.positions.is_empty();
+        if is_none && self.lent.is_some() {
+            self.settle()?;
+        }
+        if is_none || (self.debt >= DEBT_MAX && self.lent.is_none()) {
             let begin = FactoredAt { positions: self.positions.clone(), dt, couplings: Vec::new() };
             self.refactor(begin, inputs)?;
             report.factorisations += 1;
@@ -445,14 +490,18 @@ impl DynamicFem {
             value = self.better_guess(dt, inputs, work, report, value);
         }
         let mut since_factor = 0;
-        let mut fresh = false;
+        let (mut fresh, mut stuck) = (false, false);
         while !self.solved(&value) && report.iterations < self.config.iterations_max {
-            if since_factor >= REFACTOR_AFTER {
+            if self.lent.is_some() && stuck {
+                // Another factor is on its way: once more with what is known of the gradient alone.
+                self.memory.forget();
+                (stuck, fresh) = (false, true);
+            } else if self.lent.is_none() && (stuck || since_factor >= REFACTOR_AFTER) {
                 let here = FactoredAt { positions: work.now.clone(), dt, couplings: Vec::new() };
                 self.refactor(here, inputs)?;
                 self.memory.forget();
                 report.factorisations += 1;
-                (since_factor, fresh) = (0, true);
+                (since_factor, fresh, stuck) = (0, true, false);
             }
             report.iterations += 1;
             since_factor += 1;
@@ -469,7 +518,7 @@ impl DynamicFem {
                 }
                 // With what is known here nothing gets lower: once more with a new factor, and then it is rounding.
                 None if fresh => break,
-                None => since_factor = REFACTOR_AFTER,
+                None => stuck = true,
             }
         }
         if work.refused {
@@ -526,23 +575,11 @@ impl DynamicFem {
     /// The direction from the gradient: minus the inverse Hessian, as far as it is known, times it.
     pub(super) fn descend(&mut self, work: &mut Work) {
         work.direction.clone_from(&work.gradient);
-        let (factor, numbers) = (&mut self.factor, &self.numbers);
+        let (factor, numbers, lent) = (&mut self.factor, &self.numbers, &mut self.lent);
         let (flat, held) = (&mut work.flat, &work.held);
         self.memory.apply(&mut work.direction, |vector| {
-            for (node, number) in numbers.iter().enumerate() {
-                if let Some(number) = number {
-                    flat[3 * *number as usize..][..3].copy_from_slice(vector[node].as_slice());
-                }
-            }
-            factor.solve(flat);
-            for (node, number) in numbers.iter().enumerate() {
-                vector[node] = match number {
-                    Some(number) if !held[node] => {
-                        Vector3::from_column_slice(&flat[3 * *number as usize..][..3])
-                    }
-                    _ => Vector3::zeros(),
-                };
-            }
+            lent::solve(factor, numbers, lent.as_mut(), flat, vector);
+            vector.iter_mut().zip(held).filter(|(_, held)| **held).for_each(|(own, _)| own.fill(0.0));
         });
         work.direction.iter_mut().for_each(|direction| direction.neg_mut());
     }
