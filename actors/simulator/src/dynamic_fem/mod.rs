@@ -12,6 +12,7 @@
 
 mod change;
 mod config;
+mod derived;
 mod lbfgs;
 mod lent;
 mod material;

@@ -2,16 +2,16 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::config::{Config, DynamicFemError, Energies, MassMatrix, Report, StepError};
+use super::config::{Config, DynamicFemError, Energies, Report, StepError};
 use super::lbfgs::{Memory, dot};
 use super::lent::{self, Lent};
 use super::material::Material;
 use super::objective::{
     Coupling, Damping, Element, Inputs, Mass, Matter, add_couplings, add_hessian, add_springs, couplings,
-    elements, frames,
+    frames,
 };
-use crate::elasticity::{Elastic, consistent_mass, pattern};
-use crate::sparse::{BlockMatrix, FactorError, SparseCholesky, minimum_degree};
+use crate::elasticity::Elastic;
+use crate::sparse::{BlockMatrix, FactorError, SparseCholesky};
 use crate::tet_mesh::TetMesh;
 
 /// Where the factor was computed: a restored body computes it there again, to the same bits.
@@ -59,9 +59,9 @@ pub struct DynamicFem {
     pub(super) analysed: u32,
     pub(super) memory: Memory,
     /// Of the elastic energy \[J\]: it is a difference of terms that are as large as the body is stiff.
-    rounding: f64,
+    pub(super) rounding: f64,
     /// Of the forces \[N\]: what positions that are off by their rounding put out of balance.
-    floor: f64,
+    pub(super) floor: f64,
     pub(super) work: Work,
 }
 
@@ -79,7 +79,7 @@ pub(super) struct Work {
     pub next: Vec<Vector3<f64>>,
     pub direction: Vec<Vector3<f64>>,
     apart: Vec<Vector3<f64>>,
-    product: Vec<Vector3<f64>>,
+    pub(super) product: Vec<Vector3<f64>>,
     pub flat: Vec<f64>,
     /// The last evaluation was of a trial that was not taken.
     refused: bool,
@@ -156,59 +156,6 @@ impl DynamicFem {
         body.look_at_mesh(fixed);
         body.work.flat.resize(body.factor.rows(), 0.0);
         Ok(body)
-    }
-
-    /// An order of the nodes that are free, the pattern in that order, and its factor, of which there are no numbers yet.
-    pub(super) fn analyse(
-        mesh: &TetMesh,
-        is_fixed: &[bool],
-    ) -> Result<(Vec<Option<u32>>, BlockMatrix, SparseCholesky), FactorError> {
-        let nodes = mesh.rest().len();
-        let members: Vec<u32> = (0..nodes as u32).filter(|&node| !is_fixed[node as usize]).collect();
-        let mut local = vec![None; nodes];
-        members.iter().enumerate().for_each(|(index, &node)| local[node as usize] = Some(index as u32));
-        let edges = mesh.tets().iter().flat_map(|tet| {
-            let own = tet.map(|node| local[node as usize]);
-            (0..4).flat_map(move |i| (0..i).filter_map(move |j| Some((own[i]?, own[j]?))))
-        });
-        let order = minimum_degree(members.len(), edges);
-        let mut numbers = vec![None; nodes];
-        for (row, &index) in order.iter().enumerate() {
-            numbers[members[index as usize] as usize] = Some(row as u32);
-        }
-        let hessian = BlockMatrix::zeros(pattern(mesh, &numbers, members.len()));
-        let factor = SparseCholesky::new(hessian.pattern(), 1)?;
-        Ok((numbers, hessian, factor))
-    }
-
-    /// All that follows from its mesh but the factor.
-    pub(super) fn look_at_mesh(&mut self, fixed: &[u32]) {
-        let (mesh, density) = (&self.mesh, self.config.density);
-        let nodes = mesh.rest().len();
-        let consistent = (self.config.mass == MassMatrix::Consistent).then(|| {
-            let all: Vec<_> = (0..nodes as u32).map(Some).collect();
-            consistent_mass(mesh, density, &all, nodes)
-        });
-        let [lambda, mu] = self.lame;
-        let stiff = lambda.abs() + 2.0 * mu;
-        let extent = mesh.rest().iter().map(|point| point.coords.amax()).fold(0.0, f64::max);
-        let springs = mesh.inverse_shapes().iter().zip(mesh.volumes());
-        let squares: f64 =
-            springs.map(|(shape, volume)| (shape.norm_squared() * volume * stiff).powi(2)).sum();
-        self.rounding = 1e-14 * stiff * mesh.volume();
-        self.floor = 2.0 * f64::EPSILON * extent * squares.sqrt();
-        self.elements = elements(mesh);
-        self.mass = Mass { lumped: mesh.lumped_masses(density), consistent };
-        self.around = vec![0; nodes];
-        mesh.tets().iter().flatten().for_each(|&node| self.around[node as usize] += 1);
-        self.fixed = vec![false; nodes];
-        for &node in fixed {
-            if let Some(is_fixed) = self.fixed.get_mut(node as usize) {
-                *is_fixed = true;
-            }
-        }
-        self.memory = Memory::new(nodes);
-        self.work.product = vec![Vector3::zeros(); nodes];
     }
 
     /// The body at rest.
