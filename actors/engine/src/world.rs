@@ -24,11 +24,12 @@ use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
 
 use trocar_simulator::instrument::contact::Contact;
-use trocar_simulator::instrument::coupling::Wrench;
+use trocar_simulator::instrument::coupling::Wrench as WrenchOnHand;
 use trocar_simulator::instrument::grasp::{self, Hold, PadContact};
 use trocar_simulator::instrument::local_model::Obstacle;
 use trocar_simulator::instrument::opening::InstrumentState;
 use trocar_simulator::instrument::target_track::TargetTrack;
+use trocar_simulator::rigid::Wrench;
 pub use trocar_simulator::rigid_world::FLOOR;
 use trocar_simulator::rigid_world::check;
 
@@ -62,6 +63,8 @@ struct Body {
     /// Where a body was whose contacts others find.
     trail: Option<Trail>,
     friction: f64,
+    /// What others push it with, its torque about the origin of the world.
+    push: Wrench,
 }
 
 /// The way of a kinematic body.
@@ -190,7 +193,8 @@ impl RigidWorld {
             })
             .collect();
         let (motion, friction) = (body.motion, body.friction);
-        self.bodies.insert(entity, Body { handle, colliders, motion, travel: None, trail: None, friction });
+        let (travel, trail, push) = (None, None, Wrench::default());
+        self.bodies.insert(entity, Body { handle, colliders, motion, travel, trail, friction, push });
         Ok(())
     }
 
@@ -383,7 +387,9 @@ impl RigidWorld {
         }
         self.move_kinematic_bodies();
         self.press_surfaces();
+        self.press_pushed();
         self.physics.step();
+        self.release_pushed();
         self.now += SimTime::from_secs_f64(step_secs);
         self.leave_trails();
         self.statistics.steps += 1;
@@ -519,7 +525,7 @@ impl RigidWorld {
     }
     /// The wrench that an instrument exerts on its hand, about the tip, in world axes, averaged over the steps
     /// since this was last asked.
-    pub fn take_wrench_on_hand(&mut self, entity: Entity) -> Option<Wrench> {
+    pub fn take_wrench_on_hand(&mut self, entity: Entity) -> Option<WrenchOnHand> {
         self.graspers.get_mut(&entity).map(Grasper::take_wrench_on_hand)
     }
     /// `instrument_from_body`, if both are simulated.

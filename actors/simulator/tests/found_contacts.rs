@@ -7,14 +7,14 @@ mod stage;
 use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
+use stage::other::Other;
 use stage::{Stage, scene_with};
 use trocar_collision::controller::{
     ContinuousConfig, ContinuousController, ObbTreeConfig, ObbTreeController,
 };
 use trocar_scene::{
     BuildContext, Collision, CollisionList, Commands, Controller, ControllerError, Detection, Entity,
-    EntityAllocator, Events, Frozen, Jobs, Primitive, RestPositions, SimTime, Store, Tick, VertexPositions,
-    VertexVelocities, WriterRules,
+    EntityAllocator, Frozen, Primitive, RestPositions, SimTime, Store, VertexPositions, VertexVelocities,
 };
 use trocar_simulator::controller::{
     ContactSums, DynamicFemController, MassSpringController, SoftContacts, XpbdController,
@@ -43,71 +43,15 @@ fn scene(text: &str) -> Store {
     scene_with(text, |builder| trocar_collision::controller::register(builder).expect("names are free"))
 }
 
-/// Another controller on the stage.
-struct Other {
-    controller: Box<dyn Controller>,
-    me: Entity,
-    rules: WriterRules,
-    commands: Commands,
-    ticks: u64,
-    /// How many ticks of the first one each of its own takes.
-    every: u32,
+fn detector<C: Controller>(stage: &Stage<C>, every: u32, pairs: &[[&str; 2]]) -> Other {
+    let pairs = pairs.iter().map(|pair| pair.map(str::to_owned)).collect();
+    let config = ObbTreeConfig { pairs, stiffness: 500.0 };
+    Other::new(stage, DETECTOR, every, |context| ObbTreeController::new(&config, context))
 }
 
-impl Other {
-    fn new<C: Controller, D: Controller>(
-        stage: &Stage<C>,
-        number: u16,
-        every: u32,
-        build: impl FnOnce(&BuildContext<'_>) -> Result<D, ControllerError>,
-    ) -> Self {
-        let me = Entity::of_writer(0, number);
-        let context = BuildContext {
-            scene: stage.store.view(),
-            time: stage.now(),
-            name: "other",
-            me,
-            epoch: 1,
-            seed: 1,
-        };
-        let controller = build(&context).unwrap_or_else(|error| panic!("{error}"));
-        let registry = stage.store.view().registry().clone();
-        let rules = WriterRules::compile(&controller.access(), &registry, me).expect("its access");
-        let commands = Commands::new(registry, EntityAllocator::new(0, number));
-        Self { controller: Box::new(controller), me, rules, commands, ticks: 0, every }
-    }
-
-    fn detector<C: Controller>(stage: &Stage<C>, every: u32, pairs: &[[&str; 2]]) -> Self {
-        let pairs = pairs.iter().map(|pair| pair.map(str::to_owned)).collect();
-        let config = ObbTreeConfig { pairs, stiffness: 500.0 };
-        Self::new(stage, DETECTOR, every, |context| ObbTreeController::new(&config, context))
-    }
-
-    fn sweeper<C: Controller>(stage: &Stage<C>, every: u32, pair: [&str; 2]) -> Self {
-        let config = ContinuousConfig { pairs: vec![pair.map(str::to_owned)], stiffness: 500.0 };
-        Self::new(stage, SWEEPER, every, |context| ContinuousController::new(&config, context))
-    }
-
-    fn tick<C: Controller>(&mut self, stage: &mut Stage<C>) {
-        self.ticks += 1;
-        let scene = stage.store.snapshot();
-        let jobs = Jobs::default();
-        let tick = Tick {
-            time: stage.now(),
-            period: SimTime(1_000_000 * u64::from(self.every)),
-            number: self.ticks,
-            me: self.me,
-            epoch: 1,
-            events: Events::new(scene.events(), 0),
-            jobs: &jobs,
-        };
-        self.controller.tick(&tick, &scene, &mut self.commands).expect("a look");
-        self.commands.seal();
-        stage.store.validate(&self.commands, &self.rules).expect("what it declared");
-        let now = stage.now();
-        stage.store.apply(&mut self.commands, now);
-        self.commands.clear();
-    }
+fn sweeper<C: Controller>(stage: &Stage<C>, every: u32, pair: [&str; 2]) -> Other {
+    let config = ContinuousConfig { pairs: vec![pair.map(str::to_owned)], stiffness: 500.0 };
+    Other::new(stage, SWEEPER, every, |context| ContinuousController::new(&config, context))
 }
 
 /// Runs for so many milliseconds.
@@ -192,7 +136,7 @@ fn comes_to_rest<C: Controller>(
         let mut stage = Stage::new(scene(&text), 1000.0, build);
         let mut others = Vec::new();
         if detects {
-            others.push(Other::detector(&stage, every, &[["table", "body"]]));
+            others.push(detector(&stage, every, &[["table", "body"]]));
         }
         run(&mut stage, &mut others, 253);
         if kill {
@@ -250,7 +194,7 @@ fn block_rests<C: Controller>(
         let mut stage = Stage::new(scene(&format!("{TABLE}{}", block(method))), 1000.0, build);
         let mut others = Vec::new();
         if detects {
-            others.push(Other::detector(&stage, 10, &[["table", "body"]]));
+            others.push(detector(&stage, 10, &[["table", "body"]]));
         }
         run(&mut stage, &mut others, 1500);
         (stage, others)
@@ -287,7 +231,7 @@ fn down_a_slope<C: Controller>(
 ) -> (f64, f64) {
     let table = TABLE.replace("0.0151, 0.0147", "0.2, 0.1");
     let mut stage = Stage::new(scene(&format!("{table}{}", block(method))), 1000.0, build);
-    let mut others = vec![Other::detector(&stage, 2, &[["table", "body"]])];
+    let mut others = vec![detector(&stage, 2, &[["table", "body"]])];
     let middle = |stage: &Stage<C>| {
         let places = stage.get::<VertexPositions>("body").positions;
         places.iter().map(|place| place.x).sum::<f64>() / places.len() as f64
@@ -338,8 +282,8 @@ fn lie_on_each_other<C: Controller>(
     let fall = |meet: bool| {
         let text = format!("{TABLE}{}{upper}", sheet("body", 0.0002, below));
         let mut stage = Stage::new(scene(&text), 1000.0, build);
-        let mut others = vec![Other::detector(&stage, 2, &[["table", "body"]])];
-        others.extend(meet.then(|| Other::sweeper(&stage, 2, ["body", "upper"])));
+        let mut others = vec![detector(&stage, 2, &[["table", "body"]])];
+        others.extend(meet.then(|| sweeper(&stage, 2, ["body", "upper"])));
         others.extend(second.map(|second| Other::new(&stage, SECOND, 1, second)));
         run(&mut stage, &mut others, 1500);
         (stage, others)
@@ -393,8 +337,8 @@ fn lies_on_itself<C: Controller>(
         stage.rebuild(build);
         let mut others = Vec::new();
         if looks {
-            others.push(Other::sweeper(&stage, 1, ["body", "body"]));
-            others.push(Other::detector(&stage, 2, &[["body", "body"]]));
+            others.push(sweeper(&stage, 1, ["body", "body"]));
+            others.push(detector(&stage, 2, &[["body", "body"]]));
         }
         run(&mut stage, &mut others, 1000);
         stage
@@ -440,7 +384,7 @@ fn exchange<C: Controller>(
     stage.put("body", down(0.0));
     stage.put("upper", down(-0.1));
     stage.rebuild(build);
-    let mut others = vec![Other::sweeper(&stage, 1, ["body", "upper"])];
+    let mut others = vec![sweeper(&stage, 1, ["body", "upper"])];
     others.extend(other.map(|other| Other::new(&stage, SECOND, 1, other)));
     let whole = 0.04 * 0.04 * 0.5 * 0.1;
     let mut exchanged: f64 = 0.0;

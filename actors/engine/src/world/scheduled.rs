@@ -12,7 +12,8 @@ use trocar_simulator::instrument::grasp::Hold;
 use trocar_simulator::instrument::local_model::Obstacle;
 use trocar_simulator::instrument::opening::InstrumentState;
 use trocar_simulator::instrument::target_track::TargetTrack;
-use trocar_simulator::rigid_world::{Scheduling, ToolView, World};
+use trocar_simulator::rigid;
+use trocar_simulator::rigid_world::{Inertia, Scheduling, ToolView, World};
 
 use super::RigidWorld;
 use crate::{EngineError, EngineSettings};
@@ -95,6 +96,12 @@ impl World for RigidWorld {
     }
     fn set_found<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
         self.set_penalties(found);
+    }
+    fn push(&mut self, entity: Entity, push: &rigid::Wrench) -> Result<(), EngineError> {
+        self.push(entity, push)
+    }
+    fn inertia(&self, entity: Entity) -> Option<Inertia> {
+        self.inertia(entity)
     }
     fn pose(&self, entity: Entity) -> Option<Pose> {
         self.pose(entity)

@@ -2,16 +2,17 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{ComplexField, Point3};
+use nalgebra::{ComplexField, Matrix3, Point3};
 use rapier3d_f64::dynamics::RigidBodyHandle;
 use trocar_scene::components::{Collision, Motion, Pose, RigidBody, Velocity};
 use trocar_scene::entity::Entity;
 
-use trocar_simulator::rigid_world::mesh_mass;
+use trocar_simulator::rigid::Wrench;
+use trocar_simulator::rigid_world::{Inertia, mesh_mass};
 
 use super::{Body, RigidWorld};
 use crate::EngineError;
-use crate::conversion::pose_to_rapier;
+use crate::conversion::{point_from_rapier, pose_to_rapier, rotation_from_rapier, vector_to_rapier};
 use crate::penalty::{self, Known, Terms, Trail};
 use crate::shapes;
 
@@ -43,9 +44,8 @@ impl RigidWorld {
         let mut trail = Trail::default();
         trail.push(self.now, pose_to_rapier(pose));
         let (motion, friction) = (body.motion, body.friction);
-        let trail = Some(trail);
-        self.bodies
-            .insert(entity, Body { handle, colliders: Vec::new(), motion, travel: None, trail, friction });
+        let (colliders, travel, trail, push) = (Vec::new(), None, Some(trail), Wrench::default());
+        self.bodies.insert(entity, Body { handle, colliders, motion, travel, trail, friction, push });
         Ok(())
     }
 
@@ -94,6 +94,60 @@ impl RigidWorld {
             }
         }
         self.penalties.press(&mut self.physics.bodies, self.physics.gravity, step_secs);
+    }
+
+    /// Pushes a body in all steps until it is pushed otherwise: a force \[N\], and its torque about the origin of the world
+    /// \[N·m\].
+    ///
+    /// # Errors
+    /// [`EngineError::Unknown`]; a force that is none.
+    pub fn push(&mut self, entity: Entity, push: &Wrench) -> Result<(), EngineError> {
+        let body = self.bodies.get_mut(&entity).ok_or(EngineError::Unknown { entity })?;
+        if !push.force.iter().chain(push.torque.iter()).all(|x| x.is_finite()) {
+            return Err(EngineError::Diverged { entities: vec![entity] });
+        }
+        body.push = *push;
+        Ok(())
+    }
+
+    /// How a body gives way; `None` where it does not or there is none.
+    pub fn inertia(&self, entity: Entity) -> Option<Inertia> {
+        let body = self.bodies.get(&entity).filter(|body| body.motion == Motion::Dynamic)?;
+        let properties = &self.physics.bodies.get(body.handle)?.mass_properties().local_mprops;
+        if properties.inv_mass <= 0.0 {
+            // Rapier weighs it in its first step.
+            return None;
+        }
+        let turn = rotation_from_rapier(properties.principal_inertia_local_frame).to_rotation_matrix();
+        let inverse = properties.inv_principal_inertia;
+        let inverse = Matrix3::from_diagonal(&nalgebra::Vector3::new(inverse.x, inverse.y, inverse.z));
+        Some(Inertia {
+            mass_inverse: properties.inv_mass,
+            centre_in_body: point_from_rapier(properties.local_com),
+            inertia_inverse_in_body: turn.matrix() * inverse * turn.matrix().transpose(),
+        })
+    }
+
+    /// What pushes bodies acts in the step that comes.
+    pub(super) fn press_pushed(&mut self) {
+        for body in self.bodies.values().filter(|body| body.push != Wrench::default()) {
+            let Some(rigid) = self.physics.bodies.get_mut(body.handle) else { continue };
+            let force = vector_to_rapier(&body.push.force);
+            let torque = vector_to_rapier(&body.push.torque) - rigid.center_of_mass().cross(force);
+            rigid.add_force(force, true);
+            rigid.add_torque(torque, true);
+        }
+    }
+
+    /// And no longer; what presses surfaces is looked at anew in every step.
+    pub(super) fn release_pushed(&mut self) {
+        let pushed = |body: &&Body| body.push != Wrench::default() && body.trail.is_none();
+        for body in self.bodies.values().filter(pushed) {
+            if let Some(rigid) = self.physics.bodies.get_mut(body.handle) {
+                rigid.reset_forces(false);
+                rigid.reset_torques(false);
+            }
+        }
     }
 
     /// Whether somebody else finds contacts of any of its bodies.

@@ -1,9 +1,10 @@
 //! Bodies that are surfaces: they fall like what they enclose, and answer to contacts that others find.
 
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use trocar_scene::components::{Collision, Detection, Motion, Pose, Primitive, RigidBody, Velocity};
+use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
+use trocar_scene::components::{Collision, Detection, Motion, Pose, Primitive, RigidBody, Shape, Velocity};
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
+use trocar_simulator::rigid::Wrench;
 use trocar_simulator::rigid_world::{World, WorldError};
 
 use crate::{GIVES_WAY, W, settings};
@@ -200,6 +201,42 @@ fn a_body_without_an_inside_is_refused_unless_it_stays_where_it_is() {
     world
         .insert_surface_body(BLOCK, &still, surface, &Pose::default(), &Velocity::default())
         .expect("it stays");
+}
+
+#[test]
+fn what_pushes_a_body_moves_it_by_the_inertia_that_it_tells() {
+    let mut world = world(Vector3::zeros());
+    let place = Vector3::new(0.3, -0.2, 0.1);
+    insert(&mut world, BLOCK, 0.5, Pose::at(place.x, place.y, place.z), Velocity::default());
+    let cube = Shape::Box { half_extents: [HALF; 3] };
+    let pose = Pose::at(-place.x, place.y, place.z);
+    world.insert_body(OTHER, &body(0.5), &cube, &pose, &Velocity::default()).expect("a body");
+    // So long that what rests sleeps.
+    (0..500).for_each(|_| world.step().expect("a step"));
+    let force = Vector3::new(0.01, 0.02, -0.005);
+    for entity in [BLOCK, OTHER] {
+        let inertia = world.inertia(entity).expect("it gives way");
+        let centre = world.pose(entity).expect("a pose").isometry() * inertia.centre_in_body;
+        assert!((inertia.mass_inverse * MASS - 1.0).abs() < 1e-9, "{inertia:?}");
+        let of_cube = 1.5 / (MASS * HALF * HALF);
+        let off = inertia.inertia_inverse_in_body - Matrix3::identity() * of_cube;
+        assert!(off.norm() < 1e-6 * of_cube, "{inertia:?}");
+        let lever = Vector3::new(0.002, 0.0, 0.003);
+        let torque = (centre.coords + lever).cross(&force);
+        world.push(entity, &Wrench { force, torque }).expect("a push");
+        (0..20).for_each(|_| world.step().expect("a step"));
+        world.push(entity, &Wrench::default()).expect("none");
+        (0..20).for_each(|_| world.step().expect("a step"));
+        let velocity = world.velocity(entity).expect("a velocity");
+        let expected = force * (0.02 / MASS);
+        assert!((velocity.linear - expected).norm() < 1e-9 * expected.norm(), "{velocity:?} {expected:?}");
+        let expected = lever.cross(&force) * (0.02 * of_cube);
+        assert!((velocity.angular - expected).norm() < 0.02 * expected.norm(), "{velocity:?} {expected:?}");
+    }
+    let nowhere = Wrench { force: Vector3::repeat(f64::NAN), torque: Vector3::zeros() };
+    assert!(world.push(BLOCK, &nowhere).is_err());
+    assert_eq!(world.push(TABLE, &Wrench::default()), Err(WorldError::Unknown { entity: TABLE }));
+    assert_eq!(world.inertia(TABLE), None);
 }
 
 #[test]

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::{Access, Commands, Component, ComponentError, Doubtful, Entity, EntitySet, Snapshot};
 
 use super::deformable::Deformable;
+use super::dynamic_fem_jobs::{Built, Former};
 use super::dynamic_fem_memory::DynamicFemMemory;
 use super::heat::{Coagulated, Heated};
 use super::parting::{Elements, Parting, Split, Weakness};
@@ -91,17 +92,20 @@ impl DynamicFemBody {
         })
     }
 
-    /// Of a body to whose elements that has happened.
-    fn solver(
+    /// A mesh; where it has come apart, nodes are at the same place by right.
+    pub(super) fn mesh(rest: &[Point3<f64>], tets: &[[u32; 4]], is_parted: bool) -> Result<TetMesh, String> {
+        let coincident_within = if is_parted { None } else { Some(0.0) };
+        let rules = MeshRules { coincident_within, ..MeshRules::default() };
+        TetMesh::new(rest, tets, &rules).map_err(|e| e.to_string())
+    }
+
+    /// A solver at rest, to whose elements that has happened.
+    pub(super) fn at_rest(
         &self,
-        body: &Deformable,
-        memory: &DynamicFemMemory,
+        mesh: TetMesh,
+        pinned: &[u32],
         heated: &Heated,
     ) -> Result<DynamicFem, String> {
-        // Where it has come apart, nodes are at the same place by right.
-        let coincident_within = if body.is_parted { None } else { Some(0.0) };
-        let rules = MeshRules { coincident_within, ..MeshRules::default() };
-        let mesh = TetMesh::new(&body.rest, &body.tets, &rules).map_err(|e| e.to_string())?;
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let constitution =
             if self.neo_hookean { Constitution::NeoHookean } else { Constitution::Corotational };
@@ -112,20 +116,51 @@ impl DynamicFemBody {
             stiffness_damping: self.stiffness_damping,
             ..Config::default()
         };
-        let mut solver = DynamicFem::new(mesh, &elastic, &config, &body.pinned).map_err(|e| e.to_string())?;
-        heated.coagulated.iter().for_each(|of| solver.alter(of.element, of.stiffness, of.length));
-        solver.remove(&heated.removed);
+        let mut solver = DynamicFem::new(mesh, &elastic, &config, pinned).map_err(|e| e.to_string())?;
+        heat(&mut solver, heated);
+        Ok(solver)
+    }
+
+    /// Of a body to whose elements that has happened.
+    fn solver(
+        &self,
+        body: &Deformable,
+        memory: &DynamicFemMemory,
+        heated: &Heated,
+    ) -> Result<DynamicFem, String> {
         let state = memory.state(&body.positions, &body.velocities);
+        if let Some(lent) = memory.lent.as_ref().filter(|_| memory.lends_to(body.rest.len())) {
+            let DynamicFemMemory { factor_positions, factor_dt, factor_couplings, .. } = memory;
+            let former = Former { tets: &lent.tets, nodes: factor_positions.len() };
+            let mut solver = former.solver(self, &body.rest, &body.pinned, heated)?;
+            solver
+                .factor_at(factor_positions, *factor_dt, factor_couplings)
+                .map_err(|error| error.to_string())?;
+            let mesh = Self::mesh(&body.rest, &body.tets, true)?;
+            let done = solver.come_apart(mesh, &body.pinned, &lent.births, |solver| heat(solver, heated));
+            done.map_err(|error| error.to_string())?;
+            solver.go_on(&state);
+            return Ok(solver);
+        }
+        let mesh = Self::mesh(&body.rest, &body.tets, body.is_parted)?;
+        let mut solver = self.at_rest(mesh, &body.pinned, heated)?;
         solver.restore(&state).map_err(|e| e.to_string())?;
         Ok(solver)
     }
 }
 
+pub(super) fn heat(solver: &mut DynamicFem, heated: &Heated) {
+    heated.coagulated.iter().for_each(|of| solver.alter(of.element, of.stiffness, of.length));
+    solver.remove(&heated.removed);
+}
+
 /// A solver of one body, whose elements may go.
-struct Solver {
-    kind: DynamicFemBody,
-    solver: DynamicFem,
-    memory: DynamicFemMemory,
+pub(super) struct Solver {
+    pub(super) kind: DynamicFemBody,
+    pub(super) solver: DynamicFem,
+    pub(super) memory: DynamicFemMemory,
+    /// A factor that has been computed beside the ticks and does not serve yet.
+    pub(super) ready: Option<Built>,
 }
 
 impl Elements for Solver {
@@ -148,9 +183,14 @@ impl Elements for Solver {
     }
 
     fn split(&mut self, body: &Deformable, split: &Split<'_>) -> Result<(), String> {
+        let (mesh, heated) = (DynamicFemBody::mesh(&body.rest, &body.tets, true)?, (split.heated)());
+        if self.solver.has_factor() {
+            let former = self.solver.mesh();
+            self.memory.split(split.born, || former.tets().to_vec());
+        }
+        let done = self.solver.come_apart(mesh, &body.pinned, split.born, |solver| heat(solver, &heated));
+        done.map_err(|error| error.to_string())?;
         self.memory.take(&self.solver);
-        self.memory.split(split.born);
-        self.solver = self.kind.solver(body, &self.memory, &(split.heated)())?;
         Ok(())
     }
 }
@@ -180,7 +220,8 @@ impl SoftMethod for DynamicFemMethod {
         let heated = parting.as_ref().map(Parting::heated).unwrap_or_default();
         let solver = kind.solver(body, &memory, &heated)?;
         let mobility = mobility(&solver, body);
-        let of = Solver { kind: *kind, solver, memory };
+        let mut of = Solver { kind: *kind, solver, memory, ready: None };
+        of.resume(body, &heated);
         let (contacts, prescribed) = (Vec::new(), Vec::new());
         Ok(Self { of, parting, mobility, contacts, prescribed, report: None, unsolved: [0; 2] })
     }
@@ -202,7 +243,9 @@ impl SoftMethod for DynamicFemMethod {
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
         let Some(parting) = &mut self.parting else { return Ok(None) };
+        self.of.take_over(site)?;
         let reshaped = parting.reshape(&mut self.of, body, site, out)?;
+        self.of.ask(body, site, || parting.heated());
         if reshaped.is_some() {
             self.mobility = mobility(&self.of.solver, body);
         }
@@ -282,6 +325,8 @@ impl SoftMethod for DynamicFemMethod {
         measures.put("kinetic_energy_j", energies.kinetic);
         measures.put("elastic_energy_j", energies.elastic);
         measures.put("unsolved_steps", f64::from(self.unsolved[1]));
+        measures.put("lent_factor", f64::from(u8::from(self.of.solver.is_lent())));
+        measures.put("analysed_in_ticks", f64::from(self.of.solver.analysed()));
         if let Some(report) = &self.report {
             measures.put("residual", report.residual);
             measures.put("inverted_elements", f64::from(report.inverted));

@@ -10,8 +10,8 @@
 //! both, else that of the body with the lower name. What it has given the vertices of the other is a sum of impulses, of which
 //! the other takes what it has not taken, as in [`super::coupling`]: what one gets the other loses, whoever is late or begins
 //! another life. What passes across controllers comes a step late: thin sheets that meet at 0.2 m/s at 1 kHz are half a
-//! millimetre in each other before they part. Of a rigid body each side answers for itself: the soft one takes it as it
-//! moves, and its world takes the soft one as fixed where it was found, so that what they exert is alike and not the same.
+//! millimetre in each other before they part. Of a rigid body that a world of rigid bodies moves the soft one computes all
+//! in the same way ([`super::found_rigid`]); what else is not soft is a wall that moves as the scene says.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -26,6 +26,7 @@ use trocar_scene::{
 };
 
 use super::dynamic_fem::DynamicFemBody;
+use super::found_rigid::{RigidContacts, WholeSums};
 use super::mass_spring::MassSpringBody;
 use super::xpbd::XpbdBody;
 use crate::tet_mesh::Stars;
@@ -80,7 +81,7 @@ pub struct HeldContact {
     pub drawn: Vector3<f64>,
 }
 
-/// Impulses that a body has given vertices of another or taken of them, or has given a body without vertices.
+/// Impulses that a body has given vertices of another or taken of them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ContactSums {
@@ -106,6 +107,8 @@ pub struct SoftContacts {
     pub step: f64,
     /// What it has given the vertices of bodies of other controllers.
     pub given: Vec<ContactSums>,
+    /// What it has given bodies that move as a whole.
+    pub given_whole: Vec<WholeSums>,
     /// What of that which others have given it, it has taken.
     pub taken: Vec<ContactSums>,
     /// Of all its contacts in the last tick, on it \[N\].
@@ -126,6 +129,12 @@ impl ContactSums {
             all.len() - 1
         });
         &mut all[at]
+    }
+
+    /// The sum of one vertex \[N·s\], zero of one that got nothing.
+    pub(super) fn of_vertex(&self, vertex: u32) -> Vector3<f64> {
+        let at = self.vertices.binary_search(&vertex).ok();
+        at.and_then(|at| self.sums.get(at)).copied().unwrap_or_default()
     }
 
     /// The sum of one vertex.
@@ -149,6 +158,7 @@ pub(super) fn access(access: Access, bodies: &[Entity]) -> Access {
         .reads::<MassSpringBody>()
         .reads::<XpbdBody>()
         .reads::<DynamicFemBody>()
+        .reads::<RigidContacts>()
         .writes::<SoftContacts>(EntitySet::Of(bodies.to_vec()))
 }
 

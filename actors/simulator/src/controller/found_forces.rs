@@ -18,6 +18,8 @@ use trocar_scene::{Entity, SimTime, Snapshot};
 use super::found::{
     ContactSums, FOUND_MAX, HeldContact, Met, Shape, SoftContacts, Surroundings, answers, rows,
 };
+use super::found_movers::{Given, Handle, Mover};
+use super::found_rigid::WholeSums;
 use crate::picking::Led;
 
 /// Times that all contacts are gone over.
@@ -68,26 +70,17 @@ pub struct Terms<'a> {
     pub friction: f64,
 }
 
-/// Vertices that contacts push: of a body of the controller, or of one that another moves.
-struct Mover {
-    entity: Entity,
-    speeds: Vec<Vector3<f64>>,
-    masses_inverse: Vec<f64>,
-    friction: Option<f64>,
-    stiffness: f64,
-    step: f64,
-}
-
 struct Row {
     body: usize,
     contact: usize,
     met: Met,
-    movers: [Option<usize>; 2],
+    handles: [Option<Handle>; 2],
     stiffness: f64,
     damping: f64,
     friction: f64,
-    /// Relative velocity of the places per force \[m/(N·s)\], and the step that it is for \[s\].
-    yields: f64,
+    /// Relative velocity of the places per impulse \[1/kg\], along the normal and at most across it, and the step that
+    /// forces are for \[s\].
+    yields: [f64; 2],
     step: f64,
     slack: f64,
     drawn: Vector3<f64>,
@@ -99,10 +92,10 @@ struct Row {
 }
 
 /// Answers all contacts of a controller's bodies.
-pub(super) fn answer(
-    own: &mut [Own<'_>],
+pub(super) fn answer<'a>(
+    own: &mut [Own<'a>],
     surroundings: &mut Surroundings,
-    scene: &Snapshot,
+    scene: &'a Snapshot,
     (now, period, me): (SimTime, f64, Entity),
 ) {
     take(own, scene, period);
@@ -116,12 +109,23 @@ pub(super) fn answer(
     if own.iter().all(|body| body.memory.contacts.is_empty()) {
         return;
     }
-    let mut movers: Vec<Mover> = own.iter().map(|body| Mover::of(body, period)).collect();
-    let mut rows = meet(own, surroundings, scene, now, &mut movers, period);
+    // Taken out, so that it can be read while contacts are brought up to date.
+    let given = |body: &mut Own<'_>| Given {
+        giver: body.entity,
+        vertices: std::mem::take(&mut body.memory.given),
+        wholes: std::mem::take(&mut body.memory.given_whole),
+    };
+    let given: Vec<Given> = own.iter_mut().map(given).collect();
+    let mut movers: Vec<Mover<'_>> = own.iter().map(|body| Mover::of(body, period)).collect();
+    let mut rows = meet(own, surroundings, scene, (now, period), &given, &mut movers);
     for _ in 0..SWEEPS {
         rows.iter_mut().for_each(|row| row.press(&mut movers));
     }
-    give(own, &rows, &movers, now, period);
+    let pushed: Vec<(Entity, bool)> = movers.iter().map(|mover| (mover.entity, mover.is_whole())).collect();
+    for (body, given) in own.iter_mut().zip(given) {
+        (body.memory.given, body.memory.given_whole) = (given.vertices, given.wholes);
+    }
+    give(own, &rows, &pushed, now, period);
 }
 
 /// Takes what others have given and has not been taken.
@@ -209,19 +213,15 @@ fn listen(
 }
 
 /// Finds where all contacts are now, and forgets those that are no longer.
-fn meet(
+fn meet<'a>(
     own: &mut [Own<'_>],
     surroundings: &mut Surroundings,
-    scene: &Snapshot,
-    now: SimTime,
-    movers: &mut Vec<Mover>,
-    period: f64,
+    scene: &'a Snapshot,
+    (now, period): (SimTime, f64),
+    given: &'a [Given],
+    movers: &mut Vec<Mover<'a>>,
 ) -> Vec<Row> {
     let shapes: Vec<(Entity, Shape<'_>)> = own.iter().map(|body| (body.entity, body.shape.clone())).collect();
-    let given: Vec<(Entity, ContactSums)> = own
-        .iter()
-        .flat_map(|body| body.memory.given.iter().map(|given| (body.entity, given.clone())))
-        .collect();
     let mut rows = Vec::new();
     for (index, body) in own.iter_mut().enumerate() {
         let mut contacts = std::mem::take(&mut body.memory.contacts);
@@ -229,20 +229,15 @@ fn meet(
         let mut kept = 0;
         contacts.retain_mut(|held| {
             let mine = shapes.iter().position(|(entity, _)| *entity == held.other);
-            let shape = mine.map_or_else(|| Shape::of(scene, held.other), |mine| shapes[mine].1.clone());
-            if held.is_followed() {
-                surroundings.look(body.entity, &body.shape.triangles);
-                surroundings.look(held.other, &shape.triangles);
-            }
-            let stars = [surroundings.of(body.entity), surroundings.of(held.other)];
             if held.is_old(now) {
                 return false;
             }
-            let Some(met) = held.meet([&body.shape, &shape], stars) else { return false };
+            let known = movers.iter().position(|mover| mover.entity == held.other);
             let other = match mine {
                 Some(mine) => Some(mine),
                 None if answers(scene, held.other) => {
-                    match Mover::remote((scene, held.other), &shape, movers, &falls, &given) {
+                    let new = || Mover::remote((scene, held.other), &falls, given);
+                    match known.or_else(|| new().map(|new| add(movers, new))) {
                         Some(remote) => Some(remote),
                         // It has not told its masses yet.
                         None => {
@@ -251,8 +246,21 @@ fn meet(
                         }
                     }
                 }
-                None => None,
+                None => known.or_else(|| {
+                    let new = Mover::whole((scene, held.other), (now, period), given);
+                    new.map(|new| add(movers, new))
+                }),
             };
+            let mut shape = mine.map_or_else(|| Shape::of(scene, held.other), |mine| shapes[mine].1.clone());
+            if let Some((pose, motion)) = other.and_then(|other| movers[other].whole_motion()) {
+                (shape.world_from_body, shape.motion) = (pose, motion);
+            }
+            if held.is_followed() {
+                surroundings.look(body.entity, &body.shape.triangles);
+                surroundings.look(held.other, &shape.triangles);
+            }
+            let stars = [surroundings.of(body.entity), surroundings.of(held.other)];
+            let Some(met) = held.meet([&body.shape, &shape], stars) else { return false };
             if let Some(mut row) = Row::new(met, [Some(index), other], movers, period) {
                 let leaving = row.slip(movers).dot(&met.normal_in_world);
                 held.slack = match std::mem::replace(&mut held.is_in, met.depth > 0.0) {
@@ -273,8 +281,13 @@ fn meet(
     rows
 }
 
-/// Tells both sides what they get.
-fn give(own: &mut [Own<'_>], rows: &[Row], movers: &[Mover], now: SimTime, period: f64) {
+fn add<'a>(movers: &mut Vec<Mover<'a>>, mover: Mover<'a>) -> usize {
+    movers.push(mover);
+    movers.len() - 1
+}
+
+/// Tells both sides what they get; `pushed` are all movers, and whether each moves as a whole.
+fn give(own: &mut [Own<'_>], rows: &[Row], pushed: &[(Entity, bool)], now: SimTime, period: f64) {
     for row in rows {
         let force = row.met.normal_in_world * row.normal + row.across;
         let held = own[row.body].memory.contacts.get_mut(row.contact);
@@ -283,7 +296,7 @@ fn give(own: &mut [Own<'_>], rows: &[Row], movers: &[Mover], now: SimTime, perio
             // What slides is drawn as far as friction holds it.
             if row.stiffness > 0.0 {
                 let resists = row.stiffness * row.step + row.damping;
-                held.drawn += row.beyond * ((1.0 + resists * row.yields * row.step) / row.stiffness);
+                held.drawn += row.beyond * ((1.0 + resists * row.yields[1] * row.step) / row.stiffness);
             }
             if held.presses {
                 held.seen = now;
@@ -295,7 +308,7 @@ fn give(own: &mut [Own<'_>], rows: &[Row], movers: &[Mover], now: SimTime, perio
         for (side, sign) in [(0, 1.0), (1, -1.0)] {
             let place = &row.met.places[side];
             let shares = place.nodes.into_iter().zip(place.weights).filter(|(_, weight)| *weight != 0.0);
-            match row.movers[side] {
+            match row.handles[side].map(|handle| handle.mover) {
                 Some(mover) if mover < own.len() => {
                     let body = &mut own[mover];
                     let body_from_world: Isometry3<f64> = body.shape.world_from_body.inverse();
@@ -306,8 +319,14 @@ fn give(own: &mut [Own<'_>], rows: &[Row], movers: &[Mover], now: SimTime, perio
                     let own_force = body_from_world.rotation * force;
                     body.forces.extend(shares.map(|(node, weight)| (node, own_force * weight)));
                 }
+                Some(mover) if pushed[mover].1 => {
+                    // Where the soft body gets it, so that of angular momentum nothing is lost either.
+                    let at = row.met.places[0].at_in_world;
+                    let sums = WholeSums::of(&mut own[row.body].memory.given_whole, pushed[mover].0);
+                    sums.add(&(force * (sign * period)), &at);
+                }
                 Some(mover) => {
-                    let sums = ContactSums::of(&mut own[row.body].memory.given, movers[mover].entity);
+                    let sums = ContactSums::of(&mut own[row.body].memory.given, pushed[mover].0);
                     shares.for_each(|(node, weight)| *sums.at(node) += force * (sign * weight * period));
                 }
                 None => {}
@@ -316,121 +335,21 @@ fn give(own: &mut [Own<'_>], rows: &[Row], movers: &[Mover], now: SimTime, perio
     }
 }
 
-impl Mover {
-    /// How the vertices of a body would move if nothing held them together.
-    fn of(body: &Own<'_>, period: f64) -> Self {
-        let rotation = body.shape.world_from_body.rotation;
-        let mut masses_inverse = body.terms.masses_inverse.to_vec();
-        for led in body.led {
-            if let Some(mass) = masses_inverse.get_mut(led.vertex as usize) {
-                *mass = 0.0;
-            }
-        }
-        let mut speeds: Vec<Vector3<f64>> = body.shape.velocities.to_vec();
-        for (speed, mass) in speeds.iter_mut().zip(&masses_inverse) {
-            if *mass > 0.0 {
-                *speed += body.gravity_in_body * period;
-            }
-        }
-        for &(vertex, force) in &body.forces {
-            let at = vertex as usize;
-            if let (Some(speed), Some(mass)) = (speeds.get_mut(at), masses_inverse.get(at)) {
-                *speed += force * (*mass * period);
-            }
-        }
-        speeds.iter_mut().for_each(|speed| *speed = rotation * *speed);
-        let Terms { stiffness, friction, .. } = body.terms;
-        Self { entity: body.entity, speeds, masses_inverse, friction: Some(friction), stiffness, step: 0.0 }
-    }
-
-    /// Of a body that another controller moves, which has told its masses; what it has been `given`, by whom, and has not taken
-    /// yet moves it already.
-    fn remote(
-        (scene, entity): (&Snapshot, Entity),
-        shape: &Shape<'_>,
-        movers: &mut Vec<Self>,
-        falls: &Vector3<f64>,
-        given: &[(Entity, ContactSums)],
-    ) -> Option<usize> {
-        if let Some(known) = movers.iter().position(|mover| mover.entity == entity) {
-            return Some(known);
-        }
-        let told = scene.get::<SoftContacts>(entity)?;
-        let masses_inverse = told.masses_inverse.to_vec();
-        if masses_inverse.len() != shape.velocities.len() {
-            return None;
-        }
-        let rotation = shape.world_from_body.rotation;
-        let mut speeds: Vec<Vector3<f64>> = shape.velocities.iter().map(|speed| rotation * speed).collect();
-        speeds
-            .iter_mut()
-            .zip(&masses_inverse)
-            .filter(|(_, mass)| **mass > 0.0)
-            .for_each(|(speed, _)| *speed += falls);
-        let mut moves = |sums: &ContactSums, sign: f64| {
-            for (&vertex, sum) in sums.vertices.iter().zip(&sums.sums) {
-                let at = vertex as usize;
-                if let (Some(speed), Some(mass)) = (speeds.get_mut(at), masses_inverse.get(at)) {
-                    *speed += sum * (sign * mass);
-                }
-            }
-        };
-        for (giver, sums) in given.iter().filter(|(_, sums)| sums.body == Some(entity)) {
-            moves(sums, 1.0);
-            told.taken.iter().filter(|taken| taken.body == Some(*giver)).for_each(|taken| moves(taken, -1.0));
-        }
-        movers.push(Self {
-            entity,
-            speeds,
-            masses_inverse,
-            friction: None,
-            stiffness: f64::INFINITY,
-            step: told.step,
-        });
-        Some(movers.len() - 1)
-    }
-
-    fn yields(&self, place: &super::found::Place) -> f64 {
-        joint(place).map(|(node, share)| share * share * self.mass_inverse(node)).sum()
-    }
-
-    fn mass_inverse(&self, node: u32) -> f64 {
-        self.masses_inverse.get(node as usize).copied().unwrap_or(0.0)
-    }
-
-    fn speed(&self, place: &super::found::Place) -> Vector3<f64> {
-        let speed = |node: u32| self.speeds.get(node as usize).copied().unwrap_or_default();
-        joint(place).map(|(node, share)| speed(node) * share).sum()
-    }
-
-    fn push(&mut self, place: &super::found::Place, impulse: &Vector3<f64>) {
-        for (node, share) in joint(place) {
-            let mass = self.mass_inverse(node);
-            if let Some(speed) = self.speeds.get_mut(node as usize) {
-                *speed += impulse * (share * mass);
-            }
-        }
-    }
-}
-
-/// The vertices of a place, each once.
-fn joint(place: &super::found::Place) -> impl Iterator<Item = (u32, f64)> {
-    let ([a, b, c], [u, v, w]) = (place.nodes, place.weights);
-    let first = u + if b == a { v } else { 0.0 } + if c == a { w } else { 0.0 };
-    let second = if b == a { 0.0 } else { v + if c == b { w } else { 0.0 } };
-    let third = if c == a || c == b { 0.0 } else { w };
-    [(a, first), (b, second), (c, third)].into_iter().filter(|(_, share)| *share != 0.0)
-}
-
 impl Row {
     /// `None` where neither side gives way.
-    fn new(met: Met, sides: [Option<usize>; 2], movers: &[Mover], period: f64) -> Option<Self> {
-        let of = |side: usize| sides[side].map(|mover| &movers[mover]);
-        let yields: f64 = (0..2).filter_map(|side| Some(of(side)?.yields(&met.places[side]))).sum();
-        if yields.is_nan() || yields <= 0.0 || !met.depth.is_finite() {
+    fn new(met: Met, sides: [Option<usize>; 2], movers: &mut [Mover<'_>], period: f64) -> Option<Self> {
+        let handles = [0, 1].map(|side| {
+            let mover = sides[side]?;
+            Some(movers[mover].hold(mover, &met.places[side], &met.places[0].at_in_world))
+        });
+        let all = || handles.iter().flatten().map(|handle| (&movers[handle.mover], handle));
+        let normal = &met.normal_in_world;
+        let yields = all().map(|(mover, handle)| mover.yields(handle, normal));
+        let yields = yields.fold([0.0; 2], |[along, across], [a, b]| [along + a, across + b]);
+        if !yields.iter().all(|yields| *yields > 0.0) || !met.depth.is_finite() {
             return None;
         }
-        let all = || (0..2).filter_map(of);
+        let all = || all().map(|(mover, _)| mover);
         // Two that give way are springs one behind the other; of one that others move it is as stiff as this one.
         let compliance: f64 = all().map(|mover| mover.stiffness.recip()).sum();
         let frictions: Vec<f64> = all().filter_map(|mover| mover.friction).collect();
@@ -441,9 +360,9 @@ impl Row {
             body: 0,
             contact: 0,
             met,
-            movers: sides,
+            handles,
             stiffness,
-            damping: 2.0 * DAMPING_RATIO * (stiffness / yields).sqrt(),
+            damping: 2.0 * DAMPING_RATIO * (stiffness / yields[0]).sqrt(),
             friction,
             yields,
             step,
@@ -455,26 +374,26 @@ impl Row {
         })
     }
 
-    fn slip(&self, movers: &[Mover]) -> Vector3<f64> {
+    fn slip(&self, movers: &[Mover<'_>]) -> Vector3<f64> {
         let speed = |side: usize| {
-            let place = &self.met.places[side];
-            self.movers[side].map_or(place.carried, |mover| movers[mover].speed(place))
+            let carried = self.met.places[side].carried;
+            self.handles[side].map_or(carried, |handle| movers[handle.mover].speed(&handle))
         };
         speed(0) - speed(1)
     }
 
-    fn push(&self, movers: &mut [Mover], force: &Vector3<f64>) {
+    fn push(&self, movers: &mut [Mover<'_>], force: &Vector3<f64>) {
         for (side, sign) in [(0, 1.0), (1, -1.0)] {
-            if let Some(mover) = self.movers[side] {
-                movers[mover].push(&self.met.places[side], &(force * (sign * self.step)));
+            if let Some(handle) = self.handles[side] {
+                movers[handle.mover].push(&handle, &(force * (sign * self.step)));
             }
         }
     }
 
     /// Once: what the contact exerts, all others as they are.
-    fn press(&mut self, movers: &mut [Mover]) {
+    fn press(&mut self, movers: &mut [Mover<'_>]) {
         let normal = self.met.normal_in_world;
-        let gives = self.yields * self.step;
+        let gives = self.yields[0] * self.step;
         let leaving = self.slip(movers).dot(&normal) - self.normal * gives;
         let depth = self.met.depth;
         let resists = self.stiffness * self.step + if depth > 0.0 { self.damping } else { 0.0 };
@@ -483,6 +402,7 @@ impl Row {
         let change = wanted.max(0.0) - self.normal;
         self.push(movers, &(normal * change));
         self.normal += change;
+        let gives = self.yields[1] * self.step;
         let slip = self.slip(movers) - self.across * gives;
         let across = slip - normal * slip.dot(&normal);
         let resists = self.stiffness * self.step + self.damping;

@@ -7,6 +7,8 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::Vector3;
+
 use trocar_scene::access::Access;
 use trocar_scene::commands::Commands;
 use trocar_scene::components::{
@@ -19,7 +21,8 @@ use trocar_scene::entity::Entity;
 use trocar_scene::snapshot::Snapshot;
 use trocar_scene::time::{Revision, SimTime};
 
-use super::rigid_declared::{declared_access, declared_rows, moved_entities};
+use super::found_rigid::RigidContacts;
+use super::rigid_declared::{declared_access, declared_rows, meets_soft_bodies, moved_entities};
 use super::rigid_geometry::Geometry;
 use crate::instrument::contact::Contact;
 use crate::instrument::felt::{held_by, is_modelled, modelled_by_others};
@@ -28,6 +31,7 @@ use crate::instrument::local_model::local_contact_model;
 use crate::instrument::mechanism::MechanismState;
 use crate::instrument::opening::{InstrumentState, JawOpening};
 use crate::instrument::target_track::TargetTrack;
+use crate::rigid::Wrench;
 use crate::rigid_world::{FLOOR, World, WorldError};
 
 /// Most contacts that the collision list carries; the deepest ones stay.
@@ -43,37 +47,46 @@ const TICK_SECS_MAX: f64 = 0.02;
 /// Rigid bodies and instruments as a controller of the scene, by whatever world computes them.
 pub struct RigidBodiesController<W: World> {
     me: Entity,
-    world: W,
+    pub(super) world: W,
     access: Access,
     /// Length of one step \[s\].
     step_secs: f64,
     method: Detection,
     /// Bodies and instruments whose rows it may write, sorted; all if absent.
-    declared: Option<Vec<Entity>>,
+    pub(super) declared: Option<Vec<Entity>>,
     /// Instruments whose contacts somebody else models, sorted.
     modelled_by_others: Vec<Entity>,
     /// Up to which revision the scene has been looked through.
     seen: Revision,
     /// What each body was built from, and the poses written for it lately.
-    bodies: BTreeMap<Entity, KnownBody>,
+    pub(super) bodies: BTreeMap<Entity, KnownBody>,
     instruments: BTreeMap<Entity, KnownInstrument>,
     /// Lists of others, and when each changed.
-    lists: Vec<(Entity, Option<Revision>)>,
+    pub(super) lists: Vec<(Entity, Option<Revision>)>,
     collisions_were_empty: bool,
     /// Bodies that cannot be simulated, and why, of which the scene has not been told yet.
     newly_frozen: Vec<(Entity, String)>,
     /// Those of which the scene can be told so: the ones that were there at the start; sorted.
     may_be_told_frozen: Vec<Entity>,
+    /// Whether the session knows of soft bodies.
+    pub(super) meets_soft_bodies: bool,
+    /// Bodies that soft ones push in this tick.
+    pub(super) pushed: Vec<Entity>,
 }
 
-struct KnownBody {
-    body: RigidBody,
+pub(super) struct KnownBody {
+    pub(super) body: RigidBody,
     geometry: Geometry,
     written: [Option<Pose>; WRITES_IN_FLIGHT],
     next_slot: usize,
     slept: bool,
     /// Immovable, as it could not be simulated.
-    frozen: bool,
+    pub(super) frozen: bool,
+    /// What soft bodies are told of it, and whether they have been.
+    pub(super) contacts: Option<RigidContacts>,
+    pub(super) is_told: bool,
+    /// Before the steps of a tick: how it moved, what soft bodies push it with in them, and where it was.
+    pub(super) before: Option<([Vector3<f64>; 2], Wrench, Pose)>,
 }
 
 struct KnownInstrument {
@@ -106,6 +119,8 @@ impl<W: World> RigidBodiesController<W> {
             collisions_were_empty: false,
             newly_frozen: Vec::new(),
             may_be_told_frozen: moved_entities(context.scene),
+            meets_soft_bodies: meets_soft_bodies(context.scene),
+            pushed: Vec::new(),
         };
         this.take_in(context.scene, 0.0)?;
         Ok(this)
@@ -137,6 +152,7 @@ impl<W: World> RigidBodiesController<W> {
         for (entity, instrument) in scene.iter::<Instrument>() {
             self.take_instrument(scene, entity, instrument)?;
         }
+        self.tell_inertia(scene, period_secs);
         self.take_contacts(scene);
         self.seen = scene.revision();
         Ok(())
@@ -200,6 +216,9 @@ impl<W: World> RigidBodiesController<W> {
             next_slot: 1,
             slept: false,
             frozen,
+            contacts: scene.get::<RigidContacts>(entity).cloned(),
+            is_told: true,
+            before: None,
         };
         if frozen {
             self.bodies.insert(entity, known);
@@ -272,7 +291,7 @@ impl<W: World> RigidBodiesController<W> {
         }
     }
 
-    /// Contacts that others have found, once any of their lists is another one.
+    /// Contacts that others have found, once any of their lists is another one; not those that soft bodies answer.
     fn take_contacts(&mut self, scene: &Snapshot) {
         if !self.world.has_surfaces() {
             return;
@@ -281,7 +300,14 @@ impl<W: World> RigidBodiesController<W> {
         let known: Vec<_> =
             lists().map(|(writer, _)| (writer, scene.changed::<CollisionList>(writer))).collect();
         if known != self.lists {
-            self.world.set_found(lists().flat_map(|(_, list)| &list.collisions));
+            let all = lists().flat_map(|(_, list)| &list.collisions);
+            let own: Vec<&Collision> = all
+                .filter(|row| {
+                    let left = [(row.a, row.b), (row.b, row.a)];
+                    !left.into_iter().any(|(one, other)| self.is_answered_for(scene, one, other))
+                })
+                .collect();
+            self.world.set_found(own);
             self.lists = known;
         }
     }
@@ -497,10 +523,14 @@ impl<W: World> Controller for RigidBodiesController<W> {
         if steps > 0.0 {
             // Half a step before the last one's end: what a step takes is rounded to whole nanoseconds.
             let until = self.world.now() + SimTime::from_secs_f64((steps - 0.5) * step_secs);
-            self.step_to(until).map_err(|error| ControllerError::Failed(error.to_string()))?;
+            let failed = |error: WorldError| ControllerError::Failed(error.to_string());
+            self.take_given(scene, steps * step_secs).map_err(failed)?;
+            self.step_to(until).map_err(failed)?;
+            self.let_go(steps * step_secs).map_err(failed)?;
         }
         self.write_frozen(scene, tick, out);
         self.write_bodies(scene, out);
+        self.write_given(tick.time, out);
         self.write_instruments(scene, tick, out);
         Ok(())
     }

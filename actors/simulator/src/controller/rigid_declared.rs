@@ -8,6 +8,11 @@ use trocar_scene::components::{
 use trocar_scene::entity::Entity;
 use trocar_scene::snapshot::Snapshot;
 
+use super::dynamic_fem::DynamicFemBody;
+use super::found::SoftContacts;
+use super::found_rigid::RigidContacts;
+use super::mass_spring::MassSpringBody;
+use super::xpbd::XpbdBody;
 use crate::instrument::mechanism::MechanismState;
 use crate::rigid_world::Scheduling;
 
@@ -28,6 +33,11 @@ pub(super) fn moved_entities(scene: &Snapshot) -> Vec<Entity> {
 /// Rows that may be written; `None` for all.
 pub(super) fn declared_rows(scene: &Snapshot, scheduling: &Scheduling) -> Option<Vec<Entity>> {
     (!scheduling.claims_all_poses).then(|| moved_entities(scene))
+}
+
+/// Whether the session knows of soft bodies that answer contacts.
+pub(super) fn meets_soft_bodies(scene: &Snapshot) -> bool {
+    scene.registry().id::<RigidContacts>().is_some()
 }
 
 pub(super) fn declared_access(
@@ -58,13 +68,23 @@ pub(super) fn declared_access(
         .reads::<Frozen>()
         .writes::<Frozen>(EntitySet::Of(moved.clone()))
         .writes::<Pose>(on(moved.clone()))
-        .writes::<Velocity>(on(moved))
+        .writes::<Velocity>(on(moved.clone()))
         .writes::<JawState>(on(instruments.clone()))
         .writes::<InstrumentForce>(on(instruments.clone()))
         .writes::<LocalContactModel>(modelled)
         .writes::<Grasp>(on(instruments.clone()))
         .contributes::<CollisionList>();
     let access = if modelled_by_others.is_empty() { access } else { access.reads::<LocalContactModel>() };
+    let access = match meets_soft_bodies(scene) {
+        true => access
+            .reads::<SoftContacts>()
+            .reads::<MassSpringBody>()
+            .reads::<XpbdBody>()
+            .reads::<DynamicFemBody>()
+            .reads::<RigidContacts>()
+            .writes::<RigidContacts>(on(moved)),
+        false => access,
+    };
     if scene.registry().id::<MechanismState>().is_some() {
         access.reads::<MechanismState>().writes::<MechanismState>(on(instruments))
     } else {

@@ -12,8 +12,11 @@
 
 mod change;
 mod config;
+mod derived;
 mod lbfgs;
+mod lent;
 mod material;
+mod near_cut;
 mod objective;
 mod outlook;
 mod polar;
@@ -21,6 +24,7 @@ mod solver;
 mod state;
 
 pub use config::{Config, DynamicFemError, Energies, MassMatrix, Report, StepError};
+pub use lent::Analysis;
 pub use material::{Constitution, JACOBIAN_MIN};
 pub use objective::{Contact, Coupling, Inputs, Spring};
 pub use solver::DynamicFem;

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use super::lent;
 use super::objective::Inputs;
 use super::solver::DynamicFem;
 
@@ -44,16 +45,17 @@ impl DynamicFem {
             return yielding;
         }
         yielding.fill(0.0);
+        let mut vector = vec![Vector3::zeros(); self.positions.len()];
         for axis in 0..3 {
-            let place = |node: u32| self.numbers[node as usize].map(|number| 3 * number as usize + axis);
+            vector.fill(Vector3::zeros());
+            nodes.iter().for_each(|&node| vector[node as usize][axis] = 1.0);
             let flat = &mut self.work.flat;
             flat.fill(0.0);
-            nodes.iter().filter_map(|&node| place(node)).for_each(|at| flat[at] = 1.0);
-            self.factor.solve(flat);
+            lent::solve(&mut self.factor, &self.numbers, self.lent.as_mut(), flat, &mut vector);
             for (&node, yielding) in nodes.iter().zip(&mut yielding) {
                 // The factor is that of forces over displacements: an impulse is a force over the step, and the
                 // displacement is the velocity by the step.
-                *yielding += place(node).map_or(0.0, |at| flat[at]) / (3.0 * dt * dt);
+                *yielding += vector[node as usize][axis] / (3.0 * dt * dt);
             }
         }
         yielding.iter_mut().for_each(|yielding| *yielding = yielding.max(0.0));

@@ -2,15 +2,16 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::config::{Config, DynamicFemError, Energies, MassMatrix, Report, StepError};
+use super::config::{Config, DynamicFemError, Energies, Report, StepError};
 use super::lbfgs::{Memory, dot};
+use super::lent::{self, Lent};
 use super::material::Material;
 use super::objective::{
     Coupling, Damping, Element, Inputs, Mass, Matter, add_couplings, add_hessian, add_springs, couplings,
-    elements, frames,
+    frames,
 };
-use crate::elasticity::{Elastic, consistent_mass, pattern};
-use crate::sparse::{BlockMatrix, FactorError, SparseCholesky, minimum_degree};
+use crate::elasticity::Elastic;
+use crate::sparse::{BlockMatrix, FactorError, SparseCholesky};
 use crate::tet_mesh::TetMesh;
 
 /// Where the factor was computed: a restored body computes it there again, to the same bits.
@@ -37,25 +38,30 @@ pub struct DynamicFem {
     pub(super) mesh: TetMesh,
     pub(super) config: Config,
     pub(super) elements: Vec<Element>,
-    material: Material,
-    lame: [f64; 2],
+    pub(super) material: Material,
+    pub(super) lame: [f64; 2],
     pub(super) mass: Mass,
     /// Elements that each node has; one without stays where it is.
     pub(super) around: Vec<u32>,
-    /// Row of each node in the order of elimination; `None` for fixed ones.
+    pub(super) fixed: Vec<bool>,
+    /// Row of each node in the order of elimination; `None` for fixed ones, and for new ones where the factor is lent.
     pub(super) numbers: Vec<Option<u32>>,
     pub(super) positions: Vec<Point3<f64>>,
     pub(super) velocities: Vec<Vector3<f64>>,
     pub(super) accelerations: Vec<Vector3<f64>>,
     pub(super) debt: u32,
     pub(super) factored_at: FactoredAt,
-    hessian: BlockMatrix,
+    pub(super) hessian: BlockMatrix,
     pub(super) factor: SparseCholesky,
+    /// Where the factor is that of what the body was.
+    pub(super) lent: Option<Lent>,
+    /// See [`Self::analysed`].
+    pub(super) analysed: u32,
     pub(super) memory: Memory,
     /// Of the elastic energy \[J\]: it is a difference of terms that are as large as the body is stiff.
-    rounding: f64,
+    pub(super) rounding: f64,
     /// Of the forces \[N\]: what positions that are off by their rounding put out of balance.
-    floor: f64,
+    pub(super) floor: f64,
     pub(super) work: Work,
 }
 
@@ -73,7 +79,7 @@ pub(super) struct Work {
     pub next: Vec<Vector3<f64>>,
     pub direction: Vec<Vector3<f64>>,
     apart: Vec<Vector3<f64>>,
-    product: Vec<Vector3<f64>>,
+    pub(super) product: Vec<Vector3<f64>>,
     pub flat: Vec<f64>,
     /// The last evaluation was of a trial that was not taken.
     refused: bool,
@@ -114,60 +120,42 @@ impl DynamicFem {
         range("iterations_max", iterations, (1.0..=1e4).contains(&iterations), "1 to 10,000")?;
 
         let nodes = mesh.rest().len();
-        let mut free = vec![true; nodes];
+        let mut is_fixed = vec![false; nodes];
         for &node in fixed {
-            *free.get_mut(node as usize).ok_or(DynamicFemError::NoNode { node, nodes })? = false;
+            *is_fixed.get_mut(node as usize).ok_or(DynamicFemError::NoNode { node, nodes })? = true;
         }
-        let members: Vec<u32> = (0..nodes as u32).filter(|&node| free[node as usize]).collect();
-        if members.is_empty() {
+        if is_fixed.iter().all(|fixed| *fixed) {
             return Err(DynamicFemError::NothingFree(nodes));
         }
-        let mut local = vec![None; nodes];
-        members.iter().enumerate().for_each(|(index, &node)| local[node as usize] = Some(index as u32));
-        let edges = mesh.tets().iter().flat_map(|tet| {
-            let own = tet.map(|node| local[node as usize]);
-            (0..4).flat_map(move |i| (0..i).filter_map(move |j| Some((own[i]?, own[j]?))))
-        });
-        let order = minimum_degree(members.len(), edges);
-        let mut numbers = vec![None; nodes];
-        for (row, &index) in order.iter().enumerate() {
-            numbers[members[index as usize] as usize] = Some(row as u32);
-        }
-        let hessian = BlockMatrix::zeros(pattern(&mesh, &numbers, members.len()));
-        let factor = SparseCholesky::new(hessian.pattern(), 1)?;
-        let consistent = (config.mass == MassMatrix::Consistent).then(|| {
-            let all: Vec<_> = (0..nodes as u32).map(Some).collect();
-            consistent_mass(&mesh, density, &all, nodes)
-        });
+        let (numbers, hessian, factor) = Self::analyse(&mesh, &is_fixed)?;
         let still = vec![Vector3::zeros(); nodes];
-        let stiff = elastic.lambda().abs() + 2.0 * elastic.mu();
-        let extent = mesh.rest().iter().map(|point| point.coords.amax()).fold(0.0, f64::max);
-        let springs = mesh.inverse_shapes().iter().zip(mesh.volumes());
-        let squares: f64 =
-            springs.map(|(shape, volume)| (shape.norm_squared() * volume * stiff).powi(2)).sum();
-        let mut around = vec![0; nodes];
-        mesh.tets().iter().flatten().for_each(|&node| around[node as usize] += 1);
-        Ok(Self {
-            elements: elements(&mesh),
-            around,
+        let mut body = Self {
+            elements: Vec::new(),
+            around: Vec::new(),
             material: Material::new(config.constitution, elastic),
             lame: [elastic.lambda(), elastic.mu()],
-            mass: Mass { lumped: mesh.lumped_masses(density), consistent },
+            mass: Mass { lumped: Vec::new(), consistent: None },
+            fixed: Vec::new(),
             numbers,
             positions: mesh.rest().to_vec(),
             velocities: still.clone(),
-            accelerations: still.clone(),
+            accelerations: still,
             debt: 0,
             factored_at: FactoredAt::default(),
             hessian,
             factor,
-            memory: Memory::new(nodes),
-            rounding: 1e-14 * stiff * mesh.volume(),
-            floor: 2.0 * f64::EPSILON * extent * squares.sqrt(),
-            work: Work { flat: vec![0.0; 3 * members.len()], product: still.clone(), ..Work::default() },
+            lent: None,
+            analysed: 0,
+            memory: Memory::default(),
+            rounding: 0.0,
+            floor: 0.0,
+            work: Work::default(),
             mesh,
             config: *config,
-        })
+        };
+        body.look_at_mesh(fixed);
+        body.work.flat.resize(body.factor.rows(), 0.0);
+        Ok(body)
     }
 
     /// The body at rest.
@@ -210,14 +198,14 @@ impl DynamicFem {
         Energies { kinetic: 0.5 * dot(&self.velocities, &product), elastic }
     }
 
-    fn matter<'a>(&'a self, dt: f64, before: &'a [(Matrix3<f64>, Matrix3<f64>)]) -> Matter<'a> {
+    pub(super) fn matter<'a>(&'a self, dt: f64, before: &'a [(Matrix3<f64>, Matrix3<f64>)]) -> Matter<'a> {
         let damping = Damping { mass: self.config.mass_damping, stiffness: self.config.stiffness_damping };
         Matter { elements: &self.elements, material: self.material, lame: self.lame, damping, before, dt }
     }
 
     /// Whether a node is neither fixed nor left behind.
     pub(super) fn moves(&self, node: usize) -> bool {
-        self.numbers[node].is_some() && self.around[node] > 0
+        !self.fixed[node] && self.around[node] > 0
     }
 
     /// One step of `dt` \[s\].
@@ -247,12 +235,19 @@ impl DynamicFem {
             inverted: 0,
             first_inverted: None,
         };
-        if self.factored_at.dt != dt || self.factored_at.positions.is_empty() || self.debt >= DEBT_MAX {
+        let is_none = self.factored_at.dt != dt || self.factored_at.positions.is_empty();
+        if is_none && self.lent.is_some() {
+            self.settle()?;
+        }
+        if is_none || (self.debt >= DEBT_MAX && self.lent.is_none()) {
             let begin = FactoredAt { positions: self.positions.clone(), dt, couplings: Vec::new() };
             self.refactor(begin, inputs)?;
             report.factorisations += 1;
         }
         let value = self.minimise(dt, inputs, work, &mut report)?;
+        if inputs.springs.is_empty() && inputs.contacts.is_empty() && !work.held.contains(&true) {
+            self.balance(dt, work);
+        }
         if let Some(node) = work.now.iter().position(|point| !point.iter().all(|x| x.is_finite())) {
             return Err(StepError::NotFinite { node: node as u32 });
         }
@@ -442,14 +437,18 @@ impl DynamicFem {
             value = self.better_guess(dt, inputs, work, report, value);
         }
         let mut since_factor = 0;
-        let mut fresh = false;
+        let (mut fresh, mut stuck) = (false, false);
         while !self.solved(&value) && report.iterations < self.config.iterations_max {
-            if since_factor >= REFACTOR_AFTER {
+            if self.lent.is_some() && stuck {
+                // Another factor is on its way: once more with what is known of the gradient alone.
+                self.memory.forget();
+                (stuck, fresh) = (false, true);
+            } else if self.lent.is_none() && (stuck || since_factor >= REFACTOR_AFTER) {
                 let here = FactoredAt { positions: work.now.clone(), dt, couplings: Vec::new() };
                 self.refactor(here, inputs)?;
                 self.memory.forget();
                 report.factorisations += 1;
-                (since_factor, fresh) = (0, true);
+                (since_factor, fresh, stuck) = (0, true, false);
             }
             report.iterations += 1;
             since_factor += 1;
@@ -466,7 +465,7 @@ impl DynamicFem {
                 }
                 // With what is known here nothing gets lower: once more with a new factor, and then it is rounding.
                 None if fresh => break,
-                None => since_factor = REFACTOR_AFTER,
+                None => stuck = true,
             }
         }
         if work.refused {
@@ -475,6 +474,15 @@ impl DynamicFem {
             value = self.evaluate(dt, inputs, work, |work| &work.now);
         }
         Ok(value)
+    }
+
+    /// A body that nothing holds goes as a whole where the forces on it say, however far its parts are from balance among
+    /// each other: of its momentum nothing is left to the tolerance.
+    fn balance(&self, dt: f64, work: &mut Work) {
+        let mass: f64 = self.mass.lumped.iter().sum();
+        let resists = mass * (1.0 / dt + self.config.mass_damping) / dt;
+        let apart = work.gradient.iter().sum::<Vector3<f64>>() / resists;
+        work.now.iter_mut().for_each(|place| *place -= apart);
     }
 
     /// The acceleration has changed: begins where the potential is least, there, without it, or where the body is.
@@ -514,23 +522,11 @@ impl DynamicFem {
     /// The direction from the gradient: minus the inverse Hessian, as far as it is known, times it.
     pub(super) fn descend(&mut self, work: &mut Work) {
         work.direction.clone_from(&work.gradient);
-        let (factor, numbers) = (&mut self.factor, &self.numbers);
+        let (factor, numbers, lent) = (&mut self.factor, &self.numbers, &mut self.lent);
         let (flat, held) = (&mut work.flat, &work.held);
         self.memory.apply(&mut work.direction, |vector| {
-            for (node, number) in numbers.iter().enumerate() {
-                if let Some(number) = number {
-                    flat[3 * *number as usize..][..3].copy_from_slice(vector[node].as_slice());
-                }
-            }
-            factor.solve(flat);
-            for (node, number) in numbers.iter().enumerate() {
-                vector[node] = match number {
-                    Some(number) if !held[node] => {
-                        Vector3::from_column_slice(&flat[3 * *number as usize..][..3])
-                    }
-                    _ => Vector3::zeros(),
-                };
-            }
+            lent::solve(factor, numbers, lent.as_mut(), flat, vector);
+            vector.iter_mut().zip(held).filter(|(_, held)| **held).for_each(|(own, _)| own.fill(0.0));
         });
         work.direction.iter_mut().for_each(|direction| direction.neg_mut());
     }

@@ -22,6 +22,7 @@ pub use error::{RigidError, RigidStepError};
 pub use joint::{Arm, Joint};
 
 use response::Response;
+pub(crate) use response::most_across;
 
 /// What pushes a body from outside during a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -87,7 +87,7 @@ fn push(
 }
 
 /// What an impulse across `normal` makes of the speed across at most, over all directions \[1/kg\].
-fn most_across(feels: &Matrix3<f64>, normal: &Vector3<f64>) -> f64 {
+pub(crate) fn most_across(feels: &Matrix3<f64>, normal: &Vector3<f64>) -> f64 {
     let across = Matrix3::identity() - normal * normal.transpose();
     let feels = across * feels * across;
     // Of the two numbers that are not zero: their sum, and the sum of their squares.

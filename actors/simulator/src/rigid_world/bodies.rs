@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Motion, Primitive, RigidBody, SimTime, Velocity};
 
 use super::parts::Part;
-use crate::rigid::{RigidMass, RigidState};
+use crate::rigid::{RigidMass, RigidState, Wrench};
 
 /// Steps for which is known where a body was. What was found before that is forgotten.
 const TRAIL_STEPS: usize = 256;
@@ -92,6 +92,8 @@ pub(super) struct Body {
     /// For how long it has not moved \[s\].
     pub still_secs: f64,
     pub sleeps: bool,
+    /// What others push it with, its torque about the origin of the world.
+    pub push: Wrench,
 }
 
 impl Body {

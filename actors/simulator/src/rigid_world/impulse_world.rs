@@ -155,6 +155,7 @@ impl ImpulseWorld {
             trail,
             still_secs: 0.0,
             sleeps: false,
+            push: Wrench::default(),
         };
         body.solid.place(&pose);
         self.bodies.insert(entity, body);
@@ -246,6 +247,9 @@ impl ImpulseWorld {
             let slowed = |damping: f64| (1.0 / (1.0 + damping * step_secs) - 1.0) / step_secs;
             wrenches[slot].force += state.momentum * slowed(body.component.linear_damping);
             wrenches[slot].torque += state.angular_momentum * slowed(body.component.angular_damping);
+            let Wrench { force, torque } = body.push;
+            wrenches[slot].force += force;
+            wrenches[slot].torque += torque - state.position.coords.cross(&force);
         }
         for tool in tools.values() {
             // The hand carries it.
@@ -362,7 +366,8 @@ impl ImpulseWorld {
             // As fast as its energy would make all of it.
             let speed = (2.0 * mass.kinetic_energy(&state) / mass.mass).sqrt();
             // What others find is gone without a word when they are.
-            let may_sleep = speed < SLEEP_SPEED && body.trail.is_none() && !is_touched(*entity);
+            let is_pushed = body.push != Wrench::default();
+            let may_sleep = speed < SLEEP_SPEED && body.trail.is_none() && !is_pushed && !is_touched(*entity);
             body.still_secs = if may_sleep { body.still_secs + step_secs } else { 0.0 };
             if body.still_secs >= SLEEP_AFTER_SECS {
                 body.sleeps = true;

@@ -33,4 +33,4 @@ pub use impulse_world::{BODIES_MAX, ImpulseWorld, TOOLS_MAX};
 pub use parts::{Core, Part, mass_of, parts_of};
 pub use settings::RigidSettings;
 pub use touch::{TouchPoint, touch};
-pub use world::{FLOOR, Scheduling, ToolView, World, check};
+pub use world::{FLOOR, Inertia, Scheduling, ToolView, World, check};

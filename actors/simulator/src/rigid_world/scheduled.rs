@@ -1,6 +1,6 @@
 //! Our own world as the controller of rigid bodies schedules it.
 
-use nalgebra::Point3;
+use nalgebra::{Matrix3, Point3};
 use trocar_scene::{
     Collision, Detection, Entity, Instrument, InstrumentTarget, Motion, Pose, Primitive, RigidBody, Shape,
     SimTime, Velocity,
@@ -13,7 +13,7 @@ use super::impulse_world::{ImpulseWorld, TOOLS_MAX};
 use super::parts::{mass_of, mass_of_solid, parts_of};
 use super::told::told;
 use super::tool::Tool;
-use super::world::{FLOOR, Scheduling, ToolView, World, check};
+use super::world::{FLOOR, Inertia, Scheduling, ToolView, World, check};
 use super::{RigidSettings, WorldError, mesh_mass};
 use crate::instrument::contact::Contact;
 use crate::instrument::coupling::Wrench;
@@ -21,7 +21,7 @@ use crate::instrument::grasp::Hold;
 use crate::instrument::local_model::Obstacle;
 use crate::instrument::opening::InstrumentState;
 use crate::instrument::target_track::TargetTrack;
-use crate::rigid::RigidBodies;
+use crate::rigid::{self, RigidBodies};
 
 impl World for ImpulseWorld {
     type Settings = RigidSettings;
@@ -223,6 +223,31 @@ impl World for ImpulseWorld {
             };
             self.found.extend(Found::new(collision, [then(collision.a), then(collision.b)]));
         }
+    }
+
+    fn push(&mut self, entity: Entity, push: &rigid::Wrench) -> Result<(), WorldError> {
+        let body = self.bodies.get_mut(&entity).ok_or(WorldError::Unknown { entity })?;
+        if !push.force.iter().chain(push.torque.iter()).all(|x| x.is_finite()) {
+            return Err(WorldError::Diverged { entities: vec![entity] });
+        }
+        body.push = *push;
+        if *push != rigid::Wrench::default() {
+            body.sleeps = false;
+            body.still_secs = 0.0;
+        }
+        Ok(())
+    }
+
+    fn inertia(&self, entity: Entity) -> Option<Inertia> {
+        let body = self.bodies.get(&entity)?;
+        let mass = self.solver.masses()[body.slot?];
+        let turn = body.principal.rotation.to_rotation_matrix();
+        let inverse = Matrix3::from_diagonal(&mass.inertia.map(f64::recip));
+        Some(Inertia {
+            mass_inverse: mass.mass.recip(),
+            centre_in_body: body.principal.translation.vector.into(),
+            inertia_inverse_in_body: turn.matrix() * inverse * turn.matrix().transpose(),
+        })
     }
 
     fn pose(&self, entity: Entity) -> Option<Pose> {

@@ -1,6 +1,7 @@
 //! What a world of rigid bodies and instruments does, whoever computes it: the controller of rigid bodies schedules any.
 
-use nalgebra::Point3;
+use nalgebra::{Matrix3, Point3};
+use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Collision, Component, Detection, Entity, Instrument, InstrumentTarget, Pose, RigidBody, Shape, SimTime,
     Velocity,
@@ -13,6 +14,7 @@ use crate::instrument::grasp::Hold;
 use crate::instrument::local_model::Obstacle;
 use crate::instrument::opening::InstrumentState;
 use crate::instrument::target_track::TargetTrack;
+use crate::rigid;
 
 /// A world's own floor reports its contacts under this entity.
 pub const FLOOR: Entity = Entity::of_writer(u16::MAX, u16::MAX);
@@ -28,6 +30,18 @@ pub struct Scheduling {
     pub claims_all_poses: bool,
     /// Names of instruments whose contacts somebody else models.
     pub contact_models_by_others: Vec<String>,
+}
+
+/// How a body gives way to impulses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Inertia {
+    /// One over its mass \[1/kg\]; 0: it does not.
+    pub mass_inverse: f64,
+    /// Its centre of mass, in its own frame \[m\].
+    pub centre_in_body: Point3<f64>,
+    /// The inverse of its inertia about that, in its own axes \[1/(kg·m²)\].
+    pub inertia_inverse_in_body: Matrix3<f64>,
 }
 
 /// An instrument in a world.
@@ -135,6 +149,15 @@ pub trait World: Send + Sized + 'static {
     fn has_surfaces(&self) -> bool;
     /// Contacts that others have found, in the place of those before.
     fn set_found<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>);
+
+    /// Pushes a body in all steps until it is pushed otherwise: a force \[N\], and its torque about the origin of the world
+    /// \[N·m\]. One that sleeps wakes.
+    ///
+    /// # Errors
+    /// No such body; a force that is none.
+    fn push(&mut self, entity: Entity, push: &rigid::Wrench) -> Result<(), WorldError>;
+    /// How a body gives way; `None` where it does not or there is none.
+    fn inertia(&self, entity: Entity) -> Option<Inertia>;
 
     /// `world_from_body` of a body or an instrument.
     fn pose(&self, entity: Entity) -> Option<Pose>;

@@ -1,6 +1,8 @@
 //! A scene with one controller on it, ticked by the test.
 #![allow(dead_code)] // every test uses another part
 
+pub mod other;
+
 use std::sync::Arc;
 
 use trocar_scene::{

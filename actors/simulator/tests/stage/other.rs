@@ -1,0 +1,78 @@
+//! Further controllers on a stage, each at a rate of its own.
+
+use trocar_scene::{
+    BuildContext, Commands, Controller, ControllerError, Entity, EntityAllocator, Events, Jobs, SimTime,
+    Tick, WriterRules,
+};
+
+use super::Stage;
+
+/// Another controller on the stage.
+pub struct Other {
+    controller: Box<dyn Controller>,
+    pub me: Entity,
+    rules: WriterRules,
+    commands: Commands,
+    ticks: u64,
+    /// When its last tick was.
+    last: SimTime,
+    /// How many ticks of the first one each of its own takes.
+    pub every: u32,
+}
+
+impl Other {
+    pub fn new<C: Controller, D: Controller>(
+        stage: &Stage<C>,
+        number: u16,
+        every: u32,
+        build: impl FnOnce(&BuildContext<'_>) -> Result<D, ControllerError>,
+    ) -> Self {
+        let me = Entity::of_writer(0, number);
+        let context = BuildContext {
+            scene: stage.store.view(),
+            time: stage.now(),
+            name: "other",
+            me,
+            epoch: 1,
+            seed: 1,
+        };
+        let controller = build(&context).unwrap_or_else(|error| panic!("{error}"));
+        let registry = stage.store.view().registry().clone();
+        let rules = WriterRules::compile(&controller.access(), &registry, me).expect("its access");
+        let commands = Commands::new(registry, EntityAllocator::new(0, number));
+        Self { controller: Box::new(controller), me, rules, commands, ticks: 0, last: stage.now(), every }
+    }
+
+    /// Another life of it, from nothing but the scene; no time has gone by.
+    pub fn rebuild<C: Controller, D: Controller>(
+        &mut self,
+        stage: &Stage<C>,
+        build: impl FnOnce(&BuildContext<'_>) -> Result<D, ControllerError>,
+    ) {
+        let scene = stage.store.view();
+        let context = BuildContext { scene, time: self.last, name: "other", me: self.me, epoch: 2, seed: 1 };
+        self.controller = Box::new(build(&context).unwrap_or_else(|error| panic!("{error}")));
+    }
+
+    pub fn tick<C: Controller>(&mut self, stage: &mut Stage<C>) {
+        self.ticks += 1;
+        self.last = stage.now();
+        let scene = stage.store.snapshot();
+        let jobs = Jobs::default();
+        let tick = Tick {
+            time: stage.now(),
+            period: SimTime(1_000_000 * u64::from(self.every)),
+            number: self.ticks,
+            me: self.me,
+            epoch: 1,
+            events: Events::new(scene.events(), 0),
+            jobs: &jobs,
+        };
+        self.controller.tick(&tick, &scene, &mut self.commands).expect("a look");
+        self.commands.seal();
+        stage.store.validate(&self.commands, &self.rules).expect("what it declared");
+        let now = stage.now();
+        stage.store.apply(&mut self.commands, now);
+        self.commands.clear();
+    }
+}
