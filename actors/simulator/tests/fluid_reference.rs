@@ -116,37 +116,49 @@ fn a_dam_that_breaks_runs_on_as_ritters() {
 fn at_rest_the_floor_bears_the_weight_and_pressure_grows_with_depth() {
     // 0.1 m of blood: 1039.86 Pa. That is what the floor bears over its area, to a thousandth. Pressures of particles are no
     // such sum: they stir a little, so that a mean over 1.5 s is taken of those in the middle, and where they have settled
-    // they lie otherwise than on the lattice on which the kernel is one.
-    for layers in [10, 20] {
-        let spacing = 0.1 / f64::from(layers);
-        let config = FluidConfig { viscosity: 1e-4, ..FluidConfig::default() };
-        let mut fluid = tank([6, 6, layers + 4], [6, 6, layers], spacing, config);
-        (0..200).for_each(|_| {
-            fluid.step(0.005).expect("a step");
-        });
-        let (mut force, mut samples) = (0.0, Vec::new());
-        for _ in 0..300 {
-            fluid.step(0.005).expect("a step");
-            force -= fluid.wall_forces().iter().map(|force| force.z).sum::<f64>() / 300.0;
-            for (position, pressure) in fluid.state().positions.iter().zip(fluid.pressures()) {
-                let aside = (position.xy() - Point3::new(3.0, 3.0, 0.0).xy() * spacing).amax();
-                if aside < spacing && (0.01..0.09).contains(&position.z) {
-                    samples.push((position.z, *pressure));
-                }
-            }
+    // they lie otherwise than on the lattice on which the kernel is one: how, is a matter of chance (a hundred-thousandth
+    // of the viscosity moves the slope by 2 % where the column is 10 particles high), so that a mean is taken of four.
+    for (layers, settlings) in [(10, 4), (20, 1)] {
+        let [mut slope, mut floor] = [0.0; 2];
+        for settling in 0..settlings {
+            let settled = settled(layers, 1e-4 * (1.0 + 1e-5 * f64::from(settling)));
+            slope += settled[0] / f64::from(settlings);
+            floor += settled[1] / f64::from(settlings);
         }
-        assert_eq!(fluid.state().absorbed, 0, "nothing leaks");
-        let weight = 1060.0 * GRAVITY * fluid.particle_volume() * f64::from(36 * layers);
-        assert!((force / weight - 1.0).abs() < 1e-3, "{layers}: {force} N of {weight} N");
-        assert!((weight / (6.0 * spacing).powi(2) / 1039.86 - 1.0).abs() < 1e-5);
-        // A line through the samples, down to the floor.
-        let count = samples.len() as f64;
-        let (z, p) = samples.iter().fold((0.0, 0.0), |(z, p), at| (z + at.0 / count, p + at.1 / count));
-        let (zz, zp) = samples
-            .iter()
-            .fold((0.0, 0.0), |(zz, zp), at| (zz + (at.0 - z).powi(2), zp + (at.0 - z) * (at.1 - p)));
-        let (slope, floor) = (zp / zz, p - zp / zz * z);
         assert!((slope / (-1060.0 * GRAVITY) - 1.0).abs() < 0.025, "{layers}: {slope} Pa/m");
         assert!((floor / 1039.86 - 1.0).abs() < 0.025, "{layers}: {floor} Pa at the floor");
     }
+}
+
+/// How pressure grows upwards \[Pa/m\], and what it is at the floor \[Pa\], in 0.1 m of blood of so many layers and viscosity.
+fn settled(layers: i32, viscosity: f64) -> [f64; 2] {
+    let spacing = 0.1 / f64::from(layers);
+    let config = FluidConfig { viscosity, ..FluidConfig::default() };
+    let mut fluid = tank([6, 6, layers + 4], [6, 6, layers], spacing, config);
+    (0..200).for_each(|_| {
+        fluid.step(0.005).expect("a step");
+    });
+    let (mut force, mut samples) = (0.0, Vec::new());
+    for _ in 0..300 {
+        fluid.step(0.005).expect("a step");
+        force -= fluid.wall_forces().iter().map(|force| force.z).sum::<f64>() / 300.0;
+        for (position, pressure) in fluid.state().positions.iter().zip(fluid.pressures()) {
+            let aside = (position.xy() - Point3::new(3.0, 3.0, 0.0).xy() * spacing).amax();
+            if aside < spacing && (0.01..0.09).contains(&position.z) {
+                samples.push((position.z, *pressure));
+            }
+        }
+    }
+    assert_eq!(fluid.state().absorbed, 0, "nothing leaks");
+    let weight = 1060.0 * GRAVITY * fluid.particle_volume() * f64::from(36 * layers);
+    assert!((force / weight - 1.0).abs() < 1e-3, "{layers}: {force} N of {weight} N");
+    assert!((weight / (6.0 * spacing).powi(2) / 1039.86 - 1.0).abs() < 1e-5);
+    // A line through the samples, down to the floor.
+    let count = samples.len() as f64;
+    let (z, p) = samples.iter().fold((0.0, 0.0), |(z, p), at| (z + at.0 / count, p + at.1 / count));
+    let (zz, zp) = samples
+        .iter()
+        .fold((0.0, 0.0), |(zz, zp), at| (zz + (at.0 - z).powi(2), zp + (at.0 - z) * (at.1 - p)));
+    let slope = zp / zz;
+    [slope, p - slope * z]
 }

@@ -12,27 +12,15 @@ const WORD: usize = 64;
 pub(super) const LANES: usize = 8;
 /// A number of a place that is near to nothing \[m\]; its square is a number still.
 const FAR: f32 = 1e15;
+/// Softens what slows down where particles meet, as a share of the square of the support (Monaghan 2005).
+const SOFT: f64 = 0.01;
 /// No wall.
 pub(super) const DRY: u32 = u32::MAX;
-
-/// Places, an axis at a time.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Axes([Vec<f32>; 3]);
-
-impl Axes {
-    pub(super) fn set(&mut self, places: &[[f32; 4]]) {
-        for (axis, list) in self.0.iter_mut().enumerate() {
-            list.clear();
-            list.extend(places.iter().map(|place| place[axis]));
-        }
-    }
-}
 
 /// Samples of walls, sorted by cells.
 pub(super) struct Walls<'a> {
     pub cells: &'a CellStarts,
     pub places: &'a [[f32; 4]],
-    pub axes: &'a Axes,
     pub volumes: &'a [f32],
 }
 
@@ -43,7 +31,6 @@ pub(super) struct Scene<'a> {
     pub walls: &'a Walls<'a>,
     /// Of the particles.
     pub places: &'a [[f32; 4]],
-    pub axes: &'a Axes,
     pub row_of_wall: &'a [u32],
     /// Of a particle \[m³\].
     pub volume: f32,
@@ -53,8 +40,9 @@ pub(super) struct Scene<'a> {
 #[derive(Clone, Debug, Default)]
 pub(super) struct About {
     /// Filled up to whole words with what is far.
-    axes: [Vec<f32>; 3],
     places: Vec<[f32; 4]>,
+    /// The same, an axis at a time.
+    axes: [Vec<f32>; 3],
     pub rows: Vec<u32>,
     volumes: Vec<f32>,
     /// How many particles.
@@ -65,6 +53,7 @@ pub(super) struct About {
 
 impl About {
     /// All that is about a cell.
+    #[inline(always)]
     pub(super) fn gather(&mut self, scene: &Scene<'_>, cell: usize) {
         self.axes.iter_mut().for_each(Vec::clear);
         self.places.clear();
@@ -74,9 +63,6 @@ impl About {
         for (from, to) in scene.grid.rows_about(cell) {
             let range = scene.cells.range(from, to);
             self.ranges.push((range.clone(), self.rows.len()));
-            for (list, axis) in self.axes.iter_mut().zip(&scene.axes.0) {
-                list.extend_from_slice(&axis[range.clone()]);
-            }
             self.places.extend_from_slice(&scene.places[range.clone()]);
             self.rows.extend(range.map(|row| row as u32));
         }
@@ -86,16 +72,16 @@ impl About {
         for (from, to) in scene.grid.rows_about(cell) {
             // At the very edge of its reach a wall may be dry.
             for wall in walls.cells.range(from, to).filter(|wall| scene.row_of_wall[*wall] != DRY) {
-                for (list, axis) in self.axes.iter_mut().zip(&walls.axes.0) {
-                    list.push(axis[wall]);
-                }
                 self.places.push(walls.places[wall]);
                 self.rows.push(scene.row_of_wall[wall]);
                 self.volumes.push(walls.volumes[wall]);
             }
         }
         let whole = self.rows.len().next_multiple_of(WORD);
-        self.axes.iter_mut().for_each(|axis| axis.resize(whole, FAR));
+        self.places.resize(whole, [FAR; 4]);
+        for (axis, list) in self.axes.iter_mut().enumerate() {
+            list.extend(self.places.iter().map(|place| place[axis]));
+        }
     }
 
     /// Where a particle stands.
@@ -112,25 +98,33 @@ pub(super) struct Near {
     found: usize,
     /// How many particles.
     liquid: usize,
-    /// Ways to the place \[m\].
-    ways: Vec<[f32; 4]>,
-    volumes: Vec<f32>,
-    /// Kernel and its slope, times volume.
-    values: Vec<f32>,
-    factors: Vec<f32>,
-    /// Of the gradients.
-    squares: Vec<f32>,
+}
+
+/// What belongs to a link, beside who it is.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Weights {
+    /// Factor of the way to the row from the neighbour in the gradient that the two have in common: volume of what is not a
+    /// plain particle of the two, times the kernel's slope \[1/m²\]. Ways come anew from the places, which are near in
+    /// memory: products with the operator wait for what they read.
+    pub factors: Vec<f32>,
+    /// The factors over the squares of the ways, softened: what slows down is that times the way, twice \[1/m⁴\].
+    pub drags: Vec<f32>,
+}
+
+/// Sums over what is near.
+pub(super) struct Sums {
+    /// Of kernels times volumes.
+    pub value: f32,
+    /// Of the squares of the gradients to particles.
+    pub squares: f32,
+    /// Of the gradients \[1/m\].
+    pub pull: [f32; 4],
 }
 
 impl Near {
     /// Places of what was found, among what is about: particles first.
     pub(super) fn hits(&self) -> &[u32] {
         &self.hits[..self.found]
-    }
-
-    /// The kernel's slope times the volume for each of them.
-    pub(super) fn factors(&self) -> &[f32] {
-        &self.factors[..self.found]
     }
 
     /// Whether walls are among them.
@@ -148,8 +142,8 @@ impl Near {
         count: usize,
         own: Option<usize>,
     ) {
-        if self.hits.len() < count {
-            self.hits.resize(count, 0);
+        if self.hits.len() < count + LANES {
+            self.hits.resize(count + LANES, 0);
         }
         let mut found = 0;
         for first in (0..count).step_by(WORD) {
@@ -176,7 +170,7 @@ impl Near {
     }
 
     /// Kernels and gradients, the factor times the way \[1/m\], of all that was found; all have the volume of a wall, where
-    /// one asks. The sum of kernels times volumes, of the squares of the gradients to particles, and of all gradients.
+    /// one asks. Adds a weight for each.
     #[inline(always)]
     pub(super) fn weigh(
         &mut self,
@@ -184,50 +178,58 @@ impl Near {
         about: &About,
         kernel: &Kernel,
         volume: Option<f32>,
-    ) -> (f32, f32, [f32; 4]) {
-        let Self { hits, found, liquid, ways, volumes, values, factors, squares } = self;
-        let hits = &hits[..*found];
-        // What is beyond the last weighs nothing.
-        let whole = found.next_multiple_of(LANES);
-        ways.resize(whole, [0.0; 4]);
-        for (way, at) in ways.iter_mut().zip(hits) {
-            let its = &about.places[*at as usize];
-            *way = std::array::from_fn(|axis| place[axis] - its[axis]);
-        }
-        ways[hits.len()..].fill([0.0; 4]);
-        volumes.clear();
-        match volume {
-            Some(volume) => volumes.resize(hits.len(), volume),
-            None => {
-                let own = about.volumes.first().copied().unwrap_or(0.0);
-                volumes.resize(*liquid, own);
-                volumes.extend(hits[*liquid..].iter().map(|at| about.volumes[*at as usize]));
-            }
-        }
-        volumes.resize(whole, 0.0);
-        for list in [&mut *values, factors, squares] {
-            list.resize(whole, 0.0);
-        }
-        let (ways, volumes) = (&ways[..whole], &volumes[..whole]);
-        let (values, factors, squares) = (&mut values[..whole], &mut factors[..whole], &mut squares[..whole]);
+        weights: &mut Weights,
+    ) -> Sums {
+        let Self { hits, found, liquid, .. } = self;
+        let (found, liquid) = (*found, *liquid);
+        // What fills up the lanes weighs nothing.
+        let last = found.checked_sub(1).map_or(0, |last| hits[last]);
+        hits[found..found.next_multiple_of(LANES)].fill(last);
+        let own = volume.or(about.volumes.first().copied()).unwrap_or(0.0);
+        let volume_of = |at: usize, hit: u32| match volume {
+            _ if at >= found => 0.0,
+            Some(volume) => volume,
+            None => about.volumes[hit as usize],
+        };
         let kernel = *kernel;
-        for k in 0..whole {
-            let way = &ways[k];
-            let square = way[0] * way[0] + way[1] * way[1] + way[2] * way[2];
-            let of = kernel.value_and_slope_single(square.sqrt());
-            let factor = volumes[k] * of.1;
-            (values[k], factors[k], squares[k]) = (volumes[k] * of.0, factor, factor * factor * square);
-        }
-        // Walls do not give way.
-        squares[*liquid..].fill(0.0);
-        let (mut even, mut odd) = ([0.0; 4], [0.0; 4]);
-        for (ways, factors) in ways.chunks_exact(2).zip(factors.chunks_exact(2)) {
-            for axis in 0..4 {
-                even[axis] += factors[0] * ways[0][axis];
-                odd[axis] += factors[1] * ways[1][axis];
+        let soft = (SOFT * kernel.support * kernel.support) as f32;
+        let [mut value, mut squares, mut px, mut py, mut pz] = [[0.0_f32; LANES]; 5];
+        let begin = weights.factors.len();
+        for (group, hits) in hits[..found.next_multiple_of(LANES)].chunks_exact(LANES).enumerate() {
+            let first = group * LANES;
+            let [mut x, mut y, mut z] = [[0.0_f32; LANES]; 3];
+            for k in 0..LANES {
+                let its = &about.places[hits[k] as usize];
+                (x[k], y[k], z[k]) = (place[0] - its[0], place[1] - its[1], place[2] - its[2]);
             }
+            let is_plain = first + LANES <= liquid;
+            let volumes: [f32; LANES] =
+                if is_plain { [own; LANES] } else { std::array::from_fn(|k| volume_of(first + k, hits[k])) };
+            // Walls do not give way.
+            let gives: [f32; LANES] = if is_plain {
+                [1.0; LANES]
+            } else {
+                std::array::from_fn(|k| f32::from(u8::from(first + k < liquid)))
+            };
+            let [mut factor, mut drag] = [[0.0_f32; LANES]; 2];
+            for k in 0..LANES {
+                let square = x[k] * x[k] + y[k] * y[k] + z[k] * z[k];
+                let of = kernel.value_and_slope_single(square.sqrt());
+                factor[k] = volumes[k] * of.1;
+                drag[k] = factor[k] / (square + soft);
+                value[k] += volumes[k] * of.0;
+                squares[k] += gives[k] * (factor[k] * factor[k] * square);
+                px[k] += factor[k] * x[k];
+                py[k] += factor[k] * y[k];
+                pz[k] += factor[k] * z[k];
+            }
+            weights.factors.extend_from_slice(&factor);
+            weights.drags.extend_from_slice(&drag);
         }
-        (sum(values), sum(squares), std::array::from_fn(|axis| even[axis] + odd[axis]))
+        weights.factors.truncate(begin + found);
+        weights.drags.truncate(begin + found);
+        let [value, squares, x, y, z] = [value, squares, px, py, pz].map(|lanes| folded(&lanes));
+        Sums { value, squares, pull: [x, y, z, 0.0] }
     }
 }
 
@@ -252,15 +254,9 @@ fn half_within(place: &[f32; 4], square: f32, [xs, ys, zs]: [&[f32]; 3]) -> u32 
     bits.iter().fold(0, |all, bits| all | bits)
 }
 
-/// The sum of whole lanes.
+/// The sum of all lanes.
 #[inline(always)]
-fn sum(list: &[f32]) -> f32 {
-    let mut sums = [0.0_f32; LANES];
-    for part in list.chunks_exact(LANES) {
-        for k in 0..LANES {
-            sums[k] += part[k];
-        }
-    }
+fn folded(sums: &[f32; LANES]) -> f32 {
     let four: [f32; 4] = std::array::from_fn(|k| sums[k] + sums[k + 4]);
     (four[0] + four[1]) + (four[2] + four[3])
 }

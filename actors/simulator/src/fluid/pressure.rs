@@ -10,6 +10,9 @@ use crate::wide::wide;
 /// Iterations after which the slope is computed from the beginning, if rows were held at their bounds since.
 const RENEWAL: u32 = 10;
 
+/// All that a row changes of others, in parts of what it changes of its own, at most.
+const SPREAD: f64 = 8.0;
+
 /// Lists that a solve needs; kept, so that none is made anew.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Solver {
@@ -26,9 +29,9 @@ pub(super) struct Solver {
     slope: Vec<f32>,
     direction: Vec<f32>,
     image: Vec<f32>,
-    rates: Vec<f32>,
-    /// Rows that were held at their bounds since the slope was computed from the beginning.
-    drift: usize,
+    /// What rows were held back by at their bounds since the slope was computed from the beginning: how much each would have
+    /// changed of its own, as a share, over all of them.
+    drift: f64,
 }
 
 /// Adds up lists side by side, in double precision.
@@ -69,7 +72,6 @@ impl Solver {
             &mut self.slope,
             &mut self.direction,
             &mut self.image,
-            &mut self.rates,
         ] {
             list.clear();
             list.resize(count, 0.0);
@@ -80,16 +82,10 @@ impl Solver {
         self.velocities.resize(count, [0.0; 4]);
     }
 
-    /// `image` = scaled A times `of`: in single precision, as what it corrects is small.
+    /// `image` = scaled A times the direction, or what is scaled: in single precision, as what it corrects is small.
     fn apply(&mut self, rows: &mut Rows, dt: f32, of_direction: bool) {
         let of = if of_direction { &self.direction } else { &self.scaled };
-        for ((pressure, of), scale) in self.pressures.iter_mut().zip(of).zip(&self.scale) {
-            *pressure = of * scale;
-        }
-        rows.product(&self.pressures, &mut self.velocities, &mut self.rates);
-        for ((image, rate), scale) in self.image.iter_mut().zip(&self.rates).zip(&self.scale) {
-            *image = rate * scale * dt * dt;
-        }
+        rows.product((&self.scale, dt * dt), of, &mut self.velocities, &mut self.image);
     }
 
     /// The part of the slope along which the free rows go.
@@ -102,7 +98,7 @@ impl Solver {
     /// Slope at where it is, from the beginning.
     fn renew_slope(&mut self, rows: &mut Rows, dt: f32) {
         self.apply(rows, dt, false);
-        self.drift = 0;
+        self.drift = 0.0;
         for row in 0..self.slope.len() {
             self.slope[row] = self.image[row] - self.wanted[row] * self.scale[row];
         }
@@ -153,13 +149,16 @@ impl Solver {
             self.renew_slope(rows, dt);
             loop {
                 let (free, bound, mean) = self.left(active);
-                rest = mean;
-                if self.drift > 0 && (mean <= tolerance || since >= RENEWAL) {
+                // What is held back changes others, by so much at most.
+                let unknown = SPREAD * self.drift / active as f64;
+                let is_done = mean + unknown <= tolerance;
+                if self.drift > 0.0 && !is_done && (mean <= tolerance || since >= RENEWAL) {
                     self.renew_slope(rows, dt);
                     since = 0;
                     continue;
                 }
-                if mean <= tolerance || iterations >= most {
+                rest = mean + unknown;
+                if is_done || iterations >= most {
                     break;
                 }
                 since += 1;
@@ -209,11 +208,11 @@ impl Solver {
         let length = (dot(&self.slope, &self.direction) / curvature) as f32;
         self.go(length);
         // Who went past its bound stays at it. What that changes for others is small, and made good when the slope is next
-        // computed from the beginning: at the latest before anything is believed.
-        for value in &mut self.scaled {
+        // computed from the beginning: at the latest when it might matter.
+        for (value, scale) in self.scaled.iter_mut().zip(&self.scale) {
             if *value < 0.0 {
+                self.drift -= f64::from(*value / scale);
                 *value = 0.0;
-                self.drift += 1;
             }
         }
         let sum = sums(
@@ -234,7 +233,7 @@ impl Solver {
 mod tests {
     use super::*;
     use crate::fluid::kernel::Kernel;
-    use crate::fluid::near::{Axes, Walls};
+    use crate::fluid::near::Walls;
     use crate::fluid::neighbours::{CellGrid, CellStarts};
     use nalgebra::{DMatrix, DVector, Point3};
     use rand::{Rng, SeedableRng};
@@ -254,8 +253,7 @@ mod tests {
         let mut rows = Rows::default();
         let sorted = cells.order.iter().map(|index| points[*index as usize]);
         rows.places = sorted.map(|p| [p.x as f32, p.y as f32, p.z as f32, 0.0]).collect();
-        let axes = Axes::default();
-        let walls = Walls { cells: &none, places: &[], axes: &axes, volumes: &[] };
+        let walls = Walls { cells: &none, places: &[], volumes: &[] };
         rows.build(&grid, &cells, &walls, &Kernel::new(0.2), 1e-3, 0.15);
         rows
     }
@@ -266,11 +264,11 @@ mod tests {
         let mut a = DMatrix::zeros(count, count);
         let mut unit = vec![0.0_f32; count];
         let mut velocities = vec![[0.0; 4]; count];
-        let mut rates = vec![0.0; count];
+        let (mut rates, ones) = (vec![0.0; count], vec![1.0; count]);
         for column in 0..count {
             unit.fill(0.0);
             unit[column] = 1.0;
-            rows.product(&unit, &mut velocities, &mut rates);
+            rows.product((&ones, 1.0), &unit, &mut velocities, &mut rates);
             (0..count).for_each(|row| a[(row, column)] = f64::from(rates[row]));
         }
         a
@@ -284,6 +282,8 @@ mod tests {
         for row in 0..rows.count() {
             let diagonal = f64::from(rows.diagonal[row]);
             assert!((a[(row, row)] - diagonal).abs() < 1e-4 * diagonal, "{row}");
+            let spread = a.column(row).abs().sum() / diagonal;
+            assert!((1.5..SPREAD).contains(&spread), "what {row} changes of others: {spread}");
         }
         let least = ((&a + a.transpose()) * 0.5).symmetric_eigenvalues().min();
         assert!(least > -1e-4 * a.amax(), "{least}");
@@ -303,7 +303,8 @@ mod tests {
         let (mut expected, mut rates) = (vec![0.0; rows.count()], vec![0.0; rows.count()]);
         rows.compression_rate(&gradients, &mut expected);
         let mut velocities = vec![[0.0; 4]; rows.count()];
-        rows.product(&pressures, &mut velocities, &mut rates);
+        let ones = vec![1.0; rows.count()];
+        rows.product((&ones, 1.0), &pressures, &mut velocities, &mut rates);
         let most = expected.iter().fold(0.0_f32, |most, rate| most.max(rate.abs()));
         for row in 0..rows.count() {
             assert!(

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::kernel::Kernel;
-use super::near::{About, Axes, DRY, Near, Scene, Walls};
+use super::near::{About, DRY, Near, Scene, Sums, Walls, Weights};
 use super::neighbours::{CellGrid, CellStarts};
 use crate::wide::wide;
 
@@ -42,7 +42,6 @@ pub(super) struct Rows {
     /// Which sample each row of a wall is, in the order of their cells.
     pub wet: Vec<u32>,
     row_of_wall: Vec<u32>,
-    axes: Axes,
     /// Places, from the middle of what there is \[m\].
     centred: Vec<[f32; 4]>,
     /// Sum of the gradients of each row \[1/m\].
@@ -58,10 +57,7 @@ struct Block {
     starts: Vec<u32>,
     /// Row of each neighbour: particles first, then walls.
     others: Vec<u32>,
-    /// Factor of the way to the row from the neighbour in the gradient that the two have in common: volume of what is not a
-    /// plain particle of the two, times the kernel's slope \[1/m²\]. Ways come anew from the places, which are near in
-    /// memory: products with the operator wait for what they read.
-    factors: Vec<f32>,
+    weights: Weights,
     /// Compression and diagonal of each row.
     sums: Vec<[f32; 2]>,
     /// Sum of the gradients of each.
@@ -79,19 +75,32 @@ pub(super) struct Links<'a> {
     places: &'a [[f32; 4]],
     others: &'a [u32],
     factors: &'a [f32],
+    drags: &'a [f32],
 }
 
 impl<'a> Links<'a> {
-    /// Those to particles.
+    /// How many there are to particles, which come first.
     #[inline(always)]
-    pub(super) fn liquid(self, particles: usize) -> Self {
-        let liquid = match self.others.last() {
+    fn liquid(&self, particles: usize) -> usize {
+        match self.others.last() {
             Some(last) if *last as usize >= particles => {
                 self.others.partition_point(|other| (*other as usize) < particles)
             }
             _ => self.others.len(),
-        };
-        Self { others: &self.others[..liquid], factors: &self.factors[..liquid], ..self }
+        }
+    }
+
+    /// Those to walls.
+    #[inline(always)]
+    pub(super) fn walls(self, particles: usize) -> Self {
+        let from = self.liquid(particles);
+        let (others, factors, drags) = (&self.others[from..], &self.factors[from..], &self.drags[from..]);
+        Self { others, factors, drags, ..self }
+    }
+
+    /// Neighbours.
+    pub(super) fn others(self) -> &'a [u32] {
+        self.others
     }
 
     /// Neighbours, and the gradients that the row has in common with them \[1/m\], the factor of the way last.
@@ -108,12 +117,36 @@ impl<'a> Links<'a> {
     /// numbers does not count.
     #[inline(always)]
     pub(super) fn sum(self, vector: impl Fn(usize, &[f32; 4]) -> [f32; 4]) -> Vector3<f64> {
-        let mut sum = [0.0_f64; 4];
-        for (other, gradient) in self.gradients() {
-            let vector = vector(other, &gradient);
-            (0..4).for_each(|axis| sum[axis] += f64::from(vector[axis]));
-        }
-        Vector3::new(sum[0], sum[1], sum[2])
+        in_pairs(
+            self.others,
+            self.factors,
+            #[inline(always)]
+            |sum, other, factor| {
+                let place = &self.places[other as usize];
+                let way = |axis: usize| factor * (self.place[axis] - place[axis]);
+                let vector = vector(other as usize, &[way(0), way(1), way(2), factor]);
+                (0..4).for_each(|axis| sum[axis] += f64::from(vector[axis]));
+            },
+        )
+    }
+
+    /// What viscosity makes of velocities: the sum over particles of what the two of them approach each other, along the way
+    /// (Monaghan, *Smoothed particle hydrodynamics*, 2005), but for ten times the viscosity \[1/s/m²\].
+    #[inline(always)]
+    pub(super) fn drag(self, velocity: &[f32; 4], of: &[[f32; 4]], particles: usize) -> Vector3<f64> {
+        let liquid = self.liquid(particles);
+        in_pairs(
+            &self.others[..liquid],
+            &self.drags[..liquid],
+            #[inline(always)]
+            |sum, other, drag| {
+                let (place, its) = (&self.places[other as usize], &of[other as usize]);
+                let way: [f32; 4] = std::array::from_fn(|axis| self.place[axis] - place[axis]);
+                let parts: [f32; 4] = std::array::from_fn(|axis| (velocity[axis] - its[axis]) * way[axis]);
+                let push = drag * ((parts[0] + parts[1]) + parts[2]);
+                (0..4).for_each(|axis| sum[axis] += f64::from(push * way[axis]));
+            },
+        )
     }
 
     /// Adds up what belongs to the neighbours, times the factors: in four sums, of which none waits for another.
@@ -132,6 +165,27 @@ impl<'a> Links<'a> {
         }
         std::array::from_fn(|axis| (a[axis] + b[axis]) + (c[axis] + d[axis]))
     }
+}
+
+/// Adds up what belongs to links, in two sums of which neither waits for the other.
+#[inline(always)]
+fn in_pairs(others: &[u32], weights: &[f32], add: impl Fn(&mut [f64; 4], u32, f32)) -> Vector3<f64> {
+    let [mut even, mut odd] = [[0.0_f64; 4]; 2];
+    let (others, weights) = (others.chunks_exact(2), weights.chunks_exact(2));
+    for (other, weight) in others.remainder().iter().zip(weights.remainder()) {
+        add(&mut even, *other, *weight);
+    }
+    for (others, weights) in others.zip(weights) {
+        add(&mut even, others[0], weights[0]);
+        add(&mut odd, others[1], weights[1]);
+    }
+    Vector3::new(even[0] + odd[0], even[1] + odd[1], even[2] + odd[2])
+}
+
+#[inline(always)]
+fn dot(a: &[f32; 4], b: &[f32; 4]) -> f32 {
+    let products: [f32; 4] = std::array::from_fn(|axis| a[axis] * b[axis]);
+    (products[0] + products[2]) + (products[1] + products[3])
 }
 
 #[inline(always)]
@@ -159,7 +213,8 @@ impl Parts<'_> {
         let own = volume * self.kernel.value_and_slope(0.0).0 as f32;
         block.starts.clear();
         block.others.clear();
-        block.factors.clear();
+        block.weights.factors.clear();
+        block.weights.drags.clear();
         block.sums.clear();
         block.pulls.clear();
         block.beside_walls.clear();
@@ -171,10 +226,10 @@ impl Parts<'_> {
                 known = Some(cell);
                 block.about.gather(&self.scene, cell);
             }
-            let Block { starts, others, factors, sums, pulls, beside_walls, near, about } = block;
+            let Block { starts, others, weights, sums, pulls, beside_walls, near, about } = block;
             if row < self.particles {
                 near.find(place, square, about, about.rows.len(), about.place_of(row));
-                let (value, squares, pull) = near.weigh(place, about, self.kernel, None);
+                let Sums { value, squares, pull } = near.weigh(place, about, self.kernel, None, weights);
                 let [x, y, z, _] = pull;
                 pulls.push(pull);
                 sums.push([own + value, squares + (x * x + y * y + z * z)]);
@@ -184,13 +239,13 @@ impl Parts<'_> {
             } else {
                 let wall = self.scene.walls.volumes[self.wet[row - self.particles] as usize];
                 near.find(place, square, about, about.liquid, None);
-                let (value, squares, pull) = near.weigh(place, about, self.kernel, Some(wall));
+                let Sums { value, squares, pull } =
+                    near.weigh(place, about, self.kernel, Some(wall), weights);
                 pulls.push(pull);
                 sums.push([1.0 - self.beside * wall / volume + value, squares]);
             }
             starts.push(others.len() as u32);
             others.extend(near.hits().iter().map(|at| about.rows[*at as usize]));
-            factors.extend_from_slice(near.factors());
         }
         block.starts.push(block.others.len() as u32);
     }
@@ -216,11 +271,10 @@ impl Rows {
         let particles = self.places.len();
         self.particles = particles;
         self.find_wet(grid, cells, walls, (kernel.support * kernel.support) as f32);
-        self.axes.set(&self.places);
         self.places.extend(self.wet.iter().map(|wall| walls.places[*wall as usize]));
         let count = self.places.len();
-        let (axes, row_of_wall) = (&self.axes, &self.row_of_wall);
-        let scene = Scene { grid, cells, walls, places: &self.places, axes, row_of_wall, volume };
+        let row_of_wall = &self.row_of_wall;
+        let scene = Scene { grid, cells, walls, places: &self.places, row_of_wall, volume };
         let parts = Parts { scene, kernel, places: &self.places, wet: &self.wet, particles, beside };
         let blocks = count.div_ceil(BLOCK);
         if self.blocks.len() < blocks {
@@ -282,10 +336,18 @@ impl Rows {
     /// Links of a row.
     #[inline]
     pub(super) fn of(&self, row: usize) -> Links<'_> {
-        let Block { starts, others, factors, .. } = &self.blocks[row / BLOCK];
-        let range = starts[row % BLOCK] as usize..starts[row % BLOCK + 1] as usize;
+        let block = &self.blocks[row / BLOCK];
+        self.links(block, row, [block.starts[row % BLOCK], block.starts[row % BLOCK + 1]])
+    }
+
+    /// Links of a row that are a range of those of its block.
+    #[inline(always)]
+    fn links<'a>(&'a self, block: &'a Block, row: usize, [from, to]: [u32; 2]) -> Links<'a> {
+        let range = from as usize..to as usize;
+        let Weights { factors, drags } = &block.weights;
+        let (others, factors) = (&block.others[range.clone()], &factors[range.clone()]);
         let (place, places) = (&self.places[row], &self.places);
-        Links { place, places, others: &others[range.clone()], factors: &factors[range] }
+        Links { place, places, others, factors, drags: &drags[range] }
     }
 
     /// How many neighbours a row has.
@@ -297,55 +359,61 @@ impl Rows {
     #[inline]
     pub(super) fn each<T: Send>(&self, out: &mut [T], each: impl Fn(usize, Links<'_>, &mut T) + Sync) {
         in_blocks(out, |index, out| {
-            let Block { starts, others, factors, .. } = &self.blocks[index];
+            let block = &self.blocks[index];
             wide(
                 #[inline(always)]
                 || {
-                    for ((row, out), ends) in (index * BLOCK..).zip(out).zip(starts.windows(2)) {
-                        let range = ends[0] as usize..ends[1] as usize;
-                        let (place, places) = (&self.places[row], &self.places);
-                        let (others, factors) = (&others[range.clone()], &factors[range]);
-                        each(row, Links { place, places, others, factors }, out);
+                    for ((row, out), ends) in (index * BLOCK..).zip(out).zip(block.starts.windows(2)) {
+                        each(row, self.links(block, row, [ends[0], ends[1]]), out);
                     }
                 },
             );
         });
     }
 
-    /// How fast each row is compressed \[1/s\] by what pressures over density \[m²/s²\] make of the particles' velocities in a
-    /// second: the divergence of the gradient, of which each is the other's transpose; walls stand still. `velocities` is
+    /// The operator of the pressures, scaled from both sides: the divergence of the gradient, of which each is the other's
+    /// transpose, and walls stand still. `image` is how fast each row is compressed \[1/s\] by what pressures over density of
+    /// `scale` times `of` \[m²/s²\] make of the particles' velocities in a second, times `factor` and `scale`. `velocities` is
     /// room.
     ///
     /// With the places x, the factors f and R for the sum of f (xᵢ - xⱼ) over j, the sum of f (pᵢ + pⱼ) (xᵢ - xⱼ) is
     /// R pᵢ + xᵢ Σ f pⱼ - Σ f pⱼ xⱼ, and that of f (xᵢ - xⱼ)·(vᵢ - vⱼ) is R·vᵢ - xᵢ·Σ f vⱼ + Σ f xⱼ·vⱼ: of a neighbour no
     /// more is asked for than four numbers. What is lost by differences of sums is little for a solver; what moves particles
     /// is computed as it stands.
-    pub(super) fn product(&mut self, pressures: &[f32], velocities: &mut [[f32; 4]], rates: &mut [f32]) {
+    pub(super) fn product(
+        &mut self,
+        (scale, factor): (&[f32], f32),
+        of: &[f32],
+        velocities: &mut [[f32; 4]],
+        image: &mut [f32],
+    ) {
+        let pressures = of.iter().zip(scale).map(|(of, scale)| of * scale);
+        let lifted = |(at, p): (&[f32; 4], f32)| [at[0] * p, at[1] * p, at[2] * p, p];
         self.lifted.clear();
-        self.lifted
-            .extend(self.centred.iter().zip(pressures).map(|(at, p)| [at[0] * p, at[1] * p, at[2] * p, *p]));
+        self.lifted.extend(self.centred.iter().zip(pressures).map(lifted));
         let Self { centred, pulls, lifted, particles, .. } = &*self;
         self.each(
             &mut velocities[..*particles],
             #[inline(always)]
-            |_, links, sum| *sum = links.weighted(lifted),
+            |row, links, velocity| {
+                let sum = links.weighted(lifted);
+                let (at, pull, pressure) = (&centred[row], &pulls[row], lifted[row][3]);
+                // The fourth is what the fourth of the place makes of it, 0.
+                *velocity =
+                    std::array::from_fn(|axis| pull[axis] * pressure + (at[axis] * sum[3] - sum[axis]));
+                velocity[3] = dot(velocity, at);
+            },
         );
-        let rows = centred.iter().zip(pulls).zip(lifted);
-        for (sum, ((at, pull), lifted)) in velocities[..*particles].iter_mut().zip(rows) {
-            let way = |axis: usize| pull[axis] * lifted[3] + (at[axis] * sum[3] - sum[axis]);
-            let [x, y, z] = [way(0), way(1), way(2)];
-            *sum = [x, y, z, x * at[0] + y * at[1] + z * at[2]];
-        }
         velocities[*particles..].fill([0.0; 4]);
         let velocities = &*velocities;
         self.each(
-            rates,
+            image,
             #[inline(always)]
-            |row, links, rate| {
+            |row, links, image| {
                 let sum = links.weighted(velocities);
                 let (at, pull, velocity) = (&centred[row], &pulls[row], &velocities[row]);
-                let own = pull[0] * velocity[0] + pull[1] * velocity[1] + pull[2] * velocity[2];
-                *rate = own + (sum[3] - (at[0] * sum[0] + at[1] * sum[1] + at[2] * sum[2]));
+                let parts = std::array::from_fn(|axis| pull[axis] * velocity[axis] - at[axis] * sum[axis]);
+                *image = factor * scale[row] * (sum[3] + dot(&parts, &[1.0; 4]));
             },
         );
     }

@@ -18,7 +18,7 @@ use nalgebra::{Point3, Vector3};
 use super::config::{FluidConfig, FluidReport, FluidState};
 use super::error::{FluidError, FluidStepError, parameter};
 use super::kernel::Kernel;
-use super::near::{Axes, Walls};
+use super::near::Walls;
 use super::neighbours::{CellGrid, CellStarts};
 use super::pressure::Solver;
 use super::rows::Rows;
@@ -66,7 +66,6 @@ pub struct Fluid {
     wall_forces: Vec<Vector3<f64>>,
     /// From the corner of the box, in the order of their cells.
     wall_places: Vec<[f32; 4]>,
-    wall_axes: Axes,
     rows: Rows,
     solver: Solver,
     change: Vec<Vector3<f64>>,
@@ -116,7 +115,6 @@ impl Fluid {
             wall_volumes: Vec::new(),
             wall_forces: Vec::new(),
             wall_places: Vec::new(),
-            wall_axes: Axes::default(),
             rows: Rows::default(),
             solver: Solver::default(),
             change: Vec::new(),
@@ -221,7 +219,6 @@ impl Fluid {
         let min = self.config.min;
         self.wall_places.clear();
         self.wall_places.extend(self.walls.iter().map(|sample| seen_from(&min, sample)));
-        self.wall_axes.set(&self.wall_places);
         self.wall_forces.clear();
         self.wall_forces.resize(samples.len(), Vector3::zeros());
         Ok(())
@@ -417,12 +414,7 @@ impl Fluid {
         let volume = self.particle_volume() as f32;
         self.rows.places.clear();
         self.rows.places.extend(self.state.positions.iter().map(|position| seen_from(&min, position)));
-        let walls = Walls {
-            cells: &self.wall_cells,
-            places: &self.wall_places,
-            axes: &self.wall_axes,
-            volumes: &self.wall_volumes,
-        };
+        let walls = Walls { cells: &self.wall_cells, places: &self.wall_places, volumes: &self.wall_volumes };
         self.rows.build(&self.grid, &self.cells, &walls, &self.kernel, volume, NEXT_LAYER);
     }
 
@@ -432,8 +424,7 @@ impl Fluid {
         self.change.clear();
         self.change.resize(rows.particles, self.config.gravity * dt);
         if self.config.viscosity > 0.0 {
-            let softening = (0.01 * self.kernel.support.powi(2)) as f32;
-            let scale = (10.0 * self.config.viscosity * dt) as f32;
+            let scale = 10.0 * self.config.viscosity * dt;
             self.solver.resize(rows.count());
             for (to, velocity) in self.solver.velocities.iter_mut().zip(&self.state.velocities) {
                 *to = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
@@ -443,22 +434,7 @@ impl Fluid {
                 &mut self.change,
                 #[inline(always)]
                 |row, links, change| {
-                    let velocity = velocities[row];
-                    *change += links.liquid(rows.particles).sum(
-                        #[inline(always)]
-                        |other, gradient| {
-                            // With the gradient f x for the way x: f (v·x) x / (x² + softening).
-                            let its = &velocities[other];
-                            let products: [f32; 4] =
-                                std::array::from_fn(|axis| (velocity[axis] - its[axis]) * gradient[axis]);
-                            let approach = products[0] + products[1] + products[2];
-                            let factor = gradient[3];
-                            let squares = gradient.map(|along| along * along);
-                            let square = squares[0] + squares[1] + squares[2] + softening * squares[3];
-                            let push = scale * factor * approach / square.max(f32::MIN_POSITIVE);
-                            gradient.map(|along| push * along)
-                        },
-                    );
+                    *change += scale * links.drag(&velocities[row], velocities, rows.particles);
                 },
             );
         }
@@ -523,9 +499,7 @@ impl Fluid {
         );
         let mass = config.density * config.spacing.powi(3);
         for &row in &rows.beside_walls {
-            for (other, gradient) in
-                rows.of(row as usize).gradients().filter(|(other, _)| *other >= particles)
-            {
+            for (other, gradient) in rows.of(row as usize).walls(particles).gradients() {
                 let wall = rows.wet[other - particles] as usize;
                 let normal = &self.wall_normals[wall];
                 let [x, y, z, _] = push(row as usize, other, &gradient).map(f64::from);
@@ -552,14 +526,13 @@ impl Fluid {
         let near_plane = NEAREST_PLANE * self.config.spacing;
         let beside = (BESIDE * self.config.spacing).powi(2);
         let mass = self.config.density * self.particle_volume();
+        let particles = self.rows.particles;
         // In a corner the second sample may send back to the first.
         for _ in 0..2 {
             for &a in &self.rows.beside_walls {
                 let a = a as usize;
-                for (other, _) in
-                    self.rows.of(a).gradients().filter(|(other, _)| *other >= self.rows.particles)
-                {
-                    let b = self.rows.wet[other - self.rows.particles] as usize;
+                for other in self.rows.of(a).walls(particles).others() {
+                    let b = self.rows.wet[*other as usize - particles] as usize;
                     let mut apart = self.state.positions[a] - self.walls[b];
                     let mut near = near;
                     let facing = &self.wall_normals[b];
@@ -570,6 +543,11 @@ impl Fluid {
                             continue;
                         }
                         (apart, near) = (across, near_plane);
+                    }
+                    // Whoever does not come that far is not asked which way it goes: (n + w)² is at most 2 (n² + w²).
+                    let way = (self.state.velocities[a] - self.wall_velocities[b]).norm_squared() * dt * dt;
+                    if apart.norm_squared() > 2.0 * (near * near + way) {
+                        continue;
                     }
                     let distance = apart.norm();
                     if distance == 0.0 {
