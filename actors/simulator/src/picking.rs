@@ -2,8 +2,9 @@
 //!
 //! The triangles that both jaws touch when they close are flagged with the instrument, and follow its pose rigidly from
 //! the start of each frame: their vertices become prescribed positions of whatever solver has the surface, and by what it
-//! knows of the matter those adjacent to them follow smoothly. Opening the jaws resets the flags. A triangle is held by one instrument: of two that want it, the one that came first keeps it, and a vertex
-//! between triangles of two instruments follows the earlier one.
+//! knows of the matter those adjacent to them follow smoothly. Opening the jaws resets the flags. Jaws that have closed on
+//! nothing are a blunt rod, and take nothing until they have been opened. A triangle is held by one instrument: of two that
+//! want it, the one that came first keeps it, and a vertex between triangles of two instruments follows the earlier one.
 
 use std::collections::BTreeMap;
 
@@ -36,6 +37,9 @@ pub struct Pick {
 pub struct Picks {
     /// One for each instrument that holds something.
     pub picks: Vec<Pick>,
+    /// Instruments whose jaws have closed on nothing.
+    #[serde(default)]
+    pub shut: Vec<u64>,
 }
 
 /// An instrument at one frame.
@@ -45,8 +49,10 @@ pub struct Jaws<'a> {
     pub instrument: u64,
     /// Where it is: world from instrument.
     pub pose_in_world: Isometry3<f64>,
-    /// Whether the jaws are closed, or closing on what is between them.
+    /// Whether the jaws are as good as closed.
     pub closed: bool,
+    /// Whether they still close.
+    pub closing: bool,
     /// Triangles in contact with each jaw, in any order.
     pub touched: [&'a [u32]; 2],
 }
@@ -83,8 +89,9 @@ pub enum PickError {
 }
 
 impl Picks {
-    /// Brings flags up to date at the start of a frame: jaws that are open let go; jaws that are closed and hold nothing
-    /// take the triangles that both touch, if nobody has them. An instrument that is not listed lets go.
+    /// Brings flags up to date at the start of a frame: jaws that are open let go; jaws that close and hold nothing take the
+    /// triangles that both touch, if nobody has them. Those that are not known yet have closed just now. An instrument that
+    /// is not listed lets go.
     ///
     /// # Errors
     /// When an instrument touches what does not exist or is nowhere; nothing has changed then.
@@ -112,9 +119,11 @@ impl Picks {
                 }
             }
         }
-        self.picks.retain(|pick| jaws.iter().any(|jaw| jaw.instrument == pick.instrument && jaw.closed));
+        let is_closed = |instrument: u64| jaws.iter().any(|jaw| jaw.instrument == instrument && jaw.closed);
+        self.picks.retain(|pick| is_closed(pick.instrument));
+        self.shut.retain(|instrument| is_closed(*instrument));
         for jaw in jaws.iter().filter(|jaw| jaw.closed) {
-            if self.of(jaw.instrument).is_some() {
+            if self.of(jaw.instrument).is_some() || self.shut.contains(&jaw.instrument) {
                 continue;
             }
             let [first, second] = jaw.touched;
@@ -126,6 +135,9 @@ impl Picks {
             taken.sort_unstable();
             taken.dedup();
             if taken.is_empty() {
+                if !jaw.closing {
+                    self.shut.push(jaw.instrument);
+                }
                 continue;
             }
             let mut vertices: Vec<u32> =

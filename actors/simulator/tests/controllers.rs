@@ -7,14 +7,15 @@ use std::collections::BTreeSet;
 use nalgebra::Vector3;
 use stage::{Stage, scene};
 use trocar_scene::{
-    Activation, Burn, CollisionList, Doubtful, Frozen, InstrumentForce, InstrumentTarget, JawState,
-    LocalContactModel, Pose, RestPositions, SurfaceMesh, Temperature, VertexPositions,
+    Activation, BuildContext, Burn, CollisionList, Controller, ControllerError, Doubtful, Frozen,
+    InstrumentForce, InstrumentTarget, JawState, LocalContactModel, Pose, RestPositions, SurfaceMesh,
+    Temperature, VertexPositions,
 };
 use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::xpbd::Matter;
 use trocar_simulator::controller::{
     CauterisedBody, DynamicFemBody, DynamicFemController, ElectrosurgeryController, InstrumentsConfig,
-    InstrumentsController, LinearFemBody, MassSpringController, XpbdBody,
+    InstrumentsController, LinearFemBody, MassSpringController, XpbdBody, XpbdController,
 };
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -365,35 +366,56 @@ fn a_tissue_fills_in_what_its_components_leave_open_and_doubts_what_it_is_known_
     assert!(doubt.contains("young_modulus of 100000 Pa") && doubt.contains("2700 to 7800 Pa"), "{doubt}");
 }
 
-#[test]
-fn a_membrane_that_is_drawn_too_far_tears_and_goes_on_to_the_bit_in_another_life() {
-    let hung = |tears_at: &str, kill: Option<u32>| {
-        let text = format!(
-            "[[entity]]\nname = \"fold\"\nmesh = {{ sheet = {{ size = [0.06, 0.04], cells = [12, 8] }} }}\n\
-             mass_spring = {{ springs = {{ surface = {{ membrane_stiffness = 0.3, bending_stiffness = 1e-7, density = 0.05 }} }}, \
-             damping = 10.0{tears_at} }}\n\
-             anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [-0.0299, 1.0, 1.0] }} }}] }}\n"
-        );
-        let build = |context: &trocar_scene::BuildContext<'_>| MassSpringController::new(GRAVITY, context);
-        let mut stage = Stage::new(scene(&text), 200.0, build);
-        for tick in 0..200 {
-            if kill == Some(tick) {
-                stage.rebuild(build);
-            }
-            stage.tick();
+/// A membrane that hangs from one side for a second: pieces, length torn and where it is lowest, and its vertices at the end.
+fn hung<C: Controller>(
+    kind: &str,
+    kill: Option<u32>,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) -> ([f64; 3], VertexPositions) {
+    let text = format!(
+        "[[entity]]\nname = \"fold\"\nmesh = {{ sheet = {{ size = [0.06, 0.04], cells = [12, 8] }} }}\n{kind}\n\
+         anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [-0.0299, 1.0, 1.0] }} }}] }}\n"
+    );
+    let mut stage = Stage::new(scene(&text), 200.0, build);
+    for tick in 0..200 {
+        if kill == Some(tick) {
+            stage.rebuild(build);
         }
-        assert!(!stage.has::<Frozen>("fold"), "{}", stage.get::<Frozen>("fold").reason);
-        let told = ["pieces", "cut_length_m", "lowest_m"].map(|what| stage.measured(&format!("fold.{what}")));
-        (told, stage.get::<VertexPositions>("fold").positions)
-    };
-    let ([pieces, length, lowest], positions) = hung(", tears_at = 1.05", None);
-    assert!(pieces >= 2.0 && length >= 0.035, "{pieces} pieces, {length} m torn");
-    assert!(lowest < -0.3, "what has come off falls: {lowest} m");
-    assert_eq!(hung(", tears_at = 1.05", Some(60)).1, positions);
+        stage.tick();
+    }
+    assert!(!stage.has::<Frozen>("fold"), "{}", stage.get::<Frozen>("fold").reason);
+    let told = ["pieces", "cut_length_m", "lowest_m"].map(|what| stage.measured(&format!("fold.{what}")));
+    (told, stage.get::<VertexPositions>("fold"))
+}
+
+fn a_membrane_tears<C: Controller>(
+    kind: impl Fn(&str) -> String,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    let weak = kind(", tears_at = 1.05");
+    let ([pieces, length, lowest], positions) = hung(&weak, None, build);
+    assert!(pieces >= 2.0 && length >= 0.035, "{weak}: {pieces} pieces, {length} m torn");
+    assert!(lowest < -0.3, "{weak}: what has come off falls: {lowest} m");
+    assert_eq!(hung(&weak, Some(60), build).1, positions, "{weak}: another life");
     // The same membrane without a limit, and with one that it does not reach, hangs.
     for none in ["", ", tears_at = 1.6"] {
-        let ([pieces, length, lowest], _) = hung(none, None);
-        assert_eq!((pieces, length), (1.0, 0.0));
-        assert!(lowest > -0.1, "{lowest} m");
+        let ([pieces, length, lowest], _) = hung(&kind(none), None, build);
+        assert_eq!((pieces, length), (1.0, 0.0), "{none}");
+        assert!(lowest > -0.1, "{none}: {lowest} m");
     }
+}
+
+#[test]
+fn a_membrane_that_is_drawn_too_far_tears_and_goes_on_to_the_bit_in_another_life() {
+    let matter = "membrane_stiffness = 0.3, bending_stiffness = 1e-7, density = 0.05";
+    a_membrane_tears(
+        |tears_at| {
+            format!("mass_spring = {{ springs = {{ surface = {{ {matter} }} }}, damping = 10.0{tears_at} }}")
+        },
+        |context: &BuildContext<'_>| MassSpringController::new(GRAVITY, context),
+    );
+    a_membrane_tears(
+        |tears_at| format!("xpbd = {{ matter = {{ cloth = {{ {matter} }} }}, damping = 10.0{tears_at} }}"),
+        |context: &BuildContext<'_>| XpbdController::new(GRAVITY, context),
+    );
 }

@@ -8,14 +8,14 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use stage::{Stage, scene};
 use trocar_scene::{
-    BuildContext, Controller, ControllerError, Doubtful, Entity, Frozen, HeatFrozen, Pose, RestPositions,
-    SimTime, Velocity, VertexPositions, VertexVelocities,
+    Activation, BuildContext, Controller, ControllerError, Doubtful, Entity, Frozen, HeatFrozen, Pose,
+    RestPositions, SimTime, Velocity, VertexPositions, VertexVelocities,
 };
 use trocar_simulator::controller::smoke::Plume;
 use trocar_simulator::controller::{
     BleedingController, DynamicFemController, ElectrosurgeryController, FluidController, LinearFemController,
-    MassSpringController, RigidBodiesController, SmokeController, SutureController, SutureMemory,
-    ThreadController, VesselState, VitalSignsController, XpbdController,
+    LiquidState, MassSpringController, RigidBodiesController, SmokeController, SutureController,
+    SutureMemory, ThreadController, VesselState, VitalSignsController, XpbdController,
 };
 use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings};
 
@@ -113,7 +113,7 @@ const XPBD: &str =
 
 #[test]
 fn a_soft_body_that_is_too_fast_stops_alone() {
-    too_fast(&two(BLOCK, "dynamic_fem = {}"), 100.0, dynamic_fem, "");
+    too_fast(&two(BLOCK, "dynamic_fem = {}"), 100.0, dynamic_fem, "REASON_FEM");
     too_fast(&two(BLOCK, XPBD), 200.0, xpbd, "node");
     let cloth = "sheet = { size = [0.02, 0.02], cells = [4, 4] }";
     too_fast(&two(cloth, "mass_spring = { method = \"implicit\" }"), 200.0, mass_spring, "node");
@@ -155,7 +155,7 @@ fn a_linear_organ_whose_elements_have_lost_their_volume_is_frozen_and_the_other_
 #[test]
 fn a_thread_that_is_too_fast_stops_alone() {
     let line = "line = { length = 0.02, segments = 10, radius = 0.00015 }";
-    too_fast(&two(line, "thread = { suture = \"silk2_0\" }"), 500.0, thread, "");
+    too_fast(&two(line, "thread = { suture = \"silk2_0\" }"), 500.0, thread, "REASON_THREAD");
 }
 
 #[test]
@@ -244,7 +244,7 @@ fn a_needle_that_is_too_fast_stands_still_with_what_it_sews() {
     stage.put("needle", memory);
     stage.rebuild(suture);
     stage.tick();
-    sewing_stands_still(&mut stage, "");
+    sewing_stands_still(&mut stage, "REASON_SUTURE");
 }
 
 #[test]
@@ -338,6 +338,32 @@ fn smoke_of_more_than_there_is_stands_still_and_names_who_gave_it_off() {
         assert!(stage.get::<Frozen>("cloud").reason.contains("'fold'"));
         assert_eq!(stage.measured("cloud.puffs"), puffs);
         stage.rebuild(smoke);
+    }
+}
+
+#[test]
+fn liquid_that_is_too_fast_stands_still_as_it_was_and_nothing_more_comes() {
+    let text = "[[entity]]\nname = \"blood\"\nliquid = { spacing = 0.002 }\n\
+                [[entity]]\nname = \"tube\"\npose = {}\nirrigator = { rate = 1e-5, area = 2e-5 }\n";
+    let mut stage = Stage::new(scene(text), 100.0, fluid as Build<_>);
+    stage.put("tube", Activation { level: 1.0, ..Activation::default() });
+    (0..10).for_each(|_| stage.tick());
+    assert!(stage.measured("blood.particles") > 5.0);
+    let mut state = stage.get::<LiquidState>("blood");
+    let mut liquid = (*state.fluid).clone();
+    liquid.velocities.iter_mut().for_each(|velocity| *velocity = Vector3::new(1e200, -1e200, 1e200));
+    state.fluid = Arc::new(liquid);
+    stage.put("blood", state.clone());
+    stage.rebuild(fluid);
+    for _ in 0..2 {
+        (0..3).for_each(|_| stage.tick());
+        let reason = stage.get::<Frozen>("blood").reason;
+        assert!(reason.contains("parts"), "{reason}");
+        assert_eq!(stage.measured("blood.frozen"), 1.0);
+        let now = stage.get::<LiquidState>("blood");
+        assert_eq!((&now.fluid, &now.spouts), (&state.fluid, &state.spouts), "its last good state");
+        assert_eq!(stage.measured("blood.particles"), state.fluid.numbers.len() as f64);
+        stage.rebuild(fluid);
     }
 }
 

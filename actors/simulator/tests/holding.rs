@@ -3,6 +3,8 @@
 
 mod stage;
 
+use std::cell::Cell;
+
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use stage::{Stage, scene};
 use trocar_scene::{
@@ -13,6 +15,7 @@ use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::{DynamicFemController, MassSpringController, XpbdController};
 
 const ZERO: Vector3<f64> = Vector3::new(0.0, 0.0, 0.0);
+const HZ: f64 = 500.0;
 const OPEN: f64 = 0.6;
 const CLOSED: f64 = 0.05;
 
@@ -45,11 +48,13 @@ fn holds<C: Controller>(
          instrument = {{ kind = \"grasper\", shaft_length = 0.1, shaft_radius = 0.0025, jaw_length = 0.012, \
          jaws = 2, jaw_thickness = 0.002 }}\n[[entity]]\nname = \"body\"\n{body}\n"
     );
-    let mut stage = Stage::new(scene(&text), 500.0, build);
+    let mut stage = Stage::new(scene(&text), HZ, build);
     let tool = stage.entity("tool").to_bits();
+    let last = Cell::new(OPEN);
     let act = |stage: &mut Stage<C>, pose: Isometry3<f64>, angle: f64| {
         stage.put("tool", Pose::from(pose));
-        stage.put("tool", JawState { angle, rate: 0.0, pad_force: [0.0; 2] });
+        let rate = (angle - last.replace(angle)) * HZ;
+        stage.put("tool", JawState { angle, rate, pad_force: [0.0; 2] });
         stage.tick();
         assert!(!stage.has::<Frozen>("body"), "{body}: {}", stage.get::<Frozen>("body").reason);
     };
@@ -103,7 +108,7 @@ fn holds<C: Controller>(
     let told = told.unwrap_or_else(|| panic!("{body}: nobody is told of the grip"));
     let is_line = body.contains("line = {");
     assert_eq!(matches!(told.primitive_b, Primitive::Segment(_)), is_line, "{body}: {:?}", told.primitive_b);
-    // Another life holds it too, and opening lets it go.
+    // Another life holds it too, and opening lets it go; closed beside it and pushed over it they take nothing.
     stage.rebuild(build);
     act(&mut stage, now, CLOSED);
     assert_eq!(stage.get::<Grips>("body").picks.of(tool), Some(&pick), "{body}: another life holds it");
@@ -114,6 +119,11 @@ fn holds<C: Controller>(
     let places = stage.get::<VertexPositions>("body").positions;
     let away = of.iter().map(|&node| (places[node] - start[node]).norm()).fold(0.0, f64::max);
     assert!(away < 2.0 * drawn, "{body}: let go of, it stays behind: {away} m, {drawn} m before");
+    act(&mut stage, Isometry3::translation(0.3, 0.0, 0.0), CLOSED);
+    for share in (0..=20).map(|tick| f64::from(tick) / 20.0) {
+        act(&mut stage, pose(tip - Vector3::y() * (0.01 * (1.0 - share)), 0.0), CLOSED);
+        assert_eq!(held(&stage), 0.0, "{body}: jaws that closed on nothing took something");
+    }
 }
 
 const SLAB: &str = "mesh = { block = { size = [0.04, 0.04, 0.002], cells = [16, 16, 1] } }\n\
@@ -158,7 +168,7 @@ fn a_line_of_springs_hangs_as_a_string_does_and_tells_the_largest_safe_step() {
     );
     let build =
         |context: &BuildContext<'_>| MassSpringController::new(Vector3::new(0.0, 0.0, -9.81), context);
-    let mut stage = Stage::new(scene(&text), 500.0, build);
+    let mut stage = Stage::new(scene(&text), HZ, build);
     (0..700).for_each(|_| stage.tick());
     stage.rebuild(build);
     (0..700).for_each(|_| stage.tick());

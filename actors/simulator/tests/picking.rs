@@ -21,7 +21,7 @@ fn strip(n: u32) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
 }
 
 fn jaws<'a>(instrument: u64, pose_in_world: Isometry3<f64>, touched: [&'a [u32]; 2]) -> Jaws<'a> {
-    Jaws { instrument, pose_in_world, closed: true, touched }
+    Jaws { instrument, pose_in_world, closed: true, closing: false, touched }
 }
 
 #[test]
@@ -41,11 +41,32 @@ fn only_what_both_jaws_touch_is_picked_and_opening_lets_it_go() {
     picks.update(&triangles, &points, &[open]).expect("heard");
     assert_eq!(picks, Picks::default());
     // One jaw alone picks nothing, and an instrument that is gone has let go.
-    picks.update(&triangles, &points, &[jaws(7, here, [&[1, 2], &[]])]).expect("heard");
+    let closing = |touched| Jaws { closing: true, ..jaws(7, here, touched) };
+    picks.update(&triangles, &points, &[closing([&[1, 2], &[]])]).expect("heard");
     assert_eq!(picks, Picks::default());
-    picks.update(&triangles, &points, &[jaws(7, here, [&[1], &[1]])]).expect("heard");
+    picks.update(&triangles, &points, &[closing([&[1], &[1]])]).expect("heard");
+    assert_eq!(picks.holder(1), Some(7));
     picks.update(&triangles, &points, &[]).expect("heard");
     assert_eq!(picks, Picks::default());
+}
+
+#[test]
+fn jaws_that_have_closed_on_nothing_take_nothing_until_they_open() {
+    let (points, triangles) = strip(8);
+    let here = Isometry3::translation(0.01, 0.02, 0.03);
+    let mut picks = Picks::default();
+    picks.update(&triangles, &points, &[jaws(7, here, [&[], &[]])]).expect("heard");
+    // Closed, they are pushed into it: both touch, and another life does not forget that they had nothing.
+    let mut picks: Picks =
+        serde_json::from_str(&serde_json::to_string(&picks).expect("text")).expect("picks");
+    picks.update(&triangles, &points, &[jaws(7, here, [&[4, 5], &[4, 5]])]).expect("heard");
+    assert_eq!(picks.of(7), None, "a blunt rod takes nothing");
+    // What closes on it does, and so do they once they have been opened.
+    let other = Jaws { closing: true, ..jaws(8, here, [&[1], &[1]]) };
+    let open = Jaws { closed: false, ..jaws(7, here, [&[4, 5], &[4, 5]]) };
+    picks.update(&triangles, &points, &[open, other]).expect("heard");
+    picks.update(&triangles, &points, &[jaws(7, here, [&[4, 5], &[4, 5]]), other]).expect("heard");
+    assert_eq!((picks.holder(4), picks.holder(1)), (Some(7), Some(8)));
 }
 
 #[test]

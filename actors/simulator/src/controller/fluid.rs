@@ -308,6 +308,15 @@ impl FluidController {
         self.fluid.step(dt).map(drop).map_err(|error| error.to_string())
     }
 
+    /// To where the scene has it: what was poured for a step that could not be has not come.
+    fn go_back(&mut self, scene: &Snapshot) {
+        let Some(known) = scene.get::<LiquidState>(self.liquid) else { return };
+        if self.fluid.restore(&known.fluid).is_ok() {
+            self.spouts = known.spouts.iter().copied().collect();
+            self.suctions = known.suctions.iter().copied().collect();
+        }
+    }
+
     /// Says once that a wall is not where the scene has it.
     fn doubt(&self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
         let Some(wall) = self.held.first().filter(|_| scene.get::<Doubtful>(self.liquid).is_none()) else {
@@ -400,11 +409,14 @@ impl Controller for FluidController {
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         let dt = tick.period.as_secs_f64();
+        if !self.frozen
+            && let Err(reason) = self.step(dt, scene)
+        {
+            self.frozen = true;
+            self.go_back(scene);
+            freeze(self.liquid, Still::Body, reason, tick, out);
+        }
         if !self.frozen {
-            if let Err(reason) = self.step(dt, scene) {
-                self.frozen = true;
-                freeze(self.liquid, Still::Body, reason, tick, out);
-            }
             self.doubt(tick, scene, out);
             let was_empty = self.look.positions.is_empty();
             self.show();

@@ -10,6 +10,8 @@ use crate::picking::{Jaws, Picks};
 
 /// Full opening below which jaws hold, and blades cut \[rad\].
 pub const CLOSED: f64 = 0.12;
+/// Jaws that turn no faster are at rest \[rad/s\].
+const AT_REST: f64 = 0.01;
 
 /// What instruments hold of a body: another life of whoever moves it goes on holding it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -66,7 +68,7 @@ pub fn opening(scene: &Snapshot, instrument: Entity) -> [f64; 2] {
 /// Whether the jaws of an instrument are closed, or its blades.
 #[must_use]
 pub fn is_closed(scene: &Snapshot, instrument: Entity) -> bool {
-    scene.get::<JawState>(instrument).is_some_and(|jaws| jaws.angle < CLOSED)
+    opening(scene, instrument)[0] < CLOSED
 }
 
 /// An instrument that holds: its number, its pose in the frame of a body, whether it is closed, what each jaw touches.
@@ -74,6 +76,7 @@ pub struct Holder {
     instrument: u64,
     body_from_instrument: Isometry3<f64>,
     closed: bool,
+    closing: bool,
     touched: [Vec<u32>; 2],
 }
 
@@ -95,6 +98,7 @@ impl Holder {
                     instrument: entity.to_bits(),
                     body_from_instrument: site.world_from_body.inverse() * site.scene.world_pose(entity),
                     closed,
+                    closing: opening(site.scene, entity)[1] < -AT_REST,
                     touched: [by_jaw(0), by_jaw(1)],
                 }
             })
@@ -108,6 +112,7 @@ impl Holder {
             instrument: self.instrument,
             pose_in_world: self.body_from_instrument,
             closed: self.closed,
+            closing: self.closing,
             touched: [&self.touched[0], &self.touched[1]],
         }
     }
