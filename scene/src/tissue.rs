@@ -106,6 +106,22 @@ pub const TISSUES: &[TissueEntry] = &[
         ],
     },
     TissueEntry {
+        name: "gauze",
+        parameters: &[
+            young(
+                8.0e9,
+                [5.5e9, 1.26e10],
+                "its cotton fibre, drawn (Bledzki, Gassan 1999, Prog. Polym. Sci. 24); a sheet of it is told by the stiffness of \
+                 its weave, which gives way long before",
+            ),
+            density(
+                1540.0,
+                [1500.0, 1600.0],
+                "its cotton fibre (Bledzki, Gassan 1999, Prog. Polym. Sci. 24); a sheet has a mass by area",
+            ),
+        ],
+    },
+    TissueEntry {
         name: "kidney",
         parameters: &[
             young(5.0e3, [2.1e3, 7.9e3], ARDA),
@@ -201,6 +217,19 @@ pub const TISSUES: &[TissueEntry] = &[
             heat_capacity(3164.0, [3000.0, 3600.0]),
             perfusion(0.0139, [0.007, 0.028], FLOW),
             water(0.73, [0.66, 0.78]),
+        ],
+    },
+    TissueEntry {
+        name: "peritoneum",
+        parameters: &[
+            young(
+                1.9e5,
+                [6.3e4, 6.9e6],
+                "fold to the gut, of rabbits, little strained: shear modulus 21 to 186 kPa as it is drawn beforehand, their \
+                 geometric mean (Fung, Zweifach, Intaglietta 1966, Circ. Res. 19); drawn towards breaking, of pigs, up to \
+                 6.9 MPa (White et al. 2018, Proc. Inst. Mech. Eng. H)",
+            ),
+            POISSON,
         ],
     },
     TissueEntry {

@@ -105,19 +105,19 @@ fn without_latent_heat_tissue_goes_several_times_too_easily() {
 #[test]
 fn what_goes_depends_neither_on_the_step_nor_on_the_lattice() {
     // Coagulating, more of the heat stays: a tip that stands still.
-    let spray = Electrode { mode: Mode::Coagulate, power: 40.0, ..TIP };
+    let spray = Electrode { mode: Mode::Coagulate, power: 60.0, ..TIP };
     let run = |tip: Electrode, spacing: f64, dt: f64| {
         let mut heat = liver_block(spacing, ThermalMaterial::default());
         let volume = match tip.mode {
             Mode::Cut => stroke(&mut heat, dt, 1.0, tip),
-            Mode::Coagulate => rest(&mut heat, dt, 2.0, tip),
+            Mode::Coagulate => rest(&mut heat, dt, 3.0, tip),
         };
         assert_balanced(&heat, 1e-9);
         volume * 1e9
     };
     for (tip, others) in [
         (TIP, &[(0.5e-3, 0.001), (0.5e-3, 0.1), (0.25e-3, 0.01)][..]),
-        (spray, &[(0.5e-3, 0.001), (0.5e-3, 0.1)]),
+        (spray, &[(0.5e-3, 0.001), (0.5e-3, 0.1), (0.25e-3, 0.01)]),
     ] {
         let reference = run(tip, 0.5e-3, 0.01);
         assert!(reference > 4.0, "{reference} mm³");
@@ -128,6 +128,38 @@ fn what_goes_depends_neither_on_the_step_nor_on_the_lattice() {
                 "{mode:?}, {spacing} m, {dt} s: {volume}, not {reference} mm³"
             );
         }
+    }
+}
+
+/// What a coagulating tip ablates: the mean over the first places in a cell of where it stands \[mm³\].
+fn ablated(places: usize, [power, seconds, depth]: [f64; 3], spacing: f64, dt: f64) -> f64 {
+    // Spread evenly over a quarter of a cell of 0.5 mm; the rest of it mirrors that.
+    const PLACES: [[f64; 2]; 4] = [[0.03, 0.16], [0.22, 0.09], [0.09, 0.03], [0.16, 0.22]];
+    let volumes = PLACES[..places].iter().map(|[x, y]| {
+        let mut heat = liver_block(spacing, ThermalMaterial::default());
+        let tip_in_rest = Point3::new(x * 1e-3, y * 1e-3, -depth);
+        let tip = Electrode { tip_in_rest, power, mode: Mode::Coagulate, ..TIP };
+        let steps = (seconds / dt).round() as u32;
+        let volume: f64 = (0..steps).map(|_| heat.step(dt, &[tip]).expect("a step").removed_volume).sum();
+        assert_balanced(&heat, 1e-9);
+        volume * 1e9
+    });
+    volumes.sum::<f64>() / places as f64
+}
+
+/// Craters of two to four cells' depth. Of 40 W in 2 s cells of 0.125 mm give 2.5 mm³.
+#[test]
+fn what_a_coagulating_tip_ablates_depends_neither_on_the_step_nor_on_the_lattice_however_deep_the_crater() {
+    for tip in [[20.0, 4.0, 0.0], [40.0, 2.0, 0.0], [40.0, 2.0, 0.6e-3], [60.0, 3.0, 0.0]] {
+        let alike = |other: f64, reference: f64, what: &str| {
+            assert!(reference > 1.5, "{tip:?}: {reference} mm³");
+            assert!((other / reference - 1.0).abs() < 0.1, "{tip:?}, {what}: {other}, not {reference} mm³");
+        };
+        // A finer lattice depends less on where in a cell the tip is.
+        alike(ablated(2, tip, 0.25e-3, 0.01), ablated(4, tip, 0.5e-3, 0.01), "cells of 0.25 mm");
+        let reference = ablated(1, tip, 0.5e-3, 0.01);
+        alike(ablated(1, tip, 0.5e-3, 0.1), reference, "steps of 0.1 s");
+        alike(ablated(1, tip, 0.5e-3, 0.001), reference, "steps of 1 ms");
     }
 }
 
@@ -224,8 +256,8 @@ fn what_goes_does_not_depend_on_the_mesh() {
                 (mesh, 0.5e-3, 0.1),
                 (mesh, 0.25e-3, 0.01),
             ] {
-                // The layer that dries before it chars is thinner than a cell: coagulating, a finer lattice resolves more.
-                if mode == Mode::Coagulate && spacing < 0.5e-3 {
+                // A known limit: a membrane of two cells, burned through.
+                if what == "a membrane" && mode == Mode::Coagulate && spacing < 0.5e-3 {
                     continue;
                 }
                 let now = of(other, spacing, dt, mode);

@@ -8,14 +8,14 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use stage::{Stage, scene};
 use trocar_scene::{
-    Activation, BuildContext, Controller, ControllerError, Doubtful, Entity, Frozen, HeatFrozen, Pose,
-    RestPositions, SimTime, Velocity, VertexPositions, VertexVelocities,
+    Activation, BuildContext, Burn, Controller, ControllerError, Doubtful, Entity, Frozen, HeatFrozen, Pose,
+    RestPositions, SimTime, Temperature, Velocity, VertexPositions, VertexVelocities,
 };
 use trocar_simulator::controller::smoke::Plume;
 use trocar_simulator::controller::{
-    BleedingController, DynamicFemController, ElectrosurgeryController, FluidController, LinearFemController,
-    LiquidState, MassSpringController, RigidBodiesController, SmokeController, SutureController,
-    SutureMemory, ThreadController, VesselState, VitalSignsController, XpbdController,
+    BleedingController, DynamicFemController, ElectrosurgeryController, FluidController, HeatState,
+    LinearFemController, LiquidState, MassSpringController, RigidBodiesController, SmokeController,
+    SutureController, SutureMemory, ThreadController, VesselState, VitalSignsController, XpbdController,
 };
 use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings};
 
@@ -275,6 +275,76 @@ fn heat_of_a_body_that_somebody_else_moves_stands_still_in_the_scene() {
     stage.rebuild(build);
     stage.tick();
     assert_eq!(stage.measured("good.heat_frozen"), 1.0);
+}
+
+/// Two livers 10 cm apart, moved by somebody else, with a hook in 'good' and some in 'bad'.
+fn hooked(fine: &str, hooks: usize, power: f64, area: f64) -> Stage<ElectrosurgeryController> {
+    let liver = |name: &str, x: f64, cauterised: &str| {
+        format!(
+            "[[entity]]\nname = \"{name}\"\npose = {{ translation = [{x}, 0.0, 0.0] }}\nmesh = {{ {BLOCK} }}\n{XPBD}\n\
+             cauterised = {{ {cauterised} }}\n"
+        )
+    };
+    let hook = |name: &str, x: f64, power: f64, area: f64| {
+        format!(
+            "[[entity]]\nname = \"{name}\"\npose = {{ translation = [{x}, 0.0, 0.01] }}\n\
+             instrument = {{ kind = \"hook_cautery\", shaft_length = 0.1, shaft_radius = 0.002, jaw_length = 0.004, jaws = 0 }}\n\
+             electrode = {{ power = {power}, contact_area = {area} }}\n"
+        )
+    };
+    let many: String = (0..hooks).map(|index| hook(&format!("hook.{index}"), 0.0, power, area)).collect();
+    let good = liver("good", 0.1, "") + &hook("hook.good", 0.1, 10.0, 1e-6);
+    let mut stage =
+        Stage::new(scene(&(liver("bad", 0.0, fine) + &good + &many)), 100.0, ElectrosurgeryController::new);
+    // A state is kept every tenth time.
+    (0..10).for_each(|_| stage.tick());
+    assert!(!stage.has::<HeatFrozen>("bad"), "{}", stage.get::<HeatFrozen>("bad").reason);
+    let names = (0..hooks).map(|index| format!("hook.{index}")).chain(["hook.good".into()]);
+    for name in names {
+        stage.put(&name, Activation { level: 1.0, since: stage.now(), mode: None });
+    }
+    stage
+}
+
+/// On cells of 0.05 mm 400 W through a needle's point; more tips in one place than a step takes; temperatures whose equations
+/// have no solution in the numbers there are. (A power that is no number the scene itself refuses.)
+#[test]
+fn heat_that_a_step_cannot_take_stops_alone_at_its_last_good_state_and_the_other_burns_on() {
+    for (fine, hooks, power, area, celsius, says) in [
+        ("spacing = 5e-5", 1, 400.0, 1e-8, None, "parts for this power"),
+        ("", 17, 1.0, 1e-6, None, "17 electrodes"),
+        ("", 1, 10.0, 1e-6, Some(1e200), "does not settle"),
+    ] {
+        let mut stage = hooked(fine, hooks, power, area);
+        let before =
+            (stage.get::<Temperature>("bad"), stage.get::<Burn>("bad"), stage.get::<HeatState>("bad").state);
+        if let Some(celsius) = celsius {
+            let mut heat = stage.get::<HeatState>("bad");
+            Arc::make_mut(&mut heat.state).celsius[0] = celsius;
+            stage.put("bad", heat);
+            stage.rebuild(ElectrosurgeryController::new);
+        }
+        stage.tick();
+        // In that very step, with a reason.
+        let frozen = stage.get::<HeatFrozen>("bad");
+        assert!(frozen.reason.contains(says), "'{says}' is missing in '{}'", frozen.reason);
+        assert_eq!(frozen.since, stage.now());
+        assert!(!stage.has::<Frozen>("bad"), "whoever moves it goes on");
+        for _ in 0..2 {
+            let supplied = stage.measured("good.heat_supplied_j");
+            (0..20).for_each(|_| stage.tick());
+            assert!(stage.measured("good.heat_supplied_j") > supplied, "the other burns on: {says}");
+            assert!(stage.measured("good.heat_missing_share") < 0.01);
+            assert!(!stage.has::<HeatFrozen>("good"), "{}", stage.get::<HeatFrozen>("good").reason);
+            let told = (stage.measured("bad.heat_frozen"), stage.measured("good.heat_frozen"));
+            assert_eq!(told, (1.0, 0.0));
+            let now = (stage.get::<Temperature>("bad"), stage.get::<Burn>("bad"));
+            assert_eq!(now, (before.0.clone(), before.1.clone()));
+            assert_eq!(stage.get::<HeatFrozen>("bad"), frozen, "the first reason stays");
+            stage.rebuild(ElectrosurgeryController::new);
+        }
+        assert_eq!(stage.get::<HeatState>("bad").state.ledger, before.2.ledger, "nothing was booked");
+    }
 }
 
 #[test]

@@ -387,9 +387,10 @@ impl ElectrosurgeryController {
             self.contacts.clear();
             for body in &mut self.bodies {
                 let tip_in_body = scene.world_pose(body.body.entity).inverse() * tip_in_world;
+                // Where it lies does not hang on what it gives.
                 let electrode = Electrode {
                     tip_in_rest: body.at_rest(&tip_in_body, scene),
-                    power: tip.power * level,
+                    power: 0.0,
                     mode,
                     contact_area: tip.contact_area,
                 };
@@ -397,8 +398,14 @@ impl ElectrosurgeryController {
                 self.contacts.push(contact);
                 body.electrodes.push(electrode);
             }
+            // What a tip is not at is not told of it: what is wrong with it is of the tissue that gets it alone.
             for (body, share) in self.bodies.iter_mut().zip(shares(&self.contacts)) {
-                body.electrodes.iter_mut().rev().take(1).for_each(|electrode| electrode.power *= share);
+                match body.electrodes.last_mut() {
+                    Some(electrode) if share > 0.0 => electrode.power = tip.power * level * share,
+                    _ => {
+                        body.electrodes.pop();
+                    }
+                }
             }
         }
     }

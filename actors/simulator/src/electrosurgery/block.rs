@@ -11,6 +11,10 @@ pub(super) const TISSUE: u8 = 1;
 pub(super) const REMOVED: u8 = 2;
 pub(super) const COAGULATED: u8 = 4;
 pub(super) const CHARRED: u8 = 8;
+/// It burst as it boiled, whole; else what is gone went up in smoke bit by bit.
+pub(super) const BURST: u8 = 16;
+/// Its water boils: told once for a step, as neighbours must agree about it.
+pub(super) const BOILING: u8 = 32;
 
 /// Directions of the six neighbours: the axis, and −1 or +1.
 pub(super) const SIDES: [(usize, i32); 6] = [(0, -1), (0, 1), (1, -1), (1, 1), (2, -1), (2, 1)];

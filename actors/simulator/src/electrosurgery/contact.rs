@@ -1,12 +1,16 @@
 //! How the metal of a tip lies to tissue. The metal is a ball; what of it faces tissue no farther off than where it is nearest
 //! conducts: a tip that rests on tissue touches it with a small cap, one that is pressed in with more, up to what is bare.
 //!
+//! A coagulating current does so only while what is touched is wet. As it dries it insulates, the generator's voltage rises to
+//! that of its open circuit, and sparks leave the metal wherever tissue is in their reach (Pearce, *Electrosurgery*, 1986): how
+//! wide they burn does not hang on a step in the wall of a crater.
+//!
 //! A generator has one output. Where a tip is at several tissues, its current goes into each by the area that faces it, so
 //! that all of them together get what the generator gives.
 
 use nalgebra::{Point3, Vector3};
 
-use super::electrode::Electrode;
+use super::electrode::{Electrode, Mode};
 
 /// Directions in which the metal is looked at, evenly spread over the ball.
 const FACETS: usize = 96;
@@ -18,6 +22,8 @@ const UNEVEN: f64 = 0.1e-3;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
     away: [f64; FACETS],
+    /// Share of their water that the cells have that are touched; 0 where none is.
+    wet: f64,
 }
 
 /// The golden spiral: facets of equal area, to within a few per cent.
@@ -29,31 +35,52 @@ fn direction(facet: usize) -> Vector3<f64> {
     Vector3::new(ring * cos, ring * sin, z)
 }
 
+/// A cell of tissue that metal may face.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Facing {
+    /// \[m\]
+    pub middle: Point3<f64>,
+    /// Share of its water that is left.
+    pub water: f64,
+}
+
 impl Contact {
     /// Of an electrode that is at no tissue.
-    pub const NONE: Self = Self { away: [f64::INFINITY; FACETS] };
+    pub const NONE: Self = Self { away: [f64::INFINITY; FACETS], wet: 0.0 };
 
-    /// To cubes of tissue of that edge \[m\], given by their middles.
+    /// To cubes of tissue of that edge \[m\], given by their middles and the share of their water that is left.
     pub(super) fn with_cells(
         electrode: &Electrode,
         edge: f64,
-        cells: impl Iterator<Item = Point3<f64>> + Clone,
+        cells: impl Iterator<Item = Facing> + Clone,
     ) -> Self {
         let radius = electrode.contact_radius();
         let tip = electrode.tip_in_rest;
-        let nearest = cells.clone().map(|middle| (middle - tip).norm_squared()).fold(f64::INFINITY, f64::min);
-        // Beyond, no cell can be within what counts of any facet.
-        let reach = (nearest.sqrt() - radius).max(0.0) + radius + UNEVEN + edge;
+        let middles = cells.clone().map(|cell| (cell.middle - tip).norm_squared());
+        let nearest = middles.fold(f64::INFINITY, f64::min).sqrt();
+        // Beyond, no cell can be within what counts of any facet; of sparks, none that the ball does not hide.
+        let counts = match electrode.mode {
+            Mode::Cut => UNEVEN,
+            Mode::Coagulate => UNEVEN.max(2.0 * radius),
+        };
+        let reach = nearest.max(radius) + counts + edge;
         let facets: [Vector3<f64>; FACETS] = std::array::from_fn(|facet| direction(facet) * radius);
-        let mut away = [f64::INFINITY; FACETS];
-        for middle in cells.filter(|middle| (middle - tip).norm_squared() <= reach * reach) {
-            let from = tip - middle;
+        let mut away = [(f64::INFINITY, 0.0); FACETS];
+        for cell in cells.filter(|cell| (cell.middle - tip).norm_squared() <= reach * reach) {
+            let from = tip - cell.middle;
             for (facet, away) in facets.iter().zip(&mut away) {
-                let outside = (from + facet).map(|x| (x.abs() - edge / 2.0).max(0.0));
-                *away = away.min(outside.norm_squared());
+                let outside = (from + facet).map(|x| (x.abs() - edge / 2.0).max(0.0)).norm_squared();
+                if outside < away.0 {
+                    *away = (outside, cell.water);
+                }
             }
         }
-        Self { away: away.map(f64::sqrt) }
+        let touched =
+            || away.iter().filter(|(squared, _)| *squared <= UNEVEN * UNEVEN).map(|(_, water)| water);
+        Self {
+            away: away.map(|(squared, _)| squared.sqrt()),
+            wet: touched().sum::<f64>() / touched().count().max(1) as f64,
+        }
     }
 
     /// From the metal to the nearest tissue \[m\].
@@ -66,11 +93,18 @@ impl Contact {
         self.away.iter().filter(|away| **away <= nearest + UNEVEN).count()
     }
 
-    /// Area of the metal that faces the tissue \[m²\]: at most what is bare, at least one facet.
+    /// Area of the metal that the current leaves \[m²\]: at most what is bare, at least one facet.
     #[must_use]
     pub fn area(&self, electrode: &Electrode) -> f64 {
-        let ball = 4.0 * electrode.contact_area;
-        (ball * self.facing(self.nearest()).max(1) as f64 / FACETS as f64).min(electrode.contact_area)
+        let nearest = self.nearest();
+        let mut facets = self.facing(nearest).max(1) as f64;
+        if electrode.mode == Mode::Coagulate {
+            // Each facet as well as sparks reach from it, beside where they are shortest.
+            let best = electrode.efficiency(nearest).max(f64::MIN_POSITIVE);
+            let sparks: f64 = self.away.iter().map(|away| electrode.efficiency(*away) / best).sum();
+            facets += (1.0 - self.wet) * (sparks - facets).max(0.0);
+        }
+        (4.0 * electrode.contact_area * facets / FACETS as f64).min(electrode.contact_area)
     }
 }
 
@@ -104,8 +138,13 @@ mod tests {
             .collect()
     }
 
+    fn wet_plate(tip: &Electrode, is_left: fn(&Point3<f64>) -> bool, water: f64) -> Contact {
+        let cells = plate(is_left);
+        Contact::with_cells(tip, EDGE, cells.iter().map(|middle| Facing { middle: *middle, water }))
+    }
+
     fn at_plate(z: f64, is_left: fn(&Point3<f64>) -> bool) -> Contact {
-        Contact::with_cells(&tip(z), EDGE, plate(is_left).iter().copied())
+        wet_plate(&tip(z), is_left, 1.0)
     }
 
     #[test]
@@ -138,5 +177,25 @@ mod tests {
         let [above, below] = [at_plate(0.5e-3, |p| p.z > -0.5e-3), at_plate(0.5e-3, |p| p.z < -0.5e-3)];
         assert_eq!(of(&[below, above]), [0.0, 1.0]);
         assert_eq!(of(&[Contact::NONE; 2]), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn as_what_a_coagulating_tip_touches_dries_sparks_leave_all_of_its_bare_metal() {
+        let touching = |mode: Mode, water: f64| {
+            let tip = Electrode { mode, ..tip(0.565e-3) };
+            wet_plate(&tip, |_| true, water).area(&tip)
+        };
+        let cap = touching(Mode::Cut, 1.0);
+        assert!(cap < 0.5e-6, "{cap}");
+        assert_eq!([touching(Mode::Cut, 0.0), touching(Mode::Coagulate, 1.0)], [cap; 2]);
+        assert_eq!(touching(Mode::Coagulate, 0.0), 1e-6);
+        let half = touching(Mode::Coagulate, 0.8);
+        assert!(half > 1.2 * cap && half < 1e-6, "{half} between {cap} and all");
+        // With a way through air there is nothing wet to conduct, as far as sparks reach.
+        for (gap, is_reached) in [(1e-3, true), (4e-3, false)] {
+            let tip = Electrode { mode: Mode::Coagulate, ..tip(0.565e-3 + gap) };
+            let area = wet_plate(&tip, |_| true, 1.0).area(&tip);
+            assert_eq!(area == 1e-6, is_reached, "{area} over {gap} m");
+        }
     }
 }

@@ -7,6 +7,11 @@
 
 use super::material::{BODY, ThermalMaterial};
 
+/// How much nearer to the middle of a dry cell the boiling point is than the middle of a boiling cell beside it. What boils is as
+/// hot all over: heat crosses half of the dry cell only. From middle to middle, a layer that has dried would be taken for up to
+/// twice as thick as it is where it is a cell thick, and go too soon.
+pub(super) const BOILING_NEARER: f64 = 2.0;
+
 /// Derived numbers of a material that every cell needs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Enthalpy {
@@ -53,10 +58,10 @@ impl Enthalpy {
         self.dry_conductivity + (self.conductivity - self.dry_conductivity) * water
     }
 
-    /// Largest diffusivity that a cell can have \[m²/s\].
+    /// Largest diffusivity that a cell can have \[m²/s\]: of a dry one among boiling ones, which are nearer ([`BOILING_NEARER`]).
     pub(super) fn diffusivity_max(&self) -> f64 {
         // Both are linear in the water: their quotient is largest at an end.
-        (self.conductivity / self.wet).max(self.dry_conductivity / self.dry)
+        (self.conductivity / self.wet).max(BOILING_NEARER * self.dry_conductivity / self.dry)
     }
 
     /// Heat that turns a fresh cell into steam \[J/m³\].

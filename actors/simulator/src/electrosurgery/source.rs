@@ -2,7 +2,7 @@
 //! has too much of when it goes does not matter.
 
 use super::block::CELLS;
-use super::contact::Contact;
+use super::contact::{Contact, Facing};
 use super::electrode::{Electrode, Mode, REACH, profile};
 use super::error::HeatStepError;
 use super::ledger::HeatReport;
@@ -70,8 +70,11 @@ impl Source {
     }
 
     fn facing(&self, grid: &ThermalGrid, electrode: &Electrode) -> Contact {
-        let middles = self.near.iter().map(|near| grid.centre(&grid.blocks[near.block], near.cell));
-        Contact::with_cells(electrode, grid.spacing, middles)
+        let cells = self.near.iter().map(|near| {
+            let block = &grid.blocks[near.block];
+            Facing { middle: grid.centre(block, near.cell), water: block.water[near.cell] }
+        });
+        Contact::with_cells(electrode, grid.spacing, cells)
     }
 
     /// The cells about an electrode that are tissue.
@@ -122,9 +125,14 @@ impl Source {
             self.area = self.facing(grid, electrode).area(electrode);
         }
         let radius = electrode.radius(self.area);
-        let nearest = self.near.iter().map(|near| near.distance).fold(f64::INFINITY, f64::min);
-        // From the metal, a ball with the contact's radius, to about the side of the nearest cell.
-        let gap = nearest - electrode.contact_radius() - grid.spacing / 2.0;
+        let first = self.near.iter().min_by(|a, b| a.distance.total_cmp(&b.distance));
+        let nearest = first.map_or(f64::INFINITY, |first| first.distance);
+        // From the metal, a ball with the contact's radius, to about the side of the nearest cell. What burns away recedes from
+        // cell to cell, each of which goes when its middle is as hot as that: the wall runs through the nearest of the middles that
+        // are left, and whatever sticks out of it is the lattice.
+        let is_bared = |near: &Near| grid.is_bared_by_fire(&grid.blocks[near.block], near.cell);
+        let is_wall = electrode.mode == Mode::Coagulate && first.is_some_and(is_bared);
+        let gap = nearest - electrode.contact_radius() - if is_wall { 0.0 } else { grid.spacing / 2.0 };
         let reach = REACH * radius;
         let mut sum = 0.0;
         for near in &mut self.near {

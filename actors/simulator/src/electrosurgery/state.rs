@@ -23,7 +23,7 @@ pub struct BlockState {
     pub water: Vec<f64>,
     /// Ω.
     pub damage: Vec<f64>,
-    /// Bits: tissue, removed, coagulated, charred.
+    /// Bits: tissue, removed, coagulated, charred, burst, boiling.
     pub flags: Vec<u8>,
 }
 

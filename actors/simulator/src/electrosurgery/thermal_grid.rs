@@ -7,10 +7,11 @@
 //! block that has cooled is given back, and at the rim of the active blocks.
 
 use super::block::{
-    Block, CELLS, CHARRED, COAGULATED, REMOVED, SIDES, TISSUE, beside, padded, side_cells, xyz,
+    BOILING, BURST, Block, CELLS, CHARRED, COAGULATED, REMOVED, SIDES, TISSUE, beside, padded, side_cells,
+    xyz,
 };
 use super::burn::{CellEvent, ElementBurns, cell_number};
-use super::enthalpy::Enthalpy;
+use super::enthalpy::{BOILING_NEARER, Enthalpy};
 use super::ledger::{HeatLedger, HeatReport};
 use super::material::ThermalMaterial;
 use super::organ_heat::OrganHeat;
@@ -26,6 +27,8 @@ const LEAVES: f64 = 0.5;
 const EMPTY_MAX: usize = 16_384;
 /// Share of the largest stable step that is taken.
 const SAFETY: f64 = 0.9;
+/// What has lost water and is no colder than this below the boiling point boils \[K\].
+const BOILS: f64 = 1.0;
 
 /// Blocks that were taken into use, in the order of their keys.
 #[derive(Clone, Debug)]
@@ -42,6 +45,9 @@ pub(super) struct ThermalGrid {
     kept: Vec<[i32; 3]>,
     padded_excess: Box<[f64; PADDED * PADDED * PADDED]>,
     padded_conduction: Box<[f64; PADDED * PADDED * PADDED]>,
+    /// Conduction of cells that are dry; and by how much more heat passes between such a one and each that boils.
+    padded_dry: Box<[f64; PADDED * PADDED * PADDED]>,
+    padded_boiling: Box<[f64; PADDED * PADDED * PADDED]>,
 }
 
 /// What a step on the lattice writes to.
@@ -76,6 +82,8 @@ impl ThermalGrid {
             kept: Vec::new(),
             padded_excess: Box::new([0.0; PADDED * PADDED * PADDED]),
             padded_conduction: Box::new([0.0; PADDED * PADDED * PADDED]),
+            padded_dry: Box::new([0.0; PADDED * PADDED * PADDED]),
+            padded_boiling: Box::new([0.0; PADDED * PADDED * PADDED]),
         }
     }
 
@@ -170,13 +178,17 @@ impl ThermalGrid {
             let (block, next) = (&self.blocks[index], &mut self.next[used]);
             used += 1;
             let (excess, conduction) = (&self.padded_excess, &self.padded_conduction);
+            let (dry, boiling) = (&self.padded_dry, &self.padded_boiling);
             let scale = dt / (self.spacing * self.spacing);
             let mut lost = 0.0;
             let is_whole = block.raster.cut.is_empty();
             for cell in 0..CELLS {
                 let at = padded(cell);
                 let (own, through) = (excess[at], conduction[at]);
-                let flow = |beyond: usize| through.min(conduction[beyond]) * (excess[beyond] - own);
+                let flow = |beyond: usize| {
+                    let to_boiling = (dry[at] * boiling[beyond]).max(dry[beyond] * boiling[at]);
+                    through.min(conduction[beyond]).max(to_boiling) * (excess[beyond] - own)
+                };
                 let flows = if is_whole {
                     flow(at - 1)
                         + flow(at + 1)
@@ -230,10 +242,23 @@ impl ThermalGrid {
                 0.0
             }
         };
+        // Dry, its conduction; boiling, how much nearer it is.
+        let kind = |block: &Block, cell: usize, through: f64| {
+            if block.water[cell] == 0.0 {
+                (through, 0.0)
+            } else if block.flags[cell] & BOILING != 0 {
+                (0.0, BOILING_NEARER * block.share(cell))
+            } else {
+                (0.0, 0.0)
+            }
+        };
         let (excess, conduction) = (&mut self.padded_excess, &mut self.padded_conduction);
+        let (dry, boiling) = (&mut self.padded_dry, &mut self.padded_boiling);
         for cell in 0..CELLS {
-            excess[padded(cell)] = block.excess[cell];
-            conduction[padded(cell)] = through(block, cell);
+            let at = padded(cell);
+            excess[at] = block.excess[cell];
+            conduction[at] = through(block, cell);
+            (dry[at], boiling[at]) = kind(block, cell, conduction[at]);
         }
         std::array::from_fn(|side| {
             let beyond = around[side].map(|at| &self.blocks[at]);
@@ -242,6 +267,11 @@ impl ThermalGrid {
                 (excess[halo], conduction[halo]) = match beyond {
                     Some(beyond) => (beyond.excess[other], through(beyond, other)),
                     None => (0.0, f64::from(block.raster.share[halo]) * self.enthalpy.conductivity(1.0)),
+                };
+                // At the rim heat passes to the mesh, by conduction alone.
+                (dry[halo], boiling[halo]) = match beyond {
+                    Some(beyond) if beyond.is_active => kind(beyond, other, conduction[halo]),
+                    _ => (0.0, 0.0),
                 };
             }
             beyond.is_none_or(|beyond| !beyond.is_active)
@@ -261,6 +291,9 @@ impl ThermalGrid {
                 }
                 let celsius = self.settle_cell(index, cell, books);
                 let block = &mut self.blocks[index];
+                let has_boiled = block.water[cell] > 0.0 && block.water[cell] < 1.0;
+                let boils = has_boiled && celsius > self.enthalpy.boiling - BOILS;
+                block.flags[cell] = (block.flags[cell] & !BOILING) | if boils { BOILING } else { 0 };
                 books.report.hottest = books.report.hottest.max(celsius);
                 if celsius >= books.material.damage.threshold && block.is_tissue(cell) {
                     block.damage[cell] += dt * books.material.damage.rate(celsius);
@@ -333,7 +366,7 @@ impl ThermalGrid {
         }
         books.ledger.removed += capacity * block.excess[cell] + books.organ.shrink(&site, capacity);
         block.excess[cell] = 0.0;
-        block.flags[cell] |= REMOVED;
+        block.flags[cell] |= REMOVED | if books.bursts { BURST } else { 0 };
         // What vaporised was surely coagulated.
         block.damage[cell] = block.damage[cell].max(super::arrhenius::COAGULATED);
         let number = cell_number(block.key, cell);
@@ -419,24 +452,33 @@ impl ThermalGrid {
 
     /// How many sides of a cell have no tissue beyond.
     pub(super) fn bare_sides(&self, block: &Block, cell: usize) -> u32 {
-        let own = xyz(cell).map(|at| at as i32);
-        let bare = SIDES.into_iter().filter(|(axis, way)| {
-            let mut at: [i32; 3] = std::array::from_fn(|axis| block.key[axis] * EDGE as i32 + own[axis]);
-            at[*axis] += way;
-            let within = at.map(|cell| cell.rem_euclid(EDGE as i32) as usize);
-            let beyond = within[0] + EDGE * (within[1] + EDGE * within[2]);
-            let found = self.find(at.map(|cell| cell.div_euclid(EDGE as i32)));
+        let bare = SIDES.into_iter().filter(|side| {
+            let (found, beyond) = self.beside(block, cell, *side);
             // Of a block that was never in use, what its neighbour knows of it.
             !found.map_or_else(
-                |_| {
-                    let padded =
-                        padded(cell) as i32 + way * [1, PADDED as i32, (PADDED * PADDED) as i32][*axis];
-                    block.raster.share[padded as usize] > 0.0
-                },
-                |index| self.blocks[index].is_tissue(beyond),
+                || block.raster.share[beside(padded(cell), *side)] > 0.0,
+                |found| found.is_tissue(beyond),
             )
         });
         bare.count() as u32
+    }
+
+    /// Whether what was beside a cell went up in smoke.
+    pub(super) fn is_bared_by_fire(&self, block: &Block, cell: usize) -> bool {
+        SIDES.into_iter().any(|side| {
+            let (found, beyond) = self.beside(block, cell, side);
+            found.is_some_and(|found| found.flags[beyond] & (REMOVED | BURST) == REMOVED)
+        })
+    }
+
+    /// The cell beside one, and its block where that was ever in use.
+    fn beside(&self, block: &Block, cell: usize, (axis, way): (usize, i32)) -> (Option<&Block>, usize) {
+        let own = xyz(cell).map(|at| at as i32);
+        let mut at: [i32; 3] = std::array::from_fn(|axis| block.key[axis] * EDGE as i32 + own[axis]);
+        at[axis] += way;
+        let within = at.map(|cell| cell.rem_euclid(EDGE as i32) as usize);
+        let found = self.find(at.map(|cell| cell.div_euclid(EDGE as i32)));
+        (found.ok().map(|index| &self.blocks[index]), within[0] + EDGE * (within[1] + EDGE * within[2]))
     }
 
     /// Middle of a cell, in the tissue's rest frame \[m\].
