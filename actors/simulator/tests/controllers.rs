@@ -415,7 +415,11 @@ fn a_membrane_that_is_drawn_too_far_tears_and_goes_on_to_the_bit_in_another_life
         |context: &BuildContext<'_>| MassSpringController::new(GRAVITY, context),
     );
     a_membrane_tears(
-        |tears_at| format!("xpbd = {{ matter = {{ cloth = {{ {matter} }} }}, damping = 10.0{tears_at} }}"),
+        |tears_at| {
+            format!(
+                "xpbd = {{ matter = {{ cloth = {{ {matter} }} }}, cut = true, damping = 10.0{tears_at} }}"
+            )
+        },
         |context: &BuildContext<'_>| XpbdController::new(GRAVITY, context),
     );
 }

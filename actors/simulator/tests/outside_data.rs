@@ -139,7 +139,7 @@ fn memories_of_another_body_are_refused() {
     for (vertex, triangle, says) in [(9_999, 0, "vertex 9999"), (0, 9_999, "9999")] {
         let held = Held { vertex, in_instrument: Point3::origin() };
         let pick = Pick { instrument: 7, triangles: vec![triangle], vertices: vec![held] };
-        let grips = Grips { picks: Picks { picks: vec![pick] } };
+        let grips = Grips { picks: Picks { picks: vec![pick], ..Picks::default() } };
         refused(&volume, xpbd, grips.clone(), &["grips", says]);
         refused(&body(SHEET, "mass_spring = {}"), springs, grips, &["grips", says]);
     }
