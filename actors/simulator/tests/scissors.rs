@@ -234,3 +234,72 @@ fn blades_that_close_cut_the_column_between_them_whichever_method_moves_it() {
         |context: &BuildContext<'_>| DynamicFemController::new(GRAVITY, context),
     );
 }
+
+/// A line of 4 cm, held at both ends, that has been drawn out by a twentieth.
+fn taut_line(body: &str) -> Stage<MassSpringController> {
+    let text = format!(
+        "{}[[entity]]\nname = \"body\"\nmesh = {{ line = {{ length = 0.04, segments = 16, radius = 0.0003 }} }}\n{body}\n\
+         anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [-0.0199, 1.0, 1.0] }} }},\n\
+         {{ box = {{ min = [0.0199, -1.0, -1.0], max = [1.0, 1.0, 1.0] }} }}] }}\n",
+        tool(0.018)
+    );
+    let mut stage = Stage::new(scene(&text), 500.0, springs);
+    let rest = stage.get::<VertexPositions>("body").positions;
+    let drawn = rest.iter().map(|p| Point3::new(1.05 * p.x, p.y, p.z)).collect();
+    stage.put("body", RestPositions { positions: rest });
+    stage.put("body", VertexPositions { positions: Arc::new(drawn) });
+    stage.rebuild(springs);
+    stage
+}
+
+#[test]
+fn blades_that_close_cut_a_taut_line_which_draws_back_and_goes_on_to_the_bit() {
+    let springs_of =
+        "springs = { line = { axial_stiffness = 5.0, bending_stiffness = 1e-10, density = 2e-3 } }";
+    for method in ["explicit", "implicit"] {
+        let body =
+            format!("mass_spring = {{ {springs_of}, method = \"{method}\", lag = 1e-5, damping = 20.0 }}");
+        // The line passes between the blades a centimetre before the hinge, not at a node.
+        let at = [0.0032, 0.01, 0.0];
+        let cut = |kill: Option<u32>| {
+            let mut stage = taut_line(&body);
+            run(&mut stage, 5);
+            let safe = (method == "explicit").then(|| stage.measured("body.safe_step_s"));
+            assert_eq!(stage.measured("body.pieces"), 1.0);
+            // Open blades that wait, and blades that close beside it, cut nothing.
+            (0..10).for_each(|_| {
+                place(&mut stage, at, OPEN);
+                run(&mut stage, 1);
+            });
+            turn(&mut stage, [0.0032, 0.1, 0.0], OPEN, 0.0);
+            turn(&mut stage, [0.0032, 0.1, 0.0], 0.0, OPEN);
+            assert_eq!(stage.measured("body.pieces"), 1.0);
+            (0..10).for_each(|_| {
+                place(&mut stage, at, OPEN);
+                run(&mut stage, 1);
+            });
+            for tick in 0..=20_u32 {
+                if kill == Some(tick) {
+                    stage.rebuild(springs);
+                }
+                place(&mut stage, at, OPEN * (1.0 - f64::from(tick) / 20.0));
+                run(&mut stage, 1);
+            }
+            run(&mut stage, 200);
+            assert_eq!(stage.measured("body.pieces"), 2.0, "{method}");
+            if let Some(safe) = safe {
+                let now = stage.measured("body.safe_step_s");
+                assert!(now > 0.99 * safe, "the largest safe step has become {now} s from {safe} s");
+            }
+            // Two nodes where there was one, half a segment from the blades at most, and each half as long as at rest.
+            let rest = stage.get::<RestPositions>("body").positions;
+            assert_eq!(rest.len(), 18);
+            assert!((rest[17].x - 0.0032 / 1.05).abs() <= 0.5 * 0.04 / 16.0, "{}", rest[17].x);
+            let gap = gapes(&stage);
+            assert!((0.0015..0.0025).contains(&gap), "{method}: a gap of {gap} m of 2 mm");
+            stage.get::<VertexPositions>("body").positions
+        };
+        let whole = cut(None);
+        assert_eq!(cut(Some(12)), whole, "{method}: another life");
+    }
+}

@@ -3,11 +3,12 @@
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Access, Commands, Component, ComponentError, Entity, Snapshot};
+use trocar_scene::{Access, Commands, Component, ComponentError, Entity, EntitySet, LineMesh, Snapshot};
 
 use super::cauterised::CauterisedBody;
 use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
+use super::line_cuts::LineCuts;
 use super::membrane::{Membrane, MembraneWeakness, Parted};
 use super::parting::{Elements, Parting, Split, Weakness};
 use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Terms};
@@ -211,6 +212,20 @@ impl Solver {
         Ok(Self { kind: *kind, solver, altered, stars: Stars::default(), body: body.clone() })
     }
 
+    /// Follows a line that has come apart at nodes of which the new ones are copies.
+    fn copy(&mut self, body: &Deformable, copies: &[u32]) -> Result<(), String> {
+        let mut state = self.solver.state().clone();
+        for &of in copies {
+            state.positions.push(state.positions[of as usize]);
+            state.velocities.push(state.velocities[of as usize]);
+        }
+        let network = self.kind.network(body, &[])?;
+        self.solver = MassSpring::restore(network, state, &body.staying(), self.kind.config())
+            .map_err(|error| error.to_string())?;
+        self.body = body.clone();
+        Ok(())
+    }
+
     /// What has become of each tetrahedron.
     fn alterations(tets: usize, heated: &Heated) -> Vec<Alteration> {
         let mut altered = vec![Alteration::NONE; tets];
@@ -318,6 +333,8 @@ pub struct MassSpringMethod {
     membrane: Option<Membrane>,
     /// Or a volume.
     parting: Option<Parting>,
+    /// Or a line.
+    line: Option<LineCuts>,
 }
 
 impl MassSpringMethod {
@@ -380,16 +397,18 @@ impl SoftMethod for MassSpringMethod {
             (None, Some(parting)) => Solver::alterations(body.tets.len(), &parting.heated()),
             (None, None) => Vec::new(),
         };
+        let line = (!is_surface && !is_volume).then(|| LineCuts::new(body, scene));
         let mut of = Solver::new(kind, body, altered)?;
         if parting.is_some() {
             of.come_apart();
         }
         let safe_step = of.solver.safe_step();
         let (contacts, prescribed, forces) = Default::default();
-        Ok(Self { of, contacts, prescribed, forces, safe_step, membrane, parting })
+        Ok(Self { of, contacts, prescribed, forces, safe_step, membrane, parting, line })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
+        let access = access.writes::<LineMesh>(EntitySet::Of(bodies.to_vec()));
         Membrane::access(Parting::access(access, bodies), bodies)
     }
 
@@ -411,7 +430,7 @@ impl SoftMethod for MassSpringMethod {
     }
 
     fn is_cut_by_blades(&self) -> bool {
-        self.membrane.is_some() || self.parting.is_some()
+        self.membrane.is_some() || self.parting.is_some() || self.line.is_some()
     }
 
     fn reshape(
@@ -422,6 +441,14 @@ impl SoftMethod for MassSpringMethod {
     ) -> Result<Option<Reshaped>, String> {
         if let Some(parting) = &mut self.parting {
             return parting.reshape(&mut self.of, body, site, out);
+        }
+        if let Some(line) = &mut self.line {
+            let copies = line.reshape(&self.of.solver.state().positions, body, site, out);
+            let Some(copies) = copies else { return Ok(None) };
+            self.of.copy(body, &copies)?;
+            self.safe_step = self.of.solver.safe_step();
+            // Its segments have the numbers they had.
+            return Ok(Some(Reshaped::default()));
         }
         let Some(membrane) = &mut self.membrane else { return Ok(None) };
         let positions = &self.of.solver.state().positions;
@@ -466,6 +493,9 @@ impl SoftMethod for MassSpringMethod {
         if let Some(membrane) = &mut self.membrane {
             membrane.publish(body, out);
         }
+        if let Some(line) = &mut self.line {
+            line.publish(body, out);
+        }
     }
 
     fn measure(&self, _body: &Deformable, measures: &mut Measures<'_>) {
@@ -482,6 +512,9 @@ impl SoftMethod for MassSpringMethod {
         }
         if let Some(parting) = &self.parting {
             parting.measure(measures);
+        }
+        if let Some(line) = &self.line {
+            line.measure(measures);
         }
     }
 }

@@ -29,6 +29,7 @@ pub mod instruments;
 pub mod irrigation;
 pub mod knot_state;
 mod knot_watch;
+pub mod line_cuts;
 pub mod linear_fem;
 mod linear_fem_altered;
 mod linear_fem_contacts;

@@ -431,7 +431,7 @@ impl<M: SoftMethod> Body<M> {
         if let Some(reshaped) = reshaped {
             self.is_pinned = self.body.stays();
             let (site, positions) = (meets.site(scene, tick), self.method.positions());
-            reshaped.followed_by(&mut self.grips, &site, &self.body.triangles, positions);
+            reshaped.followed_by(&mut self.grips, &site, &self.body.holdable(), positions);
             out.put(entity, self.grips.clone());
         }
         touches(&meets.rods, &self.method.skin(&self.body), &mut meets.touches);

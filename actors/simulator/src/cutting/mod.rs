@@ -11,12 +11,14 @@
 //! Each call tells what it did as a [`TopologyChange`].
 
 mod change;
+mod line;
 mod sheet;
 mod sweep;
 mod tearing;
 mod walk;
 
 pub use change::{TopologyChange, VertexChange};
+pub use line::{PartedLine, part_line, pieces};
 pub use sheet::{Sheet, SheetState};
 pub use sweep::Sweep;
 

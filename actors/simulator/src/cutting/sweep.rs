@@ -21,7 +21,7 @@ pub struct Sweep {
 
 impl Sweep {
     /// Without those that are a line: an edge that turns about one of its ends sweeps one triangle.
-    fn triangles(&self) -> impl Iterator<Item = Triangle> + use<> {
+    pub(super) fn triangles(&self) -> impl Iterator<Item = Triangle> + use<> {
         let ([a, b], [c, d]) = (self.before, self.after);
         let has_area = |[a, b, c]: &Triangle| {
             let (ab, ac) = (b - a, c - a);

@@ -1,0 +1,150 @@
+//! Cutting a line: where the edge of a blade passes through a segment between two frames, the line comes apart at the end of
+//! that segment which is nearer. So no piece is shorter than a segment, and no step has to be; the place is off by half a
+//! segment at most.
+
+use nalgebra::Point3;
+use trocar_collision::primitive::Triangle;
+
+use super::Sweep;
+
+/// A line that has come apart.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PartedLine {
+    /// Nodes of each segment; there are as many as before.
+    pub segments: Vec<[u32; 2]>,
+    /// Of which node each new one is a copy; the first comes after the last that there was.
+    pub copies: Vec<u32>,
+}
+
+/// Share of the way from `a` to `b` at which it passes through a triangle.
+fn crossing(a: &Point3<f64>, b: &Point3<f64>, triangle: &Triangle) -> Option<f64> {
+    let normal = (triangle[1] - triangle[0]).cross(&(triangle[2] - triangle[0]));
+    let [above, below] = [a, b].map(|point| normal.dot(&(point - triangle[0])));
+    // What only touches with an end passes there once.
+    if (above >= 0.0) == (below >= 0.0) {
+        return None;
+    }
+    let share = above / (above - below);
+    let point = a + (b - a) * share;
+    let is_inside = |side: usize| {
+        let (from, to) = (triangle[side], triangle[(side + 1) % 3]);
+        normal.dot(&(to - from).cross(&(point - from))) >= 0.0
+    };
+    (0..3).all(is_inside).then_some(share)
+}
+
+/// Lets a line come apart where `sweeps` pass through its segments at `positions` \[m\]; none where they pass through none, or
+/// only through ends that nothing else hangs on.
+///
+/// # Panics
+/// A segment that names a node that there is not.
+#[must_use]
+pub fn part_line(positions: &[Point3<f64>], segments: &[[u32; 2]], sweeps: &[Sweep]) -> Option<PartedLine> {
+    let mut about = vec![0_u32; positions.len()];
+    segments.iter().flatten().for_each(|&node| about[node as usize] += 1);
+    let whole = about.clone();
+    let mut parted = PartedLine { segments: segments.to_vec(), copies: Vec::new() };
+    for sweep in sweeps {
+        for (index, &ends) in segments.iter().enumerate() {
+            let [a, b] = ends.map(|node| &positions[node as usize]);
+            let Some(share) = sweep.triangles().find_map(|triangle| crossing(a, b, &triangle)) else {
+                continue;
+            };
+            let nearer = usize::from(share >= 0.5);
+            let Some(end) = [nearer, 1 - nearer].into_iter().find(|&end| whole[ends[end] as usize] > 1)
+            else {
+                continue;
+            };
+            // Both edges may have passed there, or one through both segments.
+            let node = parted.segments[index][end];
+            if about[node as usize] < 2 {
+                continue;
+            }
+            about[node as usize] -= 1;
+            about.push(1);
+            parted.segments[index][end] = (positions.len() + parted.copies.len()) as u32;
+            parted.copies.push(node);
+        }
+    }
+    (!parted.copies.is_empty()).then_some(parted)
+}
+
+/// How many lines there are that hang together.
+#[must_use]
+pub fn pieces(nodes: usize, segments: &[[u32; 2]]) -> usize {
+    let mut of: Vec<u32> = (0..nodes as u32).collect();
+    let mut used = vec![false; nodes];
+    let root = |of: &[u32], mut node: u32| {
+        while of[node as usize] != node {
+            node = of[node as usize];
+        }
+        node
+    };
+    let mut count = 0;
+    for ends in segments {
+        for &node in ends {
+            count += usize::from(!std::mem::replace(&mut used[node as usize], true));
+        }
+        let [a, b] = ends.map(|node| root(&of, node));
+        if a != b {
+            // The lower number, so that chains stay short where nodes follow one another.
+            of[a.max(b) as usize] = a.min(b);
+            count -= 1;
+        }
+        for node in ends {
+            of[*node as usize] = a.min(b);
+        }
+    }
+    count
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(n: u32) -> (Vec<Point3<f64>>, Vec<[u32; 2]>) {
+        let points = (0..=n).map(|k| Point3::new(f64::from(k), 0.0, 0.0)).collect();
+        (points, (0..n).map(|k| [k, k + 1]).collect())
+    }
+
+    /// A blade along y that goes down at `x`.
+    fn down(x: f64) -> Sweep {
+        let edge = |z: f64| [Point3::new(x, -1.0, z), Point3::new(x, 1.0, z)];
+        Sweep { before: edge(1.0), after: edge(-1.0) }
+    }
+
+    #[test]
+    fn a_line_comes_apart_at_the_nearer_node_and_once_only() {
+        let (points, segments) = line(5);
+        for (x, node, moved) in [(2.2, 2, [2, 0]), (1.9, 2, [1, 1]), (0.3, 1, [0, 1]), (4.9, 4, [4, 0])] {
+            let parted = part_line(&points, &segments, &[down(x), down(x)]).expect("a cut");
+            assert_eq!(parted.copies, [node], "{x}");
+            assert_eq!(parted.segments[moved[0]][moved[1]], 6, "{x}");
+            assert_eq!(pieces(7, &parted.segments), 2, "{x}");
+        }
+        assert_eq!(pieces(6, &segments), 1);
+    }
+
+    #[test]
+    fn several_cuts_make_several_pieces_and_a_blade_beside_it_none() {
+        let (points, segments) = line(5);
+        let parted = part_line(&points, &segments, &[down(1.1), down(3.4)]).expect("cuts");
+        assert_eq!((parted.copies.len(), pieces(8, &parted.segments)), (2, 3));
+        assert_eq!(part_line(&points, &segments, &[down(7.0)]), None);
+        let beside =
+            Sweep { before: [Point3::new(2.5, 1.0, 1.0); 2], after: [Point3::new(2.5, 2.0, -1.0); 2] };
+        assert_eq!(part_line(&points, &segments, &[beside]), None);
+        // A line of one segment has nothing to part from.
+        assert_eq!(part_line(&points[..2], &segments[..1], &[down(0.5)]), None);
+        // A closed one needs two cuts.
+        let ring: Vec<[u32; 2]> = (0..6).map(|k| [k, (k + 1) % 6]).collect();
+        let square: Vec<Point3<f64>> = (0..6)
+            .map(|k| {
+                let (sin, cos) = (f64::from(k) * std::f64::consts::FRAC_PI_3).sin_cos();
+                Point3::new(cos, 0.5 * sin, 0.0)
+            })
+            .collect();
+        let parted = part_line(&square, &ring, &[down(0.1)]).expect("a cut");
+        assert_eq!((parted.copies.len(), pieces(8, &parted.segments)), (2, 2));
+    }
+}
