@@ -228,6 +228,14 @@ fn a_probe_presses_on_a_liver_with_a_precomputed_inverse() {
     let pressed = holds("fem-liver");
     assert!(pressed.summary.force_newtons_max > 0.05, "{} N", pressed.summary.force_newtons_max);
     // Linear: three times as stiff answers with three times the force where the displacement is the same.
+    // On a mesh of three times as many tetrahedra it feels the same, which single vertices do not.
+    let finer = ("edge = 0.010", "edge = 0.007");
+    let felt = |edits: &[(&str, &str)]| outcome(&run("fem-liver", edits), "liver.contact_force_n.largest");
+    let change = felt(&[finer]) / outcome(&pressed, "liver.contact_force_n.largest") - 1.0;
+    assert!(change.abs() <= 0.1, "the force changes by {change} on a finer mesh");
+    let vertices = ("contact_radius = 0.012", "contact_radius = 0.0");
+    let change = felt(&[vertices, finer]) / felt(&[vertices]) - 1.0;
+    assert!(change.abs() > 0.12, "single vertices feel as hard on a finer mesh: {change}");
     let stiffer = run("fem-liver", &[("young_modulus = 6000.0", "young_modulus = 18000.0")]);
     let ratio = |measure: &str| outcome(&stiffer, measure) / outcome(&pressed, measure);
     let (force, moved) = (ratio("liver.contact_force_n.largest"), ratio("liver.displacement_max_m.largest"));
@@ -256,7 +264,7 @@ fn a_mesh_of_ones_own_takes_the_place_of_an_organ_by_one_line() {
     let folder = tempfile::tempdir().expect("a folder");
     std::fs::write(folder.path().join("my-liver.msh"), file).expect("written");
     let (_, text) = trocar::app::SCENARIOS.iter().find(|(name, _)| *name == "fem-liver").expect("a scenario");
-    let one_line = "mesh = { organ = \"liver\", edge = 0.014 }\ntissue";
+    let one_line = "mesh = { organ = \"liver\", edge = 0.010 }\ntissue";
     assert!(text.contains(one_line));
     let text = text.replace(one_line, "mesh = { file = \"my-liver.msh\" }\ntissue");
     let app = app();
