@@ -14,20 +14,22 @@ fn step(c: &mut Criterion) {
     let straight = |edges: usize| -> Vec<_> {
         (0..=edges).map(|i| Point3::new(4.5e-4 * i as f64, 1e-5 * (i as f64).sin(), 0.0)).collect()
     };
-    // Two turns and more, touching each other and the table.
-    let coil: Vec<_> = (0..=100)
-        .map(|i| {
+    // Two turns and more, or seven, touching each other and the table.
+    let coil = |edges: usize| -> Vec<_> {
+        let at = |i: usize| {
             let t = i as f64 * 0.15;
             Point3::new(3e-3 * t.cos(), 3e-3 * t.sin(), 4.9e-5 * t)
-        })
-        .collect();
+        };
+        (0..=edges).map(at).collect()
+    };
     let ground = Shape::HalfSpace { normal: Vector3::z() };
     let obstacles = [Obstacle::fixed(ground, Isometry3::translation(0.0, 0.0, -4e-4), 0.3)];
     let gravity = Vector3::new(0.0, 0.0, -9.81);
     for (name, begin, obstacles) in [
         ("free/100", straight(100), &obstacles[..0]),
         ("free/300", straight(300), &obstacles[..0]),
-        ("coiled_on_a_table/100", coil, &obstacles[..]),
+        ("coiled_on_a_table/100", coil(100), &obstacles[..]),
+        ("coiled_on_a_table/300", coil(300), &obstacles[..]),
     ] {
         let last = begin.len() - 1;
         let mut thread = Thread::new(ThreadMaterial::silk_2_0(), &begin).expect("a thread");

@@ -6,12 +6,16 @@ use trocar::summary::{BenchResult, Better};
 use trocar_simulator::dynamic_fem::{Constitution, Inputs};
 
 use super::bodies::GRAVITY;
+use super::roofline::{Work, share};
 use super::{fem, flows, per_run, rigid, scaled, secs, soft, surgery, told};
 use crate::failure::Failure;
 
 /// Median times of steps by size, as rows of a plot \[µs\].
 pub fn growth() -> Result<Vec<BenchResult>, Failure> {
-    let mut rows = Vec::new();
+    let (mut rows, mut shares) = (Vec::new(), Vec::new());
+    let mut of_peak = |name: &str, (secs, _): (f64, f64), operations: f64, bytes: f64| {
+        shares.push(share(name, secs, Work { operations, single: false, bytes }));
+    };
     let mut row = |what: &str, size: usize, (value, _): (f64, f64)| {
         rows.push(told(&format!("growth_{what}_{size}"), "µs", value, Better::Lower));
     };
@@ -31,16 +35,27 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
         for cells in [[10, 2, 2], [20, 3, 3], [32, 5, 5], [48, 8, 8]] {
             let mut body = fem::beam_of(constitution, cells)?;
             let inputs = Inputs { acceleration: GRAVITY, ..Inputs::default() };
-            let mut failed = None;
-            let figure = per_run(10, || {
-                if let Err(error) = body.step(1e-3, black_box(&inputs)) {
-                    failed = Some(error);
+            let (mut failed, mut steps, mut solves, mut evaluations) = (None, 0.0, 0.0, 0.0);
+            let figure = per_run(10, || match body.step(1e-3, black_box(&inputs)) {
+                Ok(report) => {
+                    steps += 1.0;
+                    solves += f64::from(report.iterations);
+                    evaluations += f64::from(report.evaluations);
                 }
+                Err(error) => failed = Some(error),
             });
             if let Some(error) = failed {
                 return Err(Failure::internal(error));
             }
-            row(what, body.mesh().tets().len(), scaled(figure, 1e6));
+            let tets = body.mesh().tets().len();
+            row(what, tets, scaled(figure, 1e6));
+            if constitution == Constitution::NeoHookean && tets == 4_800 {
+                // As of the corotational ones in the table, but for the decomposition.
+                let (entries, elements) = (body.factor_entries() as f64, tets as f64);
+                let operations = (solves * 4.0 * entries + evaluations * 350.0 * elements) / steps;
+                let bytes = (solves * 16.0 * entries + evaluations * 200.0 * elements) / steps;
+                of_peak("neo_hookean_4800", figure, operations, bytes);
+            }
         }
     }
     for held in [5, 10, 20, 40, 80] {
@@ -59,21 +74,47 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
         row("xpbd", tets, scaled(soft::xpbd_secs(cells, 5)?, 1e6));
     }
     for n in [16, 32, 64, 128] {
-        row("xpbd_cloth", 2 * (n * n) as usize, scaled(soft::xpbd_cloth_secs(n)?, 1e6));
+        let figure = soft::xpbd_cloth_secs(n)?;
+        row("xpbd_cloth", 2 * (n * n) as usize, scaled(figure, 1e6));
+        if n == 64 {
+            // Five rounds of three edges and three hinges to a square: of an edge its vector and length, the step, the moves
+            // of two nodes; of a hinge the same of four.
+            let squares = f64::from(n * n);
+            of_peak(
+                "xpbd_cloth_8192",
+                figure,
+                5.0 * 3.0 * (35.0 + 75.0) * squares,
+                5.0 * 3.0 * 300.0 * squares,
+            );
+        }
         row("cut", 2 * (n * n) as usize, scaled(surgery::cut_secs(n)?, 1e6));
     }
     for edges in [30, 100, 300, 1_000] {
-        row("xpbd_rod", edges as usize, scaled(soft::xpbd_rod_secs(edges)?, 1e6));
+        let figure = soft::xpbd_rod_secs(edges)?;
+        row("xpbd_rod", edges as usize, scaled(figure, 1e6));
+        if edges == 1_000 {
+            of_peak("xpbd_rod_1000", figure, 5.0 * (35.0 + 75.0) * f64::from(edges), 0.0);
+        }
     }
     for cells in [[4, 3, 2], [8, 6, 4], [12, 10, 6]] {
         let (nodes, figure) = surgery::sew_secs(cells)?;
         row("suture", nodes, scaled(figure, 1e6));
     }
     for nodes in [10, 30, 100, 300, 1_000] {
-        row("coupling", nodes as usize, scaled(surgery::couple_secs(nodes)?, 1e6));
+        let figure = surgery::couple_secs(nodes)?;
+        row("coupling", nodes as usize, scaled(figure, 1e6));
+        if nodes == 1_000 {
+            // Of a node of either side: where it is expected, its tie, what both get of it, and its step.
+            of_peak("coupling_1000", figure, 150.0 * f64::from(nodes), 400.0 * f64::from(nodes));
+        }
     }
     for puffs in [300, 2_000, 10_000, 50_000] {
-        row("smoke", puffs, scaled(surgery::smoke_secs(puffs)?, 1e6));
+        let figure = surgery::smoke_secs(puffs)?;
+        row("smoke", puffs, scaled(figure, 1e6));
+        if puffs == 50_000 {
+            // Of a puff: lift, wind and drag, where it strays to; its eight numbers, read and written.
+            of_peak("smoke_50000", figure, 100.0 * puffs as f64, 128.0 * puffs as f64);
+        }
     }
     for edges in [30, 100, 300] {
         row("thread", edges, scaled(flows::thread_secs(edges, false)?, 1e6));
@@ -84,5 +125,6 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
     for particles in [1_000, 5_000, 20_000, 50_000] {
         row("fluid", particles, scaled(flows::liquid_secs(particles, 1)?, 1e6));
     }
+    rows.extend(shares);
     Ok(rows)
 }
