@@ -33,13 +33,17 @@ fn tool(jaw_length: f64) -> String {
     )
 }
 
-/// A membrane of 4 cm, held along two of its edges, that has been drawn apart by a twentieth.
+const MEMBRANE: &str = "sheet = { size = [0.04, 0.04], cells = [16, 16] }";
+const LINE: &str = "line = { length = 0.04, segments = 16, radius = 0.0003 }";
+
+/// A membrane or a line of 4 cm, held where it ends to either side, that has been drawn apart by a twentieth.
 fn taut<C: Controller>(
+    mesh: &str,
     body: &str,
     build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
 ) -> Stage<C> {
     let text = format!(
-        "{}[[entity]]\nname = \"body\"\nmesh = {{ sheet = {{ size = [0.04, 0.04], cells = [16, 16] }} }}\n{body}\n\
+        "{}[[entity]]\nname = \"body\"\nmesh = {{ {mesh} }}\n{body}\n\
          anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [-0.0199, 1.0, 1.0] }} }},\n\
          {{ box = {{ min = [0.0199, -1.0, -1.0], max = [1.0, 1.0, 1.0] }} }}] }}\n",
         tool(0.018)
@@ -95,7 +99,7 @@ fn cuts_a_membrane<C: Controller>(
     // From beyond the rim: 16 mm of the blades are over the membrane.
     let at = [0.0011, -0.004, 0.0];
     let one_bite = |at: [f64; 3], from: f64, to: f64, kill: bool| {
-        let mut stage = taut(body, build);
+        let mut stage = taut(MEMBRANE, body, build);
         place(&mut stage, at, from);
         run(&mut stage, 5);
         for tick in 0..=20_u32 {
@@ -133,7 +137,7 @@ fn cuts_a_membrane<C: Controller>(
         assert_eq!(stage.measured("body.cut_length_m"), 0.0, "{body} {at:?} from {from} to {to}");
     }
     // Bite after bite, and forwards in between: all the way through.
-    let mut stage = taut(body, build);
+    let mut stage = taut(MEMBRANE, body, build);
     let mut tip = -0.01;
     let mut cut = 0.0;
     for bite in 0..5 {
@@ -235,23 +239,6 @@ fn blades_that_close_cut_the_column_between_them_whichever_method_moves_it() {
     );
 }
 
-/// A line of 4 cm, held at both ends, that has been drawn out by a twentieth.
-fn taut_line(body: &str) -> Stage<MassSpringController> {
-    let text = format!(
-        "{}[[entity]]\nname = \"body\"\nmesh = {{ line = {{ length = 0.04, segments = 16, radius = 0.0003 }} }}\n{body}\n\
-         anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [-0.0199, 1.0, 1.0] }} }},\n\
-         {{ box = {{ min = [0.0199, -1.0, -1.0], max = [1.0, 1.0, 1.0] }} }}] }}\n",
-        tool(0.018)
-    );
-    let mut stage = Stage::new(scene(&text), 500.0, springs);
-    let rest = stage.get::<VertexPositions>("body").positions;
-    let drawn = rest.iter().map(|p| Point3::new(1.05 * p.x, p.y, p.z)).collect();
-    stage.put("body", RestPositions { positions: rest });
-    stage.put("body", VertexPositions { positions: Arc::new(drawn) });
-    stage.rebuild(springs);
-    stage
-}
-
 #[test]
 fn blades_that_close_cut_a_taut_line_which_draws_back_and_goes_on_to_the_bit() {
     let springs_of =
@@ -262,7 +249,7 @@ fn blades_that_close_cut_a_taut_line_which_draws_back_and_goes_on_to_the_bit() {
         // The line passes between the blades a centimetre before the hinge, not at a node.
         let at = [0.0032, 0.01, 0.0];
         let cut = |kill: Option<u32>| {
-            let mut stage = taut_line(&body);
+            let mut stage = taut(LINE, &body, springs);
             run(&mut stage, 5);
             let safe = (method == "explicit").then(|| stage.measured("body.safe_step_s"));
             assert_eq!(stage.measured("body.pieces"), 1.0);

@@ -54,8 +54,17 @@ impl Cuts {
         self.limits = [sheet.corner_limit, sheet.height_limit];
     }
 
-    /// What the blades of all scissors have swept since the last time, in the frame of a body.
-    pub fn sweeps(&mut self, scene: &Snapshot, world_from_body: &Isometry3<f64>) -> Vec<Sweep> {
-        swept(&mut self.blades, scene, world_from_body)
+    /// What the blades of all scissors have swept since the last time, in the frame of a body; `changed` becomes true where
+    /// they are elsewhere now.
+    pub fn sweeps(
+        &mut self,
+        scene: &Snapshot,
+        world_from_body: &Isometry3<f64>,
+        changed: &mut bool,
+    ) -> Vec<Sweep> {
+        let before = self.blades.clone();
+        let sweeps = swept(&mut self.blades, scene, world_from_body);
+        *changed |= self.blades != before;
+        sweeps
     }
 }

@@ -37,9 +37,7 @@ impl LineCuts {
         site: &Site<'_>,
         out: &mut Commands,
     ) -> Option<Vec<u32>> {
-        let before = self.cuts.blades.clone();
-        let sweeps = self.cuts.sweeps(site.scene, site.world_from_body);
-        self.changed |= self.cuts.blades != before;
+        let sweeps = self.cuts.sweeps(site.scene, site.world_from_body, &mut self.changed);
         if sweeps.is_empty() {
             return None;
         }

@@ -220,9 +220,7 @@ impl Membrane {
     fn part(&mut self, positions: &[Point3<f64>], site: &Site<'_>) -> Result<TopologyChange, String> {
         let mut change = TopologyChange::default();
         if self.weakness.cut {
-            let before = self.cuts.blades.clone();
-            let sweeps = self.cuts.sweeps(site.scene, site.world_from_body);
-            self.cuts_changed |= self.cuts.blades != before;
+            let sweeps = self.cuts.sweeps(site.scene, site.world_from_body, &mut self.cuts_changed);
             if !sweeps.is_empty() {
                 change = self.sheet.cut(positions, &sweeps).map_err(|error| error.to_string())?;
             }
