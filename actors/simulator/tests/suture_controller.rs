@@ -163,6 +163,74 @@ fn a_needle_is_driven_through_and_its_thread_drawn_after_it() {
 }
 
 #[test]
+fn scissors_cut_the_thread_behind_the_tissue_and_the_needle_draws_it_no_longer() {
+    let run = |cuts: bool| {
+        let scissors = "[[entity]]\nname = \"scissors\"\npose = { translation = [0.0, 0.0, 0.5] }\n\
+             instrument = { kind = \"scissors\", shaft_length = 0.1, jaw_length = 0.012 }\n";
+        let mut stage = Stage::new(scene(&format!("{scissors}{}", text(SEWN))), HZ, build);
+        let hold = across(&stage, 0.05 * 0.026);
+        stage.put("driver", Pose::from(hold));
+        stage.put("driver", jaws(0.0));
+        stage.put("grasper", jaws(0.6));
+        stage.put("scissors", Pose::from(Isometry3::translation(0.0, -0.3, 0.0)));
+        let mut at = drive(&mut stage, "driver", &hold, 0.0, 675);
+        let take = turned(at) * across(&stage, 0.95 * 0.026);
+        stage.put("grasper", Pose::from(take));
+        stage.tick();
+        stage.put("grasper", jaws(0.0));
+        stage.put("driver", jaws(0.6));
+        stage.tick();
+        stage.put("driver", Pose::from(Isometry3::translation(0.0, 0.0, 0.3)));
+        let back = turned(at).inverse() * take;
+        at = drive(&mut stage, "grasper", &back, at, 650);
+        let up = |stage: &mut Stage<SutureController>, from: u32, ticks: u32| {
+            for tick in from..from + ticks {
+                let by = Translation3::new(0.0, 0.0, 6e-5 * f64::from(tick));
+                stage.put("grasper", Pose::from(by * turned(at) * back));
+                stage.tick();
+            }
+        };
+        up(&mut stage, 0, 200);
+        // The middle of the thread between the swage and where it comes out, upright; blades along y to either side of it.
+        let line = stage.get::<VertexPositions>("needle").positions;
+        let out = line[24..].iter().position(|point| point.z < 2e-4).expect("it goes in");
+        let middle = line[24 + out / 2];
+        let turn = UnitQuaternion::from_basis_unchecked(&[Vector3::x(), -Vector3::z(), Vector3::y()]);
+        let tip = Isometry3::from_parts((middle.coords + Vector3::y() * 0.006).into(), turn);
+        if cuts {
+            for tick in 0..=40 {
+                let back = Translation3::new(0.0, -1e-3 * f64::from(40 - tick), 0.0);
+                stage.put("scissors", Pose::from(back * tip));
+                stage.put("scissors", jaws(0.6));
+                stage.tick();
+            }
+            for tick in 0..=20 {
+                stage.put("scissors", Pose::from(tip));
+                stage.put("scissors", jaws(0.6 * (1.0 - f64::from(tick) / 20.0)));
+                stage.tick();
+            }
+            for tick in 0..=40 {
+                let back = Translation3::new(0.0, -1e-3 * f64::from(tick), 0.0);
+                stage.put("scissors", Pose::from(back * tip));
+                stage.tick();
+            }
+        }
+        let through = stage.measured("needle.thread_through_m");
+        stage.rebuild(build);
+        up(&mut stage, 200, 150);
+        assert!(!stage.has::<Frozen>("needle"));
+        let drawn = stage.measured("needle.thread_through_m") - through;
+        (stage.measured("needle.pieces"), drawn, stage.measured("needle.tissue_force_n"))
+    };
+    let (pieces, drawn, pull) = run(true);
+    assert_eq!(pieces, 2.0);
+    assert!(drawn.abs() < 2e-4 && pull < 0.02, "{drawn} m with {pull} N");
+    let (pieces, drawn, pull) = run(false);
+    assert_eq!(pieces, 1.0);
+    assert!(drawn > 5e-3 && pull > 0.05, "{drawn} m with {pull} N");
+}
+
+#[test]
 fn open_jaws_and_a_skin_that_does_not_give_let_nothing_in() {
     let (mut open, hold) = set(SEWN, 0.6);
     drive(&mut open, "driver", &hold, 0.0, 100);

@@ -7,10 +7,10 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use suture_support::*;
 use trocar_simulator::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{
-    Around, Bite, ChannelPoint, Place, Resistance, Suture, SutureReport, SutureState, Tip, Tissue,
+    Around, Bite, ChannelPoint, Event, Place, Resistance, Suture, SutureReport, SutureState, Tip, Tissue,
 };
 use trocar_simulator::tet_mesh::TetMesh;
-use trocar_simulator::thread::{Load, ThreadMaterial, ThreadState};
+use trocar_simulator::thread::{CutAt, Load, ThreadMaterial, ThreadState};
 
 const DT: f64 = 1e-3;
 /// Young's modulus of what two newtons do not tear \[Pa\]: skin, 0.1 to 1 MPa.
@@ -158,6 +158,74 @@ fn without_friction_a_thread_is_drawn_through_and_out() {
     let before = suture.state().channel[0].along;
     let report = pull(&mut suture, 0.05, 30);
     assert!(report.drag < 1e-9 && suture.state().channel[0].along - before > 1e-3);
+}
+
+/// Goes on until no place of the tissue has anything in it, with a force along x on a node of the thread; how often something
+/// was said to be through.
+fn drawn_out(suture: &mut Suture, node: usize, force: f64) -> usize {
+    let loads = [Load { node, force: Vector3::new(force, 0.0, 0.0) }];
+    let mut through = 0;
+    for step in 0..200 {
+        suture
+            .step(DT, &Around { loads: &loads, ..Around::default() })
+            .unwrap_or_else(|why| panic!("step {step}: {why}"));
+        through += suture.events().iter().filter(|event| matches!(event, Event::Through { .. })).count();
+        if suture.state().channel.is_empty() {
+            break;
+        }
+    }
+    through
+}
+
+#[test]
+fn a_thread_that_is_cut_stays_in_the_tissue_by_friction_and_is_drawn_out_to_either_side() {
+    let resistance = Resistance { thread_grip: 30.0, thread_friction: 0.0, ..Resistance::default() };
+    let limit = 30.0 * 0.012;
+    for to_the_end in [true, false] {
+        let mut suture = through_a_pad(resistance);
+        let whole = suture.state().clone();
+        // Between 24 mm and 36 mm it is in the tissue: no blade gets at it there.
+        for edge in [24, 30, 35] {
+            assert_eq!(suture.cut_thread(CutAt { edge, share: 0.5 }), Ok(None), "{edge}");
+        }
+        assert_eq!(suture.state(), &whole);
+        let parted = suture.cut_thread(CutAt { edge: 12, share: 0.5 }).expect("sound").expect("a cut");
+        let now = |node: usize| parted.nodes[node].expect("there") as usize;
+        assert_eq!(suture.state().channel.len(), whole.channel.len());
+        let nodes = whole.thread.as_ref().expect("a thread").positions.len();
+        // The end beyond the pad, or that which has been cut.
+        let (node, sign) = if to_the_end { (now(nodes - 1), -1.0) } else { (now(13), 1.0) };
+        let place = |suture: &Suture| suture.state().thread.as_ref().expect("a thread").positions[node].x;
+        let loads = [Load { node, force: Vector3::new(0.8 * limit * sign, 0.0, 0.0) }];
+        let mut report = SutureReport::default();
+        let mut begin = 0.0;
+        for step in 0..600 {
+            report = suture.step(DT, &Around { loads: &loads, ..Around::default() }).expect("a step");
+            if step == 300 {
+                begin = place(&suture);
+            }
+        }
+        // Nothing hangs on it any longer: once the tissue has given way it stays.
+        assert!((place(&suture) - begin).abs() < 5e-6, "{} m", place(&suture) - begin);
+        assert!((report.drag - 0.8 * limit).abs() < 0.01 * limit, "{} N", report.drag);
+        assert_eq!(drawn_out(&mut suture, node, 1.2 * limit * sign), 1, "to the end: {to_the_end}");
+        assert!(suture.state().channel.is_empty());
+        // The needle fell with what it keeps of the thread, and nothing else.
+        let thread = suture.state().thread.as_ref().expect("a thread");
+        let pieces: Vec<_> = thread.threads().collect();
+        assert_eq!(pieces.len(), 2);
+        let stub: f64 = thread.rest_lengths[..pieces[0][1]].iter().sum();
+        assert!((stub - 0.0125).abs() < 3e-4, "{stub} m");
+        let state = suture.state().clone();
+        let again = Suture::new(
+            suture.solid().shape(),
+            Some(ThreadMaterial::silk_2_0()),
+            resistance,
+            tissue(small_pad()),
+            state.clone(),
+        );
+        assert_eq!(again.expect("its own state").state(), &state);
+    }
 }
 
 /// Two edges of a wound, 6 mm of tissue each and 3 mm between them; the thread goes in on top of one and out on top of the

@@ -91,15 +91,14 @@ impl KnotWatch {
             self.seen.clear();
             self.seen.extend_from_slice(points);
             self.is_unreadable = false;
-            let (points, ends): (Vec<Point3<f64>>, Vec<[usize; 2]>) =
-                (points.clone(), thread.threads().collect());
+            let (points, ends) = (points.clone(), thread.tangled());
             self.is_looking = tick.jobs.submit(self.begin(move || {
                 let threads: Vec<&[Point3<f64>]> =
                     ends.iter().map(|[first, last]| &points[*first..=*last]).collect();
                 Found::Knot(KnotState::of(&threads))
             }));
-        } else if is_for_order {
-            let (state, points) = (self.state.clone(), points.clone());
+        } else if is_for_order && let [[first, last]] = thread.tangled()[..] {
+            let (state, points) = (self.state.clone(), points[first..=last].to_vec());
             self.is_looking = tick.jobs.submit(self.begin(move || Found::Order(state.read_on(&points))));
         }
         Ok(looked)

@@ -51,6 +51,7 @@ pub mod suture;
 pub mod suture_body;
 pub mod thread;
 pub mod thread_body;
+pub mod thread_cuts;
 pub mod thread_edges;
 pub mod thread_grips;
 mod thread_lines;

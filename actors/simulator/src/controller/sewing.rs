@@ -12,6 +12,7 @@ use super::grips::{CLOSED, holds};
 use super::knot_state::KnotState;
 use super::knot_watch::KnotWatch;
 use super::suture_body::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};
+use super::thread_cuts::{follow as follow_cut, parted_at};
 use super::thread_edges::{EDGES_EVERY, fineness, follow, held};
 use super::thread_grips::{Leading, Pull, SPARED, pulls, update};
 use super::thread_memory::Met;
@@ -95,9 +96,7 @@ impl Sewing {
         if is_new {
             suture.swage();
         }
-        let mut nodes = Vec::new();
-        line_of(&suture, &scene.world_pose(needle), &mut nodes);
-        line.lie(nodes);
+        lie(&suture, &scene.world_pose(needle), &mut line);
         line.radius = kind.wire_radius;
         Ok(Self {
             gravity: gravity_in_world,
@@ -185,15 +184,36 @@ impl Sewing {
             return Ok(());
         };
         follow(&mut self.memory.grips, &now);
-        let mut nodes = Vec::new();
-        line_of(&self.suture, world_from_needle, &mut nodes);
-        self.needle.lie(nodes);
-        self.has_line = false;
+        self.lie(world_from_needle);
         Ok(())
     }
 
+    /// Parts the thread where blades have closed on it, or where it breaks.
+    fn cut(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) -> Result<(), String> {
+        let Some(thread) = &self.suture.state().thread else { return Ok(()) };
+        let breaks_at = self.kind.breaks_at.as_ref().map(|known| known.value);
+        let state = (thread, self.suture.thread_radius());
+        let found =
+            parted_at(&mut self.memory.blades, scene, &Isometry3::identity(), state, breaks_at);
+        for at in found.cuts {
+            let Some(parted) = self.suture.cut_thread(at).map_err(|error| error.to_string())? else { continue };
+            follow_cut(&mut self.memory.grips, &parted);
+            self.lie(&scene.world_pose(self.needle.entity));
+            self.memory.loop_min = None;
+            let name = if found.breaks { "thread_broken" } else { "thread_cut" };
+            out.event(name, self.needle.entity, None, tick.time.as_secs_f64());
+        }
+        Ok(())
+    }
+
+    /// Its line has other nodes from now on.
+    fn lie(&mut self, world_from_needle: &Isometry3<f64>) {
+        lie(&self.suture, world_from_needle, &mut self.needle);
+        self.has_line = false;
+    }
+
     /// One tick; what instruments are told is left in `forces`, `reactions` and `pulls`.
-    fn step(&mut self, scene: &Snapshot, tick: &Tick<'_>) -> Result<(), String> {
+    fn step(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) -> Result<(), String> {
         let period = tick.period.as_secs_f64();
         self.parts.read(scene, &Isometry3::identity(), self.kind.tool_friction, &self.memory.met);
         if !self.parts.are(&self.memory.met)
@@ -204,6 +224,7 @@ impl Sewing {
         if tick.number.is_multiple_of(EDGES_EVERY) {
             self.adapt(&scene.world_pose(self.needle.entity))?;
         }
+        self.cut(scene, tick, out)?;
         self.update(scene, period);
         let count = (period / STEP - 1e-9).ceil().max(1.0);
         self.forces.clear();
@@ -371,7 +392,8 @@ impl Sewing {
         put("penetration_m", self.memory.penetration_max);
         put("iterations", self.report.iterations as f64);
         // How much of the thread is past the place in the tissue that it reached first.
-        put("thread_through_m", state.channel.last().map_or(0.0, |point| (-point.along).max(0.0)));
+        put("thread_through_m", state.thread_through());
+        put("pieces", state.thread.as_ref().map_or(0.0, |thread| thread.threads().count() as f64));
         if let Some(plan) = self.kind.planned_exit {
             let plan = world_from_needle * Point3::from(plan);
             let off = exits.filter_map(|bite| Some((tissue.at_rest(&bite.exit?.0) - plan).norm()));
@@ -387,7 +409,7 @@ impl Sewing {
     /// Goes on by a tick, or stands still from now on; what instruments feel.
     pub fn tick(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) -> CollisionList {
         if !self.frozen {
-            match self.step(scene, tick) {
+            match self.step(scene, tick, out) {
                 Ok(()) => {
                     self.write(scene, tick, out);
                     return self.tell(tick);
@@ -410,6 +432,17 @@ fn begin(kind: &SutureNeedle, world_from_entity: &Isometry3<f64>) -> Result<Sutu
     let (tail, back) = (pose * solid.point(0.0), pose * -solid.tangent(0.0));
     let nodes = kind.thread_nodes(tail, back, world_from_entity)?;
     Ok(SutureState::new(NeedleState::at_rest(&pose), Some(ThreadState::at_rest(&nodes))))
+}
+
+/// Makes a line lie as needle and thread do; where the thread has been cut, nothing joins its pieces.
+fn lie(suture: &Suture, world_from_entity: &Isometry3<f64>, line: &mut Deformable) {
+    let mut nodes = Vec::new();
+    line_of(suture, world_from_entity, &mut nodes);
+    line.lie(nodes);
+    if let Some(thread) = &suture.state().thread {
+        let joins = |edge: &[u32; 2]| (edge[0] as usize).checked_sub(PIECES).is_none_or(|edge| thread.joins(edge));
+        std::sync::Arc::make_mut(&mut line.segments).retain(joins);
+    }
 }
 
 /// Needle and thread as one line from the tip to the thread's end, in the frame of the entity.

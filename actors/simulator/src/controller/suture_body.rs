@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::components::Parameter;
 use trocar_scene::{Component, ComponentError, Entity};
 
+use super::blades::Blades;
 use super::thread_body::{Suture, ThreadBody};
 use super::thread_grips::Grip;
 use super::thread_memory::Met;
@@ -134,6 +135,8 @@ pub struct SutureNeedle {
     pub thread_length: f64,
     /// Where it leads to at the beginning, once it has left the tail in a bend.
     pub thread_to: Option<[f64; 3]>,
+    /// Tension at which its thread breaks \[N\], if it can.
+    pub breaks_at: Option<Parameter>,
     /// Coulomb's coefficient of the thread on instruments.
     pub tool_friction: f64,
     /// Of the thread's edges \[m\]; where strands come near to each other or it bends sharply they become shorter.
@@ -167,6 +170,7 @@ impl Default for SutureNeedle {
             twisting_stiffness: None,
             thread_length: 0.06,
             thread_to: None,
+            breaks_at: None,
             tool_friction: 0.2,
             thread_edge: 1.5e-3,
             knot_edge: 1.5,
@@ -197,6 +201,7 @@ impl SutureNeedle {
             friction: self.friction.clone(),
             bending_stiffness: self.bending_stiffness.clone(),
             twisting_stiffness: self.twisting_stiffness.clone(),
+            breaks_at: self.breaks_at.clone(),
             tool_friction: self.tool_friction,
             ..ThreadBody::default()
         }
@@ -304,6 +309,8 @@ pub struct SutureMemory {
     pub grips: Vec<Grip>,
     /// Instruments that were closed.
     pub closed: Vec<Entity>,
+    /// Where the blades of all scissors were, in the world.
+    pub blades: Vec<Blades>,
     /// What the thread could touch besides the tissue, in the order that contacts count them in.
     pub met: Vec<Met>,
     /// How deep a contact of the thread has been at most since the beginning \[m\].

@@ -23,6 +23,7 @@ use super::knot_watch::KnotWatch;
 use super::refused::{Refused, Still};
 use super::soft::finite_vertices;
 use super::thread_body::ThreadBody;
+use super::thread_cuts::{follow, parted_at};
 use super::thread_edges::{EDGES_EVERY, adapt};
 use super::thread_grips::{Leading, Pull, pulls, update};
 use super::thread_lines::Lines;
@@ -249,6 +250,7 @@ impl Body {
         if self.parts.list.iter().any(is_moved) {
             return Err("what it is tied around has been moved: it has to stay in its place".into());
         }
+        self.cut(scene, world_from_thread, tick, out)?;
         let (state, radius) = (self.thread.state(), self.thread.material().radius);
         if update(&mut self.memory.grips, &self.parts, scene, state, radius, period, &[]) {
             self.memory.loop_min = -1.0;
@@ -327,6 +329,28 @@ impl Body {
         Ok(())
     }
 
+    /// Parts it where blades have closed on it, or where it breaks.
+    fn cut(
+        &mut self,
+        scene: &Snapshot,
+        world_from_thread: &Isometry3<f64>,
+        tick: &Tick<'_>,
+        out: &mut Commands,
+    ) -> Result<(), String> {
+        let breaks_at = self.kind.breaks_at.as_ref().map(|known| known.value);
+        let state = (self.thread.state(), self.thread.material().radius);
+        let found = parted_at(&mut self.memory.blades, scene, world_from_thread, state, breaks_at);
+        for at in found.cuts {
+            let Some(parted) = self.thread.cut(at).map_err(|error| error.to_string())? else { continue };
+            follow(&mut self.memory.grips, &parted);
+            self.lines.part(&parted, self.thread.state());
+            self.memory.loop_min = -1.0;
+            let name = if found.breaks { "thread_broken" } else { "thread_cut" };
+            out.event(name, self.lines.first().entity, None, tick.time.as_secs_f64());
+        }
+        Ok(())
+    }
+
     /// When the scene has other things to touch than at the last tick, contacts with those that are left keep what they
     /// remember.
     fn follow(&mut self) -> Result<(), String> {
@@ -381,6 +405,7 @@ impl Body {
         put("held_force_n", self.pulls.iter().map(|(_, pull)| pull.force.norm()).sum());
         put("contact_force_n", self.reactions.iter().map(|reaction| reaction.force.norm()).sum());
         let now = state.strands().map_or(0.0, |strands| strands.loop_length());
+        put("pieces", state.threads().count() as f64);
         put("loop_m", now);
         put("slip_m", if self.memory.loop_min < 0.0 { 0.0 } else { now - self.memory.loop_min });
         put("penetration_m", self.memory.penetration_max);

@@ -133,6 +133,8 @@ pub struct ThreadBody {
     pub bending_stiffness: Option<Parameter>,
     /// Its `GJ` \[N·m²\], where it is known otherwise.
     pub twisting_stiffness: Option<Parameter>,
+    /// Tension at which it breaks \[N\], if it can: USP <881> has 2-0 silk bear 14.1 N at least, with a knot in it.
+    pub breaks_at: Option<Parameter>,
     /// Coulomb's coefficient of it on instruments.
     pub tool_friction: f64,
     /// Longest step of the solver \[s\]: a tick is divided into such.
@@ -159,6 +161,7 @@ impl Default for ThreadBody {
             friction: None,
             bending_stiffness: None,
             twisting_stiffness: None,
+            breaks_at: None,
             tool_friction: 0.2,
             step: 5e-4,
             edges: [1.5, 2e-3],
@@ -179,6 +182,7 @@ impl Component for ThreadBody {
             ("friction", &self.friction, 0.0..=10.0, "0 to 10"),
             ("bending_stiffness", &self.bending_stiffness, 1e-14..=1.0, "1e-14 to 1 N·m²"),
             ("twisting_stiffness", &self.twisting_stiffness, 1e-14..=1.0, "1e-14 to 1 N·m²"),
+            ("breaks_at", &self.breaks_at, 1e-3..=1e4, "1e-3 to 1e4 N"),
         ] {
             if let Some(known) = known {
                 ComponentError::range(field, known.value, range, valid)?;

@@ -34,7 +34,7 @@ pub fn adapt(
         return Ok(false);
     };
     follow(grips, &now);
-    lines.lie(&rest(&lines.rest(), &now), thread.state());
+    lines.lie(&rest(&lines.rest(), &now), &now.nodes, thread.state());
     Ok(true)
 }
 

@@ -10,7 +10,7 @@ use trocar_scene::{Commands, Entity, LineMesh, Snapshot, Tick};
 use super::deformable::Deformable;
 use super::thread_body::ThreadBody;
 use super::thread_memory::ThreadMemory;
-use crate::thread::{Thread, ThreadError, ThreadState};
+use crate::thread::{Parted, Thread, ThreadError, ThreadState};
 
 /// The threads, the one that names the others first.
 pub struct Lines {
@@ -28,7 +28,8 @@ impl Lines {
     /// A mesh that is no thread; a name that is that of none, and which there are; one that is not alike.
     pub fn read(kind: &ThreadBody, first: Deformable, scene: &Snapshot) -> Result<Self, String> {
         let (radius, entity) = (kind.material().radius, first.entity);
-        let mut list = vec![one(first, radius)?];
+        let has_lines = scene.get::<ThreadMemory>(entity).is_some();
+        let mut list = vec![one(first, radius, has_lines)?];
         let carriers = Deformable::carriers::<ThreadBody>(scene);
         for name in &kind.together_with {
             let wrong = |why: &str| format!("together_with: '{name}' {why}");
@@ -53,15 +54,15 @@ impl Lines {
             if scene.world_pose(other) != scene.world_pose(entity) {
                 return Err(wrong("is at another pose: give both the same, and lay it where it is"));
             }
-            let mut line = one(Deformable::read(scene, other).map_err(|error| error.to_string())?, radius)?;
-            if scene.get::<ThreadMemory>(entity).is_none()
+            let line = Deformable::read(scene, other).map_err(|error| error.to_string())?;
+            let mut line = one(line, radius, has_lines)?;
+            if !has_lines
                 && let Some(nodes) = of.nodes().map_err(|why| wrong(&why))?
             {
                 line.lie(nodes);
             }
             list.push(line);
         }
-        let has_lines = scene.get::<ThreadMemory>(entity).is_some();
         let mut lines = Self { list, anchored: Vec::new(), has_lines };
         if !has_lines && let Some(nodes) = kind.nodes()? {
             lines.list[0].lie(nodes);
@@ -109,13 +110,34 @@ impl Lines {
         self.list.iter().flat_map(|line| line.rest.iter().copied()).collect()
     }
 
-    /// They have other nodes from now on: where these are at rest \[m\].
-    pub fn lie(&mut self, rest: &[Point3<f64>], state: &ThreadState) {
-        for (line, [first, last]) in self.list.iter_mut().zip(state.threads()) {
-            line.lie(rest[first..=last].to_vec());
+    /// They have other nodes from now on: where these are at rest \[m\], and which each of the former ones is, unless it is
+    /// gone; the last of each line never is.
+    pub fn lie(&mut self, rest: &[Point3<f64>], now: &[Option<u32>], state: &ThreadState) {
+        let (mut begin, mut from) = (0, 0);
+        for line in &mut self.list {
+            begin += line.rest.len();
+            let end = now.get(begin - 1).copied().flatten().map_or(from, |node| node as usize + 1);
+            line.lie(rest[from..end].to_vec());
+            let joins = |[node, _]: &[u32; 2]| state.joins(from + *node as usize);
+            Arc::make_mut(&mut line.segments).retain(joins);
+            from = end;
         }
         self.has_lines = false;
         self.anchor();
+    }
+
+    /// They have been cut.
+    pub fn part(&mut self, parted: &Parted, state: &ThreadState) {
+        self.lie(&parted.places(&self.rest()), &parted.nodes, state);
+    }
+
+    /// Each with its nodes, first and last, among those of all.
+    fn spans(&self) -> impl Iterator<Item = (&Deformable, [usize; 2])> {
+        self.list.iter().scan(0, |begin, line| {
+            let first = *begin;
+            *begin += line.rest.len();
+            Some((line, [first, *begin - 1]))
+        })
     }
 
     fn anchor(&mut self) {
@@ -137,8 +159,11 @@ impl Lines {
                 out.put(line.entity, LineMesh { segments, radius: line.radius });
             }
         }
-        for (line, [first, last]) in self.list.iter_mut().zip(state.threads()) {
-            line.write(&state.positions[first..=last], &state.velocities[first..=last], out);
+        let mut first = 0;
+        for line in &mut self.list {
+            let end = first + line.rest.len();
+            line.write(&state.positions[first..end], &state.velocities[first..end], out);
+            first = end;
         }
     }
 
@@ -149,17 +174,21 @@ impl Lines {
 
     /// The largest tension of each, with its name \[N\].
     pub fn tensions<'a>(&'a self, state: &'a ThreadState) -> impl Iterator<Item = (&'a str, f64)> {
-        self.list.iter().zip(state.threads()).map(|(line, [first, last])| {
+        self.spans().map(|(line, [first, last])| {
             let most = state.tensions[first..last].iter().copied().fold(0.0, f64::max);
             (line.name.as_str(), most)
         })
     }
 }
 
-/// A line from its first vertex to its last.
-fn one(mut line: Deformable, radius: f64) -> Result<Deformable, String> {
-    let chain = |(edge, ends): (usize, &[u32; 2])| *ends == [edge as u32, edge as u32 + 1];
-    if line.segments.is_empty() || !line.segments.iter().enumerate().all(chain) {
+/// A line from its first vertex to its last; one that `goes_on` may have been cut.
+fn one(mut line: Deformable, radius: f64, goes_on: bool) -> Result<Deformable, String> {
+    let is_edge = |ends: &[u32; 2]| ends[1] == ends[0] + 1;
+    let follows = |pair: &[[u32; 2]]| pair[1][0] == pair[0][1] || (goes_on && pair[1][0] == pair[0][1] + 1);
+    let is_thread = line.segments.first().is_some_and(|ends| ends[0] == 0)
+        && line.segments.iter().all(is_edge)
+        && line.segments.windows(2).all(follows);
+    if !is_thread {
         return Err(
             "its line is not one thread from its first vertex to its last: give it a mesh of a line".into()
         );

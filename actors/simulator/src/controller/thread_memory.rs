@@ -4,6 +4,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError, Entity};
 
+use super::blades::Blades;
 use super::thread_grips::Grip;
 use crate::thread::elastic::Press;
 use crate::thread::{ContactMemory, Thread, ThreadState};
@@ -39,6 +40,8 @@ pub struct ThreadMemory {
     pub met: Vec<Met>,
     /// What instruments hold of it.
     pub grips: Vec<Grip>,
+    /// Where the blades of all scissors were, in the frame of the thread.
+    pub blades: Vec<Blades>,
     /// What presses the elastic body that it is tied around.
     pub presses: Vec<Press>,
     /// The shortest that its loop has been since it became the knot that it is, and since anybody has taken hold of the thread or let it

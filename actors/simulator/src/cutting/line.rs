@@ -33,6 +33,17 @@ fn crossing(a: &Point3<f64>, b: &Point3<f64>, triangle: &Triangle) -> Option<f64
     (0..3).all(is_inside).then_some(share)
 }
 
+/// Where `sweeps` pass through the edges of a chain of nodes at `positions` \[m\]: which edge, at which share of it; each edge
+/// once, ascending.
+#[must_use]
+pub fn crossed(positions: &[Point3<f64>], sweeps: &[Sweep]) -> Vec<(usize, f64)> {
+    let shares = positions.windows(2).enumerate().map(|(edge, ends)| {
+        let triangles = sweeps.iter().flat_map(Sweep::triangles);
+        (edge, triangles.into_iter().find_map(|triangle| crossing(&ends[0], &ends[1], &triangle)))
+    });
+    shares.filter_map(|(edge, share)| Some((edge, share?))).collect()
+}
+
 /// Lets a line come apart where `sweeps` pass through its segments at `positions` \[m\]; none where they pass through none, or
 /// only through ends that nothing else hangs on.
 ///

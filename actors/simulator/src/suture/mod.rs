@@ -9,6 +9,7 @@
 //! | The needle's side and the thread on the surface | `surface.rs` |
 //! | Strands of the thread on the needle | `strands.rs` |
 //! | The tip at and in the tissue: in, on, out, back | `tip.rs` |
+//! | A thread that is cut between needle and tissue, or breaks | `cut.rs` |
 //! | What is kept from step to step | `state.rs` |
 //!
 //! # Method
@@ -32,6 +33,7 @@
 //! the next, thread and needle do not touch the surface. Small displacements of the tissue only: see
 //! [`ROTATION_LIMIT`](crate::linear_fem::ROTATION_LIMIT).
 
+mod cut;
 mod error;
 mod material;
 mod rows;

@@ -185,39 +185,40 @@ impl Sewing<'_> {
     fn site(&self, needle: &NeedleState, rod: &Iterate, at: &Point3<f64>, near: f64) -> Site {
         let (pose, solid) = (needle.pose(), self.solid);
         let along = solid.nearest(&pose.inverse_transform_point(at));
-        let rest = self.start.thread.as_ref().map_or(&[][..], |thread| &thread.rest_lengths);
         let is_near = near > -2e-3 && along >= 0.0 && (along - near).abs() < 5e-3;
-        if rest.is_empty() || is_near {
+        let thread = self.start.thread.as_ref().filter(|_| !is_near);
+        let Some(thread) = thread else {
             let tangent = pose * solid.tangent(along);
             return Site { along, point: pose * solid.point(along), tangent, edge: None };
-        }
+        };
         // Lengths are those at rest: what stretches farther up does not slide here.
         let mut best: Option<(f64, Site)> = None;
-        let mut begin = 0.0;
-        for (edge, rest) in rest.iter().enumerate() {
+        let mut last = (0, 0.0);
+        for (edge, [begin, end]) in thread.spans() {
             if begin > WINDOW - near {
                 break;
             }
-            if begin + rest >= -near - WINDOW {
-                let (from, tangent, length) = (rod.positions[edge], rod.tangents[edge], rod.lengths[edge]);
-                let share = ((at - from).dot(&tangent) / length).clamp(0.0, 1.0);
-                let point = from + tangent * (share * length);
-                let distance = (at - point).norm_squared();
-                if best.as_ref().is_none_or(|(known, _)| distance < *known) {
-                    let along = -(begin + share * rest);
-                    let site = Site { along, point, tangent: -tangent, edge: Some((edge, share)) };
-                    best = Some((distance, site));
-                }
+            last = (edge, end);
+            if end < -near - WINDOW {
+                continue;
             }
-            begin += rest;
+            let (from, tangent, length) = (rod.positions[edge], rod.tangents[edge], rod.lengths[edge]);
+            let share = ((at - from).dot(&tangent) / length).clamp(0.0, 1.0);
+            let point = from + tangent * (share * length);
+            let distance = (at - point).norm_squared();
+            if best.as_ref().is_none_or(|(known, _)| distance < *known) {
+                let along = -(begin + share * thread.rest_lengths[edge]);
+                let site = Site { along, point, tangent: -tangent, edge: Some((edge, share)) };
+                best = Some((distance, site));
+            }
         }
-        let last = rod.lengths.len().saturating_sub(1);
+        let (edge, end) = last;
         best.map_or_else(
             || Site {
-                along: -begin,
-                point: rod.positions[last + 1],
-                tangent: -rod.tangents[last],
-                edge: Some((last, 1.0)),
+                along: -end,
+                point: rod.positions[edge + 1],
+                tangent: -rod.tangents[edge],
+                edge: Some((edge, 1.0)),
             },
             |(_, site)| site,
         )

@@ -226,6 +226,15 @@ impl SutureState {
         Ok(())
     }
 
+    /// How much of the thread is past the place in the tissue that it reached first \[m\]; of one that has been cut, of the piece
+    /// that is there.
+    #[must_use]
+    pub fn thread_through(&self) -> f64 {
+        let Some((point, thread)) = self.channel.last().zip(self.thread.as_ref()) else { return 0.0 };
+        let begin = thread.pieces().map(|[begin, _]| begin).take_while(|begin| *begin <= -point.along);
+        begin.last().map_or(0.0, |begin| -point.along - begin)
+    }
+
     /// Forces of needle and thread on the tissue.
     pub(super) fn forces_on_tissue(&self) -> impl Iterator<Item = (Spot, Vector3<f64>)> {
         let tip = self.tip.place().map(|place| (Spot::Inside(*place), -self.tip_force));

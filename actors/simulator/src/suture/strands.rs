@@ -67,10 +67,7 @@ pub(super) fn near(solid: &Solid, state: &SutureState, radius: f64, dt: f64, out
     for end in chords.iter().flatten() {
         (low, high) = (low.inf(&end.coords), high.sup(&end.coords));
     }
-    let mut arc = 0.0;
-    for (edge, rest) in thread.rest_lengths.iter().enumerate() {
-        let begin = arc;
-        arc += rest;
+    for (edge, [begin, _]) in thread.spans() {
         let ends = [thread.positions[edge], thread.positions[edge + 1]];
         let fastest = thread.velocities[edge].norm().max(thread.velocities[edge + 1].norm());
         let reach = NEAR + 1.5 * dt * (speed + fastest);
@@ -169,10 +166,7 @@ pub(super) fn passes(
     for end in before.iter().chain(&after).flatten() {
         (low, high) = (low.inf(&end.coords), high.sup(&end.coords));
     }
-    let mut arc = 0.0;
-    for (edge, rest) in thread.rest_lengths.iter().enumerate() {
-        let begin = arc;
-        arc += rest;
+    for (edge, [begin, _]) in thread.spans() {
         let swept = Sweep { from: [from[edge], from[edge + 1]], to: [to[edge], to[edge + 1]] };
         let ends = || swept.from.iter().chain(&swept.to);
         let beyond = |axis: usize| {

@@ -64,16 +64,23 @@ pub(super) fn in_tissue(
 ) {
     let Some(thread) = &state.thread else { return };
     buried(state, length, resistance.spacing, |low, high| {
-        let (mut begin, mut edges) = (0.0, None);
-        for (edge, rest) in thread.rest_lengths.iter().enumerate() {
-            let end = begin + rest;
+        let mut edges = None;
+        for (edge, [begin, end]) in thread.spans() {
             if -begin >= low && -end <= high {
                 edges = Some(edges.map_or([edge, edge], |[first, _]: [usize; 2]| [first, edge]));
             }
-            begin = end;
         }
         spared.extend(edges.map(|edges| Spared { obstacle: surface, edges }));
     });
+}
+
+/// Whether any of an edge of the thread is in the tissue or at one of its holes.
+pub(super) fn is_in_tissue(state: &SutureState, length: f64, resistance: &Resistance, edge: usize) -> bool {
+    let span = state.thread.as_ref().and_then(|thread| thread.spans().find(|(own, _)| *own == edge));
+    let Some((_, [begin, end])) = span else { return false };
+    let mut is_in = false;
+    buried(state, length, resistance.spacing, |low, high| is_in |= -begin >= low && -end <= high);
+    is_in
 }
 
 /// Nodes of the thread that are in the tissue or at its holes.
@@ -85,13 +92,9 @@ pub(super) fn nodes_in_tissue(
 ) {
     let Some(thread) = &state.thread else { return };
     buried(state, length, resistance.spacing, |low, high| {
-        let mut along = 0.0;
-        for (node, rest) in thread.rest_lengths.iter().enumerate() {
-            if (low..=high).contains(&along) {
-                nodes.push(node);
-            }
-            along -= rest;
-        }
+        nodes.extend(
+            thread.spans().filter(|(_, [begin, _])| (low..=high).contains(&-begin)).map(|(edge, _)| edge),
+        );
     });
 }
 

@@ -5,9 +5,10 @@ use nalgebra::{Point3, Vector3};
 
 use super::rows::COMPLIANCE;
 use super::sewing::{crossed, touched};
-use super::state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, Tip};
+use super::state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, SutureState, Tip};
 use super::tissue::{Place, Way};
 use super::{EVENTS_MAX, Suture, SutureError};
+use crate::thread::PARTED;
 
 /// What is farther from the surface than this does not touch it any longer \[m\].
 const OFF: f64 = 1e-7;
@@ -281,15 +282,18 @@ impl Suture {
 
     /// Forgets the places that needle and thread have left behind.
     fn pass_through(&mut self) {
-        let end = self.trial.thread.as_ref().map_or(0.0, |thread| {
-            // A place at the very end of the thread has lost it.
-            -thread.rest_length() * (1.0 - 1e-6)
-        });
-        while let Some(point) = self.trial.channel.first().copied() {
-            if point.along > end {
-                break;
-            }
-            self.trial.channel.remove(0);
+        // A place at the very end of the thread has lost it, and one at either end of what has been cut off.
+        let lost = |state: &SutureState, point: &ChannelPoint| {
+            let Some(thread) = &state.thread else { return point.along <= 0.0 };
+            let arc = -point.along;
+            thread.pieces().enumerate().any(|(piece, [begin, end])| {
+                let near = 1e-6 * (end - begin);
+                let is_at_begin = piece > 0 && arc <= begin + near && arc > begin - 0.5 * PARTED;
+                is_at_begin || (arc >= end - near && arc < end + 0.5 * PARTED)
+            })
+        };
+        while let Some(index) = self.trial.channel.iter().position(|point| lost(&self.trial, point)) {
+            let point = self.trial.channel.remove(index);
             if !self.trial.channel.iter().any(|other| other.bite == point.bite) {
                 self.event(Event::Through { bite: point.bite });
             }

@@ -1,5 +1,6 @@
 //! What a knot does as a whole: where along the thread its strands lie, how far apart they are.
 
+use nalgebra::Vector3;
 use trocar_collision::primitive::closest_segments;
 
 use super::contact::nearest_segments;
@@ -26,6 +27,33 @@ impl Strands {
 }
 
 impl ThreadState {
+    /// Which threads are tangled: of those that touch each other, directly or through others, the ones with most contacts; nodes
+    /// of each, first and last. Pieces that have been cut off and lie elsewhere are not among them.
+    #[must_use]
+    pub fn tangled(&self) -> Vec<[usize; 2]> {
+        let threads: Vec<[usize; 2]> = self.threads().collect();
+        if threads.len() == 1 {
+            return threads;
+        }
+        let of = |edge: u32| threads.partition_point(|[first, _]| *first <= edge as usize).saturating_sub(1);
+        // By the first thread of each tangle.
+        let mut tangle: Vec<usize> = (0..threads.len()).collect();
+        let pairs: Vec<[usize; 2]> = self
+            .contacts
+            .iter()
+            .filter(|contact| contact.key.with == 0 && contact.force != Vector3::zeros())
+            .map(|contact| [of(contact.key.edge), of(contact.key.feature)])
+            .collect();
+        for pair in &pairs {
+            let [a, b] = pair.map(|thread| tangle[thread]);
+            tangle.iter_mut().filter(|of| **of == a.max(b)).for_each(|of| *of = a.min(b));
+        }
+        let count = |first: usize| pairs.iter().filter(|pair| tangle[pair[0]] == first).count();
+        let most = (0..threads.len()).max_by_key(|first| (count(*first), std::cmp::Reverse(*first)));
+        let chosen = (0..threads.len()).filter(|thread| Some(tangle[*thread]) == most);
+        chosen.map(|thread| threads[thread]).collect()
+    }
+
     /// The strands of a thread that touches itself, the loop being the longest part between two touches.
     #[must_use]
     pub fn strands(&self) -> Option<Strands> {

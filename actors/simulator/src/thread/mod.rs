@@ -10,6 +10,7 @@
 //! | Elastic bodies that it is tied around | [`elastic`] |
 //! | Soft bodies that it lies on and that others move | [`soft`] |
 //! | Short edges where they are needed | `adapt.rs` |
+//! | Cut or broken | `cut.rs` |
 //! | Which knot it is | [`knot`] |
 //! | How it lies at the beginning | [`laid`] |
 //!
@@ -33,6 +34,7 @@ pub(crate) mod block_band;
 pub(crate) mod block_sparse;
 mod boundary;
 pub(crate) mod contact;
+mod cut;
 pub mod elastic;
 mod error;
 pub(crate) mod frame;
@@ -48,9 +50,11 @@ mod state;
 pub use adapt::{Fineness, Renumbered};
 pub use boundary::{HOLD_STIFFNESS, Hold, Load, Spared, TwistHold};
 pub use contact::{CONTACTS_MAX, Obstacle, Shape};
+pub use cut::{CutAt, Parted};
 pub use error::{ThreadError, ThreadStepError, Trouble};
 pub use material::ThreadMaterial;
 pub use measure::{Strands, nearest_edges};
+pub(crate) use state::PARTED;
 pub use state::{ContactKey, ContactMemory, NODES_MAX, ThreadState};
 
 use elastic::{ElasticBody, Press};

@@ -138,6 +138,29 @@ impl ThreadState {
             .map(<[usize; 2]>::from)
     }
 
+    /// Edges that join something, each with where along the thread it begins and ends, without strain, from the first node
+    /// \[m\]; those of different threads are further apart than any thread is long.
+    pub fn spans(&self) -> impl Iterator<Item = (usize, [f64; 2])> + '_ {
+        let spans = self.rest_lengths.iter().enumerate().scan(0.0, |arc, (edge, rest)| {
+            let begin = *arc;
+            *arc += if *rest > 0.0 { *rest } else { PARTED };
+            Some((edge, [begin, *arc], *rest > 0.0))
+        });
+        spans.filter(|(_, _, joins)| *joins).map(|(edge, span, _)| (edge, span))
+    }
+
+    /// Where along the thread each of several begins and ends, as [`ThreadState::spans`] of its edges \[m\].
+    pub(crate) fn pieces(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let mut spans = self.spans().peekable();
+        std::iter::from_fn(move || {
+            let (_, [begin, mut end]) = spans.next()?;
+            while let Some((_, [_, further])) = spans.next_if(|(_, [next, _])| *next == end) {
+                end = further;
+            }
+            Some([begin, end])
+        })
+    }
+
     /// Where along the thread each node is, without strain, from the first one \[m\]; nodes of different threads are further
     /// apart than any thread is long.
     pub(crate) fn arcs(&self) -> Vec<f64> {
