@@ -239,6 +239,55 @@ fn blades_that_close_cut_the_column_between_them_whichever_method_moves_it() {
     );
 }
 
+fn cuts_a_line<C: Controller>(
+    body: &str,
+    is_explicit: bool,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    // The line passes between the blades a centimetre before the hinge, not at a node.
+    let at = [0.0032, 0.01, 0.0];
+    let cut = |kill: Option<u32>| {
+        let mut stage = taut(LINE, body, build);
+        run(&mut stage, 5);
+        let safe = is_explicit.then(|| stage.measured("body.safe_step_s"));
+        assert_eq!(stage.measured("body.pieces"), 1.0);
+        // Open blades that wait, and blades that close beside it, cut nothing.
+        (0..10).for_each(|_| {
+            place(&mut stage, at, OPEN);
+            run(&mut stage, 1);
+        });
+        turn(&mut stage, [0.0032, 0.1, 0.0], OPEN, 0.0);
+        turn(&mut stage, [0.0032, 0.1, 0.0], 0.0, OPEN);
+        assert_eq!(stage.measured("body.pieces"), 1.0);
+        (0..10).for_each(|_| {
+            place(&mut stage, at, OPEN);
+            run(&mut stage, 1);
+        });
+        for tick in 0..=20_u32 {
+            if kill == Some(tick) {
+                stage.rebuild(build);
+            }
+            place(&mut stage, at, OPEN * (1.0 - f64::from(tick) / 20.0));
+            run(&mut stage, 1);
+        }
+        run(&mut stage, 200);
+        assert_eq!(stage.measured("body.pieces"), 2.0, "{body}");
+        if let Some(safe) = safe {
+            let now = stage.measured("body.safe_step_s");
+            assert!(now > 0.99 * safe, "the largest safe step has become {now} s from {safe} s");
+        }
+        // Two nodes where there was one, half a segment from the blades at most, and each half as long as at rest.
+        let rest = stage.get::<RestPositions>("body").positions;
+        assert_eq!(rest.len(), 18);
+        assert!((rest[17].x - 0.0032 / 1.05).abs() <= 0.5 * 0.04 / 16.0, "{}", rest[17].x);
+        let gap = gapes(&stage);
+        assert!((0.0015..0.0025).contains(&gap), "{body}: a gap of {gap} m of 2 mm");
+        stage.get::<VertexPositions>("body").positions
+    };
+    let whole = cut(None);
+    assert_eq!(cut(Some(12)), whole, "{body}: another life");
+}
+
 #[test]
 fn blades_that_close_cut_a_taut_line_which_draws_back_and_goes_on_to_the_bit() {
     let springs_of =
@@ -246,47 +295,28 @@ fn blades_that_close_cut_a_taut_line_which_draws_back_and_goes_on_to_the_bit() {
     for method in ["explicit", "implicit"] {
         let body =
             format!("mass_spring = {{ {springs_of}, method = \"{method}\", lag = 1e-5, damping = 20.0 }}");
-        // The line passes between the blades a centimetre before the hinge, not at a node.
-        let at = [0.0032, 0.01, 0.0];
-        let cut = |kill: Option<u32>| {
-            let mut stage = taut(LINE, &body, springs);
-            run(&mut stage, 5);
-            let safe = (method == "explicit").then(|| stage.measured("body.safe_step_s"));
-            assert_eq!(stage.measured("body.pieces"), 1.0);
-            // Open blades that wait, and blades that close beside it, cut nothing.
-            (0..10).for_each(|_| {
-                place(&mut stage, at, OPEN);
-                run(&mut stage, 1);
-            });
-            turn(&mut stage, [0.0032, 0.1, 0.0], OPEN, 0.0);
-            turn(&mut stage, [0.0032, 0.1, 0.0], 0.0, OPEN);
-            assert_eq!(stage.measured("body.pieces"), 1.0);
-            (0..10).for_each(|_| {
-                place(&mut stage, at, OPEN);
-                run(&mut stage, 1);
-            });
-            for tick in 0..=20_u32 {
-                if kill == Some(tick) {
-                    stage.rebuild(springs);
-                }
-                place(&mut stage, at, OPEN * (1.0 - f64::from(tick) / 20.0));
-                run(&mut stage, 1);
-            }
-            run(&mut stage, 200);
-            assert_eq!(stage.measured("body.pieces"), 2.0, "{method}");
-            if let Some(safe) = safe {
-                let now = stage.measured("body.safe_step_s");
-                assert!(now > 0.99 * safe, "the largest safe step has become {now} s from {safe} s");
-            }
-            // Two nodes where there was one, half a segment from the blades at most, and each half as long as at rest.
-            let rest = stage.get::<RestPositions>("body").positions;
-            assert_eq!(rest.len(), 18);
-            assert!((rest[17].x - 0.0032 / 1.05).abs() <= 0.5 * 0.04 / 16.0, "{}", rest[17].x);
-            let gap = gapes(&stage);
-            assert!((0.0015..0.0025).contains(&gap), "{method}: a gap of {gap} m of 2 mm");
-            stage.get::<VertexPositions>("body").positions
-        };
-        let whole = cut(None);
-        assert_eq!(cut(Some(12)), whole, "{method}: another life");
+        cuts_a_line(&body, method == "explicit", springs);
     }
+    let rod = "xpbd = { matter = { rod = { axial_stiffness = 5.0, bending_stiffness = 1e-10, density = 2e-3 } }, \
+               parts = 20, damping = 20.0, cut = true }";
+    cuts_a_line(rod, false, xpbd);
+}
+
+#[test]
+fn a_rod_of_positions_tears_where_it_is_drawn_too_far_and_not_before() {
+    // It is drawn by a twentieth, in parts so small that sweeps leave no edge longer than the others.
+    let body = |tears_at: f64| {
+        format!(
+            "xpbd = {{ matter = {{ rod = {{ axial_stiffness = 5.0, bending_stiffness = 1e-10, density = 2e-3 }} }}, \
+             parts = 100, damping = 20.0, tears_at = {tears_at} }}"
+        )
+    };
+    let mut whole = taut(LINE, &body(1.06), xpbd);
+    run(&mut whole, 100);
+    assert_eq!(whole.measured("body.pieces"), 1.0);
+    let mut torn = taut(LINE, &body(1.04), xpbd);
+    run(&mut torn, 100);
+    assert_eq!(torn.measured("body.pieces"), 2.0);
+    let gap = gapes(&torn);
+    assert!((0.0015..0.0025).contains(&gap), "a gap of {gap} m of 2 mm");
 }

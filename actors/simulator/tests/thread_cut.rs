@@ -41,7 +41,10 @@ fn build(context: &BuildContext<'_>) -> Result<ThreadController, ControllerError
 fn grasp(stage: &mut Stage<ThreadController>, x: f64, angle: f64, rate: f64) {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
     let closing = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::FRAC_PI_2);
-    stage.put("grasper", Pose::from(Isometry3::from_parts(Vector3::new(x, 0.006, 0.0).into(), turn * closing)));
+    stage.put(
+        "grasper",
+        Pose::from(Isometry3::from_parts(Vector3::new(x, 0.006, 0.0).into(), turn * closing)),
+    );
     stage.put("grasper", JawState { angle, rate, ..JawState::default() });
 }
 
@@ -108,8 +111,7 @@ fn scissors_that_close_on_a_thread_cut_it_and_nothing_pulls_any_longer() {
     assert!(stage.measured("thread.held_nodes") >= 2.0);
     assert!(stage.measured("thread.held_force_n") < 0.02);
     // One piece on either side of the blades, as long as it was: nodes are a millimetre apart.
-    let (line, points) =
-        (stage.get::<LineMesh>("thread"), stage.get::<VertexPositions>("thread").positions);
+    let (line, points) = (stage.get::<LineMesh>("thread"), stage.get::<VertexPositions>("thread").positions);
     assert_eq!(line.segments.len() + 2, points.len());
     let gap = line.segments.windows(2).position(|pair| pair[0][1] != pair[1][0]).expect("a gap") + 1;
     let length = |nodes: &[nalgebra::Point3<f64>]| {

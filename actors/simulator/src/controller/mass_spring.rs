@@ -8,7 +8,7 @@ use trocar_scene::{Access, Commands, Component, ComponentError, Entity, EntitySe
 use super::cauterised::CauterisedBody;
 use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
-use super::line_cuts::LineCuts;
+use super::line_cuts::{LineCuts, LineWeakness};
 use super::membrane::{Membrane, MembraneWeakness, Parted};
 use super::parting::{Elements, Parting, Split, Weakness};
 use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Terms};
@@ -397,7 +397,8 @@ impl SoftMethod for MassSpringMethod {
             (None, Some(parting)) => Solver::alterations(body.tets.len(), &parting.heated()),
             (None, None) => Vec::new(),
         };
-        let line = (!is_surface && !is_volume).then(|| LineCuts::new(body, scene));
+        let weakness = LineWeakness { cut: true, tears_at: None };
+        let line = (!is_surface && !is_volume).then(|| LineCuts::new(body, weakness, scene));
         let mut of = Solver::new(kind, body, altered)?;
         if parting.is_some() {
             of.come_apart();

@@ -193,10 +193,11 @@ impl Sewing {
         let Some(thread) = &self.suture.state().thread else { return Ok(()) };
         let breaks_at = self.kind.breaks_at.as_ref().map(|known| known.value);
         let state = (thread, self.suture.thread_radius());
-        let found =
-            parted_at(&mut self.memory.blades, scene, &Isometry3::identity(), state, breaks_at);
+        let found = parted_at(&mut self.memory.blades, scene, &Isometry3::identity(), state, breaks_at);
         for at in found.cuts {
-            let Some(parted) = self.suture.cut_thread(at).map_err(|error| error.to_string())? else { continue };
+            let Some(parted) = self.suture.cut_thread(at).map_err(|error| error.to_string())? else {
+                continue;
+            };
             follow_cut(&mut self.memory.grips, &parted);
             self.lie(&scene.world_pose(self.needle.entity));
             self.memory.loop_min = None;
@@ -440,7 +441,8 @@ fn lie(suture: &Suture, world_from_entity: &Isometry3<f64>, line: &mut Deformabl
     line_of(suture, world_from_entity, &mut nodes);
     line.lie(nodes);
     if let Some(thread) = &suture.state().thread {
-        let joins = |edge: &[u32; 2]| (edge[0] as usize).checked_sub(PIECES).is_none_or(|edge| thread.joins(edge));
+        let joins =
+            |edge: &[u32; 2]| (edge[0] as usize).checked_sub(PIECES).is_none_or(|edge| thread.joins(edge));
         std::sync::Arc::make_mut(&mut line.segments).retain(joins);
     }
 }

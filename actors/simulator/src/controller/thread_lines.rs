@@ -56,9 +56,7 @@ impl Lines {
             }
             let line = Deformable::read(scene, other).map_err(|error| error.to_string())?;
             let mut line = one(line, radius, has_lines)?;
-            if !has_lines
-                && let Some(nodes) = of.nodes().map_err(|why| wrong(&why))?
-            {
+            if !has_lines && let Some(nodes) = of.nodes().map_err(|why| wrong(&why))? {
                 line.lie(nodes);
             }
             list.push(line);

@@ -9,11 +9,12 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot};
+use trocar_scene::{Access, Commands, Component, ComponentError, Entity, EntitySet, LineMesh, Snapshot};
 
 use super::coupled::Coupled;
 use super::deformable::Deformable;
 use super::heat::Coagulated;
+use super::line_cuts::{LineCuts, LineWeakness};
 use super::membrane::{Membrane, MembraneWeakness, Parted};
 use super::parting::{Elements, Parting, Split, Weakness};
 use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Step, Terms};
@@ -84,11 +85,11 @@ pub struct XpbdBody {
     pub contact_stiffness: f64,
     /// Coulomb friction against instruments and other bodies.
     pub friction: f64,
-    /// Of a volume or a cloth: whether blades cut it; then they do not push it.
+    /// Whether blades cut it; then they do not push it.
     pub cut: bool,
     /// Of a volume: tension that tears it \[Pa\]; without one nothing does.
     pub strength: Option<f64>,
-    /// Of a cloth: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
+    /// Of a cloth or a rod: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
     pub tears_at: Option<f64>,
 }
 
@@ -255,6 +256,17 @@ impl Solver {
         }
     }
 
+    /// Follows a rod that has come apart at nodes of which the new ones are copies.
+    fn copy(&mut self, body: &Deformable, copies: &[u32]) -> Result<(), NetworkError> {
+        let mut state = self.solver.state().clone();
+        for &of in copies {
+            state.positions.push(state.positions[of as usize]);
+            state.velocities.push(state.velocities[of as usize]);
+        }
+        (self.solver, _) = self.kind.solver(body, &[], &[], &XpbdGroups::default())?;
+        self.solver.restore(state)
+    }
+
     /// Lets constraints follow what has become of a membrane.
     fn follow(
         &mut self,
@@ -312,6 +324,7 @@ pub struct XpbdMethod {
     pub(super) of: Solver,
     parting: Option<Parting>,
     membrane: Option<Membrane>,
+    line: Option<LineCuts>,
     /// If it pulls or presses at others.
     pub(super) coupled: Option<Coupled>,
     pub(super) contacts: Vec<Contact>,
@@ -360,11 +373,10 @@ impl SoftMethod for XpbdMethod {
     fn build(kind: &XpbdBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
         let of_another = match kind.matter {
             Matter::Volume { .. } => {
-                kind.tears_at.map(|_| "'tears_at' is of cloth: a volume has a 'strength'")
+                kind.tears_at.map(|_| "'tears_at' is of cloth and rods: a volume has a 'strength'")
             }
             Matter::Cloth { .. } => kind.strength.map(|_| "'strength' is of volumes: cloth 'tears_at'"),
-            Matter::Rod { .. } if kind.cut => Some("'cut' is of volumes and cloth"),
-            Matter::Rod { .. } => (kind.strength.or(kind.tears_at)).map(|_| "a rod does not tear"),
+            Matter::Rod { .. } => kind.strength.map(|_| "'strength' is of volumes: a rod 'tears_at'"),
         };
         if let Some(what) = of_another {
             return Err(what.into());
@@ -377,6 +389,9 @@ impl SoftMethod for XpbdMethod {
             }
             Matter::Rod { .. } => (None, None),
         };
+        let weakness = LineWeakness { cut: kind.cut, tears_at: kind.tears_at };
+        let is_weak_rod = matches!(kind.matter, Matter::Rod { .. }) && (kind.cut || kind.tears_at.is_some());
+        let line = is_weak_rod.then(|| LineCuts::new(body, weakness, scene));
         let altered = membrane.as_ref().map(Membrane::alterations).unwrap_or_default();
         let heated = parting.as_ref().map(Parting::heated).unwrap_or_default();
         let groups = scene.get::<XpbdGroups>(body.entity).cloned().unwrap_or_default();
@@ -388,10 +403,11 @@ impl SoftMethod for XpbdMethod {
         let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
         let coupled = Coupled::new(body, thickness, scene)?;
         let (contacts, prescribed, forces, tied, island) = Default::default();
-        Ok(Self { of, parting, membrane, coupled, contacts, prescribed, forces, tied, island })
+        Ok(Self { of, parting, membrane, line, coupled, contacts, prescribed, forces, tied, island })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
+        let access = access.writes::<LineMesh>(EntitySet::Of(bodies.to_vec()));
         let access = Membrane::access(Parting::access(access, bodies), bodies);
         Coupled::access(access, bodies).writes::<XpbdGroups>(EntitySet::Of(bodies.to_vec()))
     }
@@ -404,6 +420,7 @@ impl SoftMethod for XpbdMethod {
     fn is_cut_by_blades(&self) -> bool {
         self.parting.as_ref().is_some_and(Parting::is_cut)
             || self.membrane.as_ref().is_some_and(Membrane::is_cut)
+            || self.line.as_ref().is_some_and(LineCuts::is_cut)
     }
 
     fn reshape(
@@ -418,6 +435,13 @@ impl SoftMethod for XpbdMethod {
             self.of.follow(membrane, body, &parted).map_err(|error| error.to_string())?;
             self.of.tell_groups(body.entity, out);
             return Ok(parted.reshaped);
+        }
+        if let Some(line) = &mut self.line {
+            let copies = line.reshape(self.of.positions(), body, site, out);
+            let Some(copies) = copies else { return Ok(None) };
+            self.of.copy(body, &copies).map_err(|error| error.to_string())?;
+            // Its segments have the numbers they had.
+            return Ok(Some(Reshaped::default()));
         }
         let Some(parting) = &mut self.parting else { return Ok(None) };
         let reshaped = parting.reshape(&mut self.of, body, site, out)?;
@@ -482,6 +506,9 @@ impl SoftMethod for XpbdMethod {
         if let Some(membrane) = &mut self.membrane {
             membrane.publish(body, out);
         }
+        if let Some(line) = &mut self.line {
+            line.publish(body, out);
+        }
         if let Some(coupled) = &self.coupled {
             coupled.publish(body.entity, out);
         }
@@ -501,6 +528,7 @@ impl SoftMethod for XpbdMethod {
         let heights = || self.positions().iter().map(|position| position.z);
         self.parting.iter().for_each(|parting| parting.measure(measures));
         self.membrane.iter().for_each(|membrane| membrane.measure(measures));
+        self.line.iter().for_each(|line| line.measure(measures));
         self.coupled.iter().for_each(|coupled| coupled.measure(measures));
         measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
         measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));

@@ -80,6 +80,31 @@ pub fn part_line(positions: &[Point3<f64>], segments: &[[u32; 2]], sweeps: &[Swe
     (!parted.copies.is_empty()).then_some(parted)
 }
 
+/// Lets a line tear: the segment that is drawn farthest of those that are longer than `tears_at` times as at rest lets go of an
+/// end that something else hangs on; none where no such is. One at a time, since all else gives way then.
+///
+/// # Panics
+/// A segment that names a node that there is not.
+#[must_use]
+pub fn tear_line(
+    [rest, now]: [&[Point3<f64>]; 2],
+    segments: &[[u32; 2]],
+    tears_at: f64,
+) -> Option<PartedLine> {
+    let length = |of: &[Point3<f64>], [a, b]: [u32; 2]| (of[b as usize] - of[a as usize]).norm();
+    let mut about = vec![0_u32; now.len()];
+    segments.iter().flatten().for_each(|&node| about[node as usize] += 1);
+    let drawn = segments.iter().enumerate().filter_map(|(index, ends)| {
+        let stretch = length(now, *ends) / length(rest, *ends);
+        let end = (0..2).find(|end| about[ends[*end] as usize] > 1)?;
+        (stretch > tears_at).then_some((index, end, stretch))
+    });
+    let (index, end, _) = drawn.max_by(|a, b| a.2.total_cmp(&b.2).then(b.0.cmp(&a.0)))?;
+    let mut parted = PartedLine { segments: segments.to_vec(), copies: vec![segments[index][end]] };
+    parted.segments[index][end] = now.len() as u32;
+    Some(parted)
+}
+
 /// How many lines there are that hang together.
 #[must_use]
 pub fn pieces(nodes: usize, segments: &[[u32; 2]]) -> usize {
@@ -134,6 +159,21 @@ mod tests {
             assert_eq!(pieces(7, &parted.segments), 2, "{x}");
         }
         assert_eq!(pieces(6, &segments), 1);
+    }
+
+    #[test]
+    fn a_line_tears_where_it_is_drawn_farthest_and_nowhere_else() {
+        let (rest, segments) = line(5);
+        let mut now = rest.clone();
+        now[3].x += 0.3;
+        now[4].x += 0.35;
+        now[5].x += 0.35;
+        assert_eq!(tear_line([&rest, &now], &segments, 1.31), None);
+        let torn = tear_line([&rest, &now], &segments, 1.04).expect("torn");
+        assert_eq!((torn.copies.as_slice(), torn.segments[2]), ([2].as_slice(), [6, 3]));
+        assert_eq!(pieces(7, &torn.segments), 2);
+        // What nothing else hangs on is no place to tear.
+        assert_eq!(tear_line([&rest[..2], &now[2..4]], &segments[..1], 1.1), None);
     }
 
     #[test]

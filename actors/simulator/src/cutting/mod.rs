@@ -18,7 +18,7 @@ mod tearing;
 mod walk;
 
 pub use change::{TopologyChange, VertexChange};
-pub use line::{PartedLine, crossed, part_line, pieces};
+pub use line::{PartedLine, crossed, part_line, pieces, tear_line};
 pub use sheet::{Sheet, SheetState};
 pub use sweep::Sweep;
 

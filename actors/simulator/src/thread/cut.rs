@@ -278,7 +278,8 @@ mod tests {
         state.contacts = vec![contact(0, 2, 15), contact(0, 9, 17), contact(1, 12, 5), contact(2, 9, 0)];
         let parted = state.cut(radius, CutAt { edge: 9, share: 0.5 }).expect("sound").expect("a cut");
         let now = |edge: usize| parted.edges[edge].expect("whole");
-        let found: Vec<_> = state.contacts.iter().map(|of| (of.key.with, of.key.edge, of.key.feature)).collect();
+        let found: Vec<_> =
+            state.contacts.iter().map(|of| (of.key.with, of.key.edge, of.key.feature)).collect();
         assert_eq!(found, [(0, 2, now(15)), (1, now(12), 5)]);
         assert_eq!(state.contacts[1].force.x, 12.0);
     }
