@@ -102,7 +102,7 @@ impl Body {
             thickness: MARGIN,
             closed: true,
         };
-        touches(rods, &skin, &mut touched);
+        touches(rods, &skin, 0.0, &mut touched);
         let holders = Holder::all(site, &touched, &triangles);
         let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
         self.grips.picks.update(&triangles, &self.positions, &jaws).map_err(|error| error.to_string())?;
@@ -135,6 +135,7 @@ impl Body {
         touches(
             rods,
             &Skin { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true },
+            0.0,
             &mut touched,
         );
         touched.retain(|touch| touch.depth > PENETRATION_MAX && self.can_be_pushed(touch, rods));

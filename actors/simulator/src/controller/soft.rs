@@ -434,7 +434,8 @@ impl<M: SoftMethod> Body<M> {
             reshaped.followed_by(&mut self.grips, &site, &self.body.holdable(), positions);
             out.put(entity, self.grips.clone());
         }
-        touches(&meets.rods, &self.method.skin(&self.body), &mut meets.touches);
+        let period = tick.period.as_secs_f64();
+        touches(&meets.rods, &self.method.skin(&self.body), period, &mut meets.touches);
         let led = self.hold(&meets.site(scene, tick), &meets.touches, out)?;
         meets.led = led;
         // What is held goes where it is led, and what is anchored stays, whatever touches it.
@@ -474,6 +475,10 @@ impl<M: SoftMethod> Body<M> {
         let site = self.meets.site(scene, tick);
         self.method.publish(&self.body, &site, out);
         for (touch, force) in site.touches.iter().zip(&self.meets.forces) {
+            // What it was near to, and did not come to.
+            if touch.depth <= 0.0 && *force == Vector3::zeros() {
+                continue;
+            }
             found.depth_max = found.depth_max.max(touch.depth);
             found.pushed += force.norm();
             let rod = &site.rods[touch.rod];

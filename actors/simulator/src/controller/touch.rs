@@ -1,6 +1,7 @@
 //! Where rods touch a deforming body: every vertex within a rod, and for each rod the deepest place on the surface or the
 //! line, so that thin jaws between coarse vertices are felt as well. What has got deeper into a volume than its own radius
-//! is found there, and pushed back the way that is shortest.
+//! is found there, and pushed back the way that is shortest. A rod whose axis goes through a sheet has been pressed farther
+//! into it than it is thick: the sheet belongs before its tip, wherever it has no hole.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::primitive::{
@@ -24,7 +25,7 @@ pub struct Touch {
     pub weights: [f64; 3],
     /// Unit direction from the rod to the body.
     pub normal: Vector3<f64>,
-    /// How deep \[m\].
+    /// How deep \[m\]; negative of what is near to a rod that it may come to within a tick.
     pub depth: f64,
     /// Velocity of the rod there \[m/s\].
     pub velocity: Vector3<f64>,
@@ -51,16 +52,21 @@ pub struct Skin<'a> {
 
 /// Places along a rod that are looked for within a volume.
 const SAMPLES: u32 = 5;
+/// A sheet or a line that is nearer to a rod than this share of its radius counts as touched: what springs back to the rod
+/// within a tick would be found behind its surface, be thrown off, and so on in every other tick.
+const AHEAD: f64 = 1.0;
+/// How far the tip of a rod is followed that is through a sheet, besides how far it has come in this tick \[m\].
+const THROUGH: f64 = 0.01;
 
-/// Fills `touches` with every touch, by rod; each rod's vertices first.
-pub fn touches(rods: &[Rod], skin: &Skin<'_>, touches: &mut Vec<Touch>) {
+/// Fills `touches` with every touch in a tick of `period` \[s\], by rod; each rod's vertices first.
+pub fn touches(rods: &[Rod], skin: &Skin<'_>, period: f64, touches: &mut Vec<Touch>) {
     touches.clear();
     for (index, rod) in rods.iter().enumerate() {
         touch_vertices(index, rod, skin, touches);
-        let deepest = deepest_element(index, rod, skin);
+        let deepest = deepest_element(index, rod, skin, period);
         let known = touches.iter().filter(|touch| touch.rod == index).map(|touch| touch.depth);
-        let deeper = known.fold(0.0, f64::max);
-        let found = deepest.is_some() || deeper > 0.0;
+        let deeper = known.fold(f64::NEG_INFINITY, f64::max);
+        let found = deepest.is_some() || deeper > f64::NEG_INFINITY;
         touches.extend(deepest.filter(|touch| touch.depth > deeper));
         if skin.closed && !found {
             touches.extend(deepest_within(index, rod, skin));
@@ -112,14 +118,20 @@ fn is_within(point: &Point3<f64>, skin: &Skin<'_>) -> bool {
     angle > 2.0 * std::f64::consts::PI
 }
 
+/// How far from the axis of a rod something is that touches it, or may within a tick.
+fn reach(rod: &Rod, skin: &Skin<'_>) -> f64 {
+    let ahead = if skin.closed { 0.0 } else { AHEAD * rod.radius };
+    rod.radius + skin.thickness + ahead
+}
+
 /// The touch of a rod by what is nearest to its axis, if it is within reach.
-fn touch(rod: (usize, &Rod), thickness: f64, along: f64, on_body: Point3<f64>) -> Option<Touch> {
+fn touch(rod: (usize, &Rod), skin: &Skin<'_>, along: f64, on_body: Point3<f64>) -> Option<Touch> {
     let (index, rod) = rod;
     let on_axis = rod.ends[0].lerp(&rod.ends[1], along);
     let away = on_body - on_axis;
     let distance = away.norm();
-    let depth = rod.radius + thickness - distance;
-    if depth <= 0.0 || distance < 1e-12 {
+    let depth = rod.radius + skin.thickness - distance;
+    if distance >= reach(rod, skin) || distance < 1e-12 {
         return None;
     }
     let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
@@ -128,8 +140,24 @@ fn touch(rod: (usize, &Rod), thickness: f64, along: f64, on_body: Point3<f64>) -
     Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element: None })
 }
 
+/// The touch of a rod whose axis goes through a sheet, so far from its end towards the handle: the sheet is to go on to its
+/// tip.
+fn through(rod: (usize, &Rod), skin: &Skin<'_>, along: f64, period: f64) -> Option<Touch> {
+    let (index, rod) = rod;
+    let ahead = rod.ends[1] - rod.ends[0];
+    let beyond = (1.0 - along) * ahead.norm();
+    let velocity = rod.velocities[1];
+    if skin.closed || beyond > THROUGH + velocity.norm() * period {
+        return None;
+    }
+    let normal = ahead.try_normalize(1e-12)?;
+    let depth = rod.radius + skin.thickness + beyond;
+    let (nodes, weights) = ([0; 3], [1.0, 0.0, 0.0]);
+    Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis: rod.ends[1], element: None })
+}
+
 fn touch_vertices(index: usize, rod: &Rod, skin: &Skin<'_>, touches: &mut Vec<Touch>) {
-    let reach = rod.radius + skin.thickness;
+    let reach = reach(rod, skin);
     let low = rod.ends[0].inf(&rod.ends[1]) - Vector3::repeat(reach);
     let high = rod.ends[0].sup(&rod.ends[1]) + Vector3::repeat(reach);
     for (vertex, position) in skin.positions.iter().enumerate() {
@@ -137,14 +165,14 @@ fn touch_vertices(index: usize, rod: &Rod, skin: &Skin<'_>, touches: &mut Vec<To
             continue;
         }
         let along = closest_on_segment(position, &rod.ends);
-        if let Some(touch) = touch((index, rod), skin.thickness, along, *position) {
+        if let Some(touch) = touch((index, rod), skin, along, *position) {
             touches.push(Touch { nodes: [vertex as u32; 3], ..touch });
         }
     }
 }
 
-fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
-    let reach = rod.radius + skin.thickness;
+fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Option<Touch> {
+    let reach = reach(rod, skin);
     let low = rod.ends[0].inf(&rod.ends[1]) - Vector3::repeat(reach);
     let high = rod.ends[0].sup(&rod.ends[1]) + Vector3::repeat(reach);
     let mut deepest: Option<Touch> = None;
@@ -163,7 +191,12 @@ fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
             continue;
         }
         let nearest = closest_segment_triangle(&rod.ends, &corners);
-        if let Some(touch) = touch((index, rod), skin.thickness, nearest.along, nearest.on_triangle) {
+        let touched = if nearest.distance_squared > 0.0 {
+            touch((index, rod), skin, nearest.along, nearest.on_triangle)
+        } else {
+            through((index, rod), skin, nearest.along, period)
+        };
+        if let Some(touch) = touched {
             keep(Touch { nodes: *nodes, weights: nearest.weights, element: Some(element as u32), ..touch });
         }
     }
@@ -171,7 +204,7 @@ fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
         let ends = [a, b].map(|node| skin.positions[node as usize]);
         let nearest = closest_segments(&rod.ends, &ends);
         let [along, share] = nearest.along;
-        if let Some(touch) = touch((index, rod), skin.thickness, along, ends[0].lerp(&ends[1], share)) {
+        if let Some(touch) = touch((index, rod), skin, along, ends[0].lerp(&ends[1], share)) {
             let weights = [1.0 - share, share, 0.0];
             keep(Touch { nodes: [a, b, b], weights, element: Some(element as u32), ..touch });
         }
@@ -213,6 +246,8 @@ pub fn collision(
 mod tests {
     use super::*;
 
+    const PERIOD: f64 = 1e-3;
+
     fn rod(from: [f64; 3], to: [f64; 3]) -> Rod {
         Rod {
             instrument: Entity::new(0, 1, 1),
@@ -233,7 +268,7 @@ mod tests {
             closed: false,
         };
         let mut found = Vec::new();
-        touches(&[rod([0.02, 0.03, 0.001], [0.02, 0.03, 0.1])], &skin, &mut found);
+        touches(&[rod([0.02, 0.03, 0.001], [0.02, 0.03, 0.1])], &skin, PERIOD, &mut found);
         assert_eq!(found.len(), 1);
         let touch = found[0];
         assert!((touch.depth - 0.0015).abs() < 1e-12 && (touch.normal + Vector3::z()).norm() < 1e-12);
@@ -252,10 +287,41 @@ mod tests {
         let skin =
             Skin { positions: &positions, triangles: &[], segments: &[], thickness: 0.0, closed: false };
         let mut found = Vec::new();
-        touches(&[rod([0.0, 0.0, 0.0], [0.01, 0.0, 0.0])], &skin, &mut found);
+        touches(&[rod([0.0, 0.0, 0.0], [0.01, 0.0, 0.0])], &skin, PERIOD, &mut found);
         // Eleven beside it, and one beyond its round end.
-        assert_eq!(found.len(), 12);
-        assert!(found.iter().all(|touch| touch.depth > 0.0 && touch.element.is_none()));
+        let (inside, near): (Vec<Touch>, Vec<Touch>) = found.iter().partition(|touch| touch.depth > 0.0);
+        assert_eq!((inside.len(), near.len()), (12, 2));
+        assert!(found.iter().all(|touch| touch.depth > -0.002 && touch.element.is_none()));
+    }
+
+    #[test]
+    fn a_rod_that_goes_through_a_sheet_is_pushed_out_along_itself_and_one_that_is_far_through_is_not() {
+        let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
+        let skin = Skin {
+            positions: &positions,
+            triangles: &[[0, 1, 2]],
+            segments: &[],
+            thickness: 0.0,
+            closed: false,
+        };
+        let mut found = Vec::new();
+        let pressed =
+            |tip: f64| Rod { velocities: [Vector3::z(); 2], ..rod([0.02, 0.03, -0.05], [0.02, 0.03, tip]) };
+        for (tip, depth) in [(-1e-9, 0.002), (1e-9, 0.002), (0.003, 0.005), (0.0105, 0.0125)] {
+            touches(&[pressed(tip)], &skin, PERIOD, &mut found);
+            assert_eq!(found.len(), 1, "{tip}");
+            let touch = found[0];
+            assert!(
+                (touch.depth - depth).abs() < 1e-8 && (touch.normal - Vector3::z()).norm() < 1e-9,
+                "{touch:?}"
+            );
+            assert_eq!((touch.element, touch.velocity), (Some(0), Vector3::z()));
+        }
+        touches(&[pressed(0.0115)], &skin, PERIOD, &mut found);
+        assert!(found.is_empty());
+        // Nothing goes through where there is nothing.
+        touches(&[rod([0.07, 0.07, -0.05], [0.07, 0.07, 0.01])], &skin, PERIOD, &mut found);
+        assert!(found.is_empty());
     }
 
     #[test]
@@ -275,11 +341,11 @@ mod tests {
         let mut found = Vec::new();
         let thin = |from: [f64; 3], to: [f64; 3]| Rod { radius: 0.0005, ..rod(from, to) };
         // All of it is inside, its lower end the deepest: 4 mm below the top, 0.5 mm more with its radius.
-        touches(&[thin([0.001, 0.002, 0.007], [0.001, 0.002, 0.006])], &skin, &mut found);
+        touches(&[thin([0.001, 0.002, 0.007], [0.001, 0.002, 0.006])], &skin, PERIOD, &mut found);
         assert_eq!(found.len(), 1);
         assert!((found[0].depth - 0.0045).abs() < 1e-12 && (found[0].normal + Vector3::z()).norm() < 1e-9);
         assert_eq!(found[0].velocity, Vector3::y());
-        touches(&[thin([0.001, 0.002, 0.03], [0.001, 0.002, 0.012])], &skin, &mut found);
+        touches(&[thin([0.001, 0.002, 0.03], [0.001, 0.002, 0.012])], &skin, PERIOD, &mut found);
         assert!(found.is_empty());
     }
 
@@ -294,7 +360,7 @@ mod tests {
             closed: false,
         };
         let mut found = Vec::new();
-        touches(&[rod([0.01, 0.0, -0.01], [0.01, 0.0, 0.01])], &skin, &mut found);
+        touches(&[rod([0.01, 0.0, -0.01], [0.01, 0.0, 0.01])], &skin, PERIOD, &mut found);
         assert_eq!(found.len(), 1);
         assert!((found[0].weights[1] - 0.6).abs() < 1e-12 && (found[0].depth - 0.0012).abs() < 1e-12);
     }

@@ -22,6 +22,10 @@ use warped::Warped;
 /// Slip \[m/s\] at which friction has reached its full size; below, it is a drag.
 const CREEP: f64 = 1e-3;
 
+/// How often a step is solved for anew at most because contacts press that did not, or press no longer: a light sheet on a
+/// rod would be thrown off and come back in turns.
+const CHANGES_MAX: u32 = 3;
+
 /// What an implicit step needs beside the state.
 #[derive(Clone, Debug)]
 pub(super) struct Implicit {
@@ -100,14 +104,18 @@ impl MassSpring {
         let Some(mut implicit) = self.implicit.take() else { return Err(StepError::Factorisation) };
         let mut report = Report { parts: 1, safe_step: f64::INFINITY, ..Report::default() };
         let mut result = Ok(());
-        for iteration in 0..newton {
+        for iteration in 1..=newton + CHANGES_MAX {
             self.linearise(&mut implicit, h, input);
             self.prepare_solver(&mut implicit, h, input);
             result = self.solve(&mut implicit, input, &mut report);
             if result.is_err() {
                 break;
             }
-            self.advance(&implicit, h, iteration + 1 == newton, input);
+            self.advance(&implicit, h, input);
+            let is_settled = self.press(&implicit, h, input);
+            if iteration >= newton && is_settled {
+                break;
+            }
         }
         self.implicit = Some(implicit);
         result?;
@@ -232,7 +240,7 @@ impl MassSpring {
     }
 
     /// Velocities and positions of the end of the step as the iteration sees them.
-    fn advance(&mut self, implicit: &Implicit, h: f64, last: bool, input: &Input<'_>) {
+    fn advance(&mut self, implicit: &Implicit, h: f64, input: &Input<'_>) {
         let scratch = &mut self.scratch;
         let next = &mut scratch.next;
         for (velocity, change) in next.velocities.iter_mut().zip(&implicit.change) {
@@ -246,18 +254,28 @@ impl MassSpring {
         for led in input.prescribed {
             next.positions[led.node as usize] = led.position;
         }
-        if last {
-            // What the linear system made of the contacts' forces is what acted: the momentum that it gave.
-            for ((contact, block), total) in
-                input.contacts.iter().zip(&implicit.matrix.contacts).zip(&mut scratch.contact_forces)
-            {
-                let change: Vector3<f64> = contact
-                    .joint()
-                    .into_iter()
-                    .map(|(node, share)| implicit.change[node as usize] * share)
-                    .sum();
-                *total -= block.matrix() * change / h;
-            }
+    }
+
+    /// Makes the forces of contacts what the linear system made of them, which is what acted: the momentum that it gave.
+    /// Whether all that pressed do, and no others would.
+    fn press(&mut self, implicit: &Implicit, h: f64, input: &Input<'_>) -> bool {
+        let scratch = &mut self.scratch;
+        let mut is_settled = true;
+        let acted = input.contacts.iter().zip(&implicit.matrix.contacts).zip(&scratch.touched);
+        for (((contact, block), touched), total) in acted.zip(&mut scratch.contact_forces) {
+            let nodes = contact.joint();
+            let change: Vector3<f64> =
+                nodes.iter().map(|(node, share)| implicit.change[*node as usize] * *share).sum();
+            // A block along the normal is there where it pressed when it was linearised.
+            let pressed = block.along + block.all > 0.0;
+            *total -= block.matrix() * change / h;
+            is_settled &= if pressed {
+                contact.normal.dot(total) >= 0.0
+            } else {
+                let now = contact.point(&scratch.next.positions);
+                contact.depth <= contact.normal.dot(&(now - touched - contact.velocity * h))
+            };
         }
+        is_settled
     }
 }
