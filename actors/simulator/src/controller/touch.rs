@@ -53,7 +53,8 @@ pub struct Skin<'a> {
 /// Places along a rod that are looked for within a volume.
 const SAMPLES: u32 = 5;
 /// A sheet or a line that is nearer to a rod than this share of its radius counts as touched: what springs back to the rod
-/// within a tick would be found behind its surface, be thrown off, and so on in every other tick.
+/// within a tick would be found behind its surface, be thrown off, and so on in every other tick. So does what the rod comes
+/// to within the tick, which it would have passed before the next.
 const AHEAD: f64 = 1.0;
 /// How far the tip of a rod is followed that is through a sheet, besides how far it has come in this tick \[m\].
 const THROUGH: f64 = 0.01;
@@ -62,7 +63,7 @@ const THROUGH: f64 = 0.01;
 pub fn touches(rods: &[Rod], skin: &Skin<'_>, period: f64, touches: &mut Vec<Touch>) {
     touches.clear();
     for (index, rod) in rods.iter().enumerate() {
-        touch_vertices(index, rod, skin, touches);
+        touch_vertices(index, rod, skin, period, touches);
         let deepest = deepest_element(index, rod, skin, period);
         let known = touches.iter().filter(|touch| touch.rod == index).map(|touch| touch.depth);
         let deeper = known.fold(f64::NEG_INFINITY, f64::max);
@@ -124,17 +125,39 @@ fn reach(rod: &Rod, skin: &Skin<'_>) -> f64 {
     rod.radius + skin.thickness + ahead
 }
 
-/// The touch of a rod by what is nearest to its axis, if it is within reach.
-fn touch(rod: (usize, &Rod), skin: &Skin<'_>, along: f64, on_body: Point3<f64>) -> Option<Touch> {
+/// The box of what may touch a rod, with the way that it goes in the tick.
+fn room(rod: &Rod, skin: &Skin<'_>, period: f64) -> [Point3<f64>; 2] {
+    let period = if skin.closed { 0.0 } else { period };
+    let [a, b] = rod.ends;
+    let [c, d] = [a + rod.velocities[0] * period, b + rod.velocities[1] * period];
+    let reach = Vector3::repeat(reach(rod, skin));
+    [a.inf(&b).inf(&c).inf(&d) - reach, a.sup(&b).sup(&c).sup(&d) + reach]
+}
+
+/// The touch of a rod by what is nearest to its axis, if it is within reach, or if the rod comes there within the tick: `passes`
+/// says of the way of the place on the axis how near it leads to the other.
+fn touch(
+    rod: (usize, &Rod),
+    skin: &Skin<'_>,
+    (along, on_body): (f64, Point3<f64>),
+    period: f64,
+    passes: impl Fn(&[Point3<f64>; 2]) -> f64,
+) -> Option<Touch> {
     let (index, rod) = rod;
     let on_axis = rod.ends[0].lerp(&rod.ends[1], along);
+    let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
     let away = on_body - on_axis;
     let distance = away.norm();
     let depth = rod.radius + skin.thickness - distance;
-    if distance >= reach(rod, skin) || distance < 1e-12 {
+    let is_reached = || {
+        let way = velocity * period;
+        !skin.closed
+            && way.dot(&away) > 0.0
+            && passes(&[on_axis, on_axis + way]) < rod.radius + skin.thickness
+    };
+    if distance < 1e-12 || (distance >= reach(rod, skin) && !is_reached()) {
         return None;
     }
-    let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
     let normal = away / distance;
     let (nodes, weights) = ([0; 3], [1.0, 0.0, 0.0]);
     Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element: None })
@@ -156,25 +179,24 @@ fn through(rod: (usize, &Rod), skin: &Skin<'_>, along: f64, period: f64) -> Opti
     Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis: rod.ends[1], element: None })
 }
 
-fn touch_vertices(index: usize, rod: &Rod, skin: &Skin<'_>, touches: &mut Vec<Touch>) {
-    let reach = reach(rod, skin);
-    let low = rod.ends[0].inf(&rod.ends[1]) - Vector3::repeat(reach);
-    let high = rod.ends[0].sup(&rod.ends[1]) + Vector3::repeat(reach);
+fn touch_vertices(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64, touches: &mut Vec<Touch>) {
+    let [low, high] = room(rod, skin, period);
     for (vertex, position) in skin.positions.iter().enumerate() {
         if !(0..3).all(|k| position[k] >= low[k] && position[k] <= high[k]) {
             continue;
         }
         let along = closest_on_segment(position, &rod.ends);
-        if let Some(touch) = touch((index, rod), skin, along, *position) {
+        let passes = |way: &[Point3<f64>; 2]| {
+            (position - way[0].lerp(&way[1], closest_on_segment(position, way))).norm()
+        };
+        if let Some(touch) = touch((index, rod), skin, (along, *position), period, passes) {
             touches.push(Touch { nodes: [vertex as u32; 3], ..touch });
         }
     }
 }
 
 fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Option<Touch> {
-    let reach = reach(rod, skin);
-    let low = rod.ends[0].inf(&rod.ends[1]) - Vector3::repeat(reach);
-    let high = rod.ends[0].sup(&rod.ends[1]) + Vector3::repeat(reach);
+    let [low, high] = room(rod, skin, period);
     let mut deepest: Option<Touch> = None;
     let mut keep = |touch: Touch| {
         if deepest.is_none_or(|deepest| touch.depth > deepest.depth) {
@@ -192,7 +214,9 @@ fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Opt
         }
         let nearest = closest_segment_triangle(&rod.ends, &corners);
         let touched = if nearest.distance_squared > 0.0 {
-            touch((index, rod), skin, nearest.along, nearest.on_triangle)
+            let passes =
+                |way: &[Point3<f64>; 2]| closest_segment_triangle(way, &corners).distance_squared.sqrt();
+            touch((index, rod), skin, (nearest.along, nearest.on_triangle), period, passes)
         } else {
             through((index, rod), skin, nearest.along, period)
         };
@@ -204,7 +228,9 @@ fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Opt
         let ends = [a, b].map(|node| skin.positions[node as usize]);
         let nearest = closest_segments(&rod.ends, &ends);
         let [along, share] = nearest.along;
-        if let Some(touch) = touch((index, rod), skin, along, ends[0].lerp(&ends[1], share)) {
+        let on_body = ends[0].lerp(&ends[1], share);
+        let passes = |way: &[Point3<f64>; 2]| closest_segments(way, &ends).distance_squared.sqrt();
+        if let Some(touch) = touch((index, rod), skin, (along, on_body), period, passes) {
             let weights = [1.0 - share, share, 0.0];
             keep(Touch { nodes: [a, b, b], weights, element: Some(element as u32), ..touch });
         }
@@ -322,6 +348,32 @@ mod tests {
         // Nothing goes through where there is nothing.
         touches(&[rod([0.07, 0.07, -0.05], [0.07, 0.07, 0.01])], &skin, PERIOD, &mut found);
         assert!(found.is_empty());
+    }
+
+    #[test]
+    fn what_a_rod_comes_to_within_the_tick_is_touched_and_what_it_passes_beside_is_not() {
+        let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
+        let skin = Skin {
+            positions: &positions,
+            triangles: &[[0, 1, 2]],
+            segments: &[],
+            thickness: 0.0,
+            closed: false,
+        };
+        let mut found = Vec::new();
+        let mut count = |height: f64, y: f64, velocity: Vector3<f64>| {
+            let fast = Rod { velocities: [velocity; 2], ..rod([0.02, y, height], [0.04, y, height]) };
+            touches(&[fast], &skin, 0.01, &mut found);
+            (found.len(), found.first().map_or(0.0, |touch| touch.depth))
+        };
+        // A centimetre in the tick: to where it is 2 mm off, and from where it would be past it.
+        assert_eq!(count(0.013, 0.02, Vector3::z() * -1.0), (0, 0.0));
+        let (hits, depth) = count(0.011, 0.02, Vector3::z() * -1.0);
+        assert!(hits == 1 && (depth + 0.009).abs() < 1e-12, "{hits} {depth}");
+        assert_eq!(count(0.005, 0.02, Vector3::z() * -1.0).0, 1);
+        assert_eq!(count(0.005, 0.02, Vector3::z()).0, 0, "it goes away");
+        assert_eq!(count(0.005, 0.12, Vector3::z() * -1.0).0, 0, "beside the triangle");
+        assert_eq!(count(0.005, 0.02, Vector3::y()).0, 0, "over it");
     }
 
     #[test]
