@@ -92,8 +92,7 @@ impl Holder {
                 let first = site.rods.iter().position(|rod| rod.instrument == entity);
                 let by_jaw = |side: usize| {
                     let rod = first.map(|first| first + 1 + side).filter(|_| closed);
-                    let own = |touch: &&Touch| Some(touch.rod) == rod && touch.depth > 0.0;
-                    touched(touches.iter().filter(own), triangles)
+                    touched(touches.iter().filter(|touch| Some(touch.rod) == rod), triangles)
                 };
                 Self {
                     instrument: entity.to_bits(),

@@ -1,7 +1,8 @@
 //! Where rods touch a deforming body: every vertex within a rod, and for each rod the deepest place on the surface or the
 //! line, so that thin jaws between coarse vertices are felt as well. What has got deeper into a volume than its own radius
 //! is found there, and pushed back the way that is shortest. A rod whose axis goes through a sheet has been pressed farther
-//! into it than it is thick: the sheet belongs before its tip, wherever it has no hole.
+//! into it than it is thick: the sheet belongs before its tip, wherever it has no hole. Open jaws go to either side of a sheet
+//! that they are to take, and are neither waited for nor pushed out.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::primitive::{
@@ -119,15 +120,20 @@ fn is_within(point: &Point3<f64>, skin: &Skin<'_>) -> bool {
     angle > 2.0 * std::f64::consts::PI
 }
 
+/// Whether what a rod comes to is met before it is in it, and what it has gone through is held back.
+fn looks_ahead(rod: &Rod, skin: &Skin<'_>) -> bool {
+    !(skin.closed || rod.is_open_jaw)
+}
+
 /// How far from the axis of a rod something is that touches it, or may within a tick.
 fn reach(rod: &Rod, skin: &Skin<'_>) -> f64 {
-    let ahead = if skin.closed { 0.0 } else { AHEAD * rod.radius };
+    let ahead = if looks_ahead(rod, skin) { AHEAD * rod.radius } else { 0.0 };
     rod.radius + skin.thickness + ahead
 }
 
 /// The box of what may touch a rod, with the way that it goes in the tick.
 fn room(rod: &Rod, skin: &Skin<'_>, period: f64) -> [Point3<f64>; 2] {
-    let period = if skin.closed { 0.0 } else { period };
+    let period = if looks_ahead(rod, skin) { period } else { 0.0 };
     let [a, b] = rod.ends;
     let [c, d] = [a + rod.velocities[0] * period, b + rod.velocities[1] * period];
     let reach = Vector3::repeat(reach(rod, skin));
@@ -151,7 +157,7 @@ fn touch(
     let depth = rod.radius + skin.thickness - distance;
     let is_reached = || {
         let way = velocity * period;
-        !skin.closed
+        looks_ahead(rod, skin)
             && way.dot(&away) > 0.0
             && passes(&[on_axis, on_axis + way]) < rod.radius + skin.thickness
     };
@@ -170,7 +176,7 @@ fn through(rod: (usize, &Rod), skin: &Skin<'_>, along: f64, period: f64) -> Opti
     let ahead = rod.ends[1] - rod.ends[0];
     let beyond = (1.0 - along) * ahead.norm();
     let velocity = rod.velocities[1];
-    if skin.closed || beyond > THROUGH + velocity.norm() * period {
+    if !looks_ahead(rod, skin) || beyond > THROUGH + velocity.norm() * period {
         return None;
     }
     let normal = ahead.try_normalize(1e-12)?;
@@ -280,6 +286,7 @@ mod tests {
             ends: [from.into(), to.into()],
             radius: 0.002,
             velocities: [Vector3::x(), Vector3::y()],
+            is_open_jaw: false,
         }
     }
 
@@ -345,6 +352,8 @@ mod tests {
         }
         touches(&[pressed(0.0115)], &skin, PERIOD, &mut found);
         assert!(found.is_empty());
+        touches(&[Rod { is_open_jaw: true, ..pressed(0.003) }], &skin, PERIOD, &mut found);
+        assert!(found.is_empty(), "an open jaw goes to the other side");
         // Nothing goes through where there is nothing.
         touches(&[rod([0.07, 0.07, -0.05], [0.07, 0.07, 0.01])], &skin, PERIOD, &mut found);
         assert!(found.is_empty());
