@@ -28,10 +28,10 @@ use super::linear_fem_fading::Fading;
 use super::linear_fem_jobs::{altered_as_job, built, built_as_job};
 use super::parting::{Parting, Weakness};
 use super::refused::{Refused, Still};
-use super::soft::{Measures, Site, finite_vertices};
+use super::soft::{Measures, Site, finite_vertices, is_blade};
 use super::tools::{Rod, rods_of_all};
 use super::touch::{COLLISIONS_MAX, Touch, collision};
-use crate::elasticity::POISSON_MAX;
+use crate::elasticity::{Elastic, POISSON_MAX};
 use crate::linear_fem::{Cache, Deformation, LinearFem, LinearFemError};
 use crate::tet_mesh::{MeshRules, TetMesh};
 
@@ -51,12 +51,25 @@ pub struct LinearFemBody {
     /// Radius of the patch over which what touches presses \[m\]. About one and a half edges of the surface or more, and what is
     /// felt is the same on a finer mesh; 0: on single vertices, which feel stiffer the coarser they are.
     pub contact_radius: f64,
+    /// Whether blades cut it, along the faces between its elements; then they do not push it.
+    pub cut: bool,
+    /// Tension that tears it \[Pa\]; without one nothing does.
+    pub strength: Option<f64>,
 }
 
 impl Default for LinearFemBody {
     /// Liver, in round numbers; for what has been measured of each organ see [`trocar_scene::tissue`].
     fn default() -> Self {
-        Self { young_modulus: 6e3, poisson_ratio: 0.45, contact_radius: 0.006 }
+        Self { young_modulus: 6e3, poisson_ratio: 0.45, contact_radius: 0.006, cut: false, strength: None }
+    }
+}
+
+impl LinearFemBody {
+    fn weakness(&self) -> Result<Weakness, String> {
+        let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
+        let lame = [elastic.lambda(), elastic.mu()];
+        let tears = self.strength.map(|strength| (strength, lame));
+        Ok(Weakness { cut: self.cut, halves: false, hangs_on: true, tears, is_linear: true })
     }
 }
 
@@ -66,7 +79,8 @@ impl Component for LinearFemBody {
         trocar_scene::finite::check(self)?;
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
         ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
-        ComponentError::range("contact_radius", self.contact_radius, 0.0..=0.1, "0 to 0.1 m")
+        ComponentError::range("contact_radius", self.contact_radius, 0.0..=0.1, "0 to 0.1 m")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
     }
     fn schema() -> Option<serde_json::Value> {
         Some(schemars::schema_for!(Self).to_value())
@@ -81,7 +95,7 @@ pub(super) struct Body {
     /// The inverse before that, as long as it is felt.
     pub(super) fading: Option<Fading>,
     submitted: bool,
-    /// Of a body that heat changes.
+    /// Of a body that heat changes, blades cut or that tears.
     parting: Option<(Parting, Altered)>,
     /// Share of the inverse that is computed, as the bits of an f64.
     progress: Arc<AtomicU64>,
@@ -151,6 +165,9 @@ impl Controller for LinearFemController {
             let mut force = 0.0;
             if !body.frozen {
                 rods_of_all(scene, &world_from_body, &mut self.rods);
+                if body.kind.cut {
+                    self.rods.retain(|rod| !is_blade(scene, rod.instrument));
+                }
                 let site = Site {
                     scene,
                     tick,
@@ -201,14 +218,18 @@ impl Body {
     fn read(kind: LinearFemBody, entity: Entity, scene: &Snapshot) -> Result<Self, ControllerError> {
         let mut body = Deformable::read(scene, entity)?;
         let wrong = |name: &str, why: String| ControllerError::Scene(format!("'{name}': {why}"));
-        let mesh = TetMesh::new(&body.rest, &body.tets, &MeshRules::default())
-            .map_err(|why| wrong(&body.name, why.to_string()))?;
-        let weakness = Weakness { hangs_on: true, ..Weakness::default() };
-        let parting =
-            Parting::new(&mut body, weakness, scene).map_err(|why| wrong(&body.name, why))?.map(|parting| {
-                let altered = Altered::new(mesh.tets().len(), &parting.heated());
-                (parting, altered)
-            });
+        let mesh = |body: &Deformable| {
+            let coincident_within = if body.is_parted { None } else { Some(0.0) };
+            let rules = MeshRules { coincident_within, ..MeshRules::default() };
+            TetMesh::new(&body.rest, &body.tets, &rules).map_err(|why| wrong(&body.name, why.to_string()))
+        };
+        let weakness = kind.weakness().map_err(|why| wrong(&body.name, why))?;
+        let parting = Parting::new(&mut body, weakness, scene).map_err(|why| wrong(&body.name, why))?;
+        let mesh = mesh(&body)?;
+        let parting = parting.map(|parting| {
+            let altered = Altered::new(mesh.tets().len(), &parting.heated(), parting.births());
+            (parting, altered)
+        });
         let is_pinned = body.stays();
         Ok(Self {
             kind,
@@ -239,13 +260,13 @@ impl Body {
     ) -> Result<Vec<Answer>, String> {
         let keys = [2 * index as u64, 2 * index as u64 + 1];
         self.wait(keys[0], cache, site.tick)?;
-        self.burn(keys[1], site, out)?;
+        self.let_go().map_err(|error| error.to_string())?;
+        self.alter(keys[1], site, out)?;
         if self.solver.is_none() {
             return Ok(Vec::new());
         }
         let mut answers = self.ask(site)?;
         let mut held = Held::default();
-        self.let_go().map_err(|error| error.to_string())?;
         for _ in 0..ROUNDS_MAX {
             let before = answers.len();
             self.answer(&mut answers, &mut held).map_err(|error| error.to_string())?;
@@ -266,21 +287,23 @@ impl Body {
         bad.map_or(Ok(answers), |at| Err(format!("the force of contact {at} is no finite number")))
     }
 
-    /// Lets it follow what heat does to its elements.
-    fn burn(&mut self, key: u64, site: &Site<'_>, out: &mut Commands) -> Result<(), String> {
+    /// Lets it follow what heat and blades do to its elements, and what tears.
+    fn alter(&mut self, key: u64, site: &Site<'_>, out: &mut Commands) -> Result<(), String> {
         let Some((parting, altered)) = &mut self.parting else { return Ok(()) };
-        let positions = &self.positions;
-        let mut elements = AlteredAt { altered, positions };
+        let fading = self.fading.as_ref();
+        let waits = |solver: &LinearFem| altered.waiting(fading) + altered.nodes_waiting(solver, fading);
+        let has_followed = self.solver.as_deref().is_some_and(|solver| waits(solver) == 0);
+        let (positions, mesh) = (&mut self.positions, &mut self.mesh);
+        let mut elements = AlteredAt { altered, positions, mesh, has_followed };
         if let Some(reshaped) = parting.reshape(&mut elements, &mut self.body, site, out)? {
             self.is_pinned = self.body.stays();
-            reshaped.followed_by(&mut self.grips, site, &self.body.triangles, positions);
+            reshaped.followed_by(&mut self.grips, site, &self.body.triangles, &self.positions);
             self.contacts = Contacts::default();
         }
         let Some(solver) = &mut self.solver else { return Ok(()) };
-        if let Some(alterations) = altered.follow(key, solver, &mut self.fading, site.tick)? {
+        if let Some(became) = altered.follow(key, &self.mesh, solver, &mut self.fading, site.tick)? {
             let material = [self.kind.young_modulus, self.kind.poisson_ratio];
-            let job =
-                altered_as_job(key, &self.mesh, material, &self.body.pinned, alterations, &self.progress);
+            let job = altered_as_job(key, &self.mesh, material, &self.body.pinned, became, &self.progress);
             altered.begun(site.tick.jobs.submit(job));
         }
         Ok(())
@@ -296,9 +319,9 @@ impl Body {
         } else if !self.submitted {
             let material = [self.kind.young_modulus, self.kind.poisson_ratio];
             let (pinned, progress) = (&self.body.pinned, &self.progress);
-            let altered = self.parting.as_ref().and_then(|(_, altered)| altered.alterations());
-            let job = match altered {
-                Some(altered) => altered_as_job(key, &self.mesh, material, pinned, altered, progress),
+            let became = self.parting.as_ref().and_then(|(_, altered)| altered.became());
+            let job = match became {
+                Some(became) => altered_as_job(key, &self.mesh, material, pinned, became, progress),
                 None => built_as_job(key, &self.mesh, material, pinned, cache.cloned(), progress),
             };
             self.submitted = tick.jobs.submit(job);
@@ -323,43 +346,39 @@ impl Body {
     ) -> Result<(), LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         for (index, answer) in answers.iter().enumerate().skip(*asked) {
-            match solver.hold(answer.attachment.clone()) {
-                Ok(handle) => {
-                    solver.set_target(handle, answer.target)?;
-                    holding.push(index);
-                    if let Some(fading) = &mut self.fading {
-                        fading.hold(index, &answer.attachment, answer.target)?;
-                    }
-                }
-                // Two jaws have the same vertex: the first one has it.
-                Err(LinearFemError::Dependent { .. }) => {}
-                Err(error) => return Err(error),
+            // Of two jaws that have the same vertex the first one has it.
+            let handles = solver.hold_at(&answer.attachment, answer.target)?;
+            holding.extend(handles.iter().map(|_| index));
+            if let Some(fading) = self.fading.as_mut().filter(|_| !handles.is_empty()) {
+                fading.hold(index, &answer.attachment, answer.target)?;
             }
         }
         *asked = answers.len();
+        answers.iter_mut().for_each(|answer| answer.force = Vector3::zeros());
         for (index, reaction) in holding.iter().zip(solver.solve(&[])?.reactions) {
-            answers[*index].force = reaction.force;
+            answers[*index].force += reaction.force;
         }
         if let Some(fading) = &mut self.fading {
             fading.blend_forces(answers)?;
         }
         let mut moved = Vec::new();
         solver.surface_displacements(&mut moved);
-        for (&node, displacement) in solver.compliance().nodes().iter().zip(&moved) {
+        for (&node, displacement) in solver.nodes().iter().zip(&moved) {
             self.positions[node as usize] = self.body.rest[node as usize] + displacement;
         }
         if let Some(fading) = &mut self.fading {
-            fading.blend_surface(solver.compliance().nodes(), &self.body.rest, &mut self.positions);
+            fading.blend_surface(solver.nodes(), &self.body.rest, &mut self.positions);
         }
         Ok(())
     }
 
-    /// The inside, now and then; while something burns always, for what has just been uncovered is of the inside for the
-    /// inverse.
+    /// The inside, now and then; while something burns or comes apart always, for what has just been uncovered is of the inside
+    /// for the inverse, and where it may tear, for that is told by its elements.
     fn look_inside(&mut self, tick: &Tick<'_>) {
         let Some(solver) = &mut self.solver else { return };
         let look = tick.number.is_multiple_of(INSIDE_EVERY);
-        if !look && solver.removed().is_empty() && self.fading.is_none() {
+        let always = solver.is_corrected() || self.fading.is_some() || self.kind.strength.is_some();
+        if !look && !always {
             return;
         }
         let mut moved = Vec::new();
@@ -457,7 +476,10 @@ impl Body {
         if let Some((parting, altered)) = &self.parting {
             let mut measures = Measures::new(name, values);
             parting.measure(&mut measures);
-            measures.put("elements_waiting", altered.waiting(self.fading.as_ref()) as f64);
+            let fading = self.fading.as_ref();
+            let nodes = self.solver.as_ref().map_or(0, |solver| altered.nodes_waiting(solver, fading));
+            measures.put("elements_waiting", altered.waiting(fading) as f64);
+            measures.put("nodes_waiting", nodes as f64);
         }
     }
 }

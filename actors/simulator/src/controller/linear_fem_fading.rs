@@ -9,6 +9,7 @@ use nalgebra::{Point3, Vector3};
 
 use super::linear_fem_contacts::Answer;
 use crate::linear_fem::{Attachment, Handle, LinearFem, LinearFemError};
+use crate::tet_mesh::TetMesh;
 
 /// Change of what is felt in a tick, as a share of it.
 const CHANGE: f64 = 0.02;
@@ -16,6 +17,20 @@ const CHANGE: f64 = 0.02;
 const FELT_MIN: f64 = 1e-3;
 /// Smallest and largest step towards the new inverse: 500 ticks at most.
 const STEP: [f64; 2] = [0.002, 0.25];
+
+/// Tells an inverse of what has come apart since it was computed: the body has this mesh now, of which the last nodes were those
+/// of `parents`.
+pub(super) fn catch_up(
+    solver: &mut LinearFem,
+    mesh: &TetMesh,
+    parents: &[u32],
+) -> Result<(), LinearFemError> {
+    let missing = mesh.rest().len().saturating_sub(solver.mesh().rest().len());
+    match parents.len().checked_sub(missing) {
+        Some(known) if missing > 0 => solver.come_apart(mesh, &parents[known..]),
+        _ => Ok(()),
+    }
+}
 
 /// An inverse that fades.
 pub(super) struct Fading {
@@ -54,6 +69,17 @@ impl Fading {
         Ok(())
     }
 
+    /// Lets the old one follow a body that has come apart, by so many nodes at most.
+    pub fn come_apart(&mut self, mesh: &TetMesh, parents: &[u32], most: usize) -> Result<(), LinearFemError> {
+        catch_up(&mut self.old, mesh, parents)?;
+        self.old.release_nodes(most).map(drop)
+    }
+
+    /// Nodes that go with the ones that they were still, where nothing of the new one is felt yet.
+    pub fn waiting(&self) -> Option<usize> {
+        (self.share == 0.0).then(|| self.old.waiting())
+    }
+
     /// Whether nothing of the new one is felt yet, and the element is out of the old one.
     pub fn hides(&self, tet: u32) -> bool {
         self.share == 0.0 && self.old.is_out(tet)
@@ -75,41 +101,41 @@ impl Fading {
         attachment: &Attachment,
         target: Vector3<f64>,
     ) -> Result<(), LinearFemError> {
-        match self.old.hold(attachment.clone()) {
-            Ok(handle) => {
-                self.handles.push((place, handle));
-                self.old.set_target(handle, target)
-            }
-            Err(LinearFemError::Dependent { .. }) => Ok(()),
-            Err(error) => Err(error),
-        }
+        let handles = self.old.hold_at(attachment, target)?;
+        self.handles.extend(handles.into_iter().map(|handle| (place, handle)));
+        Ok(())
     }
 
     /// Moves what is held.
     pub fn set_target(&mut self, place: usize, target: Vector3<f64>) -> Result<(), LinearFemError> {
-        match self.handles.iter().find(|(held, _)| *held == place) {
-            Some((_, handle)) => self.old.set_target(*handle, target),
-            None => Ok(()),
-        }
+        let mut own = self.handles.iter().filter(|(held, _)| *held == place);
+        own.try_for_each(|(_, handle)| self.old.set_target(*handle, target))
     }
 
     /// Blends the old one's forces into answers that have the new one's.
     pub fn blend_forces(&mut self, answers: &mut [Answer]) -> Result<(), LinearFemError> {
         (self.felt, self.change) = (0.0, 0.0);
         let reactions = self.old.solve(&[])?.reactions;
-        for (place, reaction) in self.handles.iter().map(|(place, _)| *place).zip(reactions) {
-            let new = answers[place].force;
-            answers[place].force = reaction.force.lerp(&new, self.share);
-            self.felt += answers[place].force.norm();
-            self.change += (new - reaction.force).norm();
+        // What holds a place in several directions stands one after the other.
+        let of_place = |(place, _): &(usize, Handle)| *place;
+        let mut from = 0;
+        for handles in self.handles.chunk_by(|one, other| of_place(one) == of_place(other)) {
+            let old: Vector3<f64> =
+                reactions[from..from + handles.len()].iter().map(|reaction| reaction.force).sum();
+            from += handles.len();
+            let answer = &mut answers[handles[0].0];
+            let new = answer.force;
+            answer.force = old.lerp(&new, self.share);
+            self.felt += answer.force.norm();
+            self.change += (new - old).norm();
         }
         Ok(())
     }
 
-    /// Blends in where the old one has nodes of the surface, of which the new one has `nodes`, ascending.
+    /// Blends in where the old one has nodes of its surface, of which the new one has `nodes`, ascending.
     pub fn blend_surface(&mut self, nodes: &[u32], rest: &[Point3<f64>], positions: &mut [Point3<f64>]) {
         self.old.surface_displacements(&mut self.moved);
-        for (node, moved) in self.old.compliance().nodes().iter().zip(&self.moved) {
+        for (node, moved) in self.old.nodes().iter().zip(&self.moved) {
             if nodes.binary_search(node).is_ok() {
                 let (node, new) = (*node as usize, positions[*node as usize]);
                 positions[node] = (rest[node] + moved).lerp(&new, self.share);

@@ -37,6 +37,9 @@ pub enum LinearFemError {
         /// Which node.
         node: u32,
     },
+    /// A mesh that the body does not become by coming apart.
+    #[error("the mesh is not one that this body becomes: its elements with new nodes behind all others")]
+    OtherMesh,
     /// A number that is none.
     #[error("{what} is not a finite number")]
     NotFinite {
