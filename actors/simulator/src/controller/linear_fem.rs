@@ -4,7 +4,7 @@
 //! The inverse is read from a cache or computed as a job; until then the organ stands still. The rest shape is the one
 //! under its own weight. All that goes on from tick to tick are the positions of the surface and what jaws hold, both in
 //! the scene: contacts are found anew about where the surface is, and solved for from nothing, so that another life finds
-//! the same.
+//! the same; of what is held in both directions the rows stay, which does not change a bit of it ([`Holding`]).
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -23,16 +23,18 @@ use trocar_scene::{
 use super::deformable::Deformable;
 use super::grips::Grips;
 use super::linear_fem_altered::{Altered, AlteredAt};
-use super::linear_fem_contacts::{Answer, By, Contacts, Held};
+use super::linear_fem_contacts::{Answer, By, Contacts};
 use super::linear_fem_fading::Fading;
+use super::linear_fem_holding::Holding;
 use super::linear_fem_jobs::{altered_as_job, built, built_as_job};
+use super::linear_fem_pins::{PinPlaces, PinnedBody, Pins};
 use super::parting::{Parting, Weakness};
 use super::refused::{Refused, Still};
 use super::soft::{Measures, Site, finite_vertices, is_blade};
 use super::tools::{Rod, rods_of_all};
 use super::touch::{COLLISIONS_MAX, Touch, collision};
 use crate::elasticity::{Elastic, POISSON_MAX};
-use crate::linear_fem::{Cache, Deformation, LinearFem, LinearFemError};
+use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
 use crate::tet_mesh::{MeshRules, TetMesh};
 
 /// How often in a tick the surface is looked at for what is still in a rod.
@@ -90,17 +92,21 @@ impl Component for LinearFemBody {
 pub(super) struct Body {
     pub(super) body: Deformable,
     pub(super) kind: LinearFemBody,
-    mesh: TetMesh,
+    pub(super) mesh: TetMesh,
     pub(super) solver: Option<Box<LinearFem>>,
+    /// What it holds, and the forces on each [N].
+    pub(super) holding: Holding,
+    forces: Vec<Vector3<f64>>,
     /// The inverse before that, as long as it is felt.
     pub(super) fading: Option<Fading>,
     submitted: bool,
     /// Of a body that heat changes, blades cut or that tears.
-    parting: Option<(Parting, Altered)>,
+    pub(super) parting: Option<(Parting, Altered)>,
     /// Share of the inverse that is computed, as the bits of an f64.
     progress: Arc<AtomicU64>,
     pub(super) positions: Vec<Point3<f64>>,
     pub(super) grips: Grips,
+    pub(super) pins: Pins,
     /// Places that rods pressed on in the last tick.
     pub(super) contacts: Contacts,
     pub(super) is_pinned: Vec<bool>,
@@ -151,7 +157,9 @@ impl Controller for LinearFemController {
             .reads::<Instrument>()
             .reads::<JawState>()
             .writes::<Doubtful>(EntitySet::Of(bodies.clone()))
+            .reads::<PinnedBody>()
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
+            .writes::<PinPlaces>(EntitySet::Of(bodies.clone()))
             .writes::<Contacts>(EntitySet::Of(bodies))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
@@ -162,7 +170,7 @@ impl Controller for LinearFemController {
         let mut measured = Measured::default();
         for (index, body) in self.bodies.iter_mut().enumerate() {
             let world_from_body = scene.world_pose(body.body.entity);
-            let mut force = 0.0;
+            let mut forces = [0.0; 2];
             if !body.frozen {
                 rods_of_all(scene, &world_from_body, &mut self.rods);
                 if body.kind.cut {
@@ -182,7 +190,8 @@ impl Controller for LinearFemController {
                 match done {
                     Ok(answers) => {
                         for answer in &answers {
-                            force += answer.force.norm();
+                            let driven_in = matches!(answer.by, By::Pin(_));
+                            forces[usize::from(driven_in)] += answer.force.norm();
                             collisions.extend(body.told(answer, &self.rods, &world_from_body, tick.time));
                         }
                         if body.solver.is_some() {
@@ -203,7 +212,7 @@ impl Controller for LinearFemController {
                     }
                 }
             }
-            body.measure(force, &mut measured.values);
+            body.measure(forces, &mut measured.values);
         }
         self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
         collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
@@ -231,10 +240,14 @@ impl Body {
             (parting, altered)
         });
         let is_pinned = body.stays();
+        let pins = Pins::read(scene, &body, &mesh).map_err(|why| wrong(&body.name, why))?;
         Ok(Self {
             kind,
             mesh,
+            pins,
             solver: None,
+            holding: Holding::default(),
+            forces: Vec::new(),
             fading: None,
             submitted: false,
             parting,
@@ -260,18 +273,18 @@ impl Body {
     ) -> Result<Vec<Answer>, String> {
         let keys = [2 * index as u64, 2 * index as u64 + 1];
         self.wait(keys[0], cache, site.tick)?;
-        self.let_go().map_err(|error| error.to_string())?;
         self.alter(keys[1], site, out)?;
         if self.solver.is_none() {
             return Ok(Vec::new());
         }
         let mut answers = self.ask(site)?;
-        let mut held = Held::default();
+        self.keep(answers.iter().map(|answer| &answer.attachment)).map_err(|error| error.to_string())?;
+        let mut asked = 0;
         for _ in 0..ROUNDS_MAX {
             let before = answers.len();
-            self.answer(&mut answers, &mut held).map_err(|error| error.to_string())?;
+            self.answer(&mut answers, &mut asked).map_err(|error| error.to_string())?;
             self.ask_more(site.rods, &mut answers);
-            let moved = self.press_home(&mut answers, &held).map_err(|error| error.to_string())?;
+            let moved = self.press_home(&mut answers).map_err(|error| error.to_string())?;
             if answers.len() == before && !moved {
                 break;
             }
@@ -301,6 +314,13 @@ impl Body {
             self.contacts = Contacts::default();
         }
         let Some(solver) = &mut self.solver else { return Ok(()) };
+        if !altered.is_still(&self.mesh, solver) {
+            // What is held would be entered anew with every change.
+            let nothing = std::iter::empty::<&Attachment>;
+            let let_go = |fading: &mut Fading| fading.keep(nothing());
+            self.holding.keep(solver, nothing()).map_err(|error| error.to_string())?;
+            self.fading.as_mut().map_or(Ok(()), let_go).map_err(|error| error.to_string())?;
+        }
         if let Some(became) = altered.follow(key, &self.mesh, solver, &mut self.fading, site.tick)? {
             let material = [self.kind.young_modulus, self.kind.poisson_ratio];
             let job = altered_as_job(key, &self.mesh, material, &self.body.pinned, became, &self.progress);
@@ -329,34 +349,30 @@ impl Body {
         Ok(())
     }
 
-    /// Every tick solves from nothing: the same in every life.
-    fn let_go(&mut self) -> Result<(), LinearFemError> {
+    /// Lets go of what is not held from the last tick on.
+    fn keep<'a>(
+        &mut self,
+        wanted: impl Iterator<Item = &'a Attachment> + Clone,
+    ) -> Result<(), LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
-        while let Some(held) = solver.held().last().map(|held| held.handle) {
-            solver.release(held)?;
-        }
-        self.fading.as_mut().map_or(Ok(()), Fading::let_go)
+        self.holding.keep(solver, wanted.clone())?;
+        self.fading.as_mut().map_or(Ok(()), |fading| fading.keep(wanted))
     }
 
     /// Holds what is not held yet, and solves for all of it.
-    fn answer(
-        &mut self,
-        answers: &mut [Answer],
-        Held { asked, holding }: &mut Held,
-    ) -> Result<(), LinearFemError> {
+    fn answer(&mut self, answers: &mut [Answer], asked: &mut usize) -> Result<(), LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         for (index, answer) in answers.iter().enumerate().skip(*asked) {
             // Of two jaws that have the same vertex the first one has it.
-            let handles = solver.hold_at(&answer.attachment, answer.target)?;
-            holding.extend(handles.iter().map(|_| index));
-            if let Some(fading) = self.fading.as_mut().filter(|_| !handles.is_empty()) {
+            self.holding.hold(solver, index, &answer.attachment, answer.target)?;
+            if let Some(fading) = &mut self.fading {
                 fading.hold(index, &answer.attachment, answer.target)?;
             }
         }
         *asked = answers.len();
-        answers.iter_mut().for_each(|answer| answer.force = Vector3::zeros());
-        for (index, reaction) in holding.iter().zip(solver.solve(&[])?.reactions) {
-            answers[*index].force += reaction.force;
+        self.holding.forces(solver, &mut self.forces)?;
+        for (answer, force) in answers.iter_mut().zip(&self.forces) {
+            answer.force = *force;
         }
         if let Some(fading) = &mut self.fading {
             fading.blend_forces(answers)?;
@@ -410,6 +426,20 @@ impl Body {
         }
         let way = answer.force / size;
         let depth = answer.target.dot(&way).max(1e-6);
+        let held =
+            |(a, primitive_a): (Entity, Primitive), primitive_b: Primitive, place: Point3<f64>| Collision {
+                a,
+                primitive_a,
+                b: self.body.entity,
+                primitive_b,
+                points_in_world: [world_from_body * place; 2],
+                normal_in_world: world_from_body.rotation * way,
+                depth,
+                force_in_world: world_from_body.rotation * answer.force,
+                velocity_constraint: 0.0,
+                method: Detection::Simulator,
+                detected_at: at,
+            };
         Some(match &answer.by {
             By::Touch(touch) => {
                 let found = collision(
@@ -422,19 +452,15 @@ impl Body {
                 );
                 Collision { depth, ..found }
             }
-            By::Jaws(instrument, vertex) => Collision {
-                a: *instrument,
-                primitive_a: Primitive::Jaw(0),
-                b: self.body.entity,
-                primitive_b: Primitive::Vertex(*vertex),
-                points_in_world: [world_from_body * self.positions[*vertex as usize]; 2],
-                normal_in_world: world_from_body.rotation * way,
-                depth,
-                force_in_world: world_from_body.rotation * answer.force,
-                velocity_constraint: 0.0,
-                method: Detection::Simulator,
-                detected_at: at,
-            },
+            By::Jaws(instrument, vertex) => {
+                let place = self.positions[*vertex as usize];
+                held((*instrument, Primitive::Jaw(0)), Primitive::Vertex(*vertex), place)
+            }
+            By::Pin(number) => {
+                let pin = &self.pins.pins[*number];
+                let place = pin.rest + answer.target;
+                held((pin.entity, Primitive::Shape(0)), Primitive::Tetrahedron(pin.tet), place)
+            }
         })
     }
 
@@ -443,6 +469,9 @@ impl Body {
         self.body.write(&self.positions, &still, out);
         out.put(self.body.entity, self.grips.clone());
         out.put(self.body.entity, self.contacts.clone());
+        if let Some(places) = self.pins.news() {
+            out.put(self.body.entity, places);
+        }
     }
 
     /// Whether it has just left what linear elasticity can say.
@@ -458,10 +487,10 @@ impl Body {
         Doubtful { reason, since: tick.time }
     }
 
-    fn measure(&self, force: f64, values: &mut BTreeMap<String, f64>) {
+    fn measure(&self, [touched, driven_in]: [f64; 2], values: &mut BTreeMap<String, f64>) {
         let name = &self.body.name;
         let flag = |is: bool| f64::from(u8::from(is));
-        values.insert(format!("{name}.contact_force_n"), force);
+        values.insert(format!("{name}.contact_force_n"), touched);
         let moved = self.positions.iter().zip(self.body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         values.insert(format!("{name}.displacement_max_m"), moved.fold(0.0, f64::max));
         values.insert(format!("{name}.rotation_max_rad"), self.deformation.rotation);
@@ -470,6 +499,10 @@ impl Body {
         values.insert(format!("{name}.beyond_linear"), flag(self.beyond));
         let held: usize = self.grips.picks.picks.iter().map(|pick| pick.vertices.len()).sum();
         values.insert(format!("{name}.held_vertices"), held as f64);
+        values.insert(format!("{name}.kept_constraints"), self.holding.kept() as f64);
+        if !self.pins.pins.is_empty() {
+            values.insert(format!("{name}.pinned_force_n"), driven_in);
+        }
         let share = f64::from_bits(self.progress.load(Ordering::Relaxed));
         values.insert(format!("{name}.precomputed_share"), if self.solver.is_some() { 1.0 } else { share });
         values.insert(format!("{name}.frozen"), flag(self.frozen));

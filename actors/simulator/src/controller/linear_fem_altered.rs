@@ -16,10 +16,19 @@ use crate::elasticity::Alteration;
 use crate::linear_fem::{LinearFem, LinearFemError};
 use crate::tet_mesh::{Birth, TetMesh};
 
-/// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next.
+/// Numbers of its factor that an inverse reads in one tick at most to follow: some 20 ms; at least one element or node goes.
+const READ_MAX: f64 = 1.5e8;
+/// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next. Six columns each, solved
+/// for forwards and backwards.
 const TAKEN_MAX: usize = 8;
-/// Nodes that come apart in an inverse in one tick at most: as dear as those.
+/// Nodes that come apart in one in a tick at most, of three columns.
 const RELEASED_MAX: usize = 16;
+
+/// How many steps that read the factor so often fit into a tick, of those that there may be.
+fn fitting(solver: &LinearFem, reads: f64, most: usize) -> usize {
+    let fit = READ_MAX / (reads * solver.factor_entries().max(1) as f64);
+    (fit as usize).clamp(1, most)
+}
 
 /// What has become of the elements, and how far the inverse follows.
 pub(super) struct Altered {
@@ -130,6 +139,18 @@ impl Altered {
         Ok((self.stale && !self.submitted).then(|| self.now()))
     }
 
+    /// Whether [`Self::follow`] would change nothing of what serves, and begin nothing.
+    pub fn is_still(&self, mesh: &TetMesh, solver: &LinearFem) -> bool {
+        let waits = self.stale || self.submitted || self.shrinks || self.next.is_some();
+        let all = solver.mesh().rest().len() == mesh.rest().len();
+        !waits && self.pending.is_empty() && all && !solver.can_release()
+    }
+
+    /// Whether an element is gone.
+    pub fn is_gone(&self, tet: u32) -> bool {
+        self.alterations.get(tet as usize) == Some(&Alteration::GONE)
+    }
+
     /// Lets nodes come apart that have in the mesh.
     fn come_apart(
         &mut self,
@@ -137,11 +158,12 @@ impl Altered {
         solver: &mut LinearFem,
         fading: &mut Option<Fading>,
     ) -> Result<(), LinearFemError> {
+        let most = fitting(solver, if fading.is_some() { 12.0 } else { 6.0 }, RELEASED_MAX);
         if let Some(fading) = fading {
-            fading.come_apart(mesh, &self.parents, RELEASED_MAX)?;
+            fading.come_apart(mesh, &self.parents, most)?;
         }
         catch_up(solver, mesh, &self.parents)?;
-        let released = solver.release_nodes(RELEASED_MAX)?;
+        let released = solver.release_nodes(most)?;
         self.releasing = released > 0 && solver.can_release();
         Ok(())
     }
@@ -156,11 +178,12 @@ impl Altered {
     }
 
     fn correct(&mut self, solver: &mut LinearFem, fading: &mut Option<Fading>) -> Result<(), LinearFemError> {
-        let (mut later, mut allowed) = (Vec::new(), TAKEN_MAX);
+        let most = fitting(solver, if fading.is_some() { 24.0 } else { 12.0 }, TAKEN_MAX);
+        let (mut later, mut allowed) = (Vec::new(), most);
         let mut next = std::mem::take(&mut self.pending);
         // The first inverse may have been computed after they went.
         next.retain(|&tet| !solver.is_out(tet));
-        fading.as_mut().map_or(Ok(()), |fading| fading.remove(&next, TAKEN_MAX))?;
+        fading.as_mut().map_or(Ok(()), |fading| fading.remove(&next, most))?;
         while !next.is_empty() {
             let room = solver.removable().min(allowed);
             let batch: Vec<u32> = next.drain(..room.min(next.len())).collect();

@@ -8,7 +8,8 @@
 use nalgebra::{Point3, Vector3};
 
 use super::linear_fem_contacts::Answer;
-use crate::linear_fem::{Attachment, Handle, LinearFem, LinearFemError};
+use super::linear_fem_holding::Holding;
+use crate::linear_fem::{Attachment, LinearFem, LinearFemError};
 use crate::tet_mesh::TetMesh;
 
 /// Change of what is felt in a tick, as a share of it.
@@ -37,8 +38,9 @@ pub(super) struct Fading {
     old: Box<LinearFem>,
     /// Of the new inverse in what is felt.
     share: f64,
-    /// Place of each answer that the old one holds, and by which name.
-    handles: Vec<(usize, Handle)>,
+    /// What the old one holds of the answers, and what that takes.
+    holding: Holding,
+    forces: Vec<Vector3<f64>>,
     /// Size of what is felt, and by how much the two inverses differ in it \[N\].
     felt: f64,
     change: f64,
@@ -48,7 +50,8 @@ pub(super) struct Fading {
 impl Fading {
     /// Of an inverse that a new one has just replaced.
     pub fn new(old: Box<LinearFem>) -> Self {
-        Self { old, share: 0.0, handles: Vec::new(), felt: 0.0, change: 0.0, moved: Vec::new() }
+        let (holding, forces, moved) = (Holding::default(), Vec::new(), Vec::new());
+        Self { old, share: 0.0, holding, forces, felt: 0.0, change: 0.0, moved }
     }
 
     /// Takes elements out of the old one, too, so many at most and as far as it bears that: what it does not, fades with it.
@@ -85,13 +88,9 @@ impl Fading {
         self.share == 0.0 && self.old.is_out(tet)
     }
 
-    /// Lets go of everything, for a new tick.
-    pub fn let_go(&mut self) -> Result<(), LinearFemError> {
-        self.handles.clear();
-        while let Some(held) = self.old.held().last().map(|held| held.handle) {
-            self.old.release(held)?;
-        }
-        Ok(())
+    /// Lets go of everything that is not held from the last tick on, as [`Holding::keep`] says.
+    pub fn keep<'a>(&mut self, wanted: impl Iterator<Item = &'a Attachment>) -> Result<(), LinearFemError> {
+        self.holding.keep(&mut self.old, wanted)
     }
 
     /// Holds what the new one holds, too.
@@ -101,29 +100,22 @@ impl Fading {
         attachment: &Attachment,
         target: Vector3<f64>,
     ) -> Result<(), LinearFemError> {
-        let handles = self.old.hold_at(attachment, target)?;
-        self.handles.extend(handles.into_iter().map(|handle| (place, handle)));
-        Ok(())
+        self.holding.hold(&mut self.old, place, attachment, target)
     }
 
     /// Moves what is held.
     pub fn set_target(&mut self, place: usize, target: Vector3<f64>) -> Result<(), LinearFemError> {
-        let mut own = self.handles.iter().filter(|(held, _)| *held == place);
-        own.try_for_each(|(_, handle)| self.old.set_target(*handle, target))
+        self.holding.set_target(&mut self.old, place, target)
     }
 
     /// Blends the old one's forces into answers that have the new one's.
     pub fn blend_forces(&mut self, answers: &mut [Answer]) -> Result<(), LinearFemError> {
         (self.felt, self.change) = (0.0, 0.0);
-        let reactions = self.old.solve(&[])?.reactions;
-        // What holds a place in several directions stands one after the other.
-        let of_place = |(place, _): &(usize, Handle)| *place;
-        let mut from = 0;
-        for handles in self.handles.chunk_by(|one, other| of_place(one) == of_place(other)) {
-            let old: Vector3<f64> =
-                reactions[from..from + handles.len()].iter().map(|reaction| reaction.force).sum();
-            from += handles.len();
-            let answer = &mut answers[handles[0].0];
+        self.holding.forces(&mut self.old, &mut self.forces)?;
+        for (place, (answer, old)) in answers.iter_mut().zip(&self.forces).enumerate() {
+            if !self.holding.holds(place) {
+                continue;
+            }
             let new = answer.force;
             answer.force = old.lerp(&new, self.share);
             self.felt += answer.force.norm();

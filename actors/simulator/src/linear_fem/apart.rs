@@ -34,6 +34,12 @@ impl LinearFem {
         &self.touched
     }
 
+    /// Numbers of its factor: what a sparse solve reads twice.
+    #[must_use]
+    pub fn factor_entries(&self) -> usize {
+        self.factor.entries()
+    }
+
     /// Whether its inverse is that of another body, and corrected.
     #[must_use]
     pub fn is_corrected(&self) -> bool {
