@@ -4,7 +4,7 @@
 //! The inverse is read from a cache or computed as a job; until then the organ stands still. The rest shape is the one
 //! under its own weight. All that goes on from tick to tick are the positions of the surface and what jaws hold, both in
 //! the scene: contacts are found anew about where the surface is, and solved for from nothing, so that another life finds
-//! the same; of what is held in both directions the rows stay, which does not change a bit of it ([`Holding`]).
+//! the same; of what is held in both directions the rows stay, which does not change a bit of it.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

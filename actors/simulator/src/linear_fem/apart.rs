@@ -59,7 +59,7 @@ impl LinearFem {
     }
 
     /// The body has come apart: it has this mesh now, whose new nodes, behind all others, were those nodes of `parents`, each one
-    /// before itself, at the same place. They go with these until [`Self::release`]; nothing moves and nothing is felt of it yet.
+    /// before itself, at the same place. They go with these until [`Self::release_nodes`]; nothing moves and nothing is felt of it yet.
     /// A dead load stays on the nodes that it was on: set it anew.
     ///
     /// # Errors
@@ -90,7 +90,7 @@ impl LinearFem {
     /// bears no more, and the next one is due.
     ///
     /// # Errors
-    /// As of what is held, none.
+    /// None but those of what is held, which it was held with before.
     pub fn release_nodes(&mut self, most: usize) -> Result<usize, LinearFemError> {
         if !self.can_release() {
             return Ok(0);
