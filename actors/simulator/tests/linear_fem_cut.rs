@@ -22,6 +22,10 @@ fn build(context: &BuildContext<'_>) -> Result<LinearFemController, ControllerEr
 
 /// A bar of 10 cm that is held at one end, a rod above its other end, and closed blades above its middle.
 fn bar(body: &str) -> String {
+    bar_of([20, 4, 4], body)
+}
+
+fn bar_of(cells: [u32; 3], body: &str) -> String {
     format!(
         r#"
 [[entity]]
@@ -34,7 +38,7 @@ pose = {{ translation = [0.3, 0.0, 0.0] }}
 instrument = {{ kind = "scissors", shaft_length = 0.1, shaft_radius = 0.002, jaw_length = 0.04, jaws = 2, jaw_thickness = 0.003 }}
 [[entity]]
 name = "bar"
-mesh = {{ block = {{ size = [0.1, 0.02, 0.02], cells = [20, 4, 4] }} }}
+mesh = {{ block = {{ size = [0.1, 0.02, 0.02], cells = {cells:?} }} }}
 linear_fem = {{ young_modulus = 2e4, poisson_ratio = 0.3, contact_radius = 0.008{body} }}
 anchors = {{ regions = [{{ box = {{ min = [-1.0, -1.0, -1.0], max = [-0.0499, 1.0, 1.0] }} }}] }}
 "#
@@ -251,6 +255,33 @@ fn what_is_cut_through_is_two_pieces_and_the_one_that_nothing_holds_gives_way_to
         tick(&mut stage);
     });
     assert!((felt(&stage) - before).abs() < 1e-6 * before, "{before} N and {} N", felt(&stage));
+}
+
+#[test]
+fn what_is_too_much_for_a_tick_waits_and_comes_with_the_next_inverse() {
+    let mut stage = Stage::new(scene(&bar_of([12, 12, 12], ", cut = true")), HZ, build);
+    blade(&mut stage, 0.013);
+    press(&mut stage, -0.002);
+    (0..3).for_each(|_| {
+        tick(&mut stage);
+    });
+    press(&mut stage, 0.001);
+    let whole = (0..4).map(|_| tick(&mut stage)).last().expect("some");
+    // Through all of it between two ticks.
+    blade(&mut stage, -0.013);
+    let (mut forces, mut waiting) = (Vec::new(), Vec::new());
+    for _ in 0..80 {
+        forces.push(tick(&mut stage));
+        waiting.push(stage.measured("bar.nodes_waiting"));
+    }
+    assert_eq!(stage.measured("bar.pieces"), 2.0);
+    // More than the unknowns that an inverse is corrected by at most.
+    assert!(waiting[0] > 128.0, "{waiting:?} nodes");
+    assert!(waiting[79] == 0.0 && forces[79] < 1e-3 * whole, "{whole} N whole, {forces:?} N");
+    // It goes over to that as what an inverse cannot be corrected for does.
+    let changes = forces.windows(2).map(|pair| (pair[1] - pair[0]).abs() / whole);
+    let most = changes.fold(0.0, f64::max);
+    assert!(most < 0.05, "by {most} of what was felt in a tick: {forces:?} N");
 }
 
 #[test]

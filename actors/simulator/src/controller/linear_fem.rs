@@ -398,9 +398,9 @@ impl Body {
             return;
         }
         let mut moved = Vec::new();
-        solver.displacements(&mut moved);
-        if let Some(fading) = &mut self.fading {
-            fading.blend_all(&mut moved);
+        match &mut self.fading {
+            Some(fading) => fading.displacements(solver, &mut moved),
+            None => solver.displacements(&mut moved),
         }
         for (node, displacement) in moved.iter().enumerate() {
             self.positions[node] = self.body.rest[node] + displacement;

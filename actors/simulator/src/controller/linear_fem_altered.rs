@@ -16,8 +16,8 @@ use crate::elasticity::Alteration;
 use crate::linear_fem::{LinearFem, LinearFemError};
 use crate::tet_mesh::{Birth, TetMesh};
 
-/// Numbers of its factor that an inverse reads in one tick at most to follow: some 20 ms; at least one element or node goes.
-const READ_MAX: f64 = 1.5e8;
+/// Numbers of its factor that an inverse reads in one tick at most to follow: some 40 ms; at least one element or node goes.
+const READ_MAX: f64 = 3e8;
 /// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next. Six columns each, solved
 /// for forwards and backwards.
 const TAKEN_MAX: usize = 8;
@@ -123,10 +123,12 @@ impl Altered {
         if self.submitted && self.next.is_none() {
             self.next = built(tick, key)?.map(Box::new);
         }
-        if fading.is_none()
+        // One of which nothing is felt yet makes room for a later one, which has less to catch up with.
+        if fading.as_ref().is_none_or(Fading::is_unfelt)
             && let Some(new) = self.next.take()
         {
-            *fading = Some(Fading::new(std::mem::replace(solver, new)));
+            let old = std::mem::replace(solver, new);
+            fading.get_or_insert_with(|| Fading::new(old));
             self.submitted = false;
             self.pending.clone_from(&self.since);
             self.shrinks = self.stale;

@@ -80,12 +80,17 @@ impl Fading {
 
     /// Nodes that go with the ones that they were still, where nothing of the new one is felt yet.
     pub fn waiting(&self) -> Option<usize> {
-        (self.share == 0.0).then(|| self.old.waiting())
+        self.is_unfelt().then(|| self.old.waiting())
+    }
+
+    /// Whether nothing of the new one is felt yet.
+    pub fn is_unfelt(&self) -> bool {
+        self.share == 0.0
     }
 
     /// Whether nothing of the new one is felt yet, and the element is out of the old one.
     pub fn hides(&self, tet: u32) -> bool {
-        self.share == 0.0 && self.old.is_out(tet)
+        self.is_unfelt() && self.old.is_out(tet)
     }
 
     /// Lets go of everything that is not held from the last tick on, as [`Holding::keep`] says.
@@ -135,8 +140,13 @@ impl Fading {
         }
     }
 
-    /// Blends in how far the old one has moved all nodes.
-    pub fn blend_all(&mut self, moved: &mut [Vector3<f64>]) {
+    /// How far all nodes are moved by the two, of which the new one is `solver`.
+    pub fn displacements(&mut self, solver: &mut LinearFem, moved: &mut Vec<Vector3<f64>>) {
+        if self.is_unfelt() {
+            self.old.displacements(moved);
+            return;
+        }
+        solver.displacements(moved);
         self.old.displacements(&mut self.moved);
         for (new, old) in moved.iter_mut().zip(&self.moved) {
             *new = old.lerp(new, self.share);
