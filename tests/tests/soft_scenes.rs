@@ -2,7 +2,7 @@
 
 use trocar::run::{RunOutcome, start};
 use trocar_scene::scenario::Scenario;
-use trocar_scene::{DeviceForce, HapticStatus, RestPositions, SimTime, TetMesh};
+use trocar_scene::{DeviceForce, HapticStatus, RestPositions, SimTime, TetMesh, VertexPositions};
 use trocar_tests::{app, edited, finish, for_seeds, lockstep};
 
 fn run(name: &str, replacements: &[(&str, &str)]) -> RunOutcome {
@@ -241,6 +241,82 @@ fn a_probe_presses_on_a_liver_with_a_precomputed_inverse() {
     let (force, moved) = (ratio("liver.contact_force_n.largest"), ratio("liver.displacement_max_m.largest"));
     assert!((force / moved / 3.0 - 1.0).abs() < 0.25 && force > 1.5, "{force} times, moved {moved} times");
     assert!(!stiffer.summary.task.completed, "it is not the liver that was asked for");
+}
+
+/// What is expected of `fem-liver`, from the first line to the last.
+const EXPECTED: &str = r#"    { measure = "liver.displacement_max_m", which = "largest", min = 0.004, max = 0.006 },
+    { measure = "liver.contact_force_n", which = "largest", min = 0.5, max = 0.8 },
+    { measure = "liver.contact_force_n", max = 0.001 },
+    { measure = "liver.displacement_max_m", max = 0.0001 },"#;
+
+#[test]
+fn closed_blades_slit_a_liver_with_a_precomputed_inverse() {
+    let blades = |cut: &str| {
+        run(
+            "fem-liver",
+            &[
+                ("kind = \"probe\"", "kind = \"scissors\""),
+                ("jaws = 0", "jaws = 2"),
+                ("jaw_length = 0.010", "jaw_length = 0.030"),
+                ("linear_fem = {", &format!("linear_fem = {{ {cut}")),
+                (EXPECTED, "    { measure = \"liver.opened_faces\", min = 20.0 },"),
+                // Down into it, 3 cm along, and out again.
+                (
+                    "{ seconds = 1.5, to = [-0.045, 0.000, 0.064] }",
+                    "{ seconds = 1.5, to = [-0.045, 0.000, 0.045] }",
+                ),
+                ("{ seconds = 1.0 },", "{ seconds = 1.0, to = [-0.015, 0.000, 0.045] },"),
+                (
+                    "{ seconds = 1.5, to = [-0.045, 0.000, 0.090] }",
+                    "{ seconds = 1.5, to = [-0.015, 0.000, 0.120] }",
+                ),
+            ],
+        )
+    };
+    let cut = blades("cut = true,");
+    assert!(cut.summary.task.completed, "{:?} {:?}", cut.summary.task, cut.summary.error);
+    assert!(cut.summary.controllers.iter().all(|row| row.rejected == 0 && row.restarts == 0));
+    // Its surface has two lips, and where nothing touches it any longer it is where it was.
+    let nodes = |run: &RunOutcome| {
+        let scene = &run.kernel.snapshot;
+        let liver = scene.find("liver").expect("a liver");
+        let rest = scene.get::<RestPositions>(liver).expect("its shape at rest").positions.clone();
+        let now = scene.get::<VertexPositions>(liver).expect("its shape").positions.clone();
+        let moved = rest.iter().zip(now.iter()).map(|(rest, now)| (now - rest).norm()).fold(0.0, f64::max);
+        (rest.len(), moved)
+    };
+    let whole = blades("");
+    assert!(!whole.summary.task.completed, "it is not cut");
+    let (born, moved) = (nodes(&cut).0 - nodes(&whole).0, nodes(&cut).1);
+    assert!(born >= 5 && moved < 1e-4, "{born} nodes have come apart, {moved} m from where they were");
+}
+
+#[test]
+fn a_hand_feels_what_its_instrument_has_been_driven_into() {
+    // Driven in to a point in the midst of the liver, drawn up by 5 mm and brought back, as exactly as a hand comes back.
+    let drawn = |pinned: &str| {
+        run(
+            "fem-liver",
+            &[
+                ("contact_radius = 0.012 }", &format!("contact_radius = 0.012 }}\n{pinned}")),
+                (
+                    EXPECTED,
+                    "    { measure = \"liver.pinned_force_n\", which = \"largest\", min = 0.1 },\n    \
+                     { measure = \"liver.pinned_force_n\", max = 0.05 },",
+                ),
+                ("to = [-0.045, 0.000, 0.075]", "to = [-0.045, 0.000, 0.095]"),
+                ("to = [-0.045, 0.000, 0.064]", "to = [-0.045, 0.000, 0.095]"),
+            ],
+        )
+    };
+    let pin = "pinned = { with = [{ entity = \"probe.right\", points = [[-0.045, 0.000, 0.045]] }] }";
+    let held = drawn(pin);
+    assert!(held.summary.task.completed, "{:?} {:?}", held.summary.task, held.summary.error);
+    let (felt, took) = (held.summary.force_newtons_max, outcome(&held, "liver.pinned_force_n.largest"));
+    assert!((felt / took - 1.0).abs() < 0.25, "the hand feels {felt} N of {took} N");
+    let free = drawn("");
+    let nothing = free.summary.force_newtons_max;
+    assert!(!free.summary.task.completed && nothing < 0.05 * felt, "{nothing} N of nothing, {felt} N");
 }
 
 #[test]

@@ -110,14 +110,26 @@ pub fn cauchy_stress([lambda, mu]: [f64; 2], gradient: &Matrix3<f64>) -> Matrix3
     (left * mu + Matrix3::from_diagonal_element(lambda * jacobian.ln())) / jacobian
 }
 
+/// The stress of linear elasticity \[Pa\], with Lamé's constants λ and μ \[Pa\], under a deformation gradient that is near to 1:
+/// what it has of a rotation, which a linear displacement takes for a stretch, is left out.
+#[must_use]
+pub fn small_stress([lambda, mu]: [f64; 2], gradient: &Matrix3<f64>) -> Matrix3<f64> {
+    let strain = (gradient + gradient.transpose()) * 0.5 - Matrix3::identity();
+    strain * (2.0 * mu) + Matrix3::from_diagonal_element(lambda * strain.trace())
+}
+
 /// The pattern of matrices over the nodes of a mesh for which `number` has one, and where they stand.
 #[must_use]
 pub fn pattern(mesh: &TetMesh, numbers: &[Option<u32>], count: usize) -> BlockPattern {
-    let pairs = mesh.tets().iter().flat_map(|tet| {
+    BlockPattern::new(count, elements_of(mesh, numbers))
+}
+
+/// Pairs of nodes that have a number and an element in common.
+fn elements_of(mesh: &TetMesh, numbers: &[Option<u32>]) -> impl Iterator<Item = (u32, u32)> {
+    mesh.tets().iter().flat_map(|tet| {
         let own = tet.map(|node| numbers[node as usize]);
         (0..4).flat_map(move |i| (0..i).filter_map(move |j| Some((own[i]?, own[j]?))))
-    });
-    BlockPattern::new(count, pairs)
+    })
 }
 
 /// The stiffness matrix over the nodes that have a number; the others are held.
@@ -135,7 +147,40 @@ pub fn weighted_stiffness(
     numbers: &[Option<u32>],
     count: usize,
 ) -> BlockMatrix {
-    let mut matrix = BlockMatrix::zeros(pattern(mesh, numbers, count));
+    bound_stiffness(mesh, material, weights, &Bonds::default(), numbers, count)
+}
+
+/// Springs of length 0 between nodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Bonds<'a> {
+    /// The two nodes of each.
+    pub between: &'a [[u32; 2]],
+    /// Stiffness of each \[N/m\].
+    pub stiffness: f64,
+}
+
+/// The same with bonds between nodes besides.
+#[must_use]
+pub fn bound_stiffness(
+    mesh: &TetMesh,
+    material: &Elastic,
+    weights: &[f64],
+    bonds: &Bonds<'_>,
+    numbers: &[Option<u32>],
+    count: usize,
+) -> BlockMatrix {
+    let of = |bond: &[u32; 2]| bond.map(|node| numbers[node as usize]);
+    let pairs = bonds.between.iter().filter_map(|bond| Some((of(bond)[0]?, of(bond)[1]?)));
+    let all = elements_of(mesh, numbers).chain(pairs);
+    let mut matrix = BlockMatrix::zeros(BlockPattern::new(count, all));
+    for bond in bonds.between {
+        let [one, other] = of(bond);
+        let block = Matrix3::from_diagonal_element(bonds.stiffness);
+        [one, other].into_iter().flatten().for_each(|row| matrix.add(row, row, &block));
+        if let (Some(one), Some(other)) = (one, other) {
+            matrix.add(one.max(other), one.min(other), &-block);
+        }
+    }
     for (index, tet) in mesh.tets().iter().enumerate() {
         let gradients = mesh.gradients(index);
         let volume = mesh.volumes()[index] * weights.get(index).copied().unwrap_or(1.0);

@@ -89,6 +89,7 @@ impl DynamicFemBody {
             halves: true,
             hangs_on: false,
             tears: self.strength.map(|strength| (strength, lame)),
+            is_linear: false,
         })
     }
 

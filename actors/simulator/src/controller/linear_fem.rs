@@ -4,7 +4,7 @@
 //! The inverse is read from a cache or computed as a job; until then the organ stands still. The rest shape is the one
 //! under its own weight. All that goes on from tick to tick are the positions of the surface and what jaws hold, both in
 //! the scene: contacts are found anew about where the surface is, and solved for from nothing, so that another life finds
-//! the same.
+//! the same; of what is held in both directions the rows stay, which does not change a bit of it.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -23,16 +23,18 @@ use trocar_scene::{
 use super::deformable::Deformable;
 use super::grips::Grips;
 use super::linear_fem_altered::{Altered, AlteredAt};
-use super::linear_fem_contacts::{Answer, By, Contacts, Held};
+use super::linear_fem_contacts::{Answer, By, Contacts};
 use super::linear_fem_fading::Fading;
+use super::linear_fem_holding::Holding;
 use super::linear_fem_jobs::{altered_as_job, built, built_as_job};
+use super::linear_fem_pins::{PinPlaces, PinnedBody, Pins};
 use super::parting::{Parting, Weakness};
 use super::refused::{Refused, Still};
-use super::soft::{Measures, Site, finite_vertices};
+use super::soft::{Measures, Site, finite_vertices, is_blade};
 use super::tools::{Rod, rods_of_all};
 use super::touch::{COLLISIONS_MAX, Touch, collision};
-use crate::elasticity::POISSON_MAX;
-use crate::linear_fem::{Cache, Deformation, LinearFem, LinearFemError};
+use crate::elasticity::{Elastic, POISSON_MAX};
+use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
 use crate::tet_mesh::{MeshRules, TetMesh};
 
 /// How often in a tick the surface is looked at for what is still in a rod.
@@ -51,12 +53,25 @@ pub struct LinearFemBody {
     /// Radius of the patch over which what touches presses \[m\]. About one and a half edges of the surface or more, and what is
     /// felt is the same on a finer mesh; 0: on single vertices, which feel stiffer the coarser they are.
     pub contact_radius: f64,
+    /// Whether blades cut it, along the faces between its elements; then they do not push it.
+    pub cut: bool,
+    /// Tension that tears it \[Pa\]; without one nothing does.
+    pub strength: Option<f64>,
 }
 
 impl Default for LinearFemBody {
     /// Liver, in round numbers; for what has been measured of each organ see [`trocar_scene::tissue`].
     fn default() -> Self {
-        Self { young_modulus: 6e3, poisson_ratio: 0.45, contact_radius: 0.006 }
+        Self { young_modulus: 6e3, poisson_ratio: 0.45, contact_radius: 0.006, cut: false, strength: None }
+    }
+}
+
+impl LinearFemBody {
+    fn weakness(&self) -> Result<Weakness, String> {
+        let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
+        let lame = [elastic.lambda(), elastic.mu()];
+        let tears = self.strength.map(|strength| (strength, lame));
+        Ok(Weakness { cut: self.cut, halves: false, hangs_on: true, tears, is_linear: true })
     }
 }
 
@@ -66,7 +81,8 @@ impl Component for LinearFemBody {
         trocar_scene::finite::check(self)?;
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
         ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
-        ComponentError::range("contact_radius", self.contact_radius, 0.0..=0.1, "0 to 0.1 m")
+        ComponentError::range("contact_radius", self.contact_radius, 0.0..=0.1, "0 to 0.1 m")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
     }
     fn schema() -> Option<serde_json::Value> {
         Some(schemars::schema_for!(Self).to_value())
@@ -76,17 +92,21 @@ impl Component for LinearFemBody {
 pub(super) struct Body {
     pub(super) body: Deformable,
     pub(super) kind: LinearFemBody,
-    mesh: TetMesh,
+    pub(super) mesh: TetMesh,
     pub(super) solver: Option<Box<LinearFem>>,
+    /// What it holds, and the forces on each [N].
+    pub(super) holding: Holding,
+    forces: Vec<Vector3<f64>>,
     /// The inverse before that, as long as it is felt.
     pub(super) fading: Option<Fading>,
     submitted: bool,
-    /// Of a body that heat changes.
-    parting: Option<(Parting, Altered)>,
+    /// Of a body that heat changes, blades cut or that tears.
+    pub(super) parting: Option<(Parting, Altered)>,
     /// Share of the inverse that is computed, as the bits of an f64.
     progress: Arc<AtomicU64>,
     pub(super) positions: Vec<Point3<f64>>,
     pub(super) grips: Grips,
+    pub(super) pins: Pins,
     /// Places that rods pressed on in the last tick.
     pub(super) contacts: Contacts,
     pub(super) is_pinned: Vec<bool>,
@@ -137,7 +157,9 @@ impl Controller for LinearFemController {
             .reads::<Instrument>()
             .reads::<JawState>()
             .writes::<Doubtful>(EntitySet::Of(bodies.clone()))
+            .reads::<PinnedBody>()
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
+            .writes::<PinPlaces>(EntitySet::Of(bodies.clone()))
             .writes::<Contacts>(EntitySet::Of(bodies))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
@@ -148,9 +170,12 @@ impl Controller for LinearFemController {
         let mut measured = Measured::default();
         for (index, body) in self.bodies.iter_mut().enumerate() {
             let world_from_body = scene.world_pose(body.body.entity);
-            let mut force = 0.0;
+            let mut forces = [0.0; 2];
             if !body.frozen {
                 rods_of_all(scene, &world_from_body, &mut self.rods);
+                if body.kind.cut {
+                    self.rods.retain(|rod| !is_blade(scene, rod.instrument));
+                }
                 let site = Site {
                     scene,
                     tick,
@@ -165,7 +190,8 @@ impl Controller for LinearFemController {
                 match done {
                     Ok(answers) => {
                         for answer in &answers {
-                            force += answer.force.norm();
+                            let driven_in = matches!(answer.by, By::Pin(_));
+                            forces[usize::from(driven_in)] += answer.force.norm();
                             collisions.extend(body.told(answer, &self.rods, &world_from_body, tick.time));
                         }
                         if body.solver.is_some() {
@@ -186,7 +212,7 @@ impl Controller for LinearFemController {
                     }
                 }
             }
-            body.measure(force, &mut measured.values);
+            body.measure(forces, &mut measured.values);
         }
         self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
         collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
@@ -201,19 +227,27 @@ impl Body {
     fn read(kind: LinearFemBody, entity: Entity, scene: &Snapshot) -> Result<Self, ControllerError> {
         let mut body = Deformable::read(scene, entity)?;
         let wrong = |name: &str, why: String| ControllerError::Scene(format!("'{name}': {why}"));
-        let mesh = TetMesh::new(&body.rest, &body.tets, &MeshRules::default())
-            .map_err(|why| wrong(&body.name, why.to_string()))?;
-        let weakness = Weakness { hangs_on: true, ..Weakness::default() };
-        let parting =
-            Parting::new(&mut body, weakness, scene).map_err(|why| wrong(&body.name, why))?.map(|parting| {
-                let altered = Altered::new(mesh.tets().len(), &parting.heated());
-                (parting, altered)
-            });
+        let mesh = |body: &Deformable| {
+            let coincident_within = if body.is_parted { None } else { Some(0.0) };
+            let rules = MeshRules { coincident_within, ..MeshRules::default() };
+            TetMesh::new(&body.rest, &body.tets, &rules).map_err(|why| wrong(&body.name, why.to_string()))
+        };
+        let weakness = kind.weakness().map_err(|why| wrong(&body.name, why))?;
+        let parting = Parting::new(&mut body, weakness, scene).map_err(|why| wrong(&body.name, why))?;
+        let mesh = mesh(&body)?;
+        let parting = parting.map(|parting| {
+            let altered = Altered::new(mesh.tets().len(), &parting.heated(), parting.births());
+            (parting, altered)
+        });
         let is_pinned = body.stays();
+        let pins = Pins::read(scene, &body, &mesh).map_err(|why| wrong(&body.name, why))?;
         Ok(Self {
             kind,
             mesh,
+            pins,
             solver: None,
+            holding: Holding::default(),
+            forces: Vec::new(),
             fading: None,
             submitted: false,
             parting,
@@ -239,18 +273,18 @@ impl Body {
     ) -> Result<Vec<Answer>, String> {
         let keys = [2 * index as u64, 2 * index as u64 + 1];
         self.wait(keys[0], cache, site.tick)?;
-        self.burn(keys[1], site, out)?;
+        self.alter(keys[1], site, out)?;
         if self.solver.is_none() {
             return Ok(Vec::new());
         }
         let mut answers = self.ask(site)?;
-        let mut held = Held::default();
-        self.let_go().map_err(|error| error.to_string())?;
+        self.keep(answers.iter().map(|answer| &answer.attachment)).map_err(|error| error.to_string())?;
+        let mut asked = 0;
         for _ in 0..ROUNDS_MAX {
             let before = answers.len();
-            self.answer(&mut answers, &mut held).map_err(|error| error.to_string())?;
+            self.answer(&mut answers, &mut asked).map_err(|error| error.to_string())?;
             self.ask_more(site.rods, &mut answers);
-            let moved = self.press_home(&mut answers, &held).map_err(|error| error.to_string())?;
+            let moved = self.press_home(&mut answers).map_err(|error| error.to_string())?;
             if answers.len() == before && !moved {
                 break;
             }
@@ -266,21 +300,30 @@ impl Body {
         bad.map_or(Ok(answers), |at| Err(format!("the force of contact {at} is no finite number")))
     }
 
-    /// Lets it follow what heat does to its elements.
-    fn burn(&mut self, key: u64, site: &Site<'_>, out: &mut Commands) -> Result<(), String> {
+    /// Lets it follow what heat and blades do to its elements, and what tears.
+    fn alter(&mut self, key: u64, site: &Site<'_>, out: &mut Commands) -> Result<(), String> {
         let Some((parting, altered)) = &mut self.parting else { return Ok(()) };
-        let positions = &self.positions;
-        let mut elements = AlteredAt { altered, positions };
+        let fading = self.fading.as_ref();
+        let waits = |solver: &LinearFem| altered.waiting(fading) + altered.nodes_waiting(solver, fading);
+        let has_followed = self.solver.as_deref().is_some_and(|solver| waits(solver) == 0);
+        let (positions, mesh) = (&mut self.positions, &mut self.mesh);
+        let mut elements = AlteredAt { altered, positions, mesh, has_followed };
         if let Some(reshaped) = parting.reshape(&mut elements, &mut self.body, site, out)? {
             self.is_pinned = self.body.stays();
-            reshaped.followed_by(&mut self.grips, site, &self.body.triangles, positions);
+            reshaped.followed_by(&mut self.grips, site, &self.body.triangles, &self.positions);
             self.contacts = Contacts::default();
         }
         let Some(solver) = &mut self.solver else { return Ok(()) };
-        if let Some(alterations) = altered.follow(key, solver, &mut self.fading, site.tick)? {
+        if !altered.is_still(&self.mesh, solver) {
+            // What is held would be entered anew with every change.
+            let nothing = std::iter::empty::<&Attachment>;
+            let let_go = |fading: &mut Fading| fading.keep(nothing());
+            self.holding.keep(solver, nothing()).map_err(|error| error.to_string())?;
+            self.fading.as_mut().map_or(Ok(()), let_go).map_err(|error| error.to_string())?;
+        }
+        if let Some(became) = altered.follow(key, &self.mesh, solver, &mut self.fading, site.tick)? {
             let material = [self.kind.young_modulus, self.kind.poisson_ratio];
-            let job =
-                altered_as_job(key, &self.mesh, material, &self.body.pinned, alterations, &self.progress);
+            let job = altered_as_job(key, &self.mesh, material, &self.body.pinned, became, &self.progress);
             altered.begun(site.tick.jobs.submit(job));
         }
         Ok(())
@@ -296,9 +339,9 @@ impl Body {
         } else if !self.submitted {
             let material = [self.kind.young_modulus, self.kind.poisson_ratio];
             let (pinned, progress) = (&self.body.pinned, &self.progress);
-            let altered = self.parting.as_ref().and_then(|(_, altered)| altered.alterations());
-            let job = match altered {
-                Some(altered) => altered_as_job(key, &self.mesh, material, pinned, altered, progress),
+            let became = self.parting.as_ref().and_then(|(_, altered)| altered.became());
+            let job = match became {
+                Some(became) => altered_as_job(key, &self.mesh, material, pinned, became, progress),
                 None => built_as_job(key, &self.mesh, material, pinned, cache.cloned(), progress),
             };
             self.submitted = tick.jobs.submit(job);
@@ -306,66 +349,58 @@ impl Body {
         Ok(())
     }
 
-    /// Every tick solves from nothing: the same in every life.
-    fn let_go(&mut self) -> Result<(), LinearFemError> {
+    /// Lets go of what is not held from the last tick on.
+    fn keep<'a>(
+        &mut self,
+        wanted: impl Iterator<Item = &'a Attachment> + Clone,
+    ) -> Result<(), LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
-        while let Some(held) = solver.held().last().map(|held| held.handle) {
-            solver.release(held)?;
-        }
-        self.fading.as_mut().map_or(Ok(()), Fading::let_go)
+        self.holding.keep(solver, wanted.clone())?;
+        self.fading.as_mut().map_or(Ok(()), |fading| fading.keep(wanted))
     }
 
     /// Holds what is not held yet, and solves for all of it.
-    fn answer(
-        &mut self,
-        answers: &mut [Answer],
-        Held { asked, holding }: &mut Held,
-    ) -> Result<(), LinearFemError> {
+    fn answer(&mut self, answers: &mut [Answer], asked: &mut usize) -> Result<(), LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         for (index, answer) in answers.iter().enumerate().skip(*asked) {
-            match solver.hold(answer.attachment.clone()) {
-                Ok(handle) => {
-                    solver.set_target(handle, answer.target)?;
-                    holding.push(index);
-                    if let Some(fading) = &mut self.fading {
-                        fading.hold(index, &answer.attachment, answer.target)?;
-                    }
-                }
-                // Two jaws have the same vertex: the first one has it.
-                Err(LinearFemError::Dependent { .. }) => {}
-                Err(error) => return Err(error),
+            // Of two jaws that have the same vertex the first one has it.
+            self.holding.hold(solver, index, &answer.attachment, answer.target)?;
+            if let Some(fading) = &mut self.fading {
+                fading.hold(index, &answer.attachment, answer.target)?;
             }
         }
         *asked = answers.len();
-        for (index, reaction) in holding.iter().zip(solver.solve(&[])?.reactions) {
-            answers[*index].force = reaction.force;
+        self.holding.forces(solver, &mut self.forces)?;
+        for (answer, force) in answers.iter_mut().zip(&self.forces) {
+            answer.force = *force;
         }
         if let Some(fading) = &mut self.fading {
             fading.blend_forces(answers)?;
         }
         let mut moved = Vec::new();
         solver.surface_displacements(&mut moved);
-        for (&node, displacement) in solver.compliance().nodes().iter().zip(&moved) {
+        for (&node, displacement) in solver.nodes().iter().zip(&moved) {
             self.positions[node as usize] = self.body.rest[node as usize] + displacement;
         }
         if let Some(fading) = &mut self.fading {
-            fading.blend_surface(solver.compliance().nodes(), &self.body.rest, &mut self.positions);
+            fading.blend_surface(solver.nodes(), &self.body.rest, &mut self.positions);
         }
         Ok(())
     }
 
-    /// The inside, now and then; while something burns always, for what has just been uncovered is of the inside for the
-    /// inverse.
+    /// The inside, now and then; while something burns or comes apart always, for what has just been uncovered is of the inside
+    /// for the inverse, and where it may tear, for that is told by its elements.
     fn look_inside(&mut self, tick: &Tick<'_>) {
         let Some(solver) = &mut self.solver else { return };
         let look = tick.number.is_multiple_of(INSIDE_EVERY);
-        if !look && solver.removed().is_empty() && self.fading.is_none() {
+        let always = solver.is_corrected() || self.fading.is_some() || self.kind.strength.is_some();
+        if !look && !always {
             return;
         }
         let mut moved = Vec::new();
-        solver.displacements(&mut moved);
-        if let Some(fading) = &mut self.fading {
-            fading.blend_all(&mut moved);
+        match &mut self.fading {
+            Some(fading) => fading.displacements(solver, &mut moved),
+            None => solver.displacements(&mut moved),
         }
         for (node, displacement) in moved.iter().enumerate() {
             self.positions[node] = self.body.rest[node] + displacement;
@@ -391,6 +426,20 @@ impl Body {
         }
         let way = answer.force / size;
         let depth = answer.target.dot(&way).max(1e-6);
+        let held =
+            |(a, primitive_a): (Entity, Primitive), primitive_b: Primitive, place: Point3<f64>| Collision {
+                a,
+                primitive_a,
+                b: self.body.entity,
+                primitive_b,
+                points_in_world: [world_from_body * place; 2],
+                normal_in_world: world_from_body.rotation * way,
+                depth,
+                force_in_world: world_from_body.rotation * answer.force,
+                velocity_constraint: 0.0,
+                method: Detection::Simulator,
+                detected_at: at,
+            };
         Some(match &answer.by {
             By::Touch(touch) => {
                 let found = collision(
@@ -403,19 +452,15 @@ impl Body {
                 );
                 Collision { depth, ..found }
             }
-            By::Jaws(instrument, vertex) => Collision {
-                a: *instrument,
-                primitive_a: Primitive::Jaw(0),
-                b: self.body.entity,
-                primitive_b: Primitive::Vertex(*vertex),
-                points_in_world: [world_from_body * self.positions[*vertex as usize]; 2],
-                normal_in_world: world_from_body.rotation * way,
-                depth,
-                force_in_world: world_from_body.rotation * answer.force,
-                velocity_constraint: 0.0,
-                method: Detection::Simulator,
-                detected_at: at,
-            },
+            By::Jaws(instrument, vertex) => {
+                let place = self.positions[*vertex as usize];
+                held((*instrument, Primitive::Jaw(0)), Primitive::Vertex(*vertex), place)
+            }
+            By::Pin(number) => {
+                let pin = &self.pins.pins[*number];
+                let place = pin.rest + answer.target;
+                held((pin.entity, Primitive::Shape(0)), Primitive::Tetrahedron(pin.tet), place)
+            }
         })
     }
 
@@ -424,6 +469,9 @@ impl Body {
         self.body.write(&self.positions, &still, out);
         out.put(self.body.entity, self.grips.clone());
         out.put(self.body.entity, self.contacts.clone());
+        if let Some(places) = self.pins.news() {
+            out.put(self.body.entity, places);
+        }
     }
 
     /// Whether it has just left what linear elasticity can say.
@@ -439,10 +487,10 @@ impl Body {
         Doubtful { reason, since: tick.time }
     }
 
-    fn measure(&self, force: f64, values: &mut BTreeMap<String, f64>) {
+    fn measure(&self, [touched, driven_in]: [f64; 2], values: &mut BTreeMap<String, f64>) {
         let name = &self.body.name;
         let flag = |is: bool| f64::from(u8::from(is));
-        values.insert(format!("{name}.contact_force_n"), force);
+        values.insert(format!("{name}.contact_force_n"), touched);
         let moved = self.positions.iter().zip(self.body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         values.insert(format!("{name}.displacement_max_m"), moved.fold(0.0, f64::max));
         values.insert(format!("{name}.rotation_max_rad"), self.deformation.rotation);
@@ -451,13 +499,20 @@ impl Body {
         values.insert(format!("{name}.beyond_linear"), flag(self.beyond));
         let held: usize = self.grips.picks.picks.iter().map(|pick| pick.vertices.len()).sum();
         values.insert(format!("{name}.held_vertices"), held as f64);
+        values.insert(format!("{name}.kept_constraints"), self.holding.kept() as f64);
+        if !self.pins.pins.is_empty() {
+            values.insert(format!("{name}.pinned_force_n"), driven_in);
+        }
         let share = f64::from_bits(self.progress.load(Ordering::Relaxed));
         values.insert(format!("{name}.precomputed_share"), if self.solver.is_some() { 1.0 } else { share });
         values.insert(format!("{name}.frozen"), flag(self.frozen));
         if let Some((parting, altered)) = &self.parting {
             let mut measures = Measures::new(name, values);
             parting.measure(&mut measures);
-            measures.put("elements_waiting", altered.waiting(self.fading.as_ref()) as f64);
+            let fading = self.fading.as_ref();
+            let nodes = self.solver.as_ref().map_or(0, |solver| altered.nodes_waiting(solver, fading));
+            measures.put("elements_waiting", altered.waiting(fading) as f64);
+            measures.put("nodes_waiting", nodes as f64);
         }
     }
 }

@@ -1,5 +1,5 @@
-//! A linear organ that burns: elements leave its inverse by a correction of low rank, at once and exactly, while a job computes
-//! the inverse of what it has become. What shrinks does so at once, too; that it is stiffer comes with the job, and is blended
+//! A linear organ that burns, is cut or tears: elements leave its inverse, and nodes come apart in it, by a correction of low rank,
+//! at once and exactly, while a job computes the inverse of what it has become. What shrinks does so at once, too; that it is stiffer comes with the job, and is blended
 //! in ([`Fading`]).
 
 use std::collections::BTreeSet;
@@ -9,19 +9,33 @@ use trocar_scene::Tick;
 
 use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
-use super::linear_fem_fading::Fading;
-use super::linear_fem_jobs::built;
+use super::linear_fem_fading::{Fading, catch_up};
+use super::linear_fem_jobs::{Became, built};
 use super::parting::{Elements, Split};
 use crate::elasticity::Alteration;
-use crate::linear_fem::{LinearFem, LinearFemError, REMOVED_MAX};
+use crate::linear_fem::{LinearFem, LinearFemError};
+use crate::tet_mesh::{Birth, TetMesh};
 
-/// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next.
+/// Numbers of its factor that an inverse reads in one tick at most to follow: some 40 ms; at least one element or node goes.
+const READ_MAX: f64 = 3e8;
+/// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next. Six columns each, solved
+/// for forwards and backwards.
 const TAKEN_MAX: usize = 8;
+/// Nodes that come apart in one in a tick at most, of three columns.
+const RELEASED_MAX: usize = 16;
+
+/// How many steps that read the factor so often fit into a tick, of those that there may be.
+fn fitting(solver: &LinearFem, reads: f64, most: usize) -> usize {
+    let fit = READ_MAX / (reads * solver.factor_entries().max(1) as f64);
+    (fit as usize).clamp(1, most)
+}
 
 /// What has become of the elements, and how far the inverse follows.
 pub(super) struct Altered {
     /// Of all elements, as the scene has them.
     alterations: Vec<Alteration>,
+    /// Which node each was that the first mesh did not have.
+    parents: Vec<u32>,
     /// Gone, and not out of the inverse yet.
     pending: Vec<u32>,
     /// Went since the job began.
@@ -31,6 +45,8 @@ pub(super) struct Altered {
     /// Whether anything has shrunk since the inverse that serves was told.
     shrinks: bool,
     submitted: bool,
+    /// Whether more nodes can come apart in the inverse that serves than did in this tick.
+    releasing: bool,
     /// Whether the inverse that serves will have caught up with what went in a tick or a few.
     behind: bool,
     /// The new inverse, which has to wait until the last one is blended in.
@@ -38,15 +54,17 @@ pub(super) struct Altered {
 }
 
 impl Altered {
-    /// Of a body to whose elements that has happened; its first inverse has all of it.
-    pub fn new(elements: usize, heated: &Heated) -> Self {
+    /// Of a body to whose elements that has happened, and of which so many nodes were born; its first inverse has all of it.
+    pub fn new(elements: usize, heated: &Heated, births: &[Birth]) -> Self {
         let mut this = Self {
             alterations: vec![Alteration::NONE; elements],
+            parents: births.iter().map(|birth| birth.of[0]).collect(),
             pending: Vec::new(),
             since: Vec::new(),
             stale: false,
             shrinks: false,
             submitted: false,
+            releasing: false,
             behind: false,
             next: None,
         };
@@ -57,10 +75,14 @@ impl Altered {
         this
     }
 
-    /// As they are now, if they are not as at first.
-    pub fn alterations(&self) -> Option<Vec<Alteration>> {
-        let altered = self.alterations.iter().any(|of| *of != Alteration::NONE);
-        altered.then(|| self.alterations.clone())
+    /// What the body is now, if it is not as at first.
+    pub fn became(&self) -> Option<Became> {
+        let altered = self.alterations.iter().any(|of| *of != Alteration::NONE) || !self.parents.is_empty();
+        altered.then(|| self.now())
+    }
+
+    fn now(&self) -> Became {
+        Became { alterations: self.alterations.clone(), parents: self.parents.clone() }
     }
 
     pub fn remove(&mut self, elements: &[u32]) {
@@ -85,34 +107,67 @@ impl Altered {
         }
     }
 
-    /// Lets the inverse follow: takes a new one when it has come, which lets the other fade; corrects the one that serves. What cannot be corrected for
-    /// waits for the next one. Answers what that is to be computed from, where it is time to begin.
+    /// Lets the inverse follow: takes a new one when it has come, which lets the other fade; corrects the one that serves. What
+    /// cannot be corrected for waits for the next one. Answers what that is to be computed from, where it is time to begin.
     ///
     /// # Errors
     /// Why there is no new inverse.
     pub fn follow(
         &mut self,
         key: u64,
+        mesh: &TetMesh,
         solver: &mut Box<LinearFem>,
         fading: &mut Option<Fading>,
         tick: &Tick<'_>,
-    ) -> Result<Option<Vec<Alteration>>, String> {
+    ) -> Result<Option<Became>, String> {
         if self.submitted && self.next.is_none() {
             self.next = built(tick, key)?.map(Box::new);
         }
-        if fading.is_none()
+        // One of which nothing is felt yet makes room for a later one, which has less to catch up with.
+        if fading.as_ref().is_none_or(Fading::is_unfelt)
             && let Some(new) = self.next.take()
         {
-            *fading = Some(Fading::new(std::mem::replace(solver, new)));
+            let old = std::mem::replace(solver, new);
+            fading.get_or_insert_with(|| Fading::new(old));
             self.submitted = false;
             self.pending.clone_from(&self.since);
             self.shrinks = self.stale;
         }
-        let done = self.correct(solver, fading).and_then(|()| {
+        let done = self.come_apart(mesh, solver, fading).and_then(|()| {
+            self.correct(solver, fading)?;
             if std::mem::take(&mut self.shrinks) { solver.shrink(&self.alterations) } else { Ok(()) }
         });
         done.map_err(|error| error.to_string())?;
-        Ok((self.stale && !self.submitted).then(|| self.alterations.clone()))
+        Ok((self.stale && !self.submitted).then(|| self.now()))
+    }
+
+    /// Whether [`Self::follow`] would change nothing of what serves, and begin nothing.
+    pub fn is_still(&self, mesh: &TetMesh, solver: &LinearFem) -> bool {
+        let waits = self.stale || self.submitted || self.shrinks || self.next.is_some();
+        let all = solver.mesh().rest().len() == mesh.rest().len();
+        !waits && self.pending.is_empty() && all && !solver.can_release()
+    }
+
+    /// Whether an element is gone.
+    pub fn is_gone(&self, tet: u32) -> bool {
+        self.alterations.get(tet as usize) == Some(&Alteration::GONE)
+    }
+
+    /// Lets nodes come apart that have in the mesh.
+    fn come_apart(
+        &mut self,
+        mesh: &TetMesh,
+        solver: &mut LinearFem,
+        fading: &mut Option<Fading>,
+    ) -> Result<(), LinearFemError> {
+        let most = fitting(solver, if fading.is_some() { 12.0 } else { 6.0 }, RELEASED_MAX);
+        if let Some(fading) = fading {
+            fading.come_apart(mesh, &self.parents, most)?;
+        }
+        catch_up(solver, mesh, &self.parents)?;
+        let released = solver.release_nodes(most)?;
+        self.releasing = released > 0 && solver.can_release();
+        Ok(())
     }
 
     /// A job has begun, or could not.
@@ -125,13 +180,14 @@ impl Altered {
     }
 
     fn correct(&mut self, solver: &mut LinearFem, fading: &mut Option<Fading>) -> Result<(), LinearFemError> {
-        let (mut later, mut allowed) = (Vec::new(), TAKEN_MAX);
+        let most = fitting(solver, if fading.is_some() { 24.0 } else { 12.0 }, TAKEN_MAX);
+        let (mut later, mut allowed) = (Vec::new(), most);
         let mut next = std::mem::take(&mut self.pending);
         // The first inverse may have been computed after they went.
         next.retain(|&tet| !solver.is_out(tet));
-        fading.as_mut().map_or(Ok(()), |fading| fading.remove(&next, TAKEN_MAX))?;
+        fading.as_mut().map_or(Ok(()), |fading| fading.remove(&next, most))?;
         while !next.is_empty() {
-            let room = (REMOVED_MAX - solver.removed().len()).min(allowed);
+            let room = solver.removable().min(allowed);
             let batch: Vec<u32> = next.drain(..room.min(next.len())).collect();
             if batch.is_empty() {
                 break;
@@ -147,7 +203,8 @@ impl Altered {
                 Err(error) => return Err(error),
             }
         }
-        self.behind = allowed == 0 && !next.is_empty() && solver.removed().len() < REMOVED_MAX;
+        let takes = allowed == 0 && !next.is_empty() && solver.removable() > 0;
+        self.behind = takes || self.releasing;
         later.extend(next);
         self.pending = later;
         Ok(())
@@ -156,6 +213,11 @@ impl Altered {
     /// Elements that went and are still felt, until the next inverse.
     pub fn waiting(&self, fading: Option<&Fading>) -> usize {
         self.pending.iter().filter(|tet| !fading.is_some_and(|fading| fading.hides(**tet))).count()
+    }
+
+    /// Nodes that have come apart and are still felt as one, until the next inverse or for some ticks.
+    pub fn nodes_waiting(&self, solver: &LinearFem, fading: Option<&Fading>) -> usize {
+        fading.and_then(Fading::waiting).unwrap_or_else(|| solver.waiting())
     }
 
     /// Whether a new inverse still has to catch up with what went while it was computed.
@@ -167,7 +229,10 @@ impl Altered {
 /// The elements of an organ with where its nodes are.
 pub(super) struct AlteredAt<'a> {
     pub altered: &'a mut Altered,
-    pub positions: &'a [Point3<f64>],
+    pub positions: &'a mut Vec<Point3<f64>>,
+    pub mesh: &'a mut TetMesh,
+    /// Whether its inverse has followed all that has become of it.
+    pub has_followed: bool,
 }
 
 impl Elements for AlteredAt<'_> {
@@ -176,8 +241,12 @@ impl Elements for AlteredAt<'_> {
     }
 
     fn velocities(&self) -> &[Vector3<f64>] {
-        // It is not cut.
+        // Blades halve none of its elements.
         &[]
+    }
+
+    fn can_tear(&self) -> bool {
+        self.has_followed
     }
 
     fn remove(&mut self, elements: &[u32]) -> Result<(), String> {
@@ -190,7 +259,17 @@ impl Elements for AlteredAt<'_> {
         Ok(())
     }
 
-    fn split(&mut self, _body: &Deformable, _split: &Split<'_>) -> Result<(), String> {
-        Err("a linear organ does not come apart: 'xpbd' and 'dynamic_fem' do".into())
+    fn split(&mut self, body: &Deformable, split: &Split<'_>) -> Result<(), String> {
+        let first = self.positions.len();
+        let parents: Vec<u32> = split.born.iter().map(|birth| birth.of[0]).collect();
+        for birth in split.born {
+            self.positions.push(birth.mix(self.positions, |a, b, share| a + (b - a) * share));
+        }
+        *self.mesh = self.mesh.parted(first, &parents, body.tets.to_vec());
+        self.altered.parents.extend(parents);
+        self.altered.stale = true;
+        // Where what has shrunk pulls depends on which nodes its elements have.
+        self.altered.shrinks |= self.altered.alterations.iter().any(|of| of.length != 1.0);
+        Ok(())
     }
 }

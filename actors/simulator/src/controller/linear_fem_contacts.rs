@@ -1,4 +1,4 @@
-//! What holds the surface of a linear organ: jaws what they have picked, rods the patches that they press on.
+//! What holds a linear organ: what has been driven into it, jaws what they have picked, rods the patches that they press on.
 //!
 //! A load on a single vertex feels stiffer the coarser the mesh is, so that each place that a rod touches stands for a patch
 //! about it. Where that is, and which way it is pressed, is found on the shape at rest, for the rod as it is seen from
@@ -73,24 +73,17 @@ pub(super) struct Answer {
     pub force: Vector3<f64>,
 }
 
-/// How far what is asked is held.
-#[derive(Default)]
-pub(super) struct Held {
-    /// Of the list, so many have been asked for.
-    pub asked: usize,
-    /// Those of them that are held, in the order of the solver.
-    pub holding: Vec<usize>,
-}
-
 pub(super) enum By {
     /// A rod that touches.
     Touch(Touch),
     /// The jaws of an instrument, at a vertex.
     Jaws(Entity, u32),
+    /// What has been driven into it, at the point of that number.
+    Pin(usize),
 }
 
 impl Body {
-    /// What holds the surface now: jaws what they have picked, rods what they touch.
+    /// What holds it now, those first that stay from tick to tick: pins, jaws what they have picked, rods what they touch.
     pub(super) fn ask(&mut self, site: &Site<'_>) -> Result<Vec<Answer>, String> {
         let rods = site.rods;
         let triangles = self.body.triangles.clone();
@@ -107,6 +100,17 @@ impl Body {
         let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
         self.grips.picks.update(&triangles, &self.positions, &jaws).map_err(|error| error.to_string())?;
         let mut answers = Vec::new();
+        self.pins.drive_in(site.scene, site.world_from_body);
+        let altered = self.parting.as_ref().map(|(_, altered)| altered);
+        let is_gone = |tet| altered.is_some_and(|altered| altered.is_gone(tet));
+        let led = self.pins.led(site.scene, site.world_from_body, &self.mesh, is_gone);
+        answers.extend(led.map(|(number, attachment, target)| Answer {
+            attachment,
+            target,
+            lag: 0.0,
+            by: By::Pin(number),
+            force: Vector3::zeros(),
+        }));
         for pick in &self.grips.picks.picks {
             let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
             for held in pick.vertices.iter().filter(|held| !self.is_pinned[held.vertex as usize]) {
@@ -208,7 +212,7 @@ impl Body {
                 let apart = (self.place(&other.nodes, &other.weights)[0] - place).norm();
                 other.rod == touch.rod && apart < PATCHES_APART * self.kind.contact_radius
             }
-            By::Jaws(..) => false,
+            By::Jaws(..) | By::Pin(_) => false,
         })
     }
 
@@ -247,11 +251,11 @@ impl Body {
 
     /// What a solver holds of a patch is the mean displacement under it, and its middle goes further: has the mean lag
     /// behind until the middle lies where the rod is. Whether anything is to move for that.
-    pub(super) fn press_home(&mut self, answers: &mut [Answer], held: &Held) -> Result<bool, LinearFemError> {
+    pub(super) fn press_home(&mut self, answers: &mut [Answer]) -> Result<bool, LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(false) };
         let mut moves = false;
-        for (at, &index) in held.holding.iter().enumerate() {
-            let answer = &mut answers[index];
+        for (index, answer) in answers.iter_mut().enumerate().filter(|(index, _)| self.holding.holds(*index))
+        {
             let By::Touch(touch) = &answer.by else { continue };
             if answer.attachment.weights.len() <= 3 || answer.force.dot(&touch.normal) <= 0.0 {
                 continue;
@@ -262,9 +266,8 @@ impl Body {
             let beyond = (moved.sum::<Vector3<f64>>() - answer.target).dot(&touch.normal);
             if beyond.abs() > PENETRATION_MAX {
                 answer.lag += beyond;
-                let handle = solver.held()[at].handle;
                 let target = answer.target - touch.normal * answer.lag;
-                solver.set_target(handle, target)?;
+                self.holding.set_target(solver, index, target)?;
                 if let Some(fading) = &mut self.fading {
                     fading.set_target(index, target)?;
                 }

@@ -45,18 +45,26 @@ pub(super) fn built_as_job(
     })
 }
 
-/// The job of that number: to compute the inverse of a body to whose elements that has happened.
+/// What has become of a body.
+pub(super) struct Became {
+    /// Of its elements.
+    pub alterations: Vec<Alteration>,
+    /// Which node each of its last ones was before it came apart.
+    pub parents: Vec<u32>,
+}
+
+/// The job of that number: to compute the inverse of a body of which that has become.
 pub(super) fn altered_as_job(
     key: u64,
     mesh: &TetMesh,
     material: [f64; 2],
     pinned: &[u32],
-    alterations: Vec<Alteration>,
+    Became { alterations, parents }: Became,
     progress: &Arc<AtomicU64>,
 ) -> Job {
     let (mesh, pinned) = (mesh.clone(), pinned.to_vec());
     job(key, material, progress, move |material, tell| {
-        LinearFem::altered(mesh, material, &alterations, &pinned, &Limits::default(), tell)
+        LinearFem::parted(mesh, material, &alterations, &parents, &pinned, &Limits::default(), tell)
     })
 }
 

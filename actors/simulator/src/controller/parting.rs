@@ -20,7 +20,7 @@ use super::coupling::CoupledBody;
 use super::deformable::Deformable;
 use super::heat::{self, Coagulated, Heated, RemovedElements};
 use super::soft::{Measures, Reshaped, Site};
-use crate::elasticity::{Alteration, cauchy_stress};
+use crate::elasticity::{Alteration, cauchy_stress, small_stress};
 use crate::mass_spring::State;
 use crate::tet_mesh::{
     self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape,
@@ -114,6 +114,10 @@ pub trait Elements {
     fn positions(&self) -> &[Point3<f64>];
     /// How they move \[m/s\].
     fn velocities(&self) -> &[Vector3<f64>];
+    /// Whether the nodes are where they are pulled now, after what has come apart last: else nothing tears yet.
+    fn can_tear(&self) -> bool {
+        true
+    }
     /// These elements are gone.
     ///
     /// # Errors
@@ -165,6 +169,8 @@ pub struct Weakness {
     pub hangs_on: bool,
     /// Tension that tears it \[Pa\], and Lamé's constants \[Pa\] by which the tension is known.
     pub tears: Option<(f64, [f64; 2])>,
+    /// Whether its displacements are those of linear elasticity, and so is its tension.
+    pub is_linear: bool,
 }
 
 /// A volume, and how far it has come apart.
@@ -273,6 +279,12 @@ impl Parting {
         (tet as usize).checked_sub(first).map_or(tet, |at| self.cuts.parts_of[at])
     }
 
+    /// Where its nodes come from that the first mesh did not have.
+    #[must_use]
+    pub fn births(&self) -> &[Birth] {
+        &self.cuts.births
+    }
+
     /// Whether blades open it.
     #[must_use]
     pub fn is_cut(&self) -> bool {
@@ -347,7 +359,9 @@ impl Parting {
                 for sweep in sweeps {
                     faces.extend(self.volume.swept(positions, &sweep.before, &sweep.after));
                 }
-                faces.extend(self.tear(positions));
+                if elements.can_tear() {
+                    faces.extend(self.tear(positions));
+                }
             }
             faces.sort_unstable();
             faces.dedup();
@@ -373,12 +387,13 @@ impl Parting {
     /// is relieved before more goes.
     fn tear(&mut self, positions: &[Point3<f64>]) -> Option<FaceOf> {
         let (strength, lame) = self.weakness.tears?;
+        let of = if self.weakness.is_linear { small_stress } else { cauchy_stress };
         let mut stresses = vec![Matrix3::zeros(); self.inverse_shapes.len()];
         for (tet, nodes) in self.volume.tets() {
             let heated = self.heated.of(self.origin(tet));
             let [stiffness, length] = heated.map_or([1.0; 2], |heated| [heated.stiffness, heated.length]);
             let gradient = shape(positions, &nodes) * self.inverse_shapes[tet as usize] / length;
-            stresses[tet as usize] = cauchy_stress(lame, &gradient) * stiffness;
+            stresses[tet as usize] = of(lame, &gradient) * stiffness;
         }
         let (face, tension) = self.volume.most_pulled(positions, |tet| stresses[tet as usize])?;
         if tension <= strength {

@@ -572,6 +572,6 @@ fn grip(
 }
 
 /// Whether an instrument has blades.
-fn is_blade(scene: &Snapshot, instrument: Entity) -> bool {
+pub(super) fn is_blade(scene: &Snapshot, instrument: Entity) -> bool {
     scene.get::<Instrument>(instrument).is_some_and(|instrument| instrument.kind == InstrumentKind::Scissors)
 }

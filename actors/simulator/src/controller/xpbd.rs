@@ -141,6 +141,7 @@ impl XpbdBody {
             halves: true,
             hangs_on: false,
             tears: self.strength.map(|strength| (strength, [lambda, mu])),
+            is_linear: false,
         }
     }
 

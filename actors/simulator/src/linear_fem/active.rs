@@ -52,10 +52,15 @@ pub(super) struct ActiveSet {
 impl ActiveSet {
     /// Lets a row of W act; `false`, and nothing changed, where it says what the others already say.
     pub fn append(&mut self, row: usize, w: &Packed) -> bool {
+        self.append_above(row, w, PIVOT_MIN)
+    }
+
+    /// The same where its pivot is to be above another share of its diagonal.
+    pub fn append_above(&mut self, row: usize, w: &Packed, share: f64) -> bool {
         let size = self.factor.size;
         let begin = self.factor.values.len();
         let mut pivot = w.at(row, row);
-        let least = PIVOT_MIN * pivot;
+        let least = share * pivot;
         for k in 0..size {
             let (known, new) = self.factor.values.split_at(begin);
             let of_k = &known[start(k)..start(k + 1)];

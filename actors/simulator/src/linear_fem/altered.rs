@@ -3,11 +3,12 @@
 
 use nalgebra::Vector3;
 
+use super::apart::bond;
 use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::error::LinearFemError;
 use super::removal::REMNANT;
 use super::solver::LinearFem;
-use crate::elasticity::{Alteration, Elastic};
+use crate::elasticity::{Alteration, Bonds, Elastic};
 use crate::tet_mesh::{TetMesh, surface};
 
 impl LinearFem {
@@ -24,6 +25,30 @@ impl LinearFem {
         limits: &Limits,
         progress: &mut dyn FnMut(f64) -> bool,
     ) -> Result<Self, LinearFemError> {
+        Self::parted(mesh, material, alterations, &[], fixed, limits, progress)
+    }
+
+    /// The same of a body whose last nodes were others, those of `parents`, before it came apart: bonds to these, of a
+    /// millionth of its stiffness, hold what hangs by nothing else.
+    ///
+    /// # Errors
+    /// As [`Self::altered`]; a node that was none before it.
+    pub fn parted(
+        mesh: TetMesh,
+        material: &Elastic,
+        alterations: &[Alteration],
+        parents: &[u32],
+        fixed: &[u32],
+        limits: &Limits,
+        progress: &mut dyn FnMut(f64) -> bool,
+    ) -> Result<Self, LinearFemError> {
+        let first = mesh.rest().len().checked_sub(parents.len()).ok_or(LinearFemError::OtherMesh)?;
+        let between: Vec<[u32; 2]> =
+            (first as u32..).zip(parents).map(|(node, &parent)| [node, parent]).collect();
+        if between.iter().any(|[node, parent]| parent >= node) {
+            return Err(LinearFemError::OtherMesh);
+        }
+        let bonds = Bonds { between: &between, stiffness: bond(&mesh, material) };
         let count = mesh.tets().len();
         if alterations.len() != count {
             return Err(LinearFemError::Alterations { found: alterations.len(), tets: count });
@@ -39,12 +64,12 @@ impl LinearFem {
         outside.sort_unstable();
         outside.dedup();
         let weights: Vec<f64> = alterations.iter().map(|of| of.stiffness.max(REMNANT)).collect();
-        let boundary = Boundary::touched(&mesh, fixed, &outside)?;
-        let factor = factor(&mesh, material, &weights, &boundary, limits)?;
+        let boundary = Boundary::touched(&mesh, fixed, &outside, &between)?;
+        let factor = factor(&mesh, material, &weights, &bonds, &boundary, limits)?;
         // Of no file's: what burns today does not burn tomorrow.
         let compliance = Compliance::from_factor(0, &boundary, &factor, progress)?;
         let mut body = Self::assembled(mesh, *material, boundary, factor, compliance);
-        body.removal.weights = weights;
+        body.correction.weights = weights;
         body.shrink(alterations)?;
         Ok(body)
     }
@@ -62,11 +87,11 @@ impl LinearFem {
         let modulus = 3.0 * self.material.lambda() + 2.0 * self.material.mu();
         let mut forces = vec![Vector3::zeros(); self.mesh.rest().len()];
         for (tet, of) in alterations.iter().enumerate() {
-            if of.length == 1.0 || self.removal.is_out(tet as u32) {
+            if of.length == 1.0 || self.correction.is_out(tet as u32) {
                 continue;
             }
             // The stress of the missing strain, (3λ + 2μ)(l − 1).
-            let stress = modulus * self.removal.weight(tet as u32) * (of.length - 1.0);
+            let stress = modulus * self.correction.weight(tet as u32) * (of.length - 1.0);
             let pull = stress * self.mesh.volumes()[tet];
             for (node, gradient) in self.mesh.tets()[tet].iter().zip(self.mesh.gradients(tet)) {
                 forces[*node as usize] += gradient * pull;

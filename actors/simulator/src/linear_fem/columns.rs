@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::compliance::{Boundary, Limits, PrecomputeError, factor};
-use crate::elasticity::Elastic;
+use crate::elasticity::{Bonds, Elastic};
 use crate::sparse::SparseCholesky;
 use crate::tet_mesh::TetMesh;
 
@@ -35,7 +35,7 @@ impl Columns {
         let boundary = Boundary::new(mesh, fixed)?;
         // Of the surface nothing dense is kept.
         let limits = Limits { bytes_max: u64::MAX, ..Limits::default() };
-        let factor = factor(mesh, material, &[], &boundary, &limits)?;
+        let factor = factor(mesh, material, &[], &Bonds::default(), &boundary, &limits)?;
         Ok(Self { of: vec![None; mesh.rest().len()], values: Vec::new(), boundary, factor, nodes_max })
     }
 

@@ -6,12 +6,10 @@
 use nalgebra::Vector3;
 use thiserror::Error;
 
-use crate::elasticity::{Elastic, weighted_stiffness};
+use super::correction::BATCH;
+use crate::elasticity::{Bonds, Elastic, bound_stiffness};
 use crate::sparse::{FactorError, SparseCholesky, nested_dissection};
 use crate::tet_mesh::TetMesh;
-
-/// Columns that a factor solves for at once: those of an element's stiffness.
-const COLUMNS: usize = 6;
 
 /// How much a precomputation may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,11 +101,17 @@ impl Boundary {
     /// # Errors
     /// A node that does not exist; nothing left free on the surface.
     pub fn new(mesh: &TetMesh, fixed: &[u32]) -> Result<Self, PrecomputeError> {
-        Self::touched(mesh, fixed, mesh.surface_nodes())
+        Self::touched(mesh, fixed, mesh.surface_nodes(), &[])
     }
 
-    /// The same where another surface is touched than that of the whole mesh: nodes of it, ascending.
-    pub(super) fn touched(mesh: &TetMesh, fixed: &[u32], outside: &[u32]) -> Result<Self, PrecomputeError> {
+    /// The same where another surface is touched than that of the whole mesh: nodes of it, ascending; and where there are bonds
+    /// between nodes besides.
+    pub(super) fn touched(
+        mesh: &TetMesh,
+        fixed: &[u32],
+        outside: &[u32],
+        bonds: &[[u32; 2]],
+    ) -> Result<Self, PrecomputeError> {
         let nodes = mesh.rest().len();
         let mut free = vec![true; nodes];
         for &node in fixed {
@@ -117,7 +121,7 @@ impl Boundary {
         if surface.is_empty() {
             return Err(PrecomputeError::NothingFree);
         }
-        if let Some(node) = loose(mesh, &free) {
+        if let Some(node) = loose(mesh, &free, bonds) {
             return Err(PrecomputeError::Loose { node });
         }
         let members: Vec<u32> = (0..nodes as u32).filter(|&node| free[node as usize]).collect();
@@ -129,6 +133,8 @@ impl Boundary {
             let own = tet.map(|node| local[node as usize]);
             (0..4).flat_map(move |i| (0..i).filter_map(move |j| Some((own[i]?, own[j]?))))
         });
+        let bonds = bonds.iter().filter_map(|[a, b]| Some((local[*a as usize]?, local[*b as usize]?)));
+        let edges = edges.chain(bonds);
         let places: Vec<_> = members.iter().map(|&node| mesh.rest()[node as usize]).collect();
         let mut numbers = vec![None; nodes];
         for (row, &index) in nested_dissection(&places, edges).iter().enumerate() {
@@ -139,6 +145,20 @@ impl Boundary {
             on_surface[node as usize] = Some(index as u32);
         }
         Ok(Self { numbers, free: members.len(), surface, on_surface })
+    }
+
+    /// A new node, which stands where another one does; whether that is a free one of the surface.
+    pub(super) fn bear(&mut self, parent: u32) -> bool {
+        self.numbers.push(self.numbers[parent as usize]);
+        let on_surface = self.on_surface[parent as usize];
+        self.on_surface.push(on_surface);
+        on_surface.is_some()
+    }
+
+    /// Of the nodes there are only so many first ones again.
+    pub(super) fn forget(&mut self, known: usize) {
+        self.numbers.truncate(known);
+        self.on_surface.truncate(known);
     }
 
     /// All free nodes.
@@ -158,8 +178,8 @@ impl Boundary {
 }
 
 /// The smallest node of a part that is not held against every motion as a whole, if there is one: hanging together by
-/// common nodes, it needs three fixed nodes that span a triangle.
-fn loose(mesh: &TetMesh, free: &[bool]) -> Option<u32> {
+/// common nodes or bonds, it needs three fixed nodes that span a triangle.
+fn loose(mesh: &TetMesh, free: &[bool], bonds: &[[u32; 2]]) -> Option<u32> {
     let mut parent: Vec<u32> = (0..free.len() as u32).collect();
     fn root(parent: &mut [u32], mut node: u32) -> u32 {
         while parent[node as usize] != node {
@@ -168,12 +188,14 @@ fn loose(mesh: &TetMesh, free: &[bool]) -> Option<u32> {
         }
         node
     }
+    let mut join = |one: u32, other: u32| {
+        let (a, b) = (root(&mut parent, one), root(&mut parent, other));
+        parent[a.max(b) as usize] = a.min(b);
+    };
     for [first, others @ ..] in mesh.tets() {
-        for other in others {
-            let (a, b) = (root(&mut parent, *first), root(&mut parent, *other));
-            parent[a.max(b) as usize] = a.min(b);
-        }
+        others.iter().for_each(|other| join(*first, *other));
     }
+    bonds.iter().for_each(|&[one, other]| join(one, other));
     // Per part: a fixed node, the way from it to the farthest one, and whether one lies beside that way.
     let mut first: Vec<Option<u32>> = vec![None; free.len()];
     let mut along = vec![Vector3::zeros(); free.len()];
@@ -221,7 +243,7 @@ impl Compliance {
         progress: &mut dyn FnMut(f64) -> bool,
     ) -> Result<Self, PrecomputeError> {
         let boundary = Boundary::new(mesh, fixed)?;
-        let factor = factor(mesh, material, &[], &boundary, limits)?;
+        let factor = factor(mesh, material, &[], &Bonds::default(), &boundary, limits)?;
         Self::from_factor(super::bytes::fingerprint(mesh, material, fixed), &boundary, &factor, progress)
     }
 
@@ -269,12 +291,13 @@ impl Compliance {
     }
 }
 
-/// The sparse factor of the whole, free nodes in the order of the boundary; weights of elements as
-/// [`weighted_stiffness`] takes them.
+/// The sparse factor of the whole, free nodes in the order of the boundary; weights of elements and bonds as
+/// [`bound_stiffness`] takes them.
 pub(super) fn factor(
     mesh: &TetMesh,
     material: &Elastic,
     weights: &[f64],
+    bonds: &Bonds<'_>,
     boundary: &Boundary,
     limits: &Limits,
 ) -> Result<SparseCholesky, PrecomputeError> {
@@ -287,8 +310,8 @@ pub(super) fn factor(
     if bytes > limits.bytes_max {
         return Err(PrecomputeError::TooLarge { surface_nodes, bytes, bytes_max: limits.bytes_max });
     }
-    let matrix = weighted_stiffness(mesh, material, weights, &boundary.numbers, boundary.free());
-    let mut factor = SparseCholesky::new(matrix.pattern(), COLUMNS)?;
+    let matrix = bound_stiffness(mesh, material, weights, bonds, &boundary.numbers, boundary.free());
+    let mut factor = SparseCholesky::new(matrix.pattern(), BATCH)?;
     factor.factor(matrix.pattern(), matrix.values())?;
     Ok(factor)
 }

@@ -37,6 +37,9 @@ pub enum LinearFemError {
         /// Which node.
         node: u32,
     },
+    /// A mesh that the body does not become by coming apart.
+    #[error("the mesh is not one that this body becomes: its elements with new nodes behind all others")]
+    OtherMesh,
     /// A number that is none.
     #[error("{what} is not a finite number")]
     NotFinite {
@@ -76,7 +79,9 @@ pub enum LinearFemError {
         tet: u32,
     },
     /// The old inverse does not serve any longer.
-    #[error("{REMOVED_MAX} elements are out already: a new inverse is due")]
+    #[error(
+        "its inverse is corrected for as much as it bears, {REMOVED_MAX} elements or twice as many nodes: a new one is due"
+    )]
     TooManyRemoved,
     /// What is left would hang by nothing.
     #[error("without element {tet} a part of the body would be held by nothing")]

@@ -14,11 +14,13 @@
 
 mod active;
 mod altered;
+mod apart;
 mod attachment;
 mod bytes;
 mod cache;
 mod columns;
 mod compliance;
+mod correction;
 mod deformation;
 mod error;
 mod patch;
@@ -32,6 +34,7 @@ pub use bytes::BytesError;
 pub use cache::{Cache, Origin};
 pub use columns::Columns;
 pub use compliance::{Boundary, Compliance, Limits, PrecomputeError};
+pub use correction::Change;
 pub use deformation::{Deformation, ROTATION_LIMIT, STRAIN_LIMIT};
 pub use error::LinearFemError;
 pub use patch::{PatchError, patch};

@@ -6,7 +6,7 @@ use super::deformation::Deformation;
 use super::solver::{LinearFem, add, spread};
 
 impl LinearFem {
-    /// Displacements of the free surface nodes \[m\], in the order of [`Compliance::nodes`](super::Compliance::nodes), as the last cycle left them.
+    /// Displacements of the free surface nodes \[m\], in the order of [`Self::nodes`], as the last cycle left them.
     pub fn surface_displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
         self.single.fill(0.0);
         for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
@@ -14,44 +14,57 @@ impl LinearFem {
                 add(&mut self.single, &row.compliance, *multiplier as f32);
             }
         }
-        for (index, force) in &self.loads {
+        for (node, force) in &self.loads {
+            let Some(index) = self.boundary.surface_row(*node) else { continue };
             for axis in 0..3 {
-                add(&mut self.single, self.compliance.row(*index, axis), force[axis] as f32);
+                add(&mut self.single, self.compliance.row(index, axis), force[axis] as f32);
             }
         }
-        let mut through = self.removal.through(self.loads_by_row()).map(|through| through.shares);
+        let through = self.correction.through(&self.boundary, self.loads.iter().copied());
+        let mut unknowns = through.map(|through| through.shares);
         for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
-            if let (Some(sum), Some(own)) = (&mut through, &row.through) {
+            if let (Some(sum), Some(own)) = (&mut unknowns, &row.through) {
                 sum.axpy(*multiplier, &own.shares, 1.0);
             }
         }
-        if let Some(shares) = through {
-            self.removal.add_to_surface(&self.boundary, &shares, &mut self.single);
+        if let Some(unknowns) = &unknowns {
+            self.correction.add_to_surface(&self.boundary, unknowns, &mut self.single);
         }
         out.clear();
         out.extend(self.single.chunks_exact(3).zip(self.boundary.rows_of_surface()).map(|(moved, row)| {
             Vector3::from_fn(|axis, _| f64::from(moved[axis]) + self.dead[3 * row + axis])
         }));
+        for &node in &self.touched[out.len()..] {
+            let with = self.boundary.surface_row(node).map_or_else(Vector3::zeros, |row| out[row]);
+            let own = unknowns.iter().map(|unknowns| self.correction.own(node, unknowns.as_slice()));
+            let dead = self.correction.own(node, &self.dead_unknowns);
+            out.push(with + own.sum::<Vector3<f64>>() + dead);
+        }
     }
 
     /// Displacements of all nodes \[m\], interior and fixed ones too, by a sparse solve in f64: for those who look at the
     /// inside, not for every cycle.
     pub fn displacements(&mut self, out: &mut Vec<Vector3<f64>>) {
         let mut full = vec![0.0; 3 * self.boundary.free()];
+        let mut pulls = self.correction.pulls(self.loads.iter().copied());
         for (row, multiplier) in self.rows.iter().zip(&self.multipliers) {
             let weights = &self.held[row.held].attachment.weights;
-            spread(&self.boundary, &mut full, weights, &(row.direction * *multiplier));
+            let force = row.direction * *multiplier;
+            spread(&self.boundary, &mut full, weights, &force);
+            pulls += self.correction.pulls(weights.iter().map(|&(node, weight)| (node, force * weight)));
         }
-        for (index, force) in &self.loads {
-            spread(&self.boundary, &mut full, &[(self.boundary.surface[*index], 1.0)], force);
+        for (node, force) in &self.loads {
+            spread(&self.boundary, &mut full, &[(*node, 1.0)], force);
         }
         self.factor.solve(&mut full);
-        self.removal.correct(&mut full);
+        let mut unknowns = self.correction.correct(&mut full, pulls);
+        unknowns.iter_mut().zip(&self.dead_unknowns).for_each(|(own, dead)| *own += dead);
         full.iter_mut().zip(&self.dead).for_each(|(u, dead)| *u += dead);
         out.clear();
-        out.extend(self.boundary.numbers.iter().map(|number| {
+        out.extend((0..).zip(&self.boundary.numbers).map(|(node, number)| {
             number.map_or_else(Vector3::zeros, |number| {
                 Vector3::from_column_slice(&full[3 * number as usize..][..3])
+                    + self.correction.own(node, unknowns.as_slice())
             })
         }));
     }

@@ -7,9 +7,9 @@ use nalgebra::Vector3;
 use super::active::{ActiveSet, Packed};
 use super::attachment::{Attachment, Hold, check_weights};
 use super::compliance::{Boundary, Compliance, Limits, factor};
+use super::correction::{Correction, Through};
 use super::error::LinearFemError;
-use super::removal::{Removal, Through};
-use crate::elasticity::Elastic;
+use crate::elasticity::{Bonds, Elastic};
 use crate::sparse::SparseCholesky;
 use crate::tet_mesh::TetMesh;
 
@@ -66,7 +66,7 @@ pub(super) struct Row {
     pub(super) one_sided: bool,
     /// Displacements of the free surface nodes per force along it \[m/N\], but for what goes through `through`.
     pub(super) compliance: Vec<f32>,
-    /// What elements that were taken out add to that; a row of the interior has it in its compliance.
+    /// What has changed of the body adds to that.
     pub(super) through: Option<Through>,
     /// Displacement by the dead load along it \[m\].
     dead: f64,
@@ -87,7 +87,9 @@ pub struct LinearFem {
     pub(super) material: Elastic,
     pub(super) factor: SparseCholesky,
     pub(super) compliance: Arc<Compliance>,
-    pub(super) removal: Removal,
+    pub(super) correction: Correction,
+    /// Free nodes of the surface: those of the compliance, and what has come apart from them.
+    pub(super) touched: Vec<u32>,
     pub(super) held: Vec<Held>,
     pub(super) next: u64,
     pub(super) rows: Vec<Row>,
@@ -97,9 +99,12 @@ pub struct LinearFem {
     pub(super) dead_load: Vec<Vector3<f64>>,
     /// Displacements by the dead load, of all free nodes.
     pub(super) dead: Vec<f64>,
+    /// And the unknowns of the correction by it.
+    pub(super) dead_unknowns: Vec<f64>,
     reactions: Vec<Reaction>,
-    pub(super) loads: Vec<(usize, Vector3<f64>)>,
-    loads_before: Vec<(usize, Vector3<f64>)>,
+    /// By nodes of the surface.
+    pub(super) loads: Vec<(u32, Vector3<f64>)>,
+    loads_before: Vec<(u32, Vector3<f64>)>,
     before: Before,
     right: Vec<f64>,
     trial: Vec<f64>,
@@ -121,7 +126,7 @@ impl LinearFem {
         progress: &mut dyn FnMut(f64) -> bool,
     ) -> Result<Self, LinearFemError> {
         let boundary = Boundary::new(&mesh, fixed)?;
-        let factor = factor(&mesh, material, &[], &boundary, limits)?;
+        let factor = factor(&mesh, material, &[], &Bonds::default(), &boundary, limits)?;
         let fingerprint = super::bytes::fingerprint(&mesh, material, fixed);
         let compliance = Compliance::from_factor(fingerprint, &boundary, &factor, progress)?;
         Ok(Self::assembled(mesh, *material, boundary, factor, compliance))
@@ -142,7 +147,7 @@ impl LinearFem {
             return Err(LinearFemError::OtherCompliance);
         }
         let boundary = Boundary::new(&mesh, fixed)?;
-        let factor = factor(&mesh, material, &[], &boundary, limits)?;
+        let factor = factor(&mesh, material, &[], &Bonds::default(), &boundary, limits)?;
         Ok(Self::assembled(mesh, *material, boundary, factor, compliance))
     }
 
@@ -154,13 +159,16 @@ impl LinearFem {
         compliance: Compliance,
     ) -> Self {
         let (rows, free) = (3 * boundary.surface.len(), 3 * boundary.free());
+        let correction = Correction::of(mesh.rest().len());
+        let touched = boundary.surface.clone();
         Self {
             mesh,
             boundary,
             material,
             factor,
             compliance: Arc::new(compliance),
-            removal: Removal::default(),
+            correction,
+            touched,
             held: Vec::new(),
             next: 0,
             rows: Vec::new(),
@@ -169,6 +177,7 @@ impl LinearFem {
             multipliers: Vec::new(),
             dead_load: Vec::new(),
             dead: vec![0.0; free],
+            dead_unknowns: Vec::new(),
             reactions: Vec::new(),
             loads: Vec::new(),
             loads_before: Vec::new(),
@@ -221,16 +230,28 @@ impl LinearFem {
         self.dead.fill(0.0);
         for (number, force) in self.boundary.numbers.iter().zip(forces) {
             if let Some(number) = number {
-                self.dead[3 * *number as usize..][..3].copy_from_slice(force.as_slice());
+                (0..3).for_each(|axis| self.dead[3 * *number as usize + axis] += force[axis]);
             }
         }
-        self.factor.solve(&mut self.dead);
-        self.removal.correct(&mut self.dead);
-        for row in &mut self.rows {
-            row.dead =
-                mean(&self.boundary, &self.dead, &self.held[row.held].attachment.weights, &row.direction);
+        if !forces.is_empty() {
+            self.factor.solve(&mut self.dead);
+        }
+        let pulls = self.correction.pulls((0..).zip(forces.iter().copied()));
+        let unknowns = self.correction.correct(&mut self.dead, pulls);
+        self.dead_unknowns = unknowns.as_slice().to_vec();
+        for index in 0..self.rows.len() {
+            let Row { held, direction, .. } = self.rows[index];
+            self.rows[index].dead = self.dead_mean(&self.held[held].attachment.weights, &direction);
         }
         Ok(())
+    }
+
+    /// The mean displacement by the dead load, along a direction \[m\].
+    fn dead_mean(&self, weights: &[(u32, f64)], direction: &Vector3<f64>) -> f64 {
+        let own = |&(node, weight): &(u32, f64)| {
+            weight * self.correction.own(node, &self.dead_unknowns).dot(direction)
+        };
+        mean(&self.boundary, &self.dead, weights, direction) + weights.iter().map(own).sum::<f64>()
     }
 
     /// Holds something, at first where it is at rest; move it with [`Self::set_target`]. With surface nodes only it
@@ -301,12 +322,10 @@ impl LinearFem {
         for direction in &directions[..count] {
             let mut compliance = self.spare.pop().unwrap_or_else(|| vec![0.0; self.single.len()]);
             compliance.fill(0.0);
-            let mut through = None;
             let full = if inner {
                 let mut full = vec![0.0; 3 * self.boundary.free()];
                 spread(&self.boundary, &mut full, weights, direction);
                 self.factor.solve(&mut full);
-                self.removal.correct(&mut full);
                 for (to, row) in compliance.chunks_exact_mut(3).zip(self.boundary.rows_of_surface()) {
                     (0..3).for_each(|axis| to[axis] = full[3 * row + axis] as f32);
                 }
@@ -322,14 +341,11 @@ impl LinearFem {
                         );
                     }
                 }
-                let spread = weights.iter().filter_map(|&(node, weight)| {
-                    let row = self.boundary.numbers[node as usize]?;
-                    Some((row, [0, 1, 2].map(|axis| weight * direction[axis])))
-                });
-                through = self.removal.through(spread);
                 None
             };
-            let dead = mean(&self.boundary, &self.dead, weights, direction);
+            let forces = weights.iter().map(|&(node, weight)| (node, direction * weight));
+            let through = self.correction.through(&self.boundary, forces);
+            let dead = self.dead_mean(weights, direction);
             self.rows.push(Row { held: own, direction: *direction, one_sided, compliance, through, dead });
             // With every row there is, itself last. Of two rows at least the newer one's displacements are known where
             // the other is: everywhere if it is of the interior, else on the surface, where it is itself.
@@ -341,12 +357,10 @@ impl LinearFem {
                             if row.held == own { weights } else { &self.held[row.held].attachment.weights };
                         mean(&self.boundary, full, other, &row.direction)
                     }
-                    None => {
-                        let direct = surface_mean(&self.boundary, &row.compliance, weights, &new.direction);
-                        direct + between(new.through.as_ref(), row.through.as_ref())
-                    }
+                    None => surface_mean(&self.boundary, &row.compliance, weights, &new.direction),
                 };
-                self.w.values.push(entry);
+                let corrected = between(new.through.as_ref(), row.through.as_ref());
+                self.w.values.push(entry + corrected);
             }
             self.w.size += 1;
             self.multipliers.push(0.0);
@@ -395,17 +409,17 @@ impl LinearFem {
         self.loads.clear();
         for load in loads {
             for &(node, weight) in load.weights {
-                if let Some(index) = self.boundary.surface_row(node) {
-                    self.loads.push((index, load.force * weight));
-                }
+                self.loads.push((node, load.force * weight));
             }
         }
-        let through = self.removal.through(self.loads_by_row());
+        let through = self.correction.through(&self.boundary, self.loads.iter().copied());
         self.right.clear();
         for row in &self.rows {
             let target = self.held[row.held].target.dot(&row.direction);
-            let loaded: f64 =
-                self.loads.iter().map(|(index, force)| at(&row.compliance, *index).dot(force)).sum();
+            let by = |(node, force): &(u32, Vector3<f64>)| {
+                Some(at(&row.compliance, self.boundary.surface_row(*node)?).dot(force))
+            };
+            let loaded: f64 = self.loads.iter().filter_map(by).sum();
             let loaded = loaded + between(through.as_ref(), row.through.as_ref());
             self.right.push(target - row.dead - loaded);
         }
@@ -430,14 +444,6 @@ impl LinearFem {
             self.reactions[row.held].force += row.direction * *multiplier;
         }
         Ok(Solution { reactions: &self.reactions, rounds })
-    }
-
-    /// Loads by the rows of their nodes in the order of elimination.
-    pub(super) fn loads_by_row(&self) -> impl Iterator<Item = (u32, [f64; 3])> + Clone {
-        self.loads.iter().filter_map(|(index, force)| {
-            let row = self.boundary.numbers[self.boundary.surface[*index] as usize]?;
-            Some((row, [force.x, force.y, force.z]))
-        })
     }
 
     /// Finds the forces, and which one-sided rows act: the active-set method for least squares with signs (Lawson,

@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 
 use super::active::Packed;
+use super::correction::Change;
 use super::error::LinearFemError;
 use super::solver::{Held, LinearFem};
 
@@ -21,8 +22,12 @@ pub struct LinearFemState {
     pub multipliers: Vec<f64>,
     /// Forces on all nodes that stay \[N\], such as weight; empty for none.
     pub dead_load: Vec<Vector3<f64>>,
-    /// Elements that have been taken out.
-    pub removed: Vec<u32>,
+    /// Which node each new one was, and the elements, where the body has come apart since its inverse was computed.
+    pub parents: Vec<u32>,
+    /// The elements then; empty where it has not.
+    pub tets: Vec<[u32; 4]>,
+    /// Elements that were taken out and nodes that came apart, in order, and what of it at once.
+    pub changes: Vec<Vec<Change>>,
 }
 
 impl LinearFem {
@@ -36,7 +41,9 @@ impl LinearFem {
             factor: self.active.factor.values.clone(),
             multipliers: self.multipliers.clone(),
             dead_load: self.dead_load.clone(),
-            removed: self.removal.tets.clone(),
+            parents: self.correction.parents.clone(),
+            tets: if self.correction.parents.is_empty() { Vec::new() } else { self.mesh.tets().to_vec() },
+            changes: self.correction.changes(),
         }
     }
 
@@ -76,9 +83,10 @@ impl LinearFem {
         while !self.held.is_empty() {
             self.leave(self.held.len() - 1);
         }
-        if self.removal.tets != state.removed {
-            self.removal.put_back();
-            self.remove(&state.removed)?;
+        let is_same = state.parents == self.correction.parents
+            && (state.parents.is_empty() || state.tets == self.mesh.tets());
+        if !is_same || self.correction.changes() != state.changes {
+            self.change_again(&state.parents, &state.tets, &state.changes)?;
         }
         self.set_dead_load(&state.dead_load)?;
         for held in &state.held {

@@ -77,6 +77,24 @@ impl TetMesh {
         Self { rest, tets, volumes, inverse_shapes, surface, surface_nodes }
     }
 
+    /// The same elements, of other corners at the same places: behind the first `known` nodes come ones that are where the nodes
+    /// of `parents` are, each of them before itself.
+    ///
+    /// # Panics
+    /// When there are not as many elements, or corners or parents that there are none of.
+    #[must_use]
+    pub fn parted(&self, known: usize, parents: &[u32], tets: Vec<[u32; 4]>) -> Self {
+        assert_eq!(tets.len(), self.tets.len(), "the same elements");
+        let mut rest = self.rest[..known].to_vec();
+        parents.iter().for_each(|&parent| rest.push(rest[parent as usize]));
+        let surface = surface(&tets);
+        let mut surface_nodes: Vec<u32> = surface.iter().flatten().copied().collect();
+        surface_nodes.sort_unstable();
+        surface_nodes.dedup();
+        let (volumes, inverse_shapes) = (self.volumes.clone(), self.inverse_shapes.clone());
+        Self { rest, tets, volumes, inverse_shapes, surface, surface_nodes }
+    }
+
     /// Positions at rest \[m\].
     #[must_use]
     pub fn rest(&self) -> &[Point3<f64>] {
