@@ -170,7 +170,8 @@ fn inside(mesh: &TetMesh, point: &Point3<f64>) -> Result<(u32, [f64; 4]), f64> {
         mesh.surface().iter().map(away).fold(f64::INFINITY, f64::min)
     };
     let (tet, weights) = mesh.locate(point).ok_or_else(far)?;
-    if weights.iter().any(|weight| !(*weight >= -OUTSIDE)) {
+    // What is no number is nowhere.
+    if !weights.iter().all(|weight| *weight >= -OUTSIDE) {
         return Err(far());
     }
     // On a face, an edge or a corner those beyond it have no share.
