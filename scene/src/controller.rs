@@ -127,7 +127,9 @@ impl Jobs {
     pub fn next_submitted(&self) -> Option<Job> {
         self.inner.borrow_mut().submitted.pop_front()
     }
-    /// The host delivers an output; the oldest undelivered one is forgotten beyond the bound.
+    /// The host delivers an output, at most [`JOBS_MAX`] between two steps. Beyond that bound the oldest one is forgotten, which
+    /// then nobody has asked for in the last step: who asks in each gets all. Of a job that panics nothing is delivered: that
+    /// ends the life of its controller, and the next one submits it anew.
     pub fn deliver(&self, key: u64, output: JobOutput) {
         let mut inner = self.inner.borrow_mut();
         if inner.delivered.len() >= JOBS_MAX {

@@ -36,6 +36,16 @@ const SPREAD: &str = "IT'IS Foundation tissue database 4 (Hasgall et al. 2018); 
                       differ by, rounded (Duck 1990, Physical Properties of Tissue)";
 const FLOW: &str = "at rest, from the flow by mass of the IT'IS Foundation tissue database 4 (Hasgall et al. 2018); half to \
                     twice that as the body needs";
+const COTTON: &str =
+    "its cotton fibre (Bledzki, Gassan 1999, Prog. Polym. Sci. 24); a sheet has a mass by area";
+const DENATURED: &str = "as liver's (Jacques et al. 1996), for want of a fit of its own; it belongs to its energy, so that change \
+                         both or none";
+const PYROLYSED: &str = "cellulose (Shafizadeh 1982, J. Anal. Appl. Pyrolysis 3): it browns and chars from 250 °C on, slowly from \
+                         200, and goes up as tar and gas from 300 to 400";
+const BROWNED: &str = "dry protein browns from 150 °C on and is carbon by 300 °C (Welch, van Gemert 2011, Optical-Thermal \
+                       Response of Laser-Irradiated Tissue)";
+const VAPORISED: &str = "proteins and fats go up in smoke from 300 to 500 °C (Welch, van Gemert 2011, Optical-Thermal Response of \
+                         Laser-Irradiated Tissue)";
 const WET: &str = "share of the mass, rounded (Duck 1990, Physical Properties of Tissue)";
 
 const fn young(value: f64, range: [f64; 2], source: &'static str) -> TissueParameter {
@@ -62,6 +72,23 @@ const fn perfusion(value: f64, range: [f64; 2], source: &'static str) -> TissueP
 
 const fn water(value: f64, range: [f64; 2]) -> TissueParameter {
     TissueParameter { name: "water", unit: "", value, range, source: WET }
+}
+
+/// How fast heat harms (Arrhenius), and where what is dry chars and goes up in smoke.
+const fn damage_frequency(value: f64, range: [f64; 2], source: &'static str) -> TissueParameter {
+    TissueParameter { name: "damage_frequency", unit: "1/s", value, range, source }
+}
+
+const fn damage_energy(value: f64, range: [f64; 2], source: &'static str) -> TissueParameter {
+    TissueParameter { name: "damage_energy", unit: "J/mol", value, range, source }
+}
+
+const fn charring(value: f64, range: [f64; 2], source: &'static str) -> TissueParameter {
+    TissueParameter { name: "charring", unit: "°C", value, range, source }
+}
+
+const fn ablation(value: f64, range: [f64; 2], source: &'static str) -> TissueParameter {
+    TissueParameter { name: "ablation", unit: "°C", value, range, source }
 }
 
 /// Tissue is mostly water, which keeps its volume.
@@ -114,11 +141,33 @@ pub const TISSUES: &[TissueEntry] = &[
                 "its cotton fibre, drawn (Bledzki, Gassan 1999, Prog. Polym. Sci. 24); a sheet of it is told by the stiffness of \
                  its weave, which gives way long before",
             ),
-            density(
-                1540.0,
-                [1500.0, 1600.0],
-                "its cotton fibre (Bledzki, Gassan 1999, Prog. Polym. Sci. 24); a sheet has a mass by area",
+            density(1540.0, [1500.0, 1600.0], COTTON),
+            conductivity(
+                0.24,
+                [0.07, 0.5],
+                "its cotton fibre: along it about 0.5, in a pad of fibres 0.07 as air is between them, across it between these \
+                 (Morton, Hearle 2008, Physical Properties of Textile Fibres, §6.2; Baxter 1946, Proc. Phys. Soc. 58)",
             ),
+            TissueParameter {
+                name: "heat_capacity",
+                unit: "J/(kg·K)",
+                value: 1280.0,
+                range: [1220.0, 1350.0],
+                source: "its cotton fibre, dry (Morton, Hearle 2008, Physical Properties of Textile Fibres, table 6.1)",
+            },
+            perfusion(0.0, [0.0, 0.0], "no blood passes through it"),
+            TissueParameter {
+                name: "water",
+                unit: "",
+                value: 0.07,
+                range: [0.0, 0.9],
+                source: "dry in air of 65 % humidity: 7 to 8 % of its dry mass (Morton, Hearle 2008, Physical Properties of \
+                         Textile Fibres); soaked it holds many times its own mass",
+            },
+            damage_frequency(0.0, [0.0, 0.0], "cellulose does not denature: it chars"),
+            damage_energy(2.577e5, [0.0, 1e7], "of no account, as its frequency is none"),
+            charring(250.0, [200.0, 300.0], PYROLYSED),
+            ablation(350.0, [300.0, 400.0], PYROLYSED),
         ],
     },
     TissueEntry {
@@ -157,38 +206,19 @@ pub const TISSUES: &[TissueEntry] = &[
                  0.016 (IT'IS tissue database)",
             ),
             water(0.7, [0.68, 0.78]),
-            TissueParameter {
-                name: "damage_frequency",
-                unit: "1/s",
-                value: 7.39e39,
-                range: [1e37, 1e42],
-                source: "Jacques et al. 1996; fits differ by orders of magnitude and belong to their energy, so that change both \
-                         or none",
-            },
-            TissueParameter {
-                name: "damage_energy",
-                unit: "J/mol",
-                value: 2.577e5,
-                range: [2.4e5, 2.75e5],
-                source: "Jacques, Rastegar, Thomsen, Motamedi 1996, IEEE J. Sel. Top. Quantum Electron. 2; the range is the one in \
-                         which its frequency makes sense",
-            },
-            TissueParameter {
-                name: "charring",
-                unit: "°C",
-                value: 200.0,
-                range: [150.0, 300.0],
-                source: "dry protein browns from 150 °C on and is carbon by 300 °C (Welch, van Gemert 2011, Optical-Thermal \
-                         Response of Laser-Irradiated Tissue)",
-            },
-            TissueParameter {
-                name: "ablation",
-                unit: "°C",
-                value: 400.0,
-                range: [300.0, 500.0],
-                source: "proteins and fats go up in smoke from 300 to 500 °C (Welch, van Gemert 2011, Optical-Thermal Response of \
-                         Laser-Irradiated Tissue)",
-            },
+            damage_frequency(
+                7.39e39,
+                [1e37, 1e42],
+                "Jacques et al. 1996; fits differ by orders of magnitude and belong to their energy, so that change both or none",
+            ),
+            damage_energy(
+                2.577e5,
+                [2.4e5, 2.75e5],
+                "Jacques, Rastegar, Thomsen, Motamedi 1996, IEEE J. Sel. Top. Quantum Electron. 2; the range is the one in which \
+                 its frequency makes sense",
+            ),
+            charring(200.0, [150.0, 300.0], BROWNED),
+            ablation(400.0, [300.0, 500.0], VAPORISED),
         ],
     },
     TissueEntry {
@@ -230,6 +260,43 @@ pub const TISSUES: &[TissueEntry] = &[
                  6.9 MPa (White et al. 2018, Proc. Inst. Mech. Eng. H)",
             ),
             POISSON,
+            density(
+                1100.0,
+                [911.0, 1142.0],
+                "from fat, which lies between its leaves, to tendon, whose collagen it is of (IT'IS Foundation tissue database 4, \
+                 Hasgall et al. 2018)",
+            ),
+            conductivity(
+                0.47,
+                [0.21, 0.5],
+                "as the collagen of a tendon; fat between its leaves lowers it (IT'IS Foundation tissue database 4, Hasgall et al. \
+                 2018)",
+            ),
+            TissueParameter {
+                name: "heat_capacity",
+                unit: "J/(kg·K)",
+                value: 3432.0,
+                range: [2348.0, 3500.0],
+                source: "as the collagen of a tendon; fat between its leaves lowers it (IT'IS Foundation tissue database 4, \
+                         Hasgall et al. 2018)",
+            },
+            perfusion(
+                0.00055,
+                [0.00027, 0.002],
+                "as a tendon at rest, to what skin gets (flows by mass of the IT'IS Foundation tissue database 4, Hasgall et al. \
+                 2018)",
+            ),
+            TissueParameter {
+                name: "water",
+                unit: "",
+                value: 0.65,
+                range: [0.55, 0.75],
+                source: "share of the mass in tendon and skin, rounded (Duck 1990, Physical Properties of Tissue)",
+            },
+            damage_frequency(7.39e39, [1e37, 1e42], DENATURED),
+            damage_energy(2.577e5, [2.4e5, 2.75e5], DENATURED),
+            charring(200.0, [150.0, 300.0], BROWNED),
+            ablation(400.0, [300.0, 500.0], VAPORISED),
         ],
     },
     TissueEntry {
@@ -287,7 +354,7 @@ mod tests {
 
     #[test]
     fn what_burns_has_what_heat_meets() {
-        for organ in ["kidney", "liver", "muscle", "pancreas", "spleen"] {
+        for organ in ["gauze", "kidney", "liver", "muscle", "pancreas", "peritoneum", "spleen"] {
             for name in ["density", "conductivity", "heat_capacity", "perfusion", "water"] {
                 assert!(tissue(organ).is_some_and(|of| of.parameter(name).is_some()), "{organ} {name}");
             }
@@ -300,10 +367,20 @@ mod tests {
         for tissue in TISSUES {
             assert!(tissue.parameter("young_modulus").is_some(), "{}", tissue.name);
             for TissueParameter { name, value, range: [low, high], source, .. } in tissue.parameters {
-                assert!(low < high && (low..=high).contains(&value), "{} {name}", tissue.name);
+                // Only of what there is none, nothing else has been found.
+                assert!(low < high || [*low, *high] == [0.0; 2], "{} {name}", tissue.name);
+                assert!((low..=high).contains(&value), "{} {name}", tissue.name);
                 assert!(source.len() > 15, "{} {name}", tissue.name);
             }
         }
         assert_eq!(tissue("granite"), None);
+        // What burns in a way of its own says all of it, so that nothing is left to be liver's.
+        for name in ["damage_frequency", "damage_energy", "charring", "ablation"] {
+            assert!(
+                ["gauze", "liver", "peritoneum"]
+                    .iter()
+                    .all(|of| tissue(of).is_some_and(|of| of.parameter(name).is_some()))
+            );
+        }
     }
 }

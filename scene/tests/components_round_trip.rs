@@ -170,6 +170,19 @@ fn matter_and_looks(formats: &mut Formats) {
         true,
     );
     formats.check(Tissue("liver".into()), true);
+    let source = |from: &str, range| {
+        let source = Source { from: from.into(), range };
+        Sources([("xpbd".to_owned(), [("density".to_owned(), source)].into())].into())
+    };
+    let mut both = source("chosen", Some([900.0, 1100.0]));
+    both.0.extend([("sewn".to_owned(), source("chosen", None).0.remove("xpbd").unwrap_or_default())]);
+    formats.check(both, true);
+    for (source, says) in
+        [(source(" ", None), "says nothing"), (source("chosen", Some([2.0, 1.0])), "from 2 to 1")]
+    {
+        let refused = source.check().expect_err("refused").to_string();
+        assert!(refused.contains(says), "{refused}");
+    }
     let granite = Tissue("granite".into()).check().expect_err("no tissue").to_string();
     assert!(granite.contains("there are: artery, gallbladder"), "{granite}");
     formats.check(Temperature { celsius: Arc::new(vec![37.0, 60.5]) }, true);

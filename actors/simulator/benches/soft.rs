@@ -39,7 +39,7 @@ fn mass_spring(criterion: &mut Criterion) {
             bench.iter(|| explicit.step(dt, &INPUT).expect("a step"));
         });
         let gradients = LinearSolver::ConjugateGradients { tolerance: 1e-4, iterations_max: 500 };
-        let warped = LinearSolver::Warped { tolerance: 1e-3, iterations_max: 500 };
+        let warped = LinearSolver::Warped { tolerance: 1e-4, iterations_max: 500 };
         let solvers = [("gradients", gradients), ("warped", warped), ("cholesky", LinearSolver::Cholesky)];
         for (name, solver) in solvers {
             for milliseconds in [1, 10] {

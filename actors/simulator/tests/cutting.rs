@@ -167,22 +167,27 @@ fn a_thousand_random_cuts_never_halve_the_safe_step_and_springs_stay_those_of_th
     let mut solver = MassSpring::new(network, points, &[0, 16], config).expect("a solver");
     let (at_first, mass) = (solver.safe_step(), solver.network().masses.iter().sum::<f64>());
     let mut random = Pcg64Mcg::seed_from_u64(7);
-    let (mut done, mut least) = (0, f64::INFINITY);
-    for cut in 0..1000 {
+    let (mut done, mut tried, mut least) = (0, 0, f64::INFINITY);
+    // What falls beside the sheet, or into what is cut already, is none.
+    while done < 1000 {
+        tried += 1;
+        assert!(tried < 20_000, "only {done} cuts did anything");
         let mut place = || [random.random_range(-0.055..0.055), random.random_range(-0.055..0.055)];
         let from = place();
         let to = [from[0] + 0.4 * place()[0], from[1] + 0.4 * place()[1]];
         let change = sheet.cut(&solver.state().positions.clone(), &[stab(from, to)]).expect("a cut");
-        done += usize::from(!change.is_empty());
+        if change.is_empty() {
+            continue;
+        }
+        done += 1;
         follow(&mut solver, &sheet, &change, &GAUZE);
         least = least.min(solver.safe_step());
-        if cut % 100 == 99 {
+        if done % 100 == 0 {
             check(&sheet);
             let fresh = Network::from_surface(sheet.rest(), sheet.triangles(), &GAUZE).expect("a network");
-            assert!(fresh == *solver.network(), "brought up to date as if made anew, after cut {cut}");
+            assert!(fresh == *solver.network(), "brought up to date as if made anew, after cut {done}");
         }
     }
-    assert!(done > 300, "{done} of 1000 did anything");
     assert!(least > 0.5 * at_first, "{least} s of {at_first} s");
     let after: f64 = solver.network().masses.iter().sum();
     assert!((after / mass - 1.0).abs() < 1e-9);

@@ -272,6 +272,28 @@ fn tears<C: Controller>(body: &str, build: impl Fn(&BuildContext<'_>) -> Result<
 fn what_is_weaker_than_its_weight_tears() {
     tears(XPBD, xpbd);
     tears(FEM, fem);
+    tears(SPRINGS, springs);
+    tears(&SPRINGS.replace("implicit", "explicit"), springs);
+}
+
+#[test]
+fn springs_tear_by_what_is_of_their_mesh() {
+    let refused = |text: &str| {
+        let store = scene(text);
+        let context = BuildContext {
+            scene: store.view(),
+            time: trocar_scene::SimTime::ZERO,
+            name: "springs",
+            me: trocar_scene::Entity::of_writer(0, 7),
+            epoch: 1,
+            seed: 1,
+        };
+        springs(&context).err().map(|error| error.to_string()).unwrap_or_default()
+    };
+    let volume = refused(&column(SPRINGS, ", tears_at = 1.5", "probe"));
+    assert!(volume.contains("'column'") && volume.contains("a volume has a 'strength'"), "{volume}");
+    let cloth = refused(&membrane("mass_spring = { strength = 300.0 }", ""));
+    assert!(cloth.contains("surfaces and lines have 'tears_at'"), "{cloth}");
 }
 
 /// A membrane of 4 cm that is held along its four edges and hangs.

@@ -302,21 +302,43 @@ fn blades_that_close_cut_a_taut_line_which_draws_back_and_goes_on_to_the_bit() {
     cuts_a_line(rod, false, xpbd);
 }
 
+/// A line that is drawn by a twentieth, torn at a limit below that and whole at one above it.
+fn tears_a_line<C: Controller>(
+    body: impl Fn(f64) -> String,
+    build: impl Fn(&BuildContext<'_>) -> Result<C, ControllerError> + Copy,
+) {
+    let mut whole = taut(LINE, &body(1.06), build);
+    run(&mut whole, 100);
+    assert_eq!(whole.measured("body.pieces"), 1.0);
+    let mut torn = taut(LINE, &body(1.04), build);
+    run(&mut torn, 100);
+    assert_eq!(torn.measured("body.pieces"), 2.0);
+    let gap = gapes(&torn);
+    assert!((0.0015..0.0025).contains(&gap), "a gap of {gap} m of 2 mm");
+}
+
 #[test]
 fn a_rod_of_positions_tears_where_it_is_drawn_too_far_and_not_before() {
-    // It is drawn by a twentieth, in parts so small that sweeps leave no edge longer than the others.
+    // In parts so small that sweeps leave no edge longer than the others.
     let body = |tears_at: f64| {
         format!(
             "xpbd = {{ matter = {{ rod = {{ axial_stiffness = 5.0, bending_stiffness = 1e-10, density = 2e-3 }} }}, \
              parts = 100, damping = 20.0, tears_at = {tears_at} }}"
         )
     };
-    let mut whole = taut(LINE, &body(1.06), xpbd);
-    run(&mut whole, 100);
-    assert_eq!(whole.measured("body.pieces"), 1.0);
-    let mut torn = taut(LINE, &body(1.04), xpbd);
-    run(&mut torn, 100);
-    assert_eq!(torn.measured("body.pieces"), 2.0);
-    let gap = gapes(&torn);
-    assert!((0.0015..0.0025).contains(&gap), "a gap of {gap} m of 2 mm");
+    tears_a_line(body, xpbd);
+}
+
+#[test]
+fn a_line_of_springs_tears_where_it_is_drawn_too_far_and_not_before() {
+    // Damped, so that what draws back does not swing to as much again.
+    for method in ["explicit", "implicit"] {
+        let body = |tears_at: f64| {
+            format!(
+                "mass_spring = {{ springs = {{ line = {{ axial_stiffness = 5.0, bending_stiffness = 1e-10, density = 2e-3 }} }}, \
+                 method = \"{method}\", lag = 1e-5, damping = 2000.0, tears_at = {tears_at} }}"
+            )
+        };
+        tears_a_line(body, springs);
+    }
 }

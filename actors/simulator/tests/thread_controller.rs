@@ -126,6 +126,43 @@ fn jaws_of_which_nobody_has_told_hold_what_they_are_closed_on() {
 }
 
 #[test]
+fn jaws_that_have_closed_on_nothing_take_no_thread_that_they_are_pushed_onto() {
+    let text = format!("{GRASPER}{THREAD}");
+    // Told that they are closed, beside the thread, then pushed onto it: a blunt rod.
+    let pushed = |between: &dyn Fn(&mut Stage<ThreadController>)| {
+        let mut stage = Stage::new(scene(&text), HZ, build);
+        for _ in 0..5 {
+            lead(&mut stage, [0.015, -0.010, 0.0], 0.0, 0.0);
+        }
+        between(&mut stage);
+        for _ in 0..5 {
+            lead(&mut stage, [0.015, 0.006, 0.0], 0.0, 0.0);
+        }
+        stage
+    };
+    assert_eq!(pushed(&|_| {}).measured("thread.held_nodes"), 0.0);
+    // Nor does another life forget that they had nothing.
+    assert_eq!(pushed(&|stage| stage.rebuild(build)).measured("thread.held_nodes"), 0.0);
+    // The control: jaws of which that is not known have closed there just now.
+    let unknown = pushed(&|stage| {
+        let memory = stage.get::<ThreadMemory>("thread");
+        assert_eq!(memory.grips.len(), 1, "they are known to be shut");
+        stage.put("thread", ThreadMemory { grips: Vec::new(), ..memory });
+        lead(stage, [0.015, -0.010, 0.0], 0.4, 0.0);
+        stage.put("grasper", grasper(0.015, 0.006, 0.0));
+        stage.rebuild(build);
+    });
+    assert!(unknown.measured("thread.held_nodes") >= 2.0);
+    // Opened and closed on it, they take it.
+    let mut stage = pushed(&|_| {});
+    for _ in 0..5 {
+        lead(&mut stage, [0.015, -0.010, 0.0], 0.4, 0.0);
+    }
+    pull(&mut stage, 0.001, 10, |_| {});
+    assert!(stage.measured("thread.held_nodes") >= 2.0);
+}
+
+#[test]
 fn another_life_goes_on_to_the_bit() {
     let text = format!("{GRASPER}{THREAD}");
     let mut whole = Stage::new(scene(&text), HZ, build);

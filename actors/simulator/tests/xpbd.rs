@@ -1,9 +1,11 @@
 //! XPBD against closed forms, linear elements, and itself on other numbers of threads.
 
 use nalgebra::{Point3, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 use trocar_simulator::mass_spring::{
     Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, NodeForce,
-    Prescribed, StepError,
+    Prescribed, State, StepError,
 };
 use trocar_simulator::xpbd::{Body, Distance, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
@@ -172,17 +174,45 @@ fn a_body_turned_inside_out_recovers() {
     let (points, tets) = beam([3, 3, 3], [0.03; 3]);
     let body = Body { rest: &points, tets: &tets, elasticity: Some(SOFT), ..Body::default() };
     let config = XpbdConfig { parts: 20, damping: 10.0, speed_max: 1e4, ..XpbdConfig::default() };
-    let mut solver = Xpbd::new(&body, &[], config).expect("a body");
-    let mut state = solver.state().clone();
-    state.positions[0] = Point3::new(0.025, 0.025, 0.025);
-    solver.restore(state).expect("a state");
-    assert!(solver.inverted().count > 0);
-    for _ in 0..2000 {
-        solver.step(1e-3, &XpbdInput::default()).expect("a step");
+    let middle = points.iter().fold(Vector3::zeros(), |sum, at| sum + at.coords) / points.len() as f64;
+    let mut random = Pcg64Mcg::seed_from_u64(11);
+    let mut shaken = || Vector3::from_fn(|_, _| random.random_range(-5e-4..5e-4));
+    // One node drawn through all others; everything in a plane, half of the elements the wrong way by chance; everything its own
+    // mirror image, every element inside out; everything in one place but for half a millimetre.
+    let mut one = points.clone();
+    one[0] = Point3::new(0.025, 0.025, 0.025);
+    let mut drawn = |scale: Vector3<f64>| -> Vec<Point3<f64>> {
+        points
+            .iter()
+            .map(|at| Point3::from(middle + (at.coords - middle).component_mul(&scale) + shaken()))
+            .collect()
+    };
+    let all = tets.len();
+    let flat = drawn(Vector3::new(1.0, 1.0, 0.0));
+    let mirrored = drawn(Vector3::new(1.0, 1.0, -1.0));
+    let heap = drawn(Vector3::zeros());
+    for (what, positions, least) in
+        [("one", one, 1), ("flat", flat, all / 4), ("mirrored", mirrored, all), ("heap", heap, all / 4)]
+    {
+        let mut solver = Xpbd::new(&body, &[], config).expect("a body");
+        let state = State { positions, velocities: vec![Vector3::zeros(); points.len()] };
+        solver.restore(state).expect("a state");
+        let inverted = solver.inverted().count;
+        assert!(inverted >= least, "{what}: {inverted} of {all}");
+        for _ in 0..2000 {
+            solver.step(1e-3, &XpbdInput::default()).expect("a step");
+        }
+        assert_eq!(solver.inverted().count, 0, "{what}");
+        // In its form again, wherever it lies.
+        let now = &solver.state().positions;
+        for tet in &tets {
+            for (a, b) in [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)] {
+                let [a, b] = [tet[a] as usize, tet[b] as usize];
+                let ratio = (now[a] - now[b]).norm() / (points[a] - points[b]).norm();
+                assert!((ratio - 1.0).abs() < 1e-3, "{what}: an edge is {ratio} times as long");
+            }
+        }
     }
-    assert_eq!(solver.inverted().count, 0);
-    let edge = (solver.state().positions[0] - solver.state().positions[1]).norm();
-    assert!((edge / 0.01 - 1.0).abs() < 1e-3, "{edge}");
 }
 
 #[test]

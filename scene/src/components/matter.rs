@@ -1,5 +1,6 @@
 //! Physical properties: rigid bodies, contact, tissue, temperature, burns.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use schemars::JsonSchema;
@@ -73,6 +74,45 @@ pub struct Parameter {
     pub value: f64,
     /// Publication or measurement it was taken from.
     pub source: String,
+}
+
+/// Where a number comes from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Source {
+    /// Publication or measurement it was taken from; or that it is chosen, and why.
+    pub from: String,
+    /// Between which values it has been found, in the unit of the number.
+    #[serde(default)]
+    pub range: Option<[f64; 2]>,
+}
+
+/// Where numbers of an entity's components come from, by component and by the name of the number: what no
+/// [`Tissue`] says. In a scenario each has to be of a number that the entity gives there, and one outside its range is told.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(transparent)]
+pub struct Sources(pub BTreeMap<String, BTreeMap<String, Source>>);
+impl Component for Sources {
+    const NAME: &'static str = "sources";
+    fn check(&self) -> Result<(), ComponentError> {
+        finite::check(self)?;
+        let all =
+            self.0.iter().flat_map(|(of, known)| known.iter().map(move |(name, source)| (of, name, source)));
+        for (of, name, Source { from, range }) in all {
+            if from.trim().is_empty() {
+                return Err(ComponentError::Malformed(format!("'{of}', '{name}': 'from' says nothing")));
+            }
+            if let Some([low, high]) = range.filter(|[low, high]| low > high) {
+                return Err(ComponentError::Malformed(format!(
+                    "'{of}', '{name}': a range from {low} to {high} holds nothing"
+                )));
+            }
+        }
+        Ok(())
+    }
+    fn schema() -> Option<serde_json::Value> {
+        super::schema_of::<Self>()
+    }
 }
 
 /// What an entity is made of, by its name among [`TISSUES`](crate::tissue::TISSUES). In a scenario, what its other components

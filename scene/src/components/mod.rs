@@ -25,7 +25,7 @@ pub use instrument::{
     Activation, ActivationMode, ContactPlane, Grasp, Instrument, InstrumentForce, InstrumentKind,
     InstrumentTarget, JawState, LocalContactModel, Port,
 };
-pub use matter::{Burn, Motion, Parameter, RigidBody, Temperature, Tissue};
+pub use matter::{Burn, Motion, Parameter, RigidBody, Source, Sources, Temperature, Tissue};
 pub use mesh::{
     BoundingVolumeNode, BoundingVolumeTree, LineMesh, SurfaceMesh, TetMesh, TextureCoordinates,
     VertexPositions,
@@ -85,6 +85,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<HeadTracked>()?;
     builder.register::<RigidBody>()?;
     builder.register::<Tissue>()?;
+    builder.register::<Sources>()?;
     builder.register::<Temperature>()?;
     builder.register::<Burn>()?;
     builder.register::<ScalarFields>()?;

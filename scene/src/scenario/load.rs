@@ -15,11 +15,11 @@ use super::mesh_source::{self, LoadedMesh};
 use super::tissue_defaults::{completed, doubt};
 use super::{
     CONTROLLERS_MAX, ControllerEntry, ENTITIES_MAX, FILE_BYTES_MAX, HANDS_MAX, HandEntry, RATE_HZ,
-    SCHEMA_VERSION, Scenario,
+    SCHEMA_VERSION, Scenario, sourced,
 };
 use crate::commands::Commands;
 use crate::component::Component;
-use crate::components::{Doubtful, Hand, Name, Parent, Tissue};
+use crate::components::{Doubtful, Hand, Name, Parent, Sources, Tissue};
 use crate::confined_path;
 use crate::entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
 use crate::registry::Registry;
@@ -270,6 +270,14 @@ fn put_entity(
     let key = format!("entity '{name}'");
     let table = Table { key: &key, ..*table };
     let tissue = table.string(Tissue::NAME)?.and_then(|(name, _)| tissue(name));
+    // One that cannot be read is refused where it is put.
+    let sources = table.value::<Sources>(Sources::NAME).ok().flatten().unwrap_or_default();
+    let given = |name: &String| table.get(name).is_some();
+    let sources_span = || table.get(Sources::NAME).map_or(table.span(), Spanned::span);
+    if let Some(name) = sources.0.keys().find(|name| !given(name)) {
+        let reason = format!("the entity has no '{}'", shown(name));
+        return Err(table.error(sources_span(), Sources::NAME, reason));
+    }
     for (component, value) in table.table {
         let component_name = component.get_ref().as_ref();
         if component_name == "mesh" {
@@ -290,7 +298,10 @@ fn put_entity(
             Some(tissue) => completed(tissue, (registry.entry(id).schema)().as_ref(), value, &mut text),
             None => value.clone(),
         };
-        if let Some(reason) = tissue.and_then(|tissue| doubt(tissue, component_name, &completed)) {
+        let of_source = sourced::doubt(&sources, component_name, &completed)
+            .map_err(|reason| table.error(sources_span(), Sources::NAME, reason))?;
+        let of_tissue = tissue.and_then(|tissue| doubt(tissue, component_name, &completed));
+        if let Some(reason) = of_tissue.or(of_source) {
             commands.put(entity, Doubtful { reason, since: SimTime::ZERO });
         }
         registry.put_document(id, commands, entity, ValueDeserializer::from(completed)).map_err(

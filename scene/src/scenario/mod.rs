@@ -31,6 +31,7 @@ mod load;
 mod made_mesh;
 mod mesh_source;
 mod schema;
+mod sourced;
 mod tissue_defaults;
 
 use std::collections::BTreeMap;

@@ -8,7 +8,8 @@ use toml::de::{DeTable, DeValue, ValueDeserializer};
 
 use crate::tissue::{TissueEntry, TissueParameter};
 
-/// The matter of a body that components tell by a table of this name; its parameters have no place in their schema.
+/// The matter of a body that components tell by a table of this name; its parameters have no place in their schema. Sheets
+/// and lines have parameters of the same names by area and by length, which are no tissue's.
 const VOLUME: &str = "volume";
 
 /// The value of a component with what it leaves open. `text` is where that stands meanwhile.
@@ -49,7 +50,10 @@ fn fill<'a>(table: &mut DeTable<'a>, known: &DeTable<'a>, has: &dyn Fn(&str) -> 
 /// What of a component lies outside of what has been measured, one sentence.
 pub(super) fn doubt(tissue: &TissueEntry, component: &str, value: &Spanned<DeValue<'_>>) -> Option<String> {
     let value = Value::deserialize(ValueDeserializer::from(value.clone())).ok()?;
-    let (parameter, found) = outside(tissue, &value)?;
+    let volumes = || value.as_object().into_iter().flatten().flat_map(|(_, inner)| inner.get(VOLUME));
+    let (parameter, found) = outside(tissue, &value)
+        .or_else(|| value.get(VOLUME).and_then(|of| outside(tissue, of)))
+        .or_else(|| volumes().find_map(|of| outside(tissue, of)))?;
     let TissueParameter { name, unit, range: [low, high], source, .. } = parameter;
     Some(format!(
         "'{component}' has a {name} of {found} {unit}; of {} it is known to be {low} to {high} {unit}: {source}",
@@ -59,10 +63,7 @@ pub(super) fn doubt(tissue: &TissueEntry, component: &str, value: &Spanned<DeVal
 
 fn outside(tissue: &TissueEntry, value: &Value) -> Option<(&'static TissueParameter, f64)> {
     value.as_object()?.iter().find_map(|(key, value)| {
-        let of = || {
-            let (parameter, found) = (tissue.parameter(key)?, value.as_f64()?);
-            (!(parameter.range[0]..=parameter.range[1]).contains(&found)).then_some((parameter, found))
-        };
-        of().or_else(|| outside(tissue, value))
+        let (parameter, found) = (tissue.parameter(key)?, value.as_f64()?);
+        (!(parameter.range[0]..=parameter.range[1]).contains(&found)).then_some((parameter, found))
     })
 }

@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use trocar_scene::controller::JOBS_MAX;
 use trocar_scene::{
     Batch, Commands, Controller, ControllerError, Entity, EntityAllocator, Events, JobOutput, Jobs,
     Provenance, Registry, Revision, SimTime, Snapshot, Tick, WriterId,
@@ -82,7 +83,8 @@ fn step(
 struct Delivery {
     at: SimTime,
     key: u64,
-    output: JobOutput,
+    /// Or what its panic said.
+    output: Result<JobOutput, String>,
 }
 
 /// The faults that act on a controller at present.
@@ -322,12 +324,12 @@ impl Slot {
         scene: &Snapshot,
         registry: &Arc<Registry>,
     ) -> Ticked {
-        let Some(controller) = self.controller.as_mut() else { return Ticked::Idle };
-        if !self.deliveries.is_empty() {
-            for due in self.deliveries.extract_if(.., |delivery| delivery.at <= now) {
-                self.jobs.deliver(due.key, due.output);
-            }
+        if self.controller.is_some()
+            && let Err(panic) = self.deliver_jobs(now)
+        {
+            return Ticked::Died(Cause::Panic(panic));
         }
+        let Some(controller) = self.controller.as_mut() else { return Ticked::Idle };
         let mut batch = match self.spare.take() {
             Some(batch) => batch,
             None => blank(registry, &self.allocator, self.writer),
@@ -387,14 +389,24 @@ impl Slot {
         self.spare = Some(batch);
     }
 
+    /// Hands over what is due, as live: at most as much as a controller can be handed, the rest before its next step.
+    ///
+    /// # Errors
+    /// What a job's panic said: its controller would wait for ever.
+    fn deliver_jobs(&mut self, now: SimTime) -> Result<(), String> {
+        for due in self.deliveries.extract_if(.., |delivery| delivery.at <= now).take(JOBS_MAX) {
+            let output = due.output.map_err(|panic| format!("job {}: {panic}", due.key))?;
+            self.jobs.deliver(due.key, output);
+        }
+        Ok(())
+    }
+
     /// Jobs run here and now, however long they are, and are delivered when they said they would be.
     fn take_jobs(&mut self, now: SimTime) {
         let begun = Instant::now();
         while let Some(job) = self.jobs.next_submitted() {
-            // A job that panics delivers nothing, as one that never ends.
-            if let Ok(output) = guarded(job.work) {
-                self.deliveries.push(Delivery { at: now + job.takes, key: job.key, output });
-            }
+            let output = guarded(job.work);
+            self.deliveries.push(Delivery { at: now + job.takes, key: job.key, output });
         }
         self.beside = begun.elapsed();
     }

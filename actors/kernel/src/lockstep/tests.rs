@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
+use trocar_scene::controller::JOBS_MAX;
 use trocar_scene::{
     Access, Commands, Controller, ControllerError, Entity, EntityAllocator, EntitySet, Job, SimTime,
     Snapshot, Store, Tick,
@@ -393,6 +394,62 @@ fn jobs_arrive_when_they_said_they_would() {
     });
     start(spec(vec![worker])).step_until(secs(0.1));
     assert_eq!(arrived.load(Ordering::Relaxed), 15);
+}
+
+#[test]
+fn a_job_that_panics_ends_the_life_that_waits_for_it_and_the_next_one_asks_again() {
+    let (asked, arrived) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
+    let logs = (asked.clone(), arrived.clone());
+    let worker = ControllerSpec::new("worker", 1, RuntimeClass::Simulation, 1_000.0, move |_| {
+        let (asked, arrived) = logs.clone();
+        let mut submitted = false;
+        Ok(Box::new(Does(Access::new(), move |tick: &Tick<'_>, _: &Snapshot, _: &mut Commands| {
+            if !submitted {
+                let first = asked.fetch_add(1, Ordering::Relaxed) == 0;
+                let work = move || {
+                    assert!(!first, "a matrix that is singular the first time");
+                    Box::new(42_u64) as trocar_scene::JobOutput
+                };
+                let takes = SimTime::from_micros(4_200);
+                submitted = tick.jobs.submit(Job { key: 7, takes, work: Box::new(work) });
+            }
+            if tick.jobs.take(7).is_some() {
+                arrived.store(tick.number, Ordering::Relaxed);
+            }
+            Ok(())
+        })))
+    });
+    let mut session = start(spec(vec![worker]));
+    session.step_until(secs(0.1));
+    assert_eq!(asked.load(Ordering::Relaxed), 2);
+    let row = &session.finish().controllers[0];
+    // Told when it would have been delivered, so that lock-step ends as a live session does.
+    assert_eq!(row.restarts, 1);
+    assert!((7..=20).contains(&arrived.load(Ordering::Relaxed)), "{}", arrived.load(Ordering::Relaxed));
+}
+
+#[test]
+fn no_job_is_forgotten_however_many_are_due_at_once() {
+    let all = 3 * JOBS_MAX as u64;
+    let arrived = Arc::new(AtomicU64::new(0));
+    let log = arrived.clone();
+    let worker = ControllerSpec::new("worker", 1, RuntimeClass::Simulation, 1_000.0, move |_| {
+        let log = log.clone();
+        let mut left: Vec<u64> = (0..all).collect();
+        let mut next = 0;
+        Ok(Box::new(Does(Access::new(), move |tick: &Tick<'_>, _: &Snapshot, _: &mut Commands| {
+            // All of them are due at 20 ms.
+            let takes = SimTime(SimTime::from_millis(20).0.saturating_sub(tick.time.0));
+            while next < all && tick.jobs.submit(Job { key: next, takes, work: Box::new(|| Box::new(())) }) {
+                next += 1;
+            }
+            left.retain(|key| tick.jobs.take(*key).is_none());
+            log.store(all - left.len() as u64, Ordering::Relaxed);
+            Ok(())
+        })))
+    });
+    start(spec(vec![worker])).step_until(secs(0.1));
+    assert_eq!(arrived.load(Ordering::Relaxed), all);
 }
 
 #[test]

@@ -28,13 +28,14 @@ impl JobRunner {
         Self { name: name.to_owned(), worker: None, backlog: VecDeque::new() }
     }
 
-    /// Hands over what has been finished.
+    /// Hands over what has been finished: at most as much as a controller can be handed, so that nothing that it asks for
+    /// in each step is forgotten; what is left comes before the next one.
     ///
     /// # Errors
     /// What a job's panic said: its controller would wait for ever.
     pub fn deliver(&mut self, jobs: &Jobs) -> Result<(), String> {
         if let Some(worker) = &self.worker {
-            while let Ok((key, result)) = worker.results.try_recv() {
+            for (key, result) in worker.results.try_iter().take(JOBS_MAX) {
                 match result {
                     Ok(output) => jobs.deliver(key, output),
                     Err(panic) => return Err(format!("job {key}: {panic}")),
@@ -125,6 +126,26 @@ mod tests {
                 let output = wait_for(&mut runner, &jobs, key).expect("no panic");
                 assert_eq!(output.downcast_ref::<u64>(), Some(&(key * 2)));
             }
+        }
+    }
+
+    #[test]
+    fn no_output_is_forgotten_by_who_asks_in_each_step_however_many_come_between_two() {
+        let (jobs, mut runner) = (Jobs::default(), JobRunner::new("toy"));
+        let all = 3 * JOBS_MAX as u64;
+        for key in 0..all {
+            assert!(jobs.submit(Job { key, takes: SimTime::ZERO, work: Box::new(move || Box::new(key)) }));
+            runner.collect(&jobs).expect("a thread");
+        }
+        let mut left: Vec<u64> = (0..all).collect();
+        let begun = Instant::now();
+        while !left.is_empty() {
+            // A slow controller: by its next step more are done than it can be handed.
+            std::thread::sleep(Duration::from_millis(50));
+            runner.deliver(&jobs).expect("no panic");
+            left.retain(|key| jobs.take(*key).is_none());
+            runner.collect(&jobs).expect("a thread");
+            assert!(begun.elapsed() < Duration::from_secs(10), "{left:?} never came back");
         }
     }
 

@@ -11,7 +11,7 @@ use crate::picking::{Jaws, Picks};
 /// Full opening below which jaws hold, and blades cut \[rad\].
 pub const CLOSED: f64 = 0.12;
 /// Jaws that turn no faster are at rest \[rad/s\].
-const AT_REST: f64 = 0.01;
+pub(super) const AT_REST: f64 = 0.01;
 
 /// What instruments hold of a body: another life of whoever moves it goes on holding it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -104,8 +104,10 @@ pub struct MassSpringBody {
     pub contact_stiffness: f64,
     /// Coulomb friction against instruments and other bodies.
     pub friction: f64,
-    /// Of a surface: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
+    /// Of a surface or a line: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
     pub tears_at: Option<f64>,
+    /// Of a volume: tension that tears it \[Pa\]; without one nothing does.
+    pub strength: Option<f64>,
 }
 
 impl Default for MassSpringBody {
@@ -120,6 +122,7 @@ impl Default for MassSpringBody {
             contact_stiffness: 200.0,
             friction: 0.3,
             tears_at: None,
+            strength: None,
         }
     }
 }
@@ -133,6 +136,7 @@ impl Component for MassSpringBody {
         ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
         ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
         ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")?;
         ComponentError::range("tears_at", self.tears_at.unwrap_or(2.0), 1.01..=100.0, "1.01 to 100")
     }
     fn schema() -> Option<serde_json::Value> {
@@ -178,6 +182,19 @@ impl MassSpringBody {
             }
         };
         network.map_err(|error| error.to_string())
+    }
+
+    /// By what a volume comes apart. The tension in it is that of what its springs stand for: of Poisson's ratio 1/4.
+    fn weakness(&self) -> Weakness {
+        let Springs::Volume { young_modulus, .. } = self.springs else { return Weakness::default() };
+        let shear = 0.4 * young_modulus;
+        Weakness {
+            cut: true,
+            // Halved elements would take shorter steps.
+            halves: self.method == Method::Implicit,
+            tears: self.strength.map(|strength| (strength, [shear, shear])),
+            ..Weakness::default()
+        }
     }
 
     fn skin<'a>(&self, body: &'a Deformable, positions: &'a [Point3<f64>]) -> Skin<'a> {
@@ -376,10 +393,11 @@ impl SoftMethod for MassSpringMethod {
     fn build(kind: &MassSpringBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
         let (is_surface, is_volume) =
             (matches!(kind.springs, Springs::Surface { .. }), matches!(kind.springs, Springs::Volume { .. }));
-        if kind.tears_at.is_some() && !is_surface {
-            return Err(
-                "'tears_at' is of surfaces: volumes of 'xpbd' and 'dynamic_fem' tear by 'strength'".into()
-            );
+        if kind.tears_at.is_some() && is_volume {
+            return Err("'tears_at' is of surfaces and lines: a volume has a 'strength'".into());
+        }
+        if kind.strength.is_some() && !is_volume {
+            return Err("'strength' is of volumes: surfaces and lines have 'tears_at'".into());
         }
         if !(is_surface || is_volume) && scene.get::<CauterisedBody>(body.entity).is_some() {
             return Err("a line of 'mass_spring' does not burn: surfaces and volumes do".into());
@@ -388,16 +406,13 @@ impl SoftMethod for MassSpringMethod {
             true => Membrane::new(body, MembraneWeakness { cut: true, tears_at: kind.tears_at }, scene)?,
             false => None,
         };
-        // Halved elements would take shorter steps.
-        let halves = kind.method == Method::Implicit;
-        let weakness = Weakness { cut: true, halves, ..Weakness::default() };
-        let parting = if is_volume { Parting::new(body, weakness, scene)? } else { None };
+        let parting = if is_volume { Parting::new(body, kind.weakness(), scene)? } else { None };
         let altered = match (&membrane, &parting) {
             (Some(membrane), _) => membrane.alterations(),
             (None, Some(parting)) => Solver::alterations(body.tets.len(), &parting.heated()),
             (None, None) => Vec::new(),
         };
-        let weakness = LineWeakness { cut: true, tears_at: None };
+        let weakness = LineWeakness { cut: true, tears_at: kind.tears_at };
         let line = (!is_surface && !is_volume).then(|| LineCuts::new(body, weakness, scene));
         let mut of = Solver::new(kind, body, altered)?;
         if parting.is_some() {

@@ -379,7 +379,8 @@ impl Sewing {
         put("tissue_force_n", self.report.force_on_tissue.norm());
         put("tissue_energy_j", tissue.energy());
         put("needle_energy_j", state.needle.kinetic_energy(self.suture.solid()));
-        put("held_by", (self.memory.held.len() + self.memory.grips.len()) as f64);
+        let gripping = self.memory.grips.iter().filter(|grip| !grip.is_shut()).count();
+        put("held_by", (self.memory.held.len() + gripping) as f64);
         let tensions = state.thread.iter().flat_map(|thread| thread.tensions.iter().copied());
         put("thread_tension_n", tensions.fold(0.0, f64::max));
         let loop_now =

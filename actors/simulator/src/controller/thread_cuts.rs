@@ -61,7 +61,8 @@ pub fn parted_at(
 /// What is held has other numbers now; nobody holds what is gone.
 pub fn follow(grips: &mut Vec<Grip>, parted: &Parted) {
     let now = |list: &[Option<u32>], index: u32| list.get(index as usize).copied().flatten();
-    for grip in grips.iter_mut() {
+    grips.retain_mut(|grip| {
+        let was_shut = grip.is_shut();
         grip.nodes.retain_mut(|held| {
             let node = now(&parted.nodes, held.node);
             held.node = node.unwrap_or(held.node);
@@ -72,6 +73,6 @@ pub fn follow(grips: &mut Vec<Grip>, parted: &Parted) {
             held.edge = edge.unwrap_or(held.edge);
             edge.is_some()
         });
-    }
-    grips.retain(|grip| !grip.nodes.is_empty());
+        was_shut || !grip.is_shut()
+    });
 }

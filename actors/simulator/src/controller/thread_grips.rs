@@ -1,5 +1,6 @@
 //! What jaws hold of a thread. Jaws take what lies between them when both touch it as they close, hold its nodes where they
-//! have them in the instrument's frame, and let go when they open. Between hand and thread is the compliance of the
+//! have them in the instrument's frame, and let go when they open. Jaws that have closed on nothing are a blunt rod, as with
+//! everything else that is held ([`crate::picking`]): they take nothing until they have been opened. Between hand and thread is the compliance of the
 //! instrument (`coupling_stiffness`); what pulls harder than the friction of both pads slips through the jaws.
 
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -7,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::closest_segments;
 use trocar_scene::{Entity, Instrument, Snapshot};
 
-use super::grips::{CLOSED, holds, opening};
+use super::grips::{AT_REST, CLOSED, holds, opening};
 use super::thread_obstacles::{Parts, between};
 use crate::thread::{Hold, Spared, ThreadState, TwistHold};
 
@@ -36,7 +37,7 @@ pub struct HeldEdge {
     pub in_instrument: Vector3<f64>,
 }
 
-/// What one instrument holds.
+/// What one instrument holds; nothing, if its jaws have closed on nothing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Grip {
     /// Which instrument.
@@ -50,6 +51,12 @@ pub struct Grip {
 }
 
 impl Grip {
+    /// Whether its jaws have closed on nothing.
+    #[must_use]
+    pub fn is_shut(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
     /// First and last node.
     fn range(&self) -> Option<[usize; 2]> {
         Some([self.nodes.first()?.node as usize, self.nodes.last()?.node as usize])
@@ -67,15 +74,17 @@ pub fn update(
     period: f64,
     busy: &[Entity],
 ) -> bool {
-    let before = grips.len();
+    let mut changed = false;
     grips.retain(|grip| {
         let [angle, _] = opening(scene, grip.instrument);
-        scene.get::<Instrument>(grip.instrument).is_some() && angle <= CLOSED.max(grip.angle) + OPENING
+        let opened = if grip.is_shut() { CLOSED } else { CLOSED.max(grip.angle) + OPENING };
+        let stays = scene.get::<Instrument>(grip.instrument).is_some() && angle <= opened;
+        changed |= !stays && !grip.is_shut();
+        stays
     });
-    let mut changed = before != grips.len();
     for (entity, instrument) in scene.iter::<Instrument>() {
-        let is_full = busy.contains(&entity) || grips.iter().any(|grip| grip.instrument == entity);
-        if !holds(instrument.kind) || is_full {
+        let is_known = busy.contains(&entity) || grips.iter().any(|grip| grip.instrument == entity);
+        if !holds(instrument.kind) || is_known {
             continue;
         }
         let [angle, rate] = opening(scene, entity);
@@ -87,6 +96,8 @@ pub fn update(
         if let Some(grip) = taken(grips, parts, entity, angle, (state, radius), way) {
             grips.push(grip);
             changed = true;
+        } else if angle <= CLOSED && rate > -AT_REST {
+            grips.push(Grip { instrument: entity, angle, nodes: Vec::new(), edges: Vec::new() });
         }
     }
     changed
@@ -252,12 +263,15 @@ pub fn pulls(
 ) -> Vec<(Entity, Pull)> {
     let mut forces = forces.iter();
     let mut pulls = Vec::new();
-    for grip in grips.iter_mut() {
+    grips.retain_mut(|grip| {
         let (Some(([_, pose], _)), Some(instrument)) =
             (parts.instrument(grip.instrument), scene.get::<Instrument>(grip.instrument))
         else {
-            continue;
+            return true;
         };
+        if grip.is_shut() {
+            return true;
+        }
         let (stiffness, force_max) = strength(instrument, grip);
         let (mut sum, mut now, mut wanted) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
         for held in &mut grip.nodes {
@@ -279,8 +293,9 @@ pub fn pulls(
         let nodes = &grip.nodes;
         let has = |node: u32| nodes.binary_search_by_key(&node, |held| held.node).is_ok();
         grip.edges.retain(|held| has(held.edge) && has(held.edge + 1));
-    }
-    grips.retain(|grip| !grip.nodes.is_empty());
+        // What comes after what has slipped out is taken again, if anything does.
+        !grip.nodes.is_empty()
+    });
     pulls
 }
 

@@ -1,5 +1,7 @@
 //! Everything that heat has done, to go on from.
 
+use std::ops::RangeInclusive;
+
 use serde::{Deserialize, Serialize};
 
 use super::block::{Block, CELLS};
@@ -59,16 +61,36 @@ pub struct ElectrosurgeryState {
     pub ledger: HeatLedger,
 }
 
+/// What temperatures can be, and what differs of them \[°C\] \[K\]: far beyond what goes up in smoke.
+const CELSIUS: RangeInclusive<f64> = -273.15..=1e5;
+const EXCESS: RangeInclusive<f64> = -1e5..=1e5;
+/// Ω; of what chars it grows beyond all that is of use.
+const OMEGA: RangeInclusive<f64> = 0.0..=1e300;
+/// Energies \[J\], volumes \[m³\], capacities \[J/K\] and losses \[W/K\]: far beyond those of a body.
+const EXTENT: RangeInclusive<f64> = 0.0..=1e12;
+const BALANCE: RangeInclusive<f64> = -1e12..=1e12;
+
 fn wrong<T>(what: impl Into<String>) -> Result<T, ElectrosurgeryError> {
     Err(ElectrosurgeryError::State(what.into()))
 }
 
-fn fits(name: &str, values: &[f64], count: usize, least: f64) -> Result<(), ElectrosurgeryError> {
+/// Of how many there are, and between what each of them is: what is not would make whatever is computed of it infinite.
+fn fits(
+    name: &str,
+    values: &[f64],
+    count: usize,
+    valid: &RangeInclusive<f64>,
+) -> Result<(), ElectrosurgeryError> {
     if values.len() != count {
         return wrong(format!("{name}: {} values, {count} are valid", values.len()));
     }
-    match values.iter().position(|value| !(value.is_finite() && *value >= least)) {
-        Some(at) => wrong(format!("{name}: value {at} is {}, finite from {least} is valid", values[at])),
+    match values.iter().position(|value| !valid.contains(value)) {
+        Some(at) => wrong(format!(
+            "{name}: value {at} is {:?}, {} to {} is valid",
+            values[at],
+            valid.start(),
+            valid.end()
+        )),
         None => Ok(()),
     }
 }
@@ -87,12 +109,13 @@ impl BlockState {
     }
 
     fn check(&self) -> Result<(), ElectrosurgeryError> {
-        fits("excess", &self.excess, CELLS, f64::MIN)?;
-        fits("water", &self.water, CELLS, 0.0)?;
-        fits("damage", &self.damage, CELLS, 0.0)?;
-        fits("peak", &[self.peak], 1, 0.0)?;
-        if self.flags.len() != CELLS || self.water.iter().any(|water| *water > 1.0) {
-            return wrong(format!("block {:?}: {CELLS} flags, and water up to 1, are valid", self.key));
+        let own = |what: &str| format!("block {:?}: {what}", self.key);
+        fits(&own("excess"), &self.excess, CELLS, &EXCESS)?;
+        fits(&own("water"), &self.water, CELLS, &(0.0..=1.0))?;
+        fits(&own("damage"), &self.damage, CELLS, &OMEGA)?;
+        fits(&own("peak"), &[self.peak], 1, &(0.0..=*EXCESS.end()))?;
+        if self.flags.len() != CELLS {
+            return wrong(own(&format!("{CELLS} flags are valid")));
         }
         Ok(())
     }
@@ -151,23 +174,23 @@ impl Electrosurgery {
         if !(first..=now).contains(&vertices) {
             return wrong(format!("celsius: {vertices} values, {first} to {now} are valid"));
         }
-        fits("celsius", &state.celsius, vertices, -273.15)?;
-        fits("damage", &state.damage, vertices, 0.0)?;
-        fits("capacity", &state.capacity, vertices, 0.0)?;
-        fits("perfusion", &state.perfusion, vertices, 0.0)?;
+        fits("celsius", &state.celsius, vertices, &CELSIUS)?;
+        fits("damage", &state.damage, vertices, &OMEGA)?;
+        fits("capacity", &state.capacity, vertices, &EXTENT)?;
+        fits("perfusion", &state.perfusion, vertices, &EXTENT)?;
         if !state.whole.is_empty() || vertices != first {
-            fits("whole", &state.whole, vertices, 0.0)?;
+            fits("whole", &state.whole, vertices, &EXTENT)?;
         }
         let HeatLedger { supplied, latent, steam, removed, perfusion, held, stored_before } = state.ledger;
         let ledger = [supplied, latent, steam, removed, perfusion, held, stored_before];
-        fits("ledger", &ledger, ledger.len(), f64::MIN)?;
+        fits("ledger", &ledger, ledger.len(), &BALANCE)?;
         if state.held.len() != vertices || state.burns.len() != elements {
             return wrong(format!("held and burns: {vertices} and {elements} are valid"));
         }
         let burns: Vec<f64> = state.burns.iter().flatten().copied().collect();
-        fits("burns", &burns, 3 * elements, f64::MIN)?;
-        fits("touched", &state.touched, elements, 0.0)?;
-        fits("owed", &[state.owed], 1, f64::MIN)?;
+        fits("burns", &burns, 3 * elements, &BALANCE)?;
+        fits("touched", &state.touched, elements, &EXTENT)?;
+        fits("owed", &[state.owed], 1, &BALANCE)?;
         if let Some(alien) =
             state.removed.iter().chain(&state.due).find(|element| **element as usize >= elements)
         {
