@@ -457,7 +457,8 @@ fn heat_that_a_step_cannot_take_stops_alone_at_its_last_good_state_and_the_other
 #[test]
 fn heat_that_no_tissue_has_is_refused_at_the_start_and_frozen_later_and_the_other_burns_on() {
     let build: Build<_> = ElectrosurgeryController::new;
-    let spoilt: [(fn(&mut ElectrosurgeryState), Option<&str>); 4] = [
+    type Spoil = fn(&mut ElectrosurgeryState);
+    let spoilt: [(Spoil, Option<&str>); 4] = [
         (|state| state.celsius[0] = 1e300, Some("celsius: value 0 is 1e300, -273.15 to 100000 is valid")),
         (
             |state| state.blocks[0].excess[5] = -1e300,
