@@ -132,7 +132,7 @@ impl Sewing {
             }
             closed.push(entity);
             let holds_already = self.memory.held.iter().any(|held| held.instrument == entity)
-                || self.memory.grips.iter().any(|grip| grip.instrument == entity);
+                || self.memory.grips.iter().any(|grip| grip.instrument == entity && !grip.is_shut());
             if self.memory.closed.contains(&entity) || holds_already {
                 continue;
             }
