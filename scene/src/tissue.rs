@@ -145,8 +145,8 @@ pub const TISSUES: &[TissueEntry] = &[
             conductivity(
                 0.24,
                 [0.07, 0.5],
-                "its cotton fibre: along it about 0.5, in a pad of fibres 0.07 as air is between them, across it between these \
-                 (Morton, Hearle 2008, Physical Properties of Textile Fibres, §6.2; Baxter 1946, Proc. Phys. Soc. 58)",
+                "chosen between a pad of its cotton fibre, 0.07 as air is between, and the 0.5 that is told of the fibre (Morton, Hearle \
+                 2008, Physical Properties of Textile Fibres, §6.2), which is too high by Baxter 1946, Proc. Phys. Soc. 58",
             ),
             TissueParameter {
                 name: "heat_capacity",

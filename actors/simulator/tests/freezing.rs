@@ -1,15 +1,17 @@
 //! What cannot be stops the one body that it is of, at its last good state and with a reason; the others go on, and another
 //! life of the controller keeps it so.
 
+mod freezing_support;
 mod stage;
 
 use std::sync::Arc;
 
+use freezing_support::{Build, GRAVITY, positions, two};
 use nalgebra::{Point3, Vector3};
-use stage::{Stage, scene};
+use stage::{Stage, context, scene};
 use trocar_scene::{
-    Activation, BuildContext, Burn, Controller, ControllerError, Entity, Frozen, HeatFrozen, Pose,
-    RestPositions, SimTime, SurfaceMesh, Temperature, Velocity, VertexPositions, VertexVelocities,
+    Activation, BuildContext, Burn, Controller, ControllerError, Frozen, HeatFrozen, Pose, RestPositions,
+    SimTime, SurfaceMesh, Temperature, Velocity, VertexPositions, VertexVelocities,
 };
 use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::{
@@ -19,21 +21,6 @@ use trocar_simulator::controller::{
 use trocar_simulator::electrosurgery::ElectrosurgeryState;
 use trocar_simulator::picking::{Held, Pick, Picks};
 use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings};
-
-const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
-
-type Build<C> = fn(&BuildContext<'_>) -> Result<C, ControllerError>;
-
-/// Two bodies alike, of a mesh and a kind.
-fn two(mesh: &str, kind: &str) -> String {
-    ["good", "bad"]
-        .map(|name| format!("[[entity]]\nname = \"{name}\"\nmesh = {{ {mesh} }}\n{kind}\n"))
-        .concat()
-}
-
-fn positions<C: Controller>(stage: &Stage<C>, name: &str) -> Vec<Point3<f64>> {
-    stage.get::<VertexPositions>(name).positions.to_vec()
-}
 
 /// That 'bad' stands still where it is, with a reason, while 'good' moves; in this life and in the next.
 fn stands_still<C: Controller>(stage: &mut Stage<C>, build: Build<C>, says: &str) {
@@ -74,14 +61,7 @@ fn collapse<C: Controller>(stage: &mut Stage<C>, build: Build<C>) {
     let first = rest[0];
     rest.iter_mut().take(8).for_each(|at| *at = first);
     stage.put("bad", RestPositions { positions: Arc::new(rest) });
-    let context = BuildContext {
-        scene: stage.store.view(),
-        time: SimTime::ZERO,
-        name: "controller",
-        me: Entity::of_writer(0, 7),
-        epoch: 1,
-        seed: 1,
-    };
+    let context = context(&stage.store, SimTime::ZERO, 1);
     let refused = build(&context).err().expect("a mistake of whoever wrote it").to_string();
     assert!(refused.contains("'bad'"), "{refused}");
     stage.rebuild(build);
@@ -475,14 +455,7 @@ fn heat_that_no_tissue_has_is_refused_at_the_start_and_frozen_later_and_the_othe
         spoil(Arc::make_mut(&mut heat.state));
         stage.put("bad", heat.clone());
         let (celsius, burn) = (stage.get::<Temperature>("bad"), stage.get::<Burn>("bad"));
-        let context = BuildContext {
-            scene: stage.store.view(),
-            time: SimTime::ZERO,
-            name: "controller",
-            me: Entity::of_writer(0, 7),
-            epoch: 1,
-            seed: 1,
-        };
+        let context = context(&stage.store, SimTime::ZERO, 1);
         let refused = build(&context).err().map(|error| error.to_string());
         let Some(says) = says else {
             assert_eq!(refused, None);

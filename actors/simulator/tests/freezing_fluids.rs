@@ -1,34 +1,19 @@
 //! What cannot be of vessels, patients, smoke and liquids stops that one alone, with a reason; the others go on, and another life of
 //! the controller keeps it so.
 
+mod freezing_support;
 mod stage;
 
 use std::sync::Arc;
 
+use freezing_support::{Build, GRAVITY, positions, two};
 use nalgebra::{Point3, Vector3};
 use stage::{Stage, scene};
-use trocar_scene::{
-    Activation, BuildContext, Controller, ControllerError, Doubtful, Frozen, VertexPositions,
-};
+use trocar_scene::{Activation, BuildContext, ControllerError, Doubtful, Frozen, VertexPositions};
 use trocar_simulator::controller::smoke::Plume;
 use trocar_simulator::controller::{
     BleedingController, FluidController, LiquidState, SmokeController, VesselState, VitalSignsController,
 };
-
-const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
-
-type Build<C> = fn(&BuildContext<'_>) -> Result<C, ControllerError>;
-
-/// Two bodies alike, of a mesh and a kind.
-fn two(mesh: &str, kind: &str) -> String {
-    ["good", "bad"]
-        .map(|name| format!("[[entity]]\nname = \"{name}\"\nmesh = {{ {mesh} }}\n{kind}\n"))
-        .concat()
-}
-
-fn positions<C: Controller>(stage: &Stage<C>, name: &str) -> Vec<Point3<f64>> {
-    stage.get::<VertexPositions>(name).positions.to_vec()
-}
 
 fn fluid(context: &BuildContext<'_>) -> Result<FluidController, ControllerError> {
     FluidController::new(GRAVITY, context)

@@ -7,12 +7,12 @@ mod beam;
 mod stage;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
+use stage::{Stage, context, scene};
 use trocar_scene::{
     BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, RestPositions, TetMesh as Tets,
     VertexPositions,
 };
-use trocar_simulator::controller::{LinearFemController, PinPlaces, RemovedElements};
+use trocar_simulator::controller::{DynamicFemController, LinearFemController, PinPlaces, RemovedElements};
 use trocar_simulator::elasticity::{Elastic, stiffness};
 use trocar_simulator::sparse::SparseCholesky;
 use trocar_simulator::tet_mesh::{MeshRules, TetMesh};
@@ -251,14 +251,7 @@ pinned = { with = [{ entity = "pin", points = [[0.0002, 0.0041, 0.0013]] }] }
 fn what_cannot_be_pinned_is_refused_by_name_and_what_burns_away_lets_go() {
     let refused = |with: &str| {
         let store = scene(&bar(&format!("pinned = {{ with = [{with}] }}")));
-        let context = BuildContext {
-            scene: store.view(),
-            time: trocar_scene::SimTime::ZERO,
-            name: "controller",
-            me: trocar_scene::Entity::of_writer(0, 7),
-            epoch: 1,
-            seed: 1,
-        };
+        let context = context(&store, trocar_scene::SimTime::ZERO, 1);
         match build(&context) {
             Ok(_) => panic!("{with} is not to be taken"),
             Err(error) => error.to_string(),
@@ -273,6 +266,15 @@ fn what_cannot_be_pinned_is_refused_by_name_and_what_burns_away_lets_go() {
     assert!(refused("{ entity = \"bar\", points = [[0.0, 0.0, 0.0]] }").contains("no other entity"));
     let stays = refused("{ entity = \"hook\", points = [[-0.05, 0.0, 0.0]] }");
     assert!(stays.contains("anchors hold it"), "{stays}");
+    // Of what another method moves nothing is pinned, and that is said.
+    let pin = "pinned = { with = [{ entity = \"hook\", points = [[0.0, 0.0, 0.0]] }] }";
+    let store =
+        scene(&bar(pin).replace("linear_fem =", "dynamic_fem =").replace(", contact_radius = 0.008", ""));
+    let refused =
+        DynamicFemController::new(Vector3::zeros(), &context(&store, trocar_scene::SimTime::ZERO, 1));
+    let refused = refused.err().expect("refused").to_string();
+    assert!(refused.contains("'bar'") && refused.contains("'linear_fem' only"), "{refused}");
+
     let text = bar("pinned = { with = [] }");
     let parsed = std::panic::catch_unwind(|| scene(&text));
     assert!(parsed.is_err(), "no points at all");

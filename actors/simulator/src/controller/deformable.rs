@@ -9,6 +9,8 @@ use trocar_scene::{
 };
 
 use super::coupling::CoupledBody;
+use super::linear_fem::LinearFemBody;
+use super::linear_fem_pins::PinnedBody;
 use super::xpbd::XpbdBody;
 use crate::mass_spring::Faulty;
 
@@ -57,7 +59,7 @@ impl Deformable {
     ///
     /// # Errors
     /// It has no vertices, numbers of them that do not go together, or elements that name others than there are; or it is
-    /// coupled, and cannot be.
+    /// coupled or pinned, and cannot be.
     pub fn read(scene: &Snapshot, entity: Entity) -> Result<Self, ControllerError> {
         let name = scene.name(entity);
         let wrong = |what: &str| ControllerError::Scene(format!("'{name}' {what}"));
@@ -67,6 +69,11 @@ impl Deformable {
         let is_coupled = scene.get::<CoupledBody>(entity).is_some();
         if is_coupled && scene.get::<XpbdBody>(entity).is_none() {
             return Err(wrong("is 'coupled', which goes with 'xpbd' only: couple that with it instead"));
+        }
+        if scene.get::<PinnedBody>(entity).is_some() && scene.get::<LinearFemBody>(entity).is_none() {
+            return Err(wrong(
+                "is 'pinned', which goes with 'linear_fem' only: anchor it, or let jaws hold it",
+            ));
         }
         let positions = vertices.positions.clone();
         let rest = scene.get::<RestPositions>(entity);

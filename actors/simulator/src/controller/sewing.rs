@@ -194,6 +194,7 @@ impl Sewing {
         let breaks_at = self.kind.breaks_at.as_ref().map(|known| known.value);
         let state = (thread, self.suture.thread_radius());
         let found = parted_at(&mut self.memory.blades, scene, &Isometry3::identity(), state, breaks_at);
+        let name = found.event();
         for at in found.cuts {
             let Some(parted) = self.suture.cut_thread(at).map_err(|error| error.to_string())? else {
                 continue;
@@ -201,7 +202,6 @@ impl Sewing {
             follow_cut(&mut self.memory.grips, &parted);
             self.lie(&scene.world_pose(self.needle.entity));
             self.memory.loop_min = None;
-            let name = if found.breaks { "thread_broken" } else { "thread_cut" };
             out.event(name, self.needle.entity, None, tick.time.as_secs_f64());
         }
         Ok(())

@@ -340,12 +340,12 @@ impl Body {
         let breaks_at = self.kind.breaks_at.as_ref().map(|known| known.value);
         let state = (self.thread.state(), self.thread.material().radius);
         let found = parted_at(&mut self.memory.blades, scene, world_from_thread, state, breaks_at);
+        let name = found.event();
         for at in found.cuts {
             let Some(parted) = self.thread.cut(at).map_err(|error| error.to_string())? else { continue };
             follow(&mut self.memory.grips, &parted);
             self.lines.part(&parted, self.thread.state());
             self.memory.loop_min = -1.0;
-            let name = if found.breaks { "thread_broken" } else { "thread_cut" };
             out.event(name, self.lines.first().entity, None, tick.time.as_secs_f64());
         }
         Ok(())

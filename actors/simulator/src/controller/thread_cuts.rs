@@ -22,6 +22,14 @@ pub struct Cutting {
     pub breaks: bool,
 }
 
+impl Cutting {
+    /// What has happened, as an event is called.
+    #[must_use]
+    pub fn event(&self) -> &'static str {
+        if self.breaks { "thread_broken" } else { "thread_cut" }
+    }
+}
+
 /// Where blades have swept through a thread of `radius` \[m\] since `blades` were told, which are told anew; where nothing is cut,
 /// the edge that is pulled hardest beyond `breaks_at` \[N\].
 pub fn parted_at(

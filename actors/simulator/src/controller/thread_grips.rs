@@ -1,7 +1,8 @@
 //! What jaws hold of a thread. Jaws take what lies between them when both touch it as they close, hold its nodes where they
 //! have them in the instrument's frame, and let go when they open. Jaws that have closed on nothing are a blunt rod, as with
-//! everything else that is held ([`crate::picking`]): they take nothing until they have been opened. Between hand and thread is the compliance of the
-//! instrument (`coupling_stiffness`); what pulls harder than the friction of both pads slips through the jaws.
+//! everything else that is held ([`crate::picking`]): they take nothing until they have been opened. Between hand and thread
+//! is the compliance of the instrument (`coupling_stiffness`); what pulls harder than the friction of both pads slips through
+//! the jaws.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};

@@ -280,6 +280,11 @@ mod tests {
 
     const PERIOD: f64 = 1e-3;
 
+    /// Of one triangle, without thickness.
+    fn sheet(positions: &[Point3<f64>]) -> Skin<'_> {
+        Skin { positions, triangles: &[[0, 1, 2]], segments: &[], thickness: 0.0, closed: false }
+    }
+
     fn rod(from: [f64; 3], to: [f64; 3]) -> Rod {
         Rod {
             instrument: Entity::new(0, 1, 1),
@@ -293,13 +298,7 @@ mod tests {
     #[test]
     fn a_rod_between_coarse_vertices_touches_the_triangle() {
         let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
-        let skin = Skin {
-            positions: &positions,
-            triangles: &[[0, 1, 2]],
-            segments: &[],
-            thickness: 0.0005,
-            closed: false,
-        };
+        let skin = Skin { thickness: 0.0005, ..sheet(&positions) };
         let mut found = Vec::new();
         touches(&[rod([0.02, 0.03, 0.001], [0.02, 0.03, 0.1])], &skin, PERIOD, &mut found);
         assert_eq!(found.len(), 1);
@@ -330,13 +329,7 @@ mod tests {
     #[test]
     fn a_rod_that_goes_through_a_sheet_is_pushed_out_along_itself_and_one_that_is_far_through_is_not() {
         let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
-        let skin = Skin {
-            positions: &positions,
-            triangles: &[[0, 1, 2]],
-            segments: &[],
-            thickness: 0.0,
-            closed: false,
-        };
+        let skin = sheet(&positions);
         let mut found = Vec::new();
         let pressed =
             |tip: f64| Rod { velocities: [Vector3::z(); 2], ..rod([0.02, 0.03, -0.05], [0.02, 0.03, tip]) };
@@ -362,13 +355,7 @@ mod tests {
     #[test]
     fn what_a_rod_comes_to_within_the_tick_is_touched_and_what_it_passes_beside_is_not() {
         let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
-        let skin = Skin {
-            positions: &positions,
-            triangles: &[[0, 1, 2]],
-            segments: &[],
-            thickness: 0.0,
-            closed: false,
-        };
+        let skin = sheet(&positions);
         let mut found = Vec::new();
         let mut count = |height: f64, y: f64, velocity: Vector3<f64>| {
             let fast = Rod { velocities: [velocity; 2], ..rod([0.02, y, height], [0.04, y, height]) };

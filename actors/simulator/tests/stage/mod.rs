@@ -134,7 +134,8 @@ impl<C: Controller> Stage<C> {
     }
 }
 
-fn context(store: &Store, time: SimTime, epoch: u32) -> BuildContext<'_> {
+/// What a controller is built from, on a scene that no stage need have.
+pub fn context(store: &Store, time: SimTime, epoch: u32) -> BuildContext<'_> {
     BuildContext {
         scene: store.view(),
         time,
