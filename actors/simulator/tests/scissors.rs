@@ -11,7 +11,9 @@ use trocar_scene::{
     BuildContext, Controller, ControllerError, Frozen, JawState, Pose, RestPositions, VertexPositions,
     VertexVelocities,
 };
-use trocar_simulator::controller::{DynamicFemController, MassSpringController, XpbdController};
+use trocar_simulator::controller::{
+    DynamicFemController, MassSpringController, SpringFactor, XpbdController,
+};
 
 const NO_GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, 0.0);
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -165,6 +167,79 @@ fn blades_that_close_cut_the_taut_membrane_between_them_by_springs() {
         &format!("mass_spring = {{ springs = {{ surface = {{ {CLOTH} }} }}, damping = 20.0 }}"),
         springs,
     );
+}
+
+/// In steps of 2 ms, whether or not it says so.
+const WARPED: &str = "mass_spring = { springs = { surface = { membrane_stiffness = 60.0, bending_stiffness = 1e-6, \
+                      density = 1.0 } }, damping = 20.0, method = \"implicit\" }";
+
+/// A bite at 0.06 s, another at the given tick, 2.2 s in all; in which ticks the controller begins another life.
+fn bitten(body: &str, again: u32, lives: &[u32], mut watch: impl FnMut(u32, &Stage<MassSpringController>)) {
+    let mut stage = taut(MEMBRANE, body, springs);
+    for tick in 0..1_100_u32 {
+        let (bite, tip) = if tick < again { (30, -0.014) } else { (again, -0.004) };
+        let closed = f64::from(tick.saturating_sub(bite).min(20)) / 20.0;
+        place(&mut stage, [0.0011, tip, 0.0], OPEN * (1.0 - closed));
+        if lives.contains(&tick) {
+            stage.rebuild(springs);
+        }
+        run(&mut stage, 1);
+        watch(tick, &stage);
+    }
+}
+
+#[test]
+fn a_membrane_that_is_cut_gets_its_factor_back_beside_the_ticks_and_goes_on_to_the_bit() {
+    // The second bite comes while the factor after the first one is being made: that one never serves.
+    let (bite, again) = (30, 30 + 20 + 170);
+    let mut known = Vec::new();
+    let mut iterations = Vec::new();
+    let mut ends = [&[][..], &[45, 120, 205, 215, 300, 395, 430, 700]].map(|lives| {
+        let mut end = None;
+        bitten(WARPED, again, lives, |tick, stage| {
+            if lives.is_empty() {
+                known.push(stage.has::<SpringFactor>("body").then(|| stage.get::<SpringFactor>("body")));
+                iterations.push(stage.measured("body.iterations"));
+            }
+            if tick == 1_099 {
+                end = Some((
+                    stage.get::<VertexPositions>("body").positions,
+                    stage.get::<VertexVelocities>("body").velocities,
+                ));
+            }
+        });
+        end.expect("it ends")
+    });
+    let lacks = |tick: u32| known[tick as usize].is_some_and(|known| known.parted_at.is_some());
+    let asked = |tick: u32| known[tick as usize].is_some_and(|known| known.wanted.is_some());
+    assert!(!lacks(bite) && lacks(bite + 20) && !asked(bite + 20), "it is cut, and waits");
+    assert!(asked(again - 1), "it has been whole for a while: a job makes a factor");
+    assert!(lacks(again + 21) && !asked(again + 21), "cut again");
+    let back = (again..1_100).find(|tick| !lacks(*tick)).expect("it gets one back");
+    assert!((again + 150..again + 300).contains(&back), "in tick {back}");
+    assert_eq!(known[1_099].map(|known| known.jobs), Some(2));
+    // With it a step is solved in fewer iterations than without, as before it was cut.
+    let mean = |ticks: std::ops::Range<u32>| {
+        ticks.clone().map(|tick| iterations[tick as usize]).sum::<f64>() / ticks.len() as f64
+    };
+    let (before, without, after) = (mean(5..30), mean(back - 100..back), mean(back + 1..back + 100));
+    assert!(
+        without > 3.0 * after && without > 3.0 * before,
+        "{before} before, {without} without, {after} after"
+    );
+    let [whole, killed] = &mut ends;
+    assert!(whole == killed, "other lives go on to the bit");
+    // However it is solved: it hangs where it hangs by the nodes' own blocks.
+    let blocks = WARPED.replace("\"implicit\"", "\"implicit\", solver = \"node_blocks\"");
+    let mut far = f64::INFINITY;
+    bitten(&blocks, again, &[], |tick, stage| {
+        if tick == 1_099 {
+            assert!(!stage.has::<SpringFactor>("body"));
+            let positions = stage.get::<VertexPositions>("body").positions;
+            far = positions.iter().zip(whole.0.iter()).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+        }
+    });
+    assert!(far < 2e-5, "{far} m from where it would be");
 }
 
 #[test]

@@ -9,6 +9,7 @@ use super::cauterised::CauterisedBody;
 use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
 use super::line_cuts::{LineCuts, LineWeakness};
+use super::mass_spring_factor::{FactorKeeper, SpringFactor};
 use super::membrane::{Membrane, MembraneWeakness, Parted};
 use super::parting::{Elements, Parting, Split, Weakness};
 use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Terms};
@@ -38,13 +39,19 @@ pub enum Method {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SolvedBy {
-    /// Conjugate gradients with the nodes' own blocks: nothing is prepared, so that nothing is lost with a cut.
+    /// Surfaces in steps of up to 5 ms as `warped`, all else as `node_blocks`.
     #[default]
+    Auto,
+    /// Conjugate gradients with the nodes' own blocks: nothing is prepared, so that nothing is lost with a cut.
     NodeBlocks,
     /// With the factor of the sheet at rest, turned as it is turned now: an order of magnitude fewer iterations at steps
-    /// of about a millisecond. Every cut makes the factor anew, 50 ms for 4,000 nodes: for what is not cut.
+    /// of about a millisecond. While it comes apart it goes on with the nodes' own blocks; the next factor is made beside
+    /// the ticks once it has been whole for a while.
     Warped,
 }
+
+/// Longest step \[s\] in which a surface is better solved with its factor.
+const WARPED_STEP: f64 = 5e-3;
 
 /// What it is made of, by the kind of its mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -115,7 +122,7 @@ impl Default for MassSpringBody {
         Self {
             springs: Springs::default(),
             method: Method::Explicit,
-            solver: SolvedBy::NodeBlocks,
+            solver: SolvedBy::Auto,
             lag: 2e-4,
             damping: 2.0,
             thickness: 0.0005,
@@ -145,17 +152,25 @@ impl Component for MassSpringBody {
 }
 
 impl MassSpringBody {
+    /// How steps of so long \[s\] are solved.
+    fn solver(&self, period: f64) -> LinearSolver {
+        let (tolerance, iterations_max) = (1e-3, 100);
+        let is_warped = match self.solver {
+            SolvedBy::Auto => matches!(self.springs, Springs::Surface { .. }) && period <= WARPED_STEP,
+            SolvedBy::NodeBlocks => false,
+            SolvedBy::Warped => true,
+        };
+        match is_warped {
+            true => LinearSolver::Warped { tolerance, iterations_max },
+            false => LinearSolver::ConjugateGradients { tolerance, iterations_max },
+        }
+    }
+
+    /// How it is stepped until it is known how long steps are.
     fn config(&self) -> Config {
         let integrator = match self.method {
             Method::Explicit => Integrator::Explicit { too_large: TooLarge::Divide { most: PARTS_MAX } },
-            Method::Implicit => {
-                let (tolerance, iterations_max) = (1e-3, 100);
-                let solver = match self.solver {
-                    SolvedBy::NodeBlocks => LinearSolver::ConjugateGradients { tolerance, iterations_max },
-                    SolvedBy::Warped => LinearSolver::Warped { tolerance, iterations_max },
-                };
-                Integrator::Implicit { solver, newton: 1 }
-            }
+            Method::Implicit => Integrator::Implicit { solver: self.solver(f64::INFINITY), newton: 1 },
         };
         Config { integrator, lag: self.lag, damping: self.damping, ..Config::default() }
     }
@@ -213,6 +228,8 @@ impl MassSpringBody {
 struct Solver {
     kind: MassSpringBody,
     solver: MassSpring,
+    /// Whether springs have followed what has come apart, since that was asked last.
+    has_followed: bool,
     /// Of a volume that can come apart: what has become of each tetrahedron, who is about each node, and the body as its
     /// springs were last derived from.
     altered: Vec<Alteration>,
@@ -226,7 +243,8 @@ impl Solver {
         let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
         let solver = MassSpring::restore(network, state, &body.staying(), kind.config())
             .map_err(|error| error.to_string())?;
-        Ok(Self { kind: *kind, solver, altered, stars: Stars::default(), body: body.clone() })
+        let (stars, body) = (Stars::default(), body.clone());
+        Ok(Self { kind: *kind, solver, has_followed: false, altered, stars, body })
     }
 
     /// Follows a line that has come apart at nodes of which the new ones are copies.
@@ -281,6 +299,7 @@ impl Solver {
         };
         let stays = |node: u32| body.pinned.binary_search(&node).is_ok() || stars.about(node).is_empty();
         let material = VolumeMaterial { young_modulus, density };
+        self.has_followed = true;
         let followed = self
             .solver
             .follow(&patch, stays, carry, |network, patch| network.follow_volume(patch, &material));
@@ -346,6 +365,11 @@ pub struct MassSpringMethod {
     forces: Vec<NodeForce>,
     /// Largest step that was safe in the last tick, contacts counted \[s\]: larger ones are divided.
     safe_step: f64,
+    /// Iterations of the last implicit step, and what they left, as a share of what they began with.
+    solved: (u32, f64),
+    /// Whether its steps are solved with a factor; not known before the first one.
+    is_warped: Option<bool>,
+    factor: FactorKeeper,
     /// How a surface comes apart.
     membrane: Option<Membrane>,
     /// Or a volume.
@@ -361,6 +385,7 @@ impl MassSpringMethod {
             return Ok(());
         };
         let Some(membrane) = &self.membrane else { return Ok(()) };
+        self.of.has_followed = true;
         let material = SurfaceMaterial { membrane_stiffness, bending_stiffness, density };
         let followed = membrane.follow(parted, |patch| {
             let stays = |vertex| body.is_staying(vertex);
@@ -370,6 +395,45 @@ impl MassSpringMethod {
                 .follow(patch, stays, carry, |network, patch| network.follow_surface(patch, &material))
         });
         followed.map(drop).map_err(|error| error.to_string())
+    }
+
+    /// Whether steps are solved with a factor; the first time the springs are told.
+    fn choose(&mut self, site: &Site<'_>) -> Result<bool, String> {
+        if let Some(is_warped) = self.is_warped {
+            return Ok(is_warped);
+        }
+        let by = self.of.kind.solver(site.period_secs());
+        let is_warped = self.of.kind.method == Method::Implicit && matches!(by, LinearSolver::Warped { .. });
+        if self.of.kind.solver == SolvedBy::Auto && is_warped {
+            self.of.solver.solve_by(by).map_err(|error| error.to_string())?;
+        }
+        self.is_warped = Some(is_warped);
+        Ok(is_warped)
+    }
+
+    /// Lets it come apart as far as it does now.
+    fn come_apart(
+        &mut self,
+        body: &mut Deformable,
+        site: &Site<'_>,
+        out: &mut Commands,
+    ) -> Result<Option<Reshaped>, String> {
+        if let Some(parting) = &mut self.parting {
+            return parting.reshape(&mut self.of, body, site, out);
+        }
+        if let Some(line) = &mut self.line {
+            let copies = line.reshape(&self.of.solver.state().positions, body, site, out);
+            let Some(copies) = copies else { return Ok(None) };
+            self.of.copy(body, &copies)?;
+            self.safe_step = self.of.solver.safe_step();
+            // Its segments have the numbers they had.
+            return Ok(Some(Reshaped::default()));
+        }
+        let Some(membrane) = &mut self.membrane else { return Ok(None) };
+        let positions = &self.of.solver.state().positions;
+        let Some(parted) = membrane.reshape(positions, body, site, out)? else { return Ok(None) };
+        self.follow(body, &parted)?;
+        Ok(parted.reshaped)
     }
 
     fn contact(&self, touch: &Touch) -> Contact {
@@ -420,11 +484,27 @@ impl SoftMethod for MassSpringMethod {
         }
         let safe_step = of.solver.safe_step();
         let (contacts, prescribed, forces) = Default::default();
-        Ok(Self { of, contacts, prescribed, forces, safe_step, membrane, parting, line })
+        let factor = FactorKeeper::new(scene.get::<SpringFactor>(body.entity));
+        let (is_warped, solved) = (None, (0, 0.0));
+        Ok(Self {
+            of,
+            contacts,
+            prescribed,
+            forces,
+            safe_step,
+            solved,
+            is_warped,
+            factor,
+            membrane,
+            parting,
+            line,
+        })
     }
 
     fn access(access: Access, bodies: &[Entity]) -> Access {
-        let access = access.writes::<LineMesh>(EntitySet::Of(bodies.to_vec()));
+        let access = access
+            .writes::<LineMesh>(EntitySet::Of(bodies.to_vec()))
+            .writes::<SpringFactor>(EntitySet::Of(bodies.to_vec()));
         Membrane::access(Parting::access(access, bodies), bodies)
     }
 
@@ -455,30 +535,23 @@ impl SoftMethod for MassSpringMethod {
         site: &Site<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
-        if let Some(parting) = &mut self.parting {
-            return parting.reshape(&mut self.of, body, site, out);
+        let reshaped = self.come_apart(body, site, out);
+        let has_followed = std::mem::take(&mut self.of.has_followed);
+        if self.choose(site)? && has_followed {
+            self.factor.parted(site.tick.time);
         }
-        if let Some(line) = &mut self.line {
-            let copies = line.reshape(&self.of.solver.state().positions, body, site, out);
-            let Some(copies) = copies else { return Ok(None) };
-            self.of.copy(body, &copies)?;
-            self.safe_step = self.of.solver.safe_step();
-            // Its segments have the numbers they had.
-            return Ok(Some(Reshaped::default()));
-        }
-        let Some(membrane) = &mut self.membrane else { return Ok(None) };
-        let positions = &self.of.solver.state().positions;
-        let Some(parted) = membrane.reshape(positions, body, site, out)? else { return Ok(None) };
-        self.follow(body, &parted)?;
-        Ok(parted.reshaped)
+        reshaped
     }
 
     fn step(
         &mut self,
-        _body: &Deformable,
+        body: &Deformable,
         site: &Site<'_>,
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
+        if self.is_warped == Some(true) {
+            self.factor.serve(&mut self.of.solver, body.entity, site);
+        }
         let mut contacts = std::mem::take(&mut self.contacts);
         contacts.clear();
         contacts.extend(site.touches.iter().map(|touch| self.contact(touch)));
@@ -496,6 +569,7 @@ impl SoftMethod for MassSpringMethod {
         };
         let report = self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
         self.safe_step = report.safe_step;
+        self.solved = (report.iterations, report.residual);
         forces.clear();
         forces.extend_from_slice(self.of.solver.contact_forces());
         Ok(())
@@ -512,13 +586,20 @@ impl SoftMethod for MassSpringMethod {
         if let Some(line) = &mut self.line {
             line.publish(body, out);
         }
+        if let Some(factor) = self.factor.news() {
+            out.put(body.entity, factor);
+        }
     }
 
     fn measure(&self, _body: &Deformable, measures: &mut Measures<'_>) {
         measures.put("elastic_energy_j", self.of.solver.elastic_energy());
         measures.put("kinetic_energy_j", self.of.solver.kinetic_energy());
-        if self.of.kind.method == Method::Explicit {
-            measures.put("safe_step_s", self.safe_step);
+        match self.of.kind.method {
+            Method::Explicit => measures.put("safe_step_s", self.safe_step),
+            Method::Implicit => {
+                measures.put("iterations", f64::from(self.solved.0));
+                measures.put("residual", self.solved.1);
+            }
         }
         let heights = || self.positions().iter().map(|position| position.z);
         measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));

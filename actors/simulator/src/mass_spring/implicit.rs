@@ -47,7 +47,8 @@ enum Solver {
 }
 
 impl Implicit {
-    /// Follows a network that has changed: what is known of it is made anew.
+    /// Follows a network that has changed: of the former one nothing serves. A factor is somebody else's to make, as it takes
+    /// longer than a step; until then the nodes' own blocks do.
     pub fn follow(&mut self, network: &Network) {
         self.operator.forget();
         for list in [&mut self.right, &mut self.change, &mut self.lead] {
@@ -55,7 +56,7 @@ impl Implicit {
         }
         match &mut self.solver {
             Solver::NodeBlocks(..) => {}
-            Solver::Warped(_, warped, _) => **warped = Warped::new(network),
+            Solver::Warped(_, warped, _) => **warped = Warped::default(),
             Solver::Cholesky(solver) => *solver = Cholesky::new(network),
         }
     }
@@ -84,7 +85,47 @@ impl Implicit {
     }
 }
 
+/// The factor of a sheet at rest, made beside the steps that it is to be the preconditioner of.
+#[derive(Clone, Debug)]
+pub struct SheetFactor(Box<Warped>);
+
+impl SheetFactor {
+    /// Of a network that a mesh made, of which nodes move as `mobility` says \[1/kg\] (0: not at all), for steps of `dt`
+    /// \[s\] with the damping of a configuration.
+    #[must_use]
+    pub fn new(network: &Network, mobility: &[f64], dt: f64, config: &Config) -> Self {
+        Self(Box::new(Warped::made(network, mobility, (dt, config.lag, config.damping))))
+    }
+}
+
 impl MassSpring {
+    /// Whether it is to be solved with the factor of the sheet at rest and has none, as its network has changed.
+    #[must_use]
+    pub fn lacks_factor(&self) -> bool {
+        let implicit = self.implicit.as_deref();
+        implicit.is_some_and(|implicit| match &implicit.solver {
+            Solver::Warped(_, warped, _) => !warped.fits(&self.network),
+            Solver::NodeBlocks(..) | Solver::Cholesky(_) => false,
+        })
+    }
+
+    /// Goes on without a factor, as if its network had just changed.
+    pub fn forget_factor(&mut self) {
+        if let Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) = self.implicit.as_deref_mut() {
+            **warped = Warped::default();
+        }
+    }
+
+    /// Goes on with a factor of its network as it is now; one of another number of nodes or springs is none.
+    pub fn take_factor(&mut self, factor: SheetFactor) {
+        let fits = factor.0.fits(&self.network);
+        if let Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) = self.implicit.as_deref_mut()
+            && fits
+        {
+            *warped = factor.0;
+        }
+    }
+
     /// Numbers of the factor that an implicit step is preconditioned with; none where there is no such factor.
     #[must_use]
     pub fn factor_entries(&self) -> usize {

@@ -32,6 +32,7 @@ use serde::{Deserialize, Serialize};
 
 use bound::Bound;
 use implicit::Implicit;
+pub use implicit::SheetFactor;
 
 /// What to do with a step that is larger than is safe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -61,8 +62,9 @@ pub enum LinearSolver {
     },
     /// Conjugate gradients, the factor of the matrix at rest as preconditioner, turned with each node's surroundings:
     /// on a sheet an order of magnitude fewer iterations than the other while a step is short (at 1 ms; where a wrinkled
-    /// sheet makes steps of 10 ms the other needs fewer). The factor is made anew when network, pins or step change. For
-    /// networks that a mesh made: others do not know their shape at rest, and fall back to the nodes' blocks.
+    /// sheet makes steps of 10 ms the other needs fewer). The factor is made anew when pins or step change; a network that
+    /// has changed goes on with the nodes' own blocks until it is given one ([`MassSpring::take_factor`]). For networks
+    /// that a mesh made: others do not know their shape at rest, and fall back to the nodes' blocks.
     Warped {
         /// Residual at which it ends, of the one it began with, in the norm of the preconditioner.
         tolerance: f64,
@@ -268,6 +270,19 @@ impl MassSpring {
         };
     }
 
+    /// Solves implicit steps in another way from now on; explicit ones have nothing to solve.
+    ///
+    /// # Errors
+    /// A tolerance or a limit that is none; it goes on as before.
+    pub fn solve_by(&mut self, by: LinearSolver) -> Result<(), NetworkError> {
+        let Integrator::Implicit { newton, .. } = self.config.integrator else { return Ok(()) };
+        let config = Config { integrator: Integrator::Implicit { solver: by, newton }, ..self.config };
+        check_config(&config)?;
+        self.config = config;
+        self.implicit = Some(Box::new(Implicit::new(&self.network, by)));
+        Ok(())
+    }
+
     /// Follows a mesh that has changed where it has: `update` brings the network up to date by its mesh, `carry` gives new nodes
     /// a state (and those that have moved at rest another one), `stays` says which nodes are pinned. What it is then it would
     /// be if it were made of the whole mesh.
@@ -406,6 +421,11 @@ impl MassSpring {
     #[must_use]
     pub fn network(&self) -> &Network {
         &self.network
+    }
+    /// How it is stepped.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.config
     }
     /// One over each node's mass, 0 where it is pinned \[1/kg\].
     #[must_use]

@@ -68,6 +68,21 @@ impl Warped {
         warped
     }
 
+    /// The factor of a network whose shape at rest is known, for so long a step \[s\] and such damping.
+    pub fn made(network: &Network, mobility: &[f64], (h, lag, damping): (f64, f64, f64)) -> Self {
+        let mut warped = Self::new(network);
+        if !warped.at_rest.is_empty() {
+            warped.made_for = Some([h, lag, damping]);
+            warped.factor = warped.entries(network, mobility, (h, lag, damping));
+        }
+        warped
+    }
+
+    /// Whether it has one of so many nodes and springs, or can make one.
+    pub fn fits(&self, network: &Network) -> bool {
+        self.at_rest.len() == network.masses.len() && self.shares.len() == network.springs.len()
+    }
+
     /// The axes of each node at these positions: sums over its springs, which turn with them.
     fn turn(&mut self, network: &Network, positions: &[Point3<f64>]) {
         self.axes.clear();
