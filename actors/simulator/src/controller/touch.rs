@@ -57,6 +57,8 @@ const SAMPLES: u32 = 5;
 /// within a tick would be found behind its surface, be thrown off, and so on in every other tick. So does what the rod comes
 /// to within the tick, which it would have passed before the next.
 const AHEAD: f64 = 1.0;
+/// What is nearer to the axis of a rod than this is on it \[m\].
+const ON: f64 = 1e-12;
 /// How far the tip of a rod is followed that is through a sheet, besides how far it has come in this tick \[m\].
 const THROUGH: f64 = 0.01;
 
@@ -71,7 +73,7 @@ pub fn touches(rods: &[Rod], skin: &Skin<'_>, period: f64, touches: &mut Vec<Tou
         let found = deepest.is_some() || deeper > f64::NEG_INFINITY;
         touches.extend(deepest.filter(|touch| touch.depth > deeper));
         if skin.closed && !found {
-            touches.extend(deepest_within(index, rod, skin));
+            touches.extend(deepest_within(index, rod, skin).or_else(|| on_surface(index, rod, skin)));
         }
     }
 }
@@ -103,6 +105,29 @@ fn deepest_within(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
         Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
     });
     within.max_by(|a, b| a.depth.total_cmp(&b.depth))
+}
+
+/// Where the axis of a rod meets the surface of a volume that it is not within: it ends on it, lies in it, or cuts a corner
+/// off. Such a place is no way from the axis, and which way it is pushed only the surface tells.
+fn on_surface(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
+    let room = [rod.ends[0].inf(&rod.ends[1]), rod.ends[0].sup(&rod.ends[1])];
+    skin.triangles.iter().enumerate().find_map(|(element, &nodes)| {
+        let corners = nodes.map(|node| skin.positions[node as usize]);
+        if is_apart(&corners, &room) {
+            return None;
+        }
+        let nearest = closest_segment_triangle(&rod.ends, &corners);
+        if nearest.distance_squared > ON * ON {
+            return None;
+        }
+        let [a, b, c] = corners;
+        let normal = (c - a).cross(&(b - a)).try_normalize(1e-18)?;
+        let on_axis = rod.ends[0].lerp(&rod.ends[1], nearest.along);
+        let velocity = rod.velocities[0].lerp(&rod.velocities[1], nearest.along);
+        let (depth, weights) = (rod.radius + skin.thickness, nearest.weights);
+        let element = Some(element as u32);
+        Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
+    })
 }
 
 /// Whether a point is inside, by the solid angle that the surface fills about it (van Oosterom and Strackee 1983).
@@ -140,6 +165,13 @@ fn room(rod: &Rod, skin: &Skin<'_>, period: f64) -> [Point3<f64>; 2] {
     [a.inf(&b).inf(&c).inf(&d) - reach, a.sup(&b).sup(&c).sup(&d) + reach]
 }
 
+/// Whether a triangle is on one side of a box.
+fn is_apart(corners: &[Point3<f64>; 3], [low, high]: &[Point3<f64>; 2]) -> bool {
+    (0..3).any(|k| {
+        corners.iter().all(|corner| corner[k] < low[k]) || corners.iter().all(|corner| corner[k] > high[k])
+    })
+}
+
 /// The touch of a rod by what is nearest to its axis, if it is within reach, or if the rod comes there within the tick: `passes`
 /// says of the way of the place on the axis how near it leads to the other.
 fn touch(
@@ -161,7 +193,7 @@ fn touch(
             && way.dot(&away) > 0.0
             && passes(&[on_axis, on_axis + way]) < rod.radius + skin.thickness
     };
-    if distance < 1e-12 || (distance >= reach(rod, skin) && !is_reached()) {
+    if distance < ON || (distance >= reach(rod, skin) && !is_reached()) {
         return None;
     }
     let normal = away / distance;
@@ -202,7 +234,7 @@ fn touch_vertices(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64, touches
 }
 
 fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Option<Touch> {
-    let [low, high] = room(rod, skin, period);
+    let room = room(rod, skin, period);
     let mut deepest: Option<Touch> = None;
     let mut keep = |touch: Touch| {
         if deepest.is_none_or(|deepest| touch.depth > deepest.depth) {
@@ -211,11 +243,7 @@ fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Opt
     };
     for (element, nodes) in skin.triangles.iter().enumerate() {
         let corners = nodes.map(|node| skin.positions[node as usize]);
-        let apart = |k: usize| {
-            corners.iter().all(|corner| corner[k] < low[k])
-                || corners.iter().all(|corner| corner[k] > high[k])
-        };
-        if (0..3).any(apart) {
+        if is_apart(&corners, &room) {
             continue;
         }
         let nearest = closest_segment_triangle(&rod.ends, &corners);
@@ -395,6 +423,16 @@ mod tests {
         assert_eq!(found[0].velocity, Vector3::y());
         touches(&[thin([0.001, 0.002, 0.03], [0.001, 0.002, 0.012])], &skin, PERIOD, &mut found);
         assert!(found.is_empty());
+        // One whose axis ends on the surface is pushed out by its radius: on a face, an edge, a vertex; or lies in it.
+        for (x, y, from) in
+            [(0.001, 0.002, 0.03), (0.01, 0.002, 0.03), (0.01, 0.01, 0.03), (0.01, 0.01, 0.010)]
+        {
+            touches(&[thin([x, y, from], [x, y, 0.01])], &skin, PERIOD, &mut found);
+            let touch = found.last().unwrap_or_else(|| panic!("at {x} {y} nothing is touched"));
+            assert!((touch.depth - 0.0005).abs() < 1e-9, "at {x} {y}: {touch:?}");
+            let inwards = touch.normal.dot(&(Point3::origin() - touch.on_axis));
+            assert!(inwards > 0.0, "at {x} {y}: {touch:?}");
+        }
     }
 
     #[test]
