@@ -23,7 +23,7 @@ use super::dynamic_fem::DynamicFemBody;
 use super::heat::{Coagulated, CoagulatedElements, RemovedElements};
 use super::heat_parted::{PartedMesh, births};
 use super::linear_fem::LinearFemBody;
-use super::mass_spring::MassSpringBody;
+use super::mass_spring_body::MassSpringBody;
 use super::membrane::SurfaceElements;
 use super::parting::VolumeCuts;
 use super::refused::{Refused, Still, freeze};

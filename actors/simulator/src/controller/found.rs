@@ -27,7 +27,7 @@ use trocar_scene::{
 
 use super::dynamic_fem::DynamicFemBody;
 use super::found_rigid::{RigidContacts, WholeSums};
-use super::mass_spring::MassSpringBody;
+use super::mass_spring_body::MassSpringBody;
 use super::xpbd::XpbdBody;
 use crate::tet_mesh::Stars;
 

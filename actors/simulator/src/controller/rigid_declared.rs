@@ -11,7 +11,7 @@ use trocar_scene::snapshot::Snapshot;
 use super::dynamic_fem::DynamicFemBody;
 use super::found::SoftContacts;
 use super::found_rigid::RigidContacts;
-use super::mass_spring::MassSpringBody;
+use super::mass_spring_body::MassSpringBody;
 use super::xpbd::XpbdBody;
 use crate::instrument::mechanism::MechanismState;
 use crate::rigid_world::Scheduling;

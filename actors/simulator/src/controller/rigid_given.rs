@@ -9,7 +9,7 @@ use trocar_scene::time::SimTime;
 use super::dynamic_fem::DynamicFemBody;
 use super::found::answers;
 use super::found_rigid::{RigidContacts, motion};
-use super::mass_spring::MassSpringBody;
+use super::mass_spring_body::MassSpringBody;
 use super::rigid_bodies::RigidBodiesController;
 use super::xpbd::XpbdBody;
 use crate::rigid::Wrench;
