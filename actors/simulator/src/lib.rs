@@ -27,6 +27,7 @@ pub mod controller;
 pub mod coupling;
 pub mod cutting;
 pub mod dynamic_fem;
+mod eight;
 pub mod elasticity;
 pub mod electrosurgery;
 pub mod fluid;

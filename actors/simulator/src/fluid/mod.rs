@@ -3,7 +3,7 @@
 //!
 //! | Concept | File |
 //! |---|---|
-//! | Liquid: smoothed particles that keep their volume | `sph.rs`, `rows.rs`, `near.rs`, `pressure.rs`, `kernel.rs`, `neighbours.rs` |
+//! | Liquid: smoothed particles that keep their volume | `sph.rs`, `rows.rs`, `links.rs`, `near.rs`, `pressure.rs`, `kernel.rs`, `neighbours.rs` |
 //! | Smoke: puffs that rise and stray | `smoke.rs` |
 //! | A vessel that bleeds | `bleeding.rs` |
 //! | What jaws close of a vessel, what cuts it | `clamp.rs`, `sever.rs` |
@@ -16,6 +16,7 @@ pub mod clamp;
 mod config;
 mod error;
 mod kernel;
+mod links;
 mod near;
 mod neighbours;
 mod pressure;

@@ -44,12 +44,26 @@ impl CellGrid {
         }))
     }
 
+    /// Which row of cells along x a cell is in.
+    pub(super) fn line_of(&self, cell: usize) -> usize {
+        cell / self.size[0]
+    }
+
     /// Rows of cells about one, as ranges of indices, both ends included.
     pub(super) fn rows_about(&self, cell: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
-        let (x, rest) = (cell % self.size[0], cell / self.size[0]);
+        self.rows_about_all(cell, cell)
+    }
+
+    /// The same about all cells of a row, from the first to the last.
+    pub(super) fn rows_about_all(
+        &self,
+        first: usize,
+        last: usize,
+    ) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let (x, rest) = (first % self.size[0], first / self.size[0]);
         let (y, z) = (rest % self.size[1], rest / self.size[1]);
         let about = |at: usize, axis: usize| at.saturating_sub(1)..=(at + 1).min(self.size[axis] - 1);
-        let (from, to) = (x.saturating_sub(1), (x + 1).min(self.size[0] - 1));
+        let (from, to) = (x.saturating_sub(1), (last % self.size[0] + 1).min(self.size[0] - 1));
         let columns = about(z, 2).flat_map(move |z| about(y, 1).map(move |y| (y, z)));
         columns.map(move |(y, z)| (self.index([from, y, z]), self.index([to, y, z])))
     }
@@ -61,30 +75,49 @@ pub(super) struct CellStarts {
     starts: Vec<u32>,
     /// Which particle comes at each place.
     pub order: Vec<u32>,
+    /// Cell of each particle, as they came.
+    cell_of: Vec<u32>,
 }
 
 impl CellStarts {
-    /// Sorts by cells; within a cell the order stays.
+    /// Sorts by cells, and within a cell by the first coordinate, so that what follows one another along a row of cells is
+    /// near; what has both alike stays in its order.
     pub(super) fn sort(&mut self, grid: &CellGrid, points: &[Point3<f64>]) {
-        self.starts.clear();
-        self.starts.resize(grid.count() + 1, 0);
-        for point in points {
-            self.starts[grid.index(grid.place(point)) + 1] += 1;
+        let Self { starts, order, cell_of } = self;
+        starts.clear();
+        starts.resize(grid.count() + 1, 0);
+        cell_of.clear();
+        cell_of.extend(points.iter().map(|point| grid.index(grid.place(point)) as u32));
+        for cell in &*cell_of {
+            starts[*cell as usize + 1] += 1;
         }
-        for cell in 0..grid.count() {
-            self.starts[cell + 1] += self.starts[cell];
+        let mut sum = 0;
+        for start in &mut *starts {
+            sum += *start;
+            *start = sum;
         }
-        self.order.clear();
-        self.order.resize(points.len(), 0);
-        for (index, point) in points.iter().enumerate() {
-            let cell = grid.index(grid.place(point));
-            self.order[self.starts[cell] as usize] = index as u32;
-            self.starts[cell] += 1;
+        order.clear();
+        order.resize(points.len(), 0);
+        for (index, cell) in cell_of.iter().enumerate() {
+            order[starts[*cell as usize] as usize] = index as u32;
+            starts[*cell as usize] += 1;
         }
-        for cell in (1..=grid.count()).rev() {
-            self.starts[cell] = self.starts[cell - 1];
+        starts.copy_within(..grid.count(), 1);
+        starts[0] = 0;
+        // They come nearly so from the step before.
+        for end in 1..order.len() {
+            let particle = order[end] as usize;
+            let mut at = end;
+            while at > 0 {
+                let before = order[at - 1] as usize;
+                if cell_of[before] != cell_of[particle] || points[before].x <= points[particle].x {
+                    break;
+                }
+                order[at] = before as u32;
+                at -= 1;
+            }
+            order[at] = particle as u32;
         }
-        self.starts[0] = 0;
     }
 
     /// Places of what is in a row of cells, from the first to the last.

@@ -3,6 +3,8 @@
 //! (Dostál and Schöberl, *Minimizing quadratic functions over non-negative cone with the rate of convergence and finite
 //! termination*, 2005), scaled by the diagonal.
 
+use nalgebra::Vector3;
+
 use super::near::LANES;
 use super::rows::Rows;
 use crate::wide::wide;
@@ -80,6 +82,13 @@ impl Solver {
         self.is_active.resize(count, false);
         self.velocities.clear();
         self.velocities.resize(count, [0.0; 4]);
+    }
+
+    /// Puts the velocities of the particles into their rows.
+    pub(super) fn set_velocities(&mut self, rows: &Rows, velocities: &[Vector3<f64>]) {
+        for (velocity, row) in velocities.iter().zip(&rows.row_of) {
+            self.velocities[*row as usize] = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
+        }
     }
 
     /// `image` = scaled A times the direction, or what is scaled: in single precision, as what it corrects is small.
@@ -233,8 +242,9 @@ impl Solver {
 mod tests {
     use super::*;
     use crate::fluid::kernel::Kernel;
-    use crate::fluid::near::Walls;
+    use crate::fluid::links::Push;
     use crate::fluid::neighbours::{CellGrid, CellStarts};
+    use crate::fluid::rows::Walls;
     use nalgebra::{DMatrix, DVector, Point3};
     use rand::{Rng, SeedableRng};
 
@@ -252,24 +262,37 @@ mod tests {
         none.sort(&grid, &[]);
         let mut rows = Rows::default();
         let sorted = cells.order.iter().map(|index| points[*index as usize]);
-        rows.places = sorted.map(|p| [p.x as f32, p.y as f32, p.z as f32, 0.0]).collect();
-        let walls = Walls { cells: &none, places: &[], volumes: &[] };
+        rows.liquid = sorted.map(|p| [p.x as f32, p.y as f32, p.z as f32, 1e-3]).collect();
+        let walls = Walls { cells: &none, places: &[] };
         rows.build(&grid, &cells, &walls, &Kernel::new(0.2), 1e-3, 0.15);
         rows
     }
 
-    /// The operator as a matrix, for a step of a second.
+    /// Of a list by rows, what belongs to the particles.
+    fn of_particles<T: Copy>(rows: &Rows, list: &[T]) -> Vec<T> {
+        rows.row_of.iter().map(|row| list[*row as usize]).collect()
+    }
+
+    /// The operator as a matrix of the particles, for a step of a second.
     fn matrix(rows: &mut Rows) -> DMatrix<f64> {
-        let count = rows.count();
-        let mut a = DMatrix::zeros(count, count);
+        let (count, particles) = (rows.count(), rows.row_of.len());
+        assert!(count > particles && count.is_multiple_of(LANES), "some rows are no one's: {count}");
+        let mut a = DMatrix::zeros(particles, particles);
         let mut unit = vec![0.0_f32; count];
         let mut velocities = vec![[0.0; 4]; count];
         let (mut rates, ones) = (vec![0.0; count], vec![1.0; count]);
-        for column in 0..count {
+        for column in 0..particles {
             unit.fill(0.0);
-            unit[column] = 1.0;
+            unit[rows.row_of[column] as usize] = 1.0;
             rows.product((&ones, 1.0), &unit, &mut velocities, &mut rates);
-            (0..count).for_each(|row| a[(row, column)] = f64::from(rates[row]));
+            let of_all: f32 = rates.iter().map(|rate| rate.abs()).sum();
+            let rates = of_particles(rows, &rates);
+            assert_eq!(
+                of_all,
+                rates.iter().map(|rate| rate.abs()).sum(),
+                "a row that is no one's has no part"
+            );
+            (0..particles).for_each(|row| a[(row, column)] = f64::from(rates[row]));
         }
         a
     }
@@ -279,8 +302,8 @@ mod tests {
         let mut rows = rows();
         let a = matrix(&mut rows);
         assert!((&a - a.transpose()).amax() < 1e-5 * a.amax());
-        for row in 0..rows.count() {
-            let diagonal = f64::from(rows.diagonal[row]);
+        for (row, diagonal) in of_particles(&rows, &rows.diagonal).into_iter().enumerate() {
+            let diagonal = f64::from(diagonal);
             assert!((a[(row, row)] - diagonal).abs() < 1e-4 * diagonal, "{row}");
             let spread = a.column(row).abs().sum() / diagonal;
             assert!((1.5..SPREAD).contains(&spread), "what {row} changes of others: {spread}");
@@ -294,12 +317,10 @@ mod tests {
         let mut rows = rows();
         let mut random = rand_pcg::Pcg64::seed_from_u64(9);
         let pressures: Vec<f32> = (0..rows.count()).map(|_| random.random_range(0.0..1.0)).collect();
-        let mut gradients = vec![[0.0_f32; 4]; rows.count()];
-        rows.each(&mut gradients, |row, links, out| {
-            let sum = links
-                .sum(|other, gradient| gradient.map(|along| (pressures[row] + pressures[other]) * along));
-            *out = [sum.x as f32, sum.y as f32, sum.z as f32, 0.0];
-        });
+        let mut pushes = vec![Vector3::zeros(); rows.count()];
+        rows.each(&mut pushes, &Push { pressures: &pressures, scale: 1.0 });
+        let gradients: Vec<[f32; 4]> =
+            pushes.iter().map(|push| [push.x as f32, push.y as f32, push.z as f32, 0.0]).collect();
         let (mut expected, mut rates) = (vec![0.0; rows.count()], vec![0.0; rows.count()]);
         rows.compression_rate(&gradients, &mut expected);
         let mut velocities = vec![[0.0; 4]; rows.count()];
@@ -328,19 +349,22 @@ mod tests {
         let dt = 0.01;
         let mut solver = Solver::default();
         solver.resize(rows.count());
-        for row in 0..rows.count() {
-            solver.wanted[row] = random.random_range(-0.02..0.02);
-            solver.is_active[row] = row % 17 != 3;
+        for (particle, row) in rows.row_of.iter().enumerate() {
+            solver.wanted[*row as usize] = random.random_range(-0.02..0.02);
+            solver.is_active[*row as usize] = particle % 17 != 3;
         }
         let (iterations, left) = solver.solve(&mut rows, dt, 1e-6, 500);
         assert!(left <= 1e-6 && iterations < 400, "{iterations}: {left}");
-        let p = DVector::from_iterator(rows.count(), solver.pressures.iter().map(|p| f64::from(*p)));
+        let p = of_particles(&rows, &solver.pressures);
+        let p = DVector::from_iterator(p.len(), p.into_iter().map(f64::from));
+        let (wanted, is_active) =
+            (of_particles(&rows, &solver.wanted), of_particles(&rows, &solver.is_active));
         let rest = &a * &p * f64::from(dt * dt);
         let mut bound = 0;
-        for row in 0..rows.count() {
-            let lacks = f64::from(solver.wanted[row]) - rest[row];
+        for row in 0..p.len() {
+            let lacks = f64::from(wanted[row]) - rest[row];
             assert!(p[row] >= 0.0);
-            if !solver.is_active[row] {
+            if !is_active[row] {
                 assert_eq!(p[row], 0.0);
             } else if p[row] > 0.0 {
                 assert!(lacks.abs() < 1e-4, "{row}: {lacks}");

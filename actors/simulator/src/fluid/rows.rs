@@ -1,20 +1,24 @@
-//! Who is within the support of whom, as flat lists: for each particle those about it, and how steep the kernel is between
-//! them. Particles lie in the order of their cells, so that lists point to places that are near in memory.
+//! Who is within the support of whom, as flat lists, and how steep the kernel is between them. Particles lie in the order of
+//! their cells, so that lists point to places that are near in memory, and eight of them that follow one another have a list
+//! in common, with a factor for each: what is summed over neighbours is summed for eight at once, as with the clusters of
+//! Páll and Hess, *A flexible algorithm for calculating pair interactions on SIMD architectures*, 2013.
 
 use std::ops::Range;
 
-use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::kernel::Kernel;
-use super::near::{About, DRY, Near, Scene, Sums, Walls, Weights};
+use super::links::{Links, Sweep};
+use super::near::{DRY, FAR, LANES, Lanes, Near, Sorted, Sums};
 use super::neighbours::{CellGrid, CellStarts};
-use crate::wide::wide;
+use crate::eight::{Eight, ForEight, with_eight};
 
 /// Rows that are computed together.
-const BLOCK: usize = 512;
+const BLOCK: usize = 64 * LANES;
 /// Fewer rows are not worth a second thread.
 const PARALLEL: usize = 4 * BLOCK;
+/// What lies so far from the first of a cluster, in supports, begins another.
+const APART: f64 = 2.0;
 
 /// Computes a list block by block, on the rayon pool where it is long; what one row becomes does not depend on where.
 fn in_blocks<T: Send>(list: &mut [T], each: impl Fn(usize, &mut [T]) + Sync) {
@@ -25,240 +29,162 @@ fn in_blocks<T: Send>(list: &mut [T], each: impl Fn(usize, &mut [T]) + Sync) {
     }
 }
 
-/// Neighbours of every particle, then of every sample of a wall that a particle is near to.
+/// Samples of walls, sorted by cells.
+pub(super) struct Walls<'a> {
+    pub cells: &'a CellStarts,
+    /// From the corner of the box \[m\], and what each stands for \[m³\].
+    pub places: &'a [[f32; 4]],
+}
+
+/// A particle and a sample of a wall that is near to it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct WallLink {
+    pub particle: u32,
+    /// In the order of the samples' cells.
+    pub wall: u32,
+    /// As of the links.
+    pub factor: f32,
+}
+
+/// Neighbours of every particle, then of every sample of a wall that a particle is near to. Rows come in clusters of eight,
+/// of which some are no one's.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rows {
     blocks: Vec<Block>,
-    /// Places, from the corner of the box \[m\].
-    pub places: Vec<[f32; 4]>,
-    /// Particles that have a wall beside them.
-    pub beside_walls: Vec<u32>,
+    /// Places of the particles in the order of their cells, from the corner of the box \[m\], and what each stands for \[m³\].
+    pub liquid: Vec<[f32; 4]>,
+    /// Row of each particle: the later the particle, the later the row.
+    pub row_of: Vec<u32>,
+    /// Rows of particles, with those between; the others are walls.
+    pub particles: usize,
+    /// Which samples a particle is near to, in the order of their cells.
+    pub wet: Vec<u32>,
+    /// Row of each sample, or none.
+    pub row_of_wall: Vec<u32>,
+    /// Particles and walls that are near to each other.
+    pub wall_links: Vec<WallLink>,
     /// Sums of kernels times volumes: 1 is neither compressed nor thin.
     pub compression: Vec<f32>,
     /// Diagonal of the product of divergence and gradient \[1/m²\].
     pub diagonal: Vec<f32>,
-    /// Rows of particles; the others are walls.
-    pub particles: usize,
-    /// Which sample each row of a wall is, in the order of their cells.
-    pub wet: Vec<u32>,
-    row_of_wall: Vec<u32>,
-    /// Places, from the middle of what there is \[m\].
-    centred: Vec<[f32; 4]>,
+    /// How many neighbours a row has.
+    pub degree: Vec<f32>,
+    /// Particle or sample of each row, or none.
+    owner: Vec<u32>,
+    /// Cells of the first and of the last of each cluster.
+    cells: Vec<(u32, u32)>,
+    /// Places, from the corner of the box \[m\], and what stands there for how much \[m³\].
+    pub(super) places: Vec<[f32; 4]>,
+    /// The same places, of each cluster, an axis at a time.
+    pub(super) axes: Vec<[Lanes; 3]>,
+    /// And from the middle of what there is \[m\].
+    pub(super) centred: Vec<[Lanes; 3]>,
     /// Sum of the gradients of each row \[1/m\].
-    pulls: Vec<[f32; 4]>,
+    pub(super) pulls: Vec<[Lanes; 3]>,
     /// Of each row, the pressure times its place, and the pressure.
-    lifted: Vec<[f32; 4]>,
+    pub(super) lifted: Vec<[f32; 4]>,
 }
 
-/// Some rows that follow one another.
+/// Some clusters that follow one another.
 #[derive(Clone, Debug, Default)]
 struct Block {
-    /// Where the list of each row begins; one more than there are rows.
-    starts: Vec<u32>,
+    /// Where the list of each cluster begins, and how many particles it has, which come first.
+    starts: Vec<(u32, u32)>,
     /// Row of each neighbour: particles first, then walls.
     others: Vec<u32>,
-    weights: Weights,
-    /// Compression and diagonal of each row.
-    sums: Vec<[f32; 2]>,
-    /// Sum of the gradients of each.
-    pulls: Vec<[f32; 4]>,
-    beside_walls: Vec<u32>,
+    factors: Vec<Lanes>,
+    sums: Vec<Sums>,
+    wall_links: Vec<WallLink>,
     near: Near,
-    about: About,
-}
-
-/// Links of a row.
-#[derive(Clone, Copy)]
-pub(super) struct Links<'a> {
-    /// Place of the row, from the corner of the box \[m\].
-    place: &'a [f32; 4],
-    places: &'a [[f32; 4]],
-    others: &'a [u32],
-    factors: &'a [f32],
-    drags: &'a [f32],
-}
-
-impl<'a> Links<'a> {
-    /// How many there are to particles, which come first.
-    #[inline(always)]
-    fn liquid(&self, particles: usize) -> usize {
-        match self.others.last() {
-            Some(last) if *last as usize >= particles => {
-                self.others.partition_point(|other| (*other as usize) < particles)
-            }
-            _ => self.others.len(),
-        }
-    }
-
-    /// Those to walls.
-    #[inline(always)]
-    pub(super) fn walls(self, particles: usize) -> Self {
-        let from = self.liquid(particles);
-        let (others, factors, drags) = (&self.others[from..], &self.factors[from..], &self.drags[from..]);
-        Self { others, factors, drags, ..self }
-    }
-
-    /// Neighbours.
-    pub(super) fn others(self) -> &'a [u32] {
-        self.others
-    }
-
-    /// Neighbours, and the gradients that the row has in common with them \[1/m\], the factor of the way last.
-    #[inline(always)]
-    pub(super) fn gradients(self) -> impl Iterator<Item = (usize, [f32; 4])> + 'a {
-        self.others.iter().zip(self.factors).map(move |(other, factor)| {
-            let place = &self.places[*other as usize];
-            let way = |axis: usize| factor * (self.place[axis] - place[axis]);
-            (*other as usize, [way(0), way(1), way(2), *factor])
-        })
-    }
-
-    /// Adds up vectors over the links, in double precision, so that what one gives another takes; the fourth of their
-    /// numbers does not count.
-    #[inline(always)]
-    pub(super) fn sum(self, vector: impl Fn(usize, &[f32; 4]) -> [f32; 4]) -> Vector3<f64> {
-        in_pairs(
-            self.others,
-            self.factors,
-            #[inline(always)]
-            |sum, other, factor| {
-                let place = &self.places[other as usize];
-                let way = |axis: usize| factor * (self.place[axis] - place[axis]);
-                let vector = vector(other as usize, &[way(0), way(1), way(2), factor]);
-                (0..4).for_each(|axis| sum[axis] += f64::from(vector[axis]));
-            },
-        )
-    }
-
-    /// What viscosity makes of velocities: the sum over particles of what the two of them approach each other, along the way
-    /// (Monaghan, *Smoothed particle hydrodynamics*, 2005), but for ten times the viscosity \[1/s/m²\].
-    #[inline(always)]
-    pub(super) fn drag(self, velocity: &[f32; 4], of: &[[f32; 4]], particles: usize) -> Vector3<f64> {
-        let liquid = self.liquid(particles);
-        in_pairs(
-            &self.others[..liquid],
-            &self.drags[..liquid],
-            #[inline(always)]
-            |sum, other, drag| {
-                let (place, its) = (&self.places[other as usize], &of[other as usize]);
-                let way: [f32; 4] = std::array::from_fn(|axis| self.place[axis] - place[axis]);
-                let parts: [f32; 4] = std::array::from_fn(|axis| (velocity[axis] - its[axis]) * way[axis]);
-                let push = drag * ((parts[0] + parts[1]) + parts[2]);
-                (0..4).for_each(|axis| sum[axis] += f64::from(push * way[axis]));
-            },
-        )
-    }
-
-    /// Adds up what belongs to the neighbours, times the factors: in four sums, of which none waits for another.
-    #[inline(always)]
-    fn weighted(self, of: &[[f32; 4]]) -> [f32; 4] {
-        let [mut a, mut b, mut c, mut d] = [[0.0_f32; 4]; 4];
-        let (fours, factors) = (self.others.chunks_exact(4), self.factors.chunks_exact(4));
-        for (other, factor) in fours.remainder().iter().zip(factors.remainder()) {
-            add(&mut a, *factor, &of[*other as usize]);
-        }
-        for (four, factors) in fours.zip(factors) {
-            add(&mut a, factors[0], &of[four[0] as usize]);
-            add(&mut b, factors[1], &of[four[1] as usize]);
-            add(&mut c, factors[2], &of[four[2] as usize]);
-            add(&mut d, factors[3], &of[four[3] as usize]);
-        }
-        std::array::from_fn(|axis| (a[axis] + b[axis]) + (c[axis] + d[axis]))
-    }
-}
-
-/// Adds up what belongs to links, in two sums of which neither waits for the other.
-#[inline(always)]
-fn in_pairs(others: &[u32], weights: &[f32], add: impl Fn(&mut [f64; 4], u32, f32)) -> Vector3<f64> {
-    let [mut even, mut odd] = [[0.0_f64; 4]; 2];
-    let (others, weights) = (others.chunks_exact(2), weights.chunks_exact(2));
-    for (other, weight) in others.remainder().iter().zip(weights.remainder()) {
-        add(&mut even, *other, *weight);
-    }
-    for (others, weights) in others.zip(weights) {
-        add(&mut even, others[0], weights[0]);
-        add(&mut odd, others[1], weights[1]);
-    }
-    Vector3::new(even[0] + odd[0], even[1] + odd[1], even[2] + odd[2])
-}
-
-#[inline(always)]
-fn dot(a: &[f32; 4], b: &[f32; 4]) -> f32 {
-    let products: [f32; 4] = std::array::from_fn(|axis| a[axis] * b[axis]);
-    (products[0] + products[2]) + (products[1] + products[3])
-}
-
-#[inline(always)]
-fn add(sum: &mut [f32; 4], factor: f32, of: &[f32; 4]) {
-    for axis in 0..4 {
-        sum[axis] += factor * of[axis];
-    }
 }
 
 /// What rows are built from.
 struct Parts<'a> {
-    scene: Scene<'a>,
+    grid: &'a CellGrid,
     kernel: &'a Kernel,
+    liquid: Sorted<'a>,
+    walls: Sorted<'a>,
+    owner: &'a [u32],
+    cells: &'a [(u32, u32)],
+    axes: &'a [[Lanes; 3]],
     places: &'a [[f32; 4]],
-    wet: &'a [u32],
     particles: usize,
+    volume: f32,
     beside: f32,
+}
+
+/// What is to be built.
+struct Filling<'a> {
+    parts: &'a Parts<'a>,
+    block: &'a mut Block,
+    clusters: Range<usize>,
+}
+
+impl ForEight for Filling<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<E: Eight>(self, eight: E) {
+        self.parts.fill(eight, self.block, self.clusters);
+    }
 }
 
 impl Parts<'_> {
     #[inline(always)]
-    fn fill(&self, block: &mut Block, rows: Range<usize>) {
-        let volume = self.scene.volume;
+    fn fill<E: Eight>(&self, eight: E, block: &mut Block, clusters: Range<usize>) {
         let square = (self.kernel.support * self.kernel.support) as f32;
-        let own = volume * self.kernel.value_and_slope(0.0).0 as f32;
-        block.starts.clear();
-        block.others.clear();
-        block.weights.factors.clear();
-        block.weights.drags.clear();
-        block.sums.clear();
-        block.pulls.clear();
-        block.beside_walls.clear();
-        let mut known = None;
-        for row in rows {
-            let place = &self.places[row];
-            let cell = self.scene.grid.cell_of(place);
-            if known != Some(cell) {
-                known = Some(cell);
-                block.about.gather(&self.scene, cell);
-            }
-            let Block { starts, others, weights, sums, pulls, beside_walls, near, about } = block;
+        let Block { starts, others, factors, sums, wall_links, near } = block;
+        starts.clear();
+        others.clear();
+        factors.clear();
+        sums.clear();
+        wall_links.clear();
+        for cluster in clusters {
+            let (axes, row) = (&self.axes[cluster], cluster * LANES);
+            let (first, last) = self.cells[cluster];
+            let cells = (self.grid, first as usize, last as usize);
+            let begin = factors.len();
             if row < self.particles {
-                near.find(place, square, about, about.rows.len(), about.place_of(row));
-                let Sums { value, squares, pull } = near.weigh(place, about, self.kernel, None, weights);
-                let [x, y, z, _] = pull;
-                pulls.push(pull);
-                sums.push([own + value, squares + (x * x + y * y + z * z)]);
-                if near.has_walls() {
-                    beside_walls.push(row as u32);
+                near.find(eight, axes, square, cells, self.liquid, Some(self.walls));
+                let mut found = near.weigh(eight, axes, self.kernel, None, factors);
+                let [px, py, pz] = &found.pull;
+                for k in 0..LANES {
+                    found.squares.0[k] += px.0[k] * px.0[k] + py.0[k] * py.0[k] + pz.0[k] * pz.0[k];
+                }
+                sums.push(found);
+                let to_walls = near.rows().iter().zip(&factors[begin..]).skip(near.liquid());
+                for (other, factor) in to_walls {
+                    let wall = self.owner[*other as usize];
+                    for (particle, factor) in self.owner[row..row + LANES].iter().zip(factor.0) {
+                        if factor != 0.0 {
+                            wall_links.push(WallLink { particle: *particle, wall, factor });
+                        }
+                    }
                 }
             } else {
-                let wall = self.scene.walls.volumes[self.wet[row - self.particles] as usize];
-                near.find(place, square, about, about.liquid, None);
-                let Sums { value, squares, pull } =
-                    near.weigh(place, about, self.kernel, Some(wall), weights);
-                pulls.push(pull);
-                sums.push([1.0 - self.beside * wall / volume + value, squares]);
+                let volumes = Lanes(std::array::from_fn(|k| self.places[row + k][3]));
+                near.find(eight, axes, square, cells, self.liquid, None);
+                let mut found = near.weigh(eight, axes, self.kernel, Some(&volumes), factors);
+                for k in 0..LANES {
+                    found.value.0[k] += 1.0 - self.beside * volumes.0[k] / self.volume;
+                }
+                sums.push(found);
             }
-            starts.push(others.len() as u32);
-            others.extend(near.hits().iter().map(|at| about.rows[*at as usize]));
+            starts.push((others.len() as u32, near.liquid() as u32));
+            others.extend_from_slice(near.rows());
         }
-        block.starts.push(block.others.len() as u32);
+        starts.push((others.len() as u32, 0));
     }
 }
 
 impl Rows {
-    /// Number of rows.
+    /// Number of rows, those that are no one's with them.
     pub(super) fn count(&self) -> usize {
-        self.compression.len()
+        self.places.len()
     }
 
-    /// Rows of a liquid at `places` (filled by the caller, in the order of their cells) and of the walls that it is near to.
-    /// A wall that particles lie beside at rest has `beside` of its volume in kernels of theirs.
+    /// Rows of a liquid (filled by the caller, in the order of its cells) and of the walls that it is near to. A wall that
+    /// particles of a `volume` lie beside at rest has `beside` of its volume in kernels of theirs.
     pub(super) fn build(
         &mut self,
         grid: &CellGrid,
@@ -268,170 +194,172 @@ impl Rows {
         volume: f32,
         beside: f32,
     ) {
-        let particles = self.places.len();
-        self.particles = particles;
         self.find_wet(grid, cells, walls, (kernel.support * kernel.support) as f32);
-        self.places.extend(self.wet.iter().map(|wall| walls.places[*wall as usize]));
-        let count = self.places.len();
-        let row_of_wall = &self.row_of_wall;
-        let scene = Scene { grid, cells, walls, places: &self.places, row_of_wall, volume };
-        let parts = Parts { scene, kernel, places: &self.places, wet: &self.wet, particles, beside };
-        let blocks = count.div_ceil(BLOCK);
+        self.arrange(grid, walls, (APART * kernel.support) as f32);
+        let clusters = self.cells.len();
+        let parts = Parts {
+            grid,
+            kernel,
+            liquid: Sorted { cells, places: &self.liquid, rows: &self.row_of },
+            walls: Sorted { cells: walls.cells, places: walls.places, rows: &self.row_of_wall },
+            owner: &self.owner,
+            cells: &self.cells,
+            axes: &self.axes,
+            places: &self.places,
+            particles: self.particles,
+            volume,
+            beside,
+        };
+        let blocks = self.places.len().div_ceil(BLOCK);
         if self.blocks.len() < blocks {
             self.blocks.resize_with(blocks, Block::default);
         }
+        let each = BLOCK / LANES;
         let fill = |(index, block): (usize, &mut Block)| {
-            wide(
-                #[inline(always)]
-                || parts.fill(block, index * BLOCK..count.min((index + 1) * BLOCK)),
-            );
+            let clusters = index * each..clusters.min((index + 1) * each);
+            with_eight(Filling { parts: &parts, block, clusters });
         };
-        if count >= PARALLEL && rayon::current_num_threads() > 1 {
+        if self.places.len() >= PARALLEL && rayon::current_num_threads() > 1 {
             self.blocks[..blocks].par_iter_mut().enumerate().for_each(fill);
         } else {
             self.blocks[..blocks].iter_mut().enumerate().for_each(fill);
         }
         self.compression.clear();
         self.diagonal.clear();
+        self.degree.clear();
         self.pulls.clear();
-        self.beside_walls.clear();
+        self.wall_links.clear();
         for block in &self.blocks[..blocks] {
-            self.compression.extend(block.sums.iter().map(|sums| sums[0]));
-            self.diagonal.extend(block.sums.iter().map(|sums| sums[1]));
-            self.pulls.extend_from_slice(&block.pulls);
-            self.beside_walls.extend_from_slice(&block.beside_walls);
+            for Sums { value, squares, pull, count } in &block.sums {
+                self.compression.extend_from_slice(&value.0);
+                self.diagonal.extend_from_slice(&squares.0);
+                // But for itself.
+                self.degree.extend(count.0.map(|count| count - 1.0));
+                self.pulls.push(*pull);
+            }
+            self.wall_links.extend_from_slice(&block.wall_links);
         }
+    }
+
+    /// Gives each particle and each wall that is wet a row, in clusters of what follows one another in a row of cells.
+    fn arrange(&mut self, grid: &CellGrid, walls: &Walls<'_>, apart: f32) {
+        self.owner.clear();
+        self.places.clear();
+        self.cells.clear();
+        self.row_of.clear();
+        for particle in 0..self.liquid.len() {
+            let place = self.liquid[particle];
+            let row = self.give_row(grid, apart, place, particle as u32);
+            self.row_of.push(row);
+        }
+        self.end_cluster();
+        self.particles = self.places.len();
+        for at in 0..self.wet.len() {
+            let wall = self.wet[at];
+            let row = self.give_row(grid, apart, walls.places[wall as usize], wall);
+            self.row_of_wall[wall as usize] = row;
+        }
+        self.end_cluster();
         let (mut low, mut high) = ([f32::INFINITY; 4], [f32::NEG_INFINITY; 4]);
-        for place in &self.places {
+        for place in &self.liquid {
             for axis in 0..4 {
                 low[axis] = low[axis].min(place[axis]);
                 high[axis] = high[axis].max(place[axis]);
             }
         }
-        let middle: [f32; 4] = std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis]));
+        let middle: [f32; 3] = std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis]));
+        self.axes.clear();
         self.centred.clear();
-        let places = self.places.iter();
-        self.centred.extend(places.map(|place| std::array::from_fn(|axis| place[axis] - middle[axis])));
+        for (places, owners) in self.places.chunks_exact(LANES).zip(self.owner.chunks_exact(LANES)) {
+            let axes = std::array::from_fn(|axis| Lanes(std::array::from_fn(|k| places[k][axis])));
+            self.axes.push(axes);
+            self.centred.push(std::array::from_fn(|axis| {
+                let centred = |k: usize| if owners[k] == DRY { 0.0 } else { axes[axis].0[k] - middle[axis] };
+                Lanes(std::array::from_fn(centred))
+            }));
+        }
+    }
+
+    /// The next row, in the last cluster if it belongs there.
+    fn give_row(&mut self, grid: &CellGrid, apart: f32, place: [f32; 4], owner: u32) -> u32 {
+        let cell = grid.cell_of(&place);
+        let begun = self.places.len() % LANES;
+        if begun > 0
+            && let Some((first, _)) = self.cells.last()
+        {
+            let from = self.places[self.places.len() - begun][0];
+            if grid.line_of(*first as usize) != grid.line_of(cell) || place[0] - from > apart {
+                self.end_cluster();
+            }
+        }
+        if self.places.len().is_multiple_of(LANES) {
+            self.cells.push((cell as u32, cell as u32));
+        } else if let Some((_, last)) = self.cells.last_mut() {
+            *last = cell as u32;
+        }
+        self.places.push(place);
+        self.owner.push(owner);
+        self.places.len() as u32 - 1
+    }
+
+    /// Fills up the last cluster with rows that are no one's.
+    fn end_cluster(&mut self) {
+        let whole = self.places.len().next_multiple_of(LANES);
+        self.places.resize(whole, [FAR, FAR, FAR, 0.0]);
+        self.owner.resize(whole, DRY);
     }
 
     /// Finds the samples of walls that have a particle within the support.
     fn find_wet(&mut self, grid: &CellGrid, cells: &CellStarts, walls: &Walls<'_>, square: f32) {
-        let count = self.places.len();
         self.wet.clear();
         self.row_of_wall.clear();
         self.row_of_wall.resize(walls.places.len(), DRY);
         for (wall, place) in walls.places.iter().enumerate() {
-            let is_near = |row: usize| {
-                let [dx, dy, dz] = std::array::from_fn(|axis| self.places[row][axis] - place[axis]);
+            let is_near = |particle: usize| {
+                let [dx, dy, dz] = std::array::from_fn(|axis| self.liquid[particle][axis] - place[axis]);
                 dx * dx + dy * dy + dz * dz < square
             };
             let mut about = grid.rows_about(grid.cell_of(place));
             if about.any(|(from, to)| cells.range(from, to).any(is_near)) {
-                self.row_of_wall[wall] = (count + self.wet.len()) as u32;
                 self.wet.push(wall as u32);
             }
         }
     }
 
-    /// Links of a row.
+    /// Computes something of the first rows, eight at a time, from their links.
     #[inline]
-    pub(super) fn of(&self, row: usize) -> Links<'_> {
-        let block = &self.blocks[row / BLOCK];
-        self.links(block, row, [block.starts[row % BLOCK], block.starts[row % BLOCK + 1]])
+    pub(super) fn each<T: Send>(&self, out: &mut [T], sweep: &(impl Sweep<T> + Sync)) {
+        in_blocks(out, |index, out| with_eight(Sweeping { rows: self, index, out, sweep }));
     }
+}
 
-    /// Links of a row that are a range of those of its block.
+/// What is to be computed of the rows of a block.
+struct Sweeping<'a, T, S> {
+    rows: &'a Rows,
+    index: usize,
+    out: &'a mut [T],
+    sweep: &'a S,
+}
+
+impl<T, S: Sweep<T>> ForEight for Sweeping<'_, T, S> {
+    type Output = ();
+
     #[inline(always)]
-    fn links<'a>(&'a self, block: &'a Block, row: usize, [from, to]: [u32; 2]) -> Links<'a> {
-        let range = from as usize..to as usize;
-        let Weights { factors, drags } = &block.weights;
-        let (others, factors) = (&block.others[range.clone()], &factors[range.clone()]);
-        let (place, places) = (&self.places[row], &self.places);
-        Links { place, places, others, factors, drags: &drags[range] }
-    }
-
-    /// How many neighbours a row has.
-    pub(super) fn degree(&self, row: usize) -> usize {
-        self.of(row).others.len()
-    }
-
-    /// Computes something of the first rows from their links; what is asked for has to be inlined.
-    #[inline]
-    pub(super) fn each<T: Send>(&self, out: &mut [T], each: impl Fn(usize, Links<'_>, &mut T) + Sync) {
-        in_blocks(out, |index, out| {
-            let block = &self.blocks[index];
-            wide(
-                #[inline(always)]
-                || {
-                    for ((row, out), ends) in (index * BLOCK..).zip(out).zip(block.starts.windows(2)) {
-                        each(row, self.links(block, row, [ends[0], ends[1]]), out);
-                    }
-                },
-            );
-        });
-    }
-
-    /// The operator of the pressures, scaled from both sides: the divergence of the gradient, of which each is the other's
-    /// transpose, and walls stand still. `image` is how fast each row is compressed \[1/s\] by what pressures over density of
-    /// `scale` times `of` \[m²/s²\] make of the particles' velocities in a second, times `factor` and `scale`. `velocities` is
-    /// room.
-    ///
-    /// With the places x, the factors f and R for the sum of f (xᵢ - xⱼ) over j, the sum of f (pᵢ + pⱼ) (xᵢ - xⱼ) is
-    /// R pᵢ + xᵢ Σ f pⱼ - Σ f pⱼ xⱼ, and that of f (xᵢ - xⱼ)·(vᵢ - vⱼ) is R·vᵢ - xᵢ·Σ f vⱼ + Σ f xⱼ·vⱼ: of a neighbour no
-    /// more is asked for than four numbers. What is lost by differences of sums is little for a solver; what moves particles
-    /// is computed as it stands.
-    pub(super) fn product(
-        &mut self,
-        (scale, factor): (&[f32], f32),
-        of: &[f32],
-        velocities: &mut [[f32; 4]],
-        image: &mut [f32],
-    ) {
-        let pressures = of.iter().zip(scale).map(|(of, scale)| of * scale);
-        let lifted = |(at, p): (&[f32; 4], f32)| [at[0] * p, at[1] * p, at[2] * p, p];
-        self.lifted.clear();
-        self.lifted.extend(self.centred.iter().zip(pressures).map(lifted));
-        let Self { centred, pulls, lifted, particles, .. } = &*self;
-        self.each(
-            &mut velocities[..*particles],
-            #[inline(always)]
-            |row, links, velocity| {
-                let sum = links.weighted(lifted);
-                let (at, pull, pressure) = (&centred[row], &pulls[row], lifted[row][3]);
-                // The fourth is what the fourth of the place makes of it, 0.
-                *velocity =
-                    std::array::from_fn(|axis| pull[axis] * pressure + (at[axis] * sum[3] - sum[axis]));
-                velocity[3] = dot(velocity, at);
-            },
-        );
-        velocities[*particles..].fill([0.0; 4]);
-        let velocities = &*velocities;
-        self.each(
-            image,
-            #[inline(always)]
-            |row, links, image| {
-                let sum = links.weighted(velocities);
-                let (at, pull, velocity) = (&centred[row], &pulls[row], &velocities[row]);
-                let parts = std::array::from_fn(|axis| pull[axis] * velocity[axis] - at[axis] * sum[axis]);
-                *image = factor * scale[row] * (sum[3] + dot(&parts, &[1.0; 4]));
-            },
-        );
-    }
-
-    /// How fast each row is being compressed by velocities \[1/s\], of which the fourth number is 0.
-    pub(super) fn compression_rate(&self, velocities: &[[f32; 4]], out: &mut [f32]) {
-        self.each(
-            out,
-            #[inline(always)]
-            |row, links, out| {
-                let velocity = velocities[row];
-                let mut sum = [0.0_f32; 4];
-                for (other, gradient) in links.gradients() {
-                    let its = &velocities[other];
-                    (0..4).for_each(|axis| sum[axis] += gradient[axis] * (velocity[axis] - its[axis]));
-                }
-                *out = (sum[0] + sum[1]) + (sum[2] + sum[3]);
-            },
-        );
+    fn run<E: Eight>(self, eight: E) {
+        let Self { rows, index, out, sweep } = self;
+        let block = &rows.blocks[index];
+        let clusters = block.starts.windows(2).zip(index * BLOCK / LANES..);
+        for (out, (ends, cluster)) in out.chunks_exact_mut(LANES).zip(clusters) {
+            let range = ends[0].0 as usize..ends[1].0 as usize;
+            let links = Links {
+                row: cluster * LANES,
+                axes: &rows.axes[cluster],
+                places: &rows.places,
+                others: &block.others[range.clone()],
+                factors: &block.factors[range],
+                liquid: ends[0].1 as usize,
+            };
+            sweep.sweep(eight, links, out);
+        }
     }
 }

@@ -18,15 +18,15 @@ use nalgebra::{Point3, Vector3};
 use super::config::{FluidConfig, FluidReport, FluidState};
 use super::error::{FluidError, FluidStepError, parameter};
 use super::kernel::Kernel;
-use super::near::Walls;
+use super::links::{Drag, Push};
 use super::neighbours::{CellGrid, CellStarts};
 use super::pressure::Solver;
-use super::rows::Rows;
+use super::rows::{Rows, WallLink, Walls};
 
 /// Support of the kernel in spacings of particles.
 const SUPPORT: f64 = 2.0;
 /// Fewer neighbours are spray: it is not kept from parting.
-const NEIGHBOURS_MIN: usize = 8;
+const NEIGHBOURS_MIN: f32 = 8.0;
 /// No particle comes nearer to a sample of a wall, in spacings: in the middle of a square of samples, 0.71 away from each, it
 /// would be through.
 const NEAREST: f64 = 0.9;
@@ -60,14 +60,13 @@ pub struct Fluid {
     wall_velocities: Vec<Vector3<f64>>,
     /// Which way each faces; zero where nobody said.
     wall_normals: Vec<Vector3<f64>>,
-    /// What each stands for \[m³\].
-    wall_volumes: Vec<f32>,
     /// As they were given: which one it is.
     wall_forces: Vec<Vector3<f64>>,
-    /// From the corner of the box, in the order of their cells.
+    /// From the corner of the box \[m\], and what each stands for \[m³\], in the order of their cells.
     wall_places: Vec<[f32; 4]>,
     rows: Rows,
     solver: Solver,
+    /// Of the velocity of each row.
     change: Vec<Vector3<f64>>,
     pressure: Vec<f64>,
     speeds: Vec<f32>,
@@ -112,7 +111,6 @@ impl Fluid {
             walls: Vec::new(),
             wall_velocities: Vec::new(),
             wall_normals: Vec::new(),
-            wall_volumes: Vec::new(),
             wall_forces: Vec::new(),
             wall_places: Vec::new(),
             rows: Rows::default(),
@@ -208,17 +206,15 @@ impl Fluid {
         self.wall_velocities.extend(self.wall_cells.order.iter().map(|index| velocities[*index as usize]));
         self.wall_normals.clear();
         self.wall_normals.resize(samples.len(), Vector3::zeros());
-        self.wall_volumes.clear();
+        let min = self.config.min;
+        self.wall_places.clear();
         for sample in &self.walls {
             let mut sum = 0.0;
             self.wall_cells.around(&self.grid, &self.walls, sample, self.kernel.support, |_, square| {
                 sum += self.kernel.value_and_slope(square.sqrt()).0;
             });
-            self.wall_volumes.push((LAYER / sum) as f32);
+            self.wall_places.push(seen_from(&min, sample, (LAYER / sum) as f32));
         }
-        let min = self.config.min;
-        self.wall_places.clear();
-        self.wall_places.extend(self.walls.iter().map(|sample| seen_from(&min, sample)));
         self.wall_forces.clear();
         self.wall_forces.resize(samples.len(), Vector3::zeros());
         Ok(())
@@ -412,48 +408,42 @@ impl Fluid {
     fn find_neighbours(&mut self) {
         let min = self.config.min;
         let volume = self.particle_volume() as f32;
-        self.rows.places.clear();
-        self.rows.places.extend(self.state.positions.iter().map(|position| seen_from(&min, position)));
-        let walls = Walls { cells: &self.wall_cells, places: &self.wall_places, volumes: &self.wall_volumes };
+        self.rows.liquid.clear();
+        let positions = self.state.positions.iter();
+        self.rows.liquid.extend(positions.map(|position| seen_from(&min, position, volume)));
+        let walls = Walls { cells: &self.wall_cells, places: &self.wall_places };
         self.rows.build(&self.grid, &self.cells, &walls, &self.kernel, volume, NEXT_LAYER);
     }
 
     /// Gravity and viscosity (Monaghan, *Smoothed particle hydrodynamics*, 2005).
     fn accelerate(&mut self, dt: f64) {
-        let rows = &self.rows;
-        self.change.clear();
-        self.change.resize(rows.particles, self.config.gravity * dt);
-        if self.config.viscosity > 0.0 {
-            let scale = 10.0 * self.config.viscosity * dt;
-            self.solver.resize(rows.count());
-            for (to, velocity) in self.solver.velocities.iter_mut().zip(&self.state.velocities) {
-                *to = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
+        let Self { rows, solver, state, change, config, .. } = self;
+        let gravity = config.gravity * dt;
+        if config.viscosity > 0.0 {
+            let scale = 10.0 * config.viscosity * dt;
+            solver.resize(rows.count());
+            solver.set_velocities(rows, &state.velocities);
+            let (velocities, support) = (&solver.velocities, self.kernel.support as f32);
+            sized(change, rows.particles);
+            rows.each(change, &Drag { velocities, support, scale });
+            for (velocity, row) in state.velocities.iter_mut().zip(&rows.row_of) {
+                *velocity += gravity + change[*row as usize];
             }
-            let velocities = &self.solver.velocities;
-            rows.each(
-                &mut self.change,
-                #[inline(always)]
-                |row, links, change| {
-                    *change += scale * links.drag(&velocities[row], velocities, rows.particles);
-                },
-            );
-        }
-        for (velocity, change) in self.state.velocities.iter_mut().zip(&self.change) {
-            *velocity += change;
+        } else {
+            state.velocities.iter_mut().for_each(|velocity| *velocity += gravity);
         }
     }
 
     /// Finds the pressures of a part of a step, and lets them push. Iterations, and the mean of what is left, as a share.
     fn press(&mut self, dt: f64) -> (u32, f64) {
-        let Self { rows, solver, state, config, .. } = self;
+        let Self { rows, solver, state, change, config, .. } = self;
         let (particles, count) = (rows.particles, rows.count());
         solver.resize(count);
-        for (to, velocity) in solver.velocities.iter_mut().zip(&state.velocities) {
-            *to = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
-        }
-        for (to, wall) in solver.velocities[particles..].iter_mut().zip(&rows.wet) {
+        solver.set_velocities(rows, &state.velocities);
+        for wall in &rows.wet {
             let velocity = self.wall_velocities[*wall as usize];
-            *to = [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
+            solver.velocities[rows.row_of_wall[*wall as usize] as usize] =
+                [velocity.x as f32, velocity.y as f32, velocity.z as f32, 0.0];
         }
         rows.compression_rate(&solver.velocities, &mut solver.wanted);
         // From here on they are changes, of which walls have none.
@@ -468,51 +458,50 @@ impl Fluid {
             // Where there is room it may come together.
             let share = if there > 0.0 { there * relief } else { there };
             solver.wanted[row] = solver.wanted[row] * dt as f32 + share;
-            let is_spray = row < particles && rows.degree(row) < NEIGHBOURS_MIN;
+            let is_spray = row < particles && rows.degree[row] < NEIGHBOURS_MIN;
             solver.is_active[row] = !is_spray && rows.diagonal[row] > least;
         }
-        solver.pressures[..particles].copy_from_slice(&state.pushes);
-        for (to, wall) in solver.pressures[particles..].iter_mut().zip(&rows.wet) {
-            *to = state.wall_pushes[self.wall_cells.order[*wall as usize] as usize];
+        for (push, row) in state.pushes.iter().zip(&rows.row_of) {
+            solver.pressures[*row as usize] = *push;
+        }
+        for wall in &rows.wet {
+            solver.pressures[rows.row_of_wall[*wall as usize] as usize] =
+                state.wall_pushes[self.wall_cells.order[*wall as usize] as usize];
         }
         let (iterations, left) = solver.solve(rows, dt as f32, config.compression, config.iterations_max);
-        state.pushes.copy_from_slice(&solver.pressures[..particles]);
-        state.wall_pushes.fill(0.0);
-        for (pressure, wall) in solver.pressures[particles..].iter().zip(&rows.wet) {
-            state.wall_pushes[self.wall_cells.order[*wall as usize] as usize] = *pressure;
-        }
-        // Each term is the same from both sides but for its sign, and sums of them are exact enough.
         let pressures = &solver.pressures;
-        let push = |row: usize, other: usize, gradient: &[f32; 4]| {
-            let times = pressures[row] + pressures[other];
-            gradient.map(|along| times * along)
-        };
-        rows.each(
-            &mut state.velocities,
-            #[inline(always)]
-            |row, links, velocity| {
-                *velocity -= links.sum(
-                    #[inline(always)]
-                    |other, gradient| push(row, other, gradient),
-                ) * dt;
-            },
-        );
+        for (push, row) in state.pushes.iter_mut().zip(&rows.row_of) {
+            *push = pressures[*row as usize];
+        }
+        state.wall_pushes.fill(0.0);
+        for wall in &rows.wet {
+            state.wall_pushes[self.wall_cells.order[*wall as usize] as usize] =
+                pressures[rows.row_of_wall[*wall as usize] as usize];
+        }
+        sized(change, particles);
+        rows.each(change, &Push { pressures, scale: -dt });
+        for (velocity, row) in state.velocities.iter_mut().zip(&rows.row_of) {
+            *velocity += change[*row as usize];
+        }
         let mass = config.density * config.spacing.powi(3);
-        for &row in &rows.beside_walls {
-            for (other, gradient) in rows.of(row as usize).walls(particles).gradients() {
-                let wall = rows.wet[other - particles] as usize;
-                let normal = &self.wall_normals[wall];
-                let [x, y, z, _] = push(row as usize, other, &gradient).map(f64::from);
-                let mut push = Vector3::new(x, y, z);
-                if *normal != Vector3::zeros() {
-                    // What the unevenness of the samples makes of it along the wall is taken back.
-                    let across = normal * push.dot(normal);
-                    state.velocities[row as usize] += (push - across) * dt;
-                    push = across;
-                }
-                // As an impulse; divided by the step's time at its end.
-                self.wall_forces[self.wall_cells.order[wall] as usize] += push * (dt * mass);
+        for WallLink { particle, wall, factor } in &rows.wall_links {
+            let (particle, wall) = (*particle as usize, *wall as usize);
+            let rows_of = [rows.row_of[particle], rows.row_of_wall[wall]];
+            let [own, its] = rows_of.map(|row| pressures[row as usize]);
+            let times = (own + its) * factor;
+            let [x, y, z] = std::array::from_fn(|axis| {
+                f64::from(times * (rows.liquid[particle][axis] - self.wall_places[wall][axis]))
+            });
+            let mut push = Vector3::new(x, y, z);
+            let normal = &self.wall_normals[wall];
+            if *normal != Vector3::zeros() {
+                // What the unevenness of the samples makes of it along the wall is taken back.
+                let across = normal * push.dot(normal);
+                state.velocities[particle] += (push - across) * dt;
+                push = across;
             }
+            // As an impulse; divided by the step's time at its end.
+            self.wall_forces[self.wall_cells.order[wall] as usize] += push * (dt * mass);
         }
         self.pressure.clear();
         self.pressure.extend(state.pushes.iter().map(|push| config.density * f64::from(*push)));
@@ -526,49 +515,50 @@ impl Fluid {
         let near_plane = NEAREST_PLANE * self.config.spacing;
         let beside = (BESIDE * self.config.spacing).powi(2);
         let mass = self.config.density * self.particle_volume();
-        let particles = self.rows.particles;
         // In a corner the second sample may send back to the first.
         for _ in 0..2 {
-            for &a in &self.rows.beside_walls {
-                let a = a as usize;
-                for other in self.rows.of(a).walls(particles).others() {
-                    let b = self.rows.wet[*other as usize - particles] as usize;
-                    let mut apart = self.state.positions[a] - self.walls[b];
-                    let mut near = near;
-                    let facing = &self.wall_normals[b];
-                    if *facing != Vector3::zeros() {
-                        // A smooth wall is as far off as its plane, where the sample stands for it.
-                        let across = facing * apart.dot(facing);
-                        if (apart - across).norm_squared() > beside {
-                            continue;
-                        }
-                        (apart, near) = (across, near_plane);
-                    }
-                    // Whoever does not come that far is not asked which way it goes: (n + w)² is at most 2 (n² + w²).
-                    let way = (self.state.velocities[a] - self.wall_velocities[b]).norm_squared() * dt * dt;
-                    if apart.norm_squared() > 2.0 * (near * near + way) {
+            for WallLink { particle, wall, .. } in &self.rows.wall_links {
+                let (a, b) = (*particle as usize, *wall as usize);
+                let mut apart = self.state.positions[a] - self.walls[b];
+                let mut near = near;
+                let facing = &self.wall_normals[b];
+                if *facing != Vector3::zeros() {
+                    // A smooth wall is as far off as its plane, where the sample stands for it.
+                    let across = facing * apart.dot(facing);
+                    if (apart - across).norm_squared() > beside {
                         continue;
                     }
-                    let distance = apart.norm();
-                    if distance == 0.0 {
-                        continue;
-                    }
-                    let normal = apart / distance;
-                    let towards = (self.state.velocities[a] - self.wall_velocities[b]).dot(&normal);
-                    let most = ((distance - near) / dt).max(0.0);
-                    if towards < -most {
-                        let change = normal * (towards + most);
-                        self.state.velocities[a] -= change;
-                        self.wall_forces[self.wall_cells.order[b] as usize] += change * mass;
-                    }
+                    (apart, near) = (across, near_plane);
+                }
+                // Whoever does not come that far is not asked which way it goes: (n + w)² is at most 2 (n² + w²).
+                let way = (self.state.velocities[a] - self.wall_velocities[b]).norm_squared() * dt * dt;
+                if apart.norm_squared() > 2.0 * (near * near + way) {
+                    continue;
+                }
+                let distance = apart.norm();
+                if distance == 0.0 {
+                    continue;
+                }
+                let normal = apart / distance;
+                let towards = (self.state.velocities[a] - self.wall_velocities[b]).dot(&normal);
+                let most = ((distance - near) / dt).max(0.0);
+                if towards < -most {
+                    let change = normal * (towards + most);
+                    self.state.velocities[a] -= change;
+                    self.wall_forces[self.wall_cells.order[b] as usize] += change * mass;
                 }
             }
         }
     }
 }
 
-/// A point as seen from a corner, in single precision.
-fn seen_from(corner: &Point3<f64>, point: &Point3<f64>) -> [f32; 4] {
+/// Makes a list so long; what is in it does not matter.
+fn sized(list: &mut Vec<Vector3<f64>>, count: usize) {
+    list.resize(count, Vector3::zeros());
+}
+
+/// A point as seen from a corner, in single precision, and what stands there for how much.
+fn seen_from(corner: &Point3<f64>, point: &Point3<f64>, volume: f32) -> [f32; 4] {
     let apart = point - corner;
-    [apart.x as f32, apart.y as f32, apart.z as f32, 0.0]
+    [apart.x as f32, apart.y as f32, apart.z as f32, volume]
 }
