@@ -383,3 +383,28 @@ fn a_band_of_two_meshes_stays_about_an_organ() {
     let apart = run("band", &[("stiffness = 300.0, damping", "stiffness = 0.001, damping")]);
     assert!(!apart.summary.task.completed);
 }
+
+#[test]
+fn nine_instruments_do_what_each_is_for_and_straight_rods_in_their_place_do_not() {
+    let all = holds("instruments");
+    assert!(all.summary.task.errors.is_empty());
+    // A rod does not take, spread, cut, catch, hold up level or reach behind. A fork that is wider than the knot goes past
+    // it, and where there is no loop none is carried.
+    let controls = [
+        ("kind = \"grasper\"", "kind = \"probe\"", "ring."),
+        ("kind = \"suture_grasper\"", "kind = \"probe\"", "rod."),
+        ("kind = \"blunt_dissector\"", "kind = \"probe\"", "block."),
+        ("kind = \"scissors\"", "kind = \"probe\"", "thread."),
+        ("kind = \"hook_cautery\"", "kind = \"probe\"", "ring.hooked."),
+        ("kind = \"retractor\"", "kind = \"probe\"", "lobe."),
+        ("kind = \"band_passer\"", "kind = \"probe\"", "band."),
+        ("jaw_width = 0.006", "jaw_width = 0.014", "knot."),
+        ("translation = [-0.115, -0.03, 0.0345]", "translation = [-0.115, 0.0, 0.0345]", "loop."),
+    ];
+    for (with, without, of) in controls {
+        let control = run("instruments", &[(with, without)]);
+        let errors: Vec<String> =
+            control.summary.task.errors.iter().map(|error| error.kind.clone()).collect();
+        assert!(!errors.is_empty() && errors.iter().all(|error| error.starts_with(of)), "{with}: {errors:?}");
+    }
+}

@@ -6,11 +6,13 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Frozen, HapticStatus,
-    HeatFrozen, Measured, Snapshot, TaskError, TaskState, Tick,
+    HeatFrozen, Measured, Pose, Snapshot, TaskError, TaskState, Tick,
 };
 
 /// Most expectations of a scenario.
 const EXPECTATIONS_MAX: usize = 256;
+/// Where an entity is in world, along each axis \[m\], behind its name: `ring.lifted.z_m`.
+const PLACE: [&str; 3] = [".x_m", ".y_m", ".z_m"];
 /// What a hand feels of what it presses on \[N/m\], behind the hand's name: `hand.left.felt_stiffness_n_per_m`.
 const FELT_STIFFNESS: &str = ".felt_stiffness_n_per_m";
 
@@ -33,7 +35,8 @@ pub enum Which {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expectation {
-    /// Its name, as a simulator measures it: `gauze.cut_area_m2`; or a hand's and `.felt_stiffness_n_per_m`.
+    /// Its name, as a simulator measures it: `gauze.cut_area_m2`; or a hand's and `.felt_stiffness_n_per_m`; or anything's and
+    /// `.x_m`, `.y_m`, `.z_m`, where it is in world.
     pub measure: String,
     /// Which value counts.
     #[serde(default)]
@@ -206,13 +209,20 @@ impl OutcomeController {
     }
 }
 
-/// A quantity as it is now, if anybody measures it or any hand feels it.
+/// A quantity as it is now, if anybody measures it, any hand feels it, or it is where something is.
 fn measured(scene: &Snapshot, name: &str) -> Option<f64> {
     if let Some(hand) = name.strip_suffix(FELT_STIFFNESS) {
         let status = scene.get::<HapticStatus>(scene.find(hand)?)?;
         return Some(status.felt_stiffness).filter(|stiffness| *stiffness > 0.0);
     }
-    scene.iter::<Measured>().find_map(|(_, all)| all.values.get(name)).copied()
+    let told = scene.iter::<Measured>().find_map(|(_, all)| all.values.get(name)).copied();
+    told.or_else(|| {
+        let (axis, entity) =
+            PLACE.iter().enumerate().find_map(|(axis, what)| Some((axis, name.strip_suffix(what)?)))?;
+        let entity = scene.find(entity)?;
+        scene.get::<Pose>(entity)?;
+        Some(scene.world_pose(entity).translation.vector[axis])
+    })
 }
 
 impl Controller for OutcomeController {
@@ -220,6 +230,7 @@ impl Controller for OutcomeController {
         Access::new()
             .reads::<Measured>()
             .reads::<Frozen>()
+            .reads::<Pose>()
             .reads::<HapticStatus>()
             .reads::<HeatFrozen>()
             .writes::<TaskState>(EntitySet::Own)
@@ -296,6 +307,29 @@ mod tests {
         let judged = judge.judged(1.0);
         assert!(judged.completed);
         assert_eq!(judged.metrics["outcome"]["hand.left.felt_stiffness_n_per_m.mean"], 200.0);
+    }
+
+    #[test]
+    fn where_something_is_in_world_is_judged_along_each_axis_and_what_nobody_knows_is_not() {
+        let mut builder = RegistryBuilder::new();
+        trocar_scene::components::register(&mut builder).expect("names are free");
+        crate::register(&mut builder).expect("names are free");
+        let mut store = Store::new(builder.build());
+        let mut out = Commands::new(store.view().registry().clone(), EntityAllocator::new(0, 0));
+        let [table, ring] = [out.spawn(), out.spawn()];
+        out.put(table, Pose::at(0.1, 0.2, 0.3));
+        out.put(ring, Name("ring".into()));
+        out.put(ring, trocar_scene::Parent(table));
+        out.put(ring, Pose::at(0.01, 0.02, 0.03));
+        out.seal();
+        store.apply(&mut out, SimTime::ZERO);
+        let found = ["ring.x_m", "ring.y_m", "ring.z_m"].map(|name| measured(&store.snapshot(), name));
+        for (found, wanted) in found.into_iter().zip([0.11, 0.22, 0.33]) {
+            assert!((found.expect("it is somewhere") - wanted).abs() < 1e-12, "{found:?} for {wanted}");
+        }
+        for unknown in ["ring.w_m", "ring", "rings.x_m", ".x_m"] {
+            assert_eq!(measured(&store.snapshot(), unknown), None, "{unknown}");
+        }
     }
 
     #[test]

@@ -22,10 +22,11 @@ use crate::kinds;
 use crate::run::RunOptions;
 
 /// Scenarios that are part of the program: (name, text).
-pub const SCENARIOS: [(&str, &str); 14] = [
+pub const SCENARIOS: [(&str, &str); 15] = [
     ("peg-transfer", include_str!("../../../scenarios/peg-transfer.toml")),
     ("wall", include_str!("../../../scenarios/wall.toml")),
     ("collision-gallery", include_str!("../../../scenarios/collision-gallery.toml")),
+    ("instruments", include_str!("../../../scenarios/instruments.toml")),
     ("cautery", include_str!("../../../scenarios/cautery.toml")),
     ("bleeding", include_str!("../../../scenarios/bleeding.toml")),
     ("cloth-cut", include_str!("../../../scenarios/cloth-cut.toml")),

@@ -289,7 +289,7 @@ mod tests {
             let rates = of_particles(rows, &rates);
             assert_eq!(
                 of_all,
-                rates.iter().map(|rate| rate.abs()).sum(),
+                rates.iter().map(|rate| rate.abs()).sum::<f32>(),
                 "a row that is no one's has no part"
             );
             (0..particles).for_each(|row| a[(row, column)] = f64::from(rates[row]));

@@ -70,7 +70,8 @@ pub fn live() -> Result<Vec<BenchResult>, Failure> {
 }
 
 /// The scenes of all kinds of matter.
-const SCENES: [&str; 9] = [
+const SCENES: [&str; 10] = [
+    "instruments",
     "cloth-cut",
     "tube-loop",
     "fem-liver",
