@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 
 use super::near::LANES;
 use super::rows::Rows;
-use crate::wide::wide;
+use crate::eight::{Eight, ForEight, with_eight};
 
 /// Iterations after which the slope is computed from the beginning, if rows were held at their bounds since.
 const RENEWAL: u32 = 10;
@@ -27,6 +27,8 @@ pub(super) struct Solver {
     /// Room for velocities.
     pub velocities: Vec<[f32; 4]>,
     scale: Vec<f32>,
+    /// The other way round; 0 of who has none.
+    inverse: Vec<f32>,
     scaled: Vec<f32>,
     slope: Vec<f32>,
     direction: Vec<f32>,
@@ -36,33 +38,6 @@ pub(super) struct Solver {
     drift: f64,
 }
 
-/// Adds up lists side by side, in double precision.
-fn sums<const N: usize>(lists: [&[f32]; N], add: impl Fn([f32; N]) -> f64) -> f64 {
-    wide(
-        #[inline(always)]
-        || {
-            let mut sums = [0.0_f64; LANES];
-            let whole = lists[0].len() / LANES * LANES;
-            for first in (0..whole).step_by(LANES) {
-                let parts = lists.map(|list| &list[first..first + LANES]);
-                for (lane, sum) in sums.iter_mut().enumerate() {
-                    *sum += add(parts.map(|part| part[lane]));
-                }
-            }
-            let rest: f64 = (whole..lists[0].len()).map(|row| add(lists.map(|list| list[row]))).sum();
-            sums.iter().sum::<f64>() + rest
-        },
-    )
-}
-
-fn dot(a: &[f32], b: &[f32]) -> f64 {
-    sums(
-        [a, b],
-        #[inline(always)]
-        |[x, y]| f64::from(x) * f64::from(y),
-    )
-}
-
 impl Solver {
     /// Makes room for so many rows.
     pub(super) fn resize(&mut self, count: usize) {
@@ -70,6 +45,7 @@ impl Solver {
             &mut self.pressures,
             &mut self.wanted,
             &mut self.scale,
+            &mut self.inverse,
             &mut self.scaled,
             &mut self.slope,
             &mut self.direction,
@@ -97,72 +73,47 @@ impl Solver {
         rows.product((&self.scale, dt * dt), of, &mut self.velocities, &mut self.image);
     }
 
-    /// The part of the slope along which the free rows go.
-    fn free_direction(&mut self) {
-        for ((direction, slope), value) in self.direction.iter_mut().zip(&self.slope).zip(&self.scaled) {
-            *direction = if *value > 0.0 { *slope } else { 0.0 };
-        }
-    }
-
-    /// Slope at where it is, from the beginning.
-    fn renew_slope(&mut self, rows: &mut Rows, dt: f32) {
+    /// Slope at where it is, from the beginning, and the direction of the free rows.
+    fn renew_slope(&mut self, rows: &mut Rows, dt: f32) -> Left {
         self.apply(rows, dt, false);
-        self.drift = 0.0;
-        for row in 0..self.slope.len() {
-            self.slope[row] = self.image[row] - self.wanted[row] * self.scale[row];
+        for ((slope, image), (wanted, scale)) in
+            self.slope.iter_mut().zip(&self.image).zip(self.wanted.iter().zip(&self.scale))
+        {
+            *slope = image - wanted * scale;
         }
-        self.free_direction();
-    }
-
-    /// Squares of the free and of the bound part of the slope, and the mean of what is left, as a share.
-    fn left(&self, active: usize) -> (f64, f64, f64) {
-        // Rows without a pressure have no scale and no slope.
-        let lists = [&self.slope[..], &self.scaled];
-        let free = sums(
-            lists,
-            #[inline(always)]
-            |[slope, value]| if value > 0.0 { f64::from(slope) * f64::from(slope) } else { 0.0 },
-        );
-        let bound = sums(
-            lists,
-            #[inline(always)]
-            |[slope, value]| {
-                let rising = if value > 0.0 { 0.0 } else { f64::from(slope.min(0.0)) };
-                rising * rising
-            },
-        );
-        let sum = sums(
-            [&self.slope, &self.scaled, &self.scale],
-            #[inline(always)]
-            |[slope, value, scale]| {
-                let left = if value > 0.0 { slope.abs() } else { -slope.min(0.0) };
-                f64::from(left / scale.max(f32::MIN_POSITIVE))
-            },
-        );
-        (free, bound, sum / active as f64)
+        let left = self.go(0.0);
+        self.drift = 0.0;
+        self.turn(0.0);
+        left
     }
 
     /// Solves for a part of a step \[s\] until the mean of what is left is at most `tolerance`. Iterations, and what is left.
     pub(super) fn solve(&mut self, rows: &mut Rows, dt: f32, tolerance: f64, most: u32) -> (u32, f64) {
         let mut active = 0_usize;
         for row in 0..self.scale.len() {
-            self.scale[row] = if self.is_active[row] { 1.0 / (dt * rows.diagonal[row].sqrt()) } else { 0.0 };
+            let (scale, inverse) = match self.is_active[row] {
+                true => {
+                    let inverse = dt * rows.diagonal[row].sqrt();
+                    (1.0 / inverse, inverse)
+                }
+                false => (0.0, 0.0),
+            };
             active += usize::from(self.is_active[row]);
-            self.scaled[row] =
-                if self.is_active[row] { (self.pressures[row] / self.scale[row]).max(0.0) } else { 0.0 };
+            (self.scale[row], self.inverse[row]) = (scale, inverse);
+            self.scaled[row] = (self.pressures[row] * inverse).max(0.0);
         }
         let mut iterations = 0;
         let mut rest = 0.0;
         let mut since = 0;
         if active > 0 {
-            self.renew_slope(rows, dt);
+            let mut left = self.renew_slope(rows, dt);
             loop {
-                let (free, bound, mean) = self.left(active);
+                let mean = left.sum / active as f64;
                 // What is held back changes others, by so much at most.
                 let unknown = SPREAD * self.drift / active as f64;
                 let is_done = mean + unknown <= tolerance;
                 if self.drift > 0.0 && !is_done && (mean <= tolerance || since >= RENEWAL) {
-                    self.renew_slope(rows, dt);
+                    left = self.renew_slope(rows, dt);
                     since = 0;
                     continue;
                 }
@@ -172,11 +123,12 @@ impl Solver {
                 }
                 since += 1;
                 iterations += 1;
-                if bound > free {
-                    self.leave_bounds(rows, dt);
-                } else if !self.advance(rows, dt) {
-                    break;
-                }
+                let further = match left.bound > left.free {
+                    true => self.leave_bounds(rows, dt),
+                    false => self.advance(rows, dt),
+                };
+                let Some(further) = further else { break };
+                left = further;
             }
         }
         for ((pressure, value), scale) in self.pressures.iter_mut().zip(&self.scaled).zip(&self.scale) {
@@ -185,56 +137,171 @@ impl Solver {
         (iterations, rest)
     }
 
-    /// Rows at their bound that want to rise do so.
-    fn leave_bounds(&mut self, rows: &mut Rows, dt: f32) {
+    /// Rows at their bound that want to rise do so; what is left then, or none where there is no way to go.
+    fn leave_bounds(&mut self, rows: &mut Rows, dt: f32) -> Option<Left> {
         for ((direction, slope), (value, scale)) in
             self.direction.iter_mut().zip(&self.slope).zip(self.scaled.iter().zip(&self.scale))
         {
             *direction = if *value <= 0.0 && *scale > 0.0 { slope.min(0.0) } else { 0.0 };
         }
         self.apply(rows, dt, true);
-        let curvature = dot(&self.direction, &self.image);
-        if curvature > 0.0 {
-            self.go((dot(&self.slope, &self.direction) / curvature) as f32);
-        }
-        self.free_direction();
+        let (curvature, descent) = self.along();
+        (curvature > 0.0).then(|| {
+            let left = self.go((descent / curvature) as f32);
+            self.turn(0.0);
+            left
+        })
     }
 
-    fn go(&mut self, length: f32) {
-        for row in 0..self.scaled.len() {
-            self.scaled[row] -= length * self.direction[row];
-            self.slope[row] -= length * self.image[row];
-        }
-    }
-
-    /// A step of conjugate gradients, or to the first bound and on; whether there was a way to go.
-    fn advance(&mut self, rows: &mut Rows, dt: f32) -> bool {
+    /// A step of conjugate gradients, or to the first bound and on; what is left then, or none where there is no way to go.
+    fn advance(&mut self, rows: &mut Rows, dt: f32) -> Option<Left> {
         self.apply(rows, dt, true);
-        let curvature = dot(&self.direction, &self.image);
-        if curvature.is_nan() || curvature <= 0.0 {
-            return false;
+        let (curvature, descent) = self.along();
+        (curvature > 0.0).then(|| {
+            let left = self.go((descent / curvature) as f32);
+            self.turn((left.along / curvature) as f32);
+            left
+        })
+    }
+
+    /// The direction times its image, and times the slope.
+    fn along(&self) -> (f64, f64) {
+        with_eight(Along { slope: &self.slope, direction: &self.direction, image: &self.image })
+    }
+
+    /// Goes so far against the direction, and says what is left.
+    ///
+    /// Who went past its bound stays at it. What that changes for others is small, and made good when the slope is next computed
+    /// from the beginning: at the latest when it might matter.
+    fn go(&mut self, length: f32) -> Left {
+        let left = with_eight(Go {
+            scaled: &mut self.scaled,
+            slope: &mut self.slope,
+            direction: &self.direction,
+            image: &self.image,
+            inverse: &self.inverse,
+            length,
+        });
+        self.drift += left.past;
+        left
+    }
+
+    /// The next direction: the slope of the free rows, less so much of the last one.
+    fn turn(&mut self, share: f32) {
+        with_eight(Turn { scaled: &self.scaled, slope: &self.slope, direction: &mut self.direction, share });
+    }
+}
+
+/// What is left of what was wanted.
+#[derive(Clone, Copy)]
+struct Left {
+    /// As a share, over all rows.
+    sum: f64,
+    /// Squares of the slope of the rows that are free to go, and of those that want to leave their bounds.
+    free: f64,
+    bound: f64,
+    /// Slope times image of the free rows.
+    along: f64,
+    /// How far rows would have gone past their bounds, as shares.
+    past: f64,
+}
+
+/// Eights of a list.
+#[inline(always)]
+fn eights(list: &[f32]) -> &[[f32; LANES]] {
+    list.as_chunks().0
+}
+
+#[inline(always)]
+fn eights_mut(list: &mut [f32]) -> &mut [[f32; LANES]] {
+    list.as_chunks_mut().0
+}
+
+/// Products of a direction.
+struct Along<'a> {
+    slope: &'a [f32],
+    direction: &'a [f32],
+    image: &'a [f32],
+}
+
+impl ForEight for Along<'_> {
+    type Output = (f64, f64);
+
+    #[inline(always)]
+    fn run<E: Eight>(self, eight: E) -> (f64, f64) {
+        let [mut curvature, mut descent] = [eight.nothing(); 2];
+        let lists = eights(self.direction).iter().zip(eights(self.image)).zip(eights(self.slope));
+        for ((direction, image), slope) in lists {
+            let direction = eight.load(direction);
+            curvature = eight.add_to(curvature, eight.mul(direction, eight.load(image)));
+            descent = eight.add_to(descent, eight.mul(direction, eight.load(slope)));
         }
-        let length = (dot(&self.slope, &self.direction) / curvature) as f32;
-        self.go(length);
-        // Who went past its bound stays at it. What that changes for others is small, and made good when the slope is next
-        // computed from the beginning: at the latest when it might matter.
-        for (value, scale) in self.scaled.iter_mut().zip(&self.scale) {
-            if *value < 0.0 {
-                self.drift -= f64::from(*value / scale);
-                *value = 0.0;
-            }
+        (eight.sums(curvature).iter().sum(), eight.sums(descent).iter().sum())
+    }
+}
+
+/// A step along a direction.
+struct Go<'a> {
+    scaled: &'a mut [f32],
+    slope: &'a mut [f32],
+    direction: &'a [f32],
+    image: &'a [f32],
+    inverse: &'a [f32],
+    length: f32,
+}
+
+impl ForEight for Go<'_> {
+    type Output = Left;
+
+    #[inline(always)]
+    fn run<E: Eight>(self, eight: E) -> Left {
+        let [mut sum, mut free, mut bound, mut along, mut past] = [eight.nothing(); 5];
+        let (zero, length) = (eight.all(0.0), eight.all(self.length));
+        let state = eights_mut(self.scaled).iter_mut().zip(eights_mut(self.slope));
+        let ways = eights(self.direction).iter().zip(eights(self.image)).zip(eights(self.inverse));
+        for ((value, slope), ((direction, image), inverse)) in state.zip(ways) {
+            let (image, inverse) = (eight.load(image), eight.load(inverse));
+            let to = eight.sub(eight.load(value), eight.mul(length, eight.load(direction)));
+            let its = eight.sub(eight.load(slope), eight.mul(length, image));
+            let kept = eight.max(to, zero);
+            past = eight.add_to(past, eight.mul(eight.sub(kept, to), inverse));
+            let is_free = eight.less(zero, kept);
+            let goes = eight.choose(is_free, its, zero);
+            // At its bound one may only rise.
+            let rises = eight.choose(is_free, zero, eight.max(eight.sub(zero, its), zero));
+            let size = eight.add(eight.max(goes, eight.sub(zero, goes)), rises);
+            sum = eight.add_to(sum, eight.mul(size, inverse));
+            free = eight.add_to(free, eight.mul(goes, goes));
+            bound = eight.add_to(bound, eight.mul(rises, rises));
+            along = eight.add_to(along, eight.mul(goes, image));
+            (*value, *slope) = (eight.store(kept), eight.store(its));
         }
-        let sum = sums(
-            [&self.scaled, &self.slope, &self.image],
-            #[inline(always)]
-            |[value, slope, image]| if value > 0.0 { f64::from(slope) * f64::from(image) } else { 0.0 },
-        );
-        let share = (sum / curvature) as f32;
-        for row in 0..self.direction.len() {
-            self.direction[row] =
-                if self.scaled[row] > 0.0 { self.slope[row] - share * self.direction[row] } else { 0.0 };
+        let [sum, free, bound, along, past] =
+            [sum, free, bound, along, past].map(|sums| eight.sums(sums).iter().sum());
+        Left { sum, free, bound, along, past }
+    }
+}
+
+/// A direction that follows a slope.
+struct Turn<'a> {
+    scaled: &'a [f32],
+    slope: &'a [f32],
+    direction: &'a mut [f32],
+    share: f32,
+}
+
+impl ForEight for Turn<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<E: Eight>(self, eight: E) {
+        let (zero, share) = (eight.all(0.0), eight.all(self.share));
+        let rows = eights(self.scaled).iter().zip(eights(self.slope));
+        for (direction, (value, slope)) in eights_mut(self.direction).iter_mut().zip(rows) {
+            let turned = eight.sub(eight.load(slope), eight.mul(share, eight.load(direction)));
+            let is_free = eight.less(zero, eight.load(value));
+            *direction = eight.store(eight.choose(is_free, turned, zero));
         }
-        true
     }
 }
 

@@ -70,6 +70,8 @@ pub struct Fluid {
     change: Vec<Vector3<f64>>,
     pressure: Vec<f64>,
     speeds: Vec<f32>,
+    /// Particles that walls have sent back.
+    sent_back: Vec<bool>,
 }
 
 impl Fluid {
@@ -118,6 +120,7 @@ impl Fluid {
             change: Vec::new(),
             pressure: Vec::new(),
             speeds: Vec::new(),
+            sent_back: Vec::new(),
             config,
         })
     }
@@ -515,10 +518,15 @@ impl Fluid {
         let near_plane = NEAREST_PLANE * self.config.spacing;
         let beside = (BESIDE * self.config.spacing).powi(2);
         let mass = self.config.density * self.particle_volume();
-        // In a corner the second sample may send back to the first.
-        for _ in 0..2 {
+        // In a corner the second sample may send back to the first; who was not sent back is where it is.
+        self.sent_back.clear();
+        self.sent_back.resize(self.state.positions.len(), false);
+        for is_first in [true, false] {
             for WallLink { particle, wall, .. } in &self.rows.wall_links {
                 let (a, b) = (*particle as usize, *wall as usize);
+                if !is_first && !self.sent_back[a] {
+                    continue;
+                }
                 let mut apart = self.state.positions[a] - self.walls[b];
                 let mut near = near;
                 let facing = &self.wall_normals[b];
@@ -545,6 +553,7 @@ impl Fluid {
                 if towards < -most {
                     let change = normal * (towards + most);
                     self.state.velocities[a] -= change;
+                    self.sent_back[a] = true;
                     self.wall_forces[self.wall_cells.order[b] as usize] += change * mass;
                 }
             }
