@@ -51,6 +51,11 @@ pub(crate) trait Eight: Copy {
     /// The other way round.
     fn rows(self, columns: [Self::Numbers; 4]) -> [[f32; 4]; LANES];
 
+    /// The nearest whole numbers, of two as near the even one, in 16 bits each; only of what is from 0 to 65535.
+    fn pack(self, x: Self::Numbers) -> [u16; LANES];
+    /// What was packed.
+    fn unpack(self, packed: &[u16; LANES]) -> Self::Numbers;
+
     /// a b c
     #[inline(always)]
     fn mul3(self, a: Self::Numbers, b: Self::Numbers, c: Self::Numbers) -> Self::Numbers {
@@ -179,6 +184,16 @@ impl Eight for OneByOne {
     fn rows(self, columns: [[f32; LANES]; 4]) -> [[f32; 4]; LANES] {
         std::array::from_fn(|k| columns.map(|column| column[k]))
     }
+
+    #[inline(always)]
+    fn pack(self, x: [f32; LANES]) -> [u16; LANES] {
+        x.map(|x| x.round_ties_even() as u16)
+    }
+
+    #[inline(always)]
+    fn unpack(self, packed: &[u16; LANES]) -> [f32; LANES] {
+        packed.map(f32::from)
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -186,7 +201,7 @@ mod registers {
     use pulp::bytemuck::{cast, cast_slice};
     use pulp::x86::V3;
     use pulp::{f32x8, f64x4, m32x8};
-    use std::arch::x86_64::{__m128, __m256, __m256d};
+    use std::arch::x86_64::{__m128, __m128i, __m256, __m256d};
 
     use super::{Eight, LANES};
 
@@ -287,6 +302,18 @@ mod registers {
             let pairs: [[[f32; 4]; 2]; 4] = transposed(self, columns.map(cast)).map(cast);
             std::array::from_fn(|k| pairs[k % 4][k / 4])
         }
+
+        #[inline(always)]
+        fn pack(self, x: f32x8) -> [u16; LANES] {
+            let whole: [__m128i; 2] = cast(self.avx._mm256_cvtps_epi32(cast::<f32x8, __m256>(x)));
+            cast(self.sse4_1._mm_packus_epi32(whole[0], whole[1]))
+        }
+
+        #[inline(always)]
+        fn unpack(self, packed: &[u16; LANES]) -> f32x8 {
+            let whole = self.avx2._mm256_cvtepu16_epi32(cast::<[u16; LANES], __m128i>(*packed));
+            cast(self.avx._mm256_cvtepi32_ps(whole))
+        }
     }
 
     /// Of each half, what is a row becomes a column.
@@ -336,6 +363,13 @@ mod tests {
             let rows = eight.rows([a, b, c, numbers[0]]);
             bits.extend(rows.iter().flatten().map(|x| u64::from(x.to_bits())));
             let columns = eight.columns(&rows);
+            // Halves, too, and as far as there are numbers.
+            let whole = eight.max(eight.mul(a, eight.all(32767.75)), eight.all(0.0));
+            for x in [whole, eight.max(eight.mul(b, eight.all(2.0)), eight.all(0.0))] {
+                let packed = eight.pack(x);
+                bits.extend(packed.map(u64::from));
+                bits.extend(eight.store(eight.unpack(&packed)).map(|x| u64::from(x.to_bits())));
+            }
             for list in numbers.into_iter().chain(columns) {
                 bits.extend(eight.store(list).map(|x| u64::from(x.to_bits())));
             }

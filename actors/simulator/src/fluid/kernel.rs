@@ -30,6 +30,11 @@ impl Kernel {
         (self.scale * value, self.scale * slope * self.inverse * self.inverse)
     }
 
+    /// The steepest factor, that of two at the same place: no other is below it.
+    pub(super) fn steepest(&self) -> f64 {
+        -12.0 * self.scale * self.inverse * self.inverse
+    }
+
     /// The same of eight in single precision; 0 beyond the support.
     #[inline(always)]
     pub(super) fn values_and_slopes<E: Eight>(

@@ -3,7 +3,7 @@
 
 use nalgebra::Vector3;
 
-use super::near::{LANES, Lanes};
+use super::near::{LANES, Lanes, Packed};
 use super::rows::Rows;
 use crate::eight::{Eight, ForEight, with_eight};
 
@@ -22,8 +22,10 @@ pub(super) struct Links<'a> {
     pub places: &'a [[f32; 4]],
     /// Rows of the neighbours: particles first, then walls.
     pub others: &'a [u32],
-    /// Factors of the ways to the rows from each neighbour in the gradients that the two have in common \[1/m²\].
-    pub factors: &'a [Lanes],
+    /// Factors of the ways to the rows from each neighbour in the gradients that the two have in common, in units.
+    pub factors: &'a [Packed],
+    /// The unit of factors \[1/m²\].
+    pub unit: f32,
     /// How many particles.
     pub liquid: usize,
 }
@@ -34,16 +36,17 @@ impl Links<'_> {
     fn weighted<E: Eight>(self, eight: E, of: &[[f32; 4]]) -> [E::Numbers; 4] {
         let mut sums = [eight.all(0.0); 4];
         for (other, factor) in self.others.iter().zip(self.factors) {
-            let (its, factor) = (&of[*other as usize], eight.load(&factor.0));
+            let (its, factor) = (&of[*other as usize], eight.unpack(&factor.0));
             sums = std::array::from_fn(|axis| eight.add(sums[axis], eight.mul(factor, eight.all(its[axis]))));
         }
-        sums
+        let unit = eight.all(self.unit);
+        std::array::from_fn(|axis| eight.mul(sums[axis], unit))
     }
 
     /// Places of the rows.
     #[inline(always)]
     fn own<E: Eight>(self, eight: E) -> [E::Numbers; 3] {
-        self.axes.map(|axis| eight.load(&axis.0))
+        vector(eight, self.axes)
     }
 
     /// Numbers of the rows, of a list of vectors.
@@ -51,6 +54,13 @@ impl Links<'_> {
     fn of_own<E: Eight>(self, eight: E, of: &[[f32; 4]]) -> [E::Numbers; 4] {
         eight.columns(&eight_of(of, self.row))
     }
+}
+
+/// A vector of each.
+#[inline(always)]
+fn vector<E: Eight>(eight: E, [x, y, z]: &[Lanes; 3]) -> [E::Numbers; 3] {
+    // Spelled out: a closure here is called, through memory.
+    [eight.load(&x.0), eight.load(&y.0), eight.load(&z.0)]
 }
 
 /// The first three.
@@ -76,7 +86,8 @@ fn eight_of<T: Copy + Default>(list: &[T], from: usize) -> [T; LANES] {
 /// Writes sums of eight rows, scaled.
 #[inline(always)]
 fn write<E: Eight>(eight: E, out: &mut [Vector3<f64>], sums: [E::Sums; 3], scale: f64) {
-    let sums = sums.map(|sums| eight.sums(sums));
+    let [x, y, z] = sums;
+    let sums = [eight.sums(x), eight.sums(y), eight.sums(z)];
     for (k, out) in out.iter_mut().enumerate() {
         *out = Vector3::new(sums[0][k], sums[1][k], sums[2][k]) * scale;
     }
@@ -102,11 +113,11 @@ impl Sweep<Vector3<f64>> for Push<'_> {
         let mut sums = [eight.nothing(); 3];
         for (other, factor) in links.others.iter().zip(links.factors) {
             let its = eight.all(self.pressures[*other as usize]);
-            let times = eight.mul(eight.add(own, its), eight.load(&factor.0));
+            let times = eight.mul(eight.add(own, its), eight.unpack(&factor.0));
             let way = ways(eight, place, &links.places[*other as usize]);
             sums = std::array::from_fn(|axis| eight.add_to(sums[axis], eight.mul(times, way[axis])));
         }
-        write(eight, out, sums, self.scale);
+        write(eight, out, sums, self.scale * f64::from(links.unit));
     }
 }
 
@@ -127,11 +138,11 @@ impl Sweep<Vector3<f64>> for Drag<'_> {
         for (other, factor) in links.others[..links.liquid].iter().zip(links.factors) {
             let way = ways(eight, place, &links.places[*other as usize]);
             let apart = ways(eight, own, &self.velocities[*other as usize]);
-            let drag = eight.div(eight.load(&factor.0), eight.add(eight.dot(way, way), soft));
+            let drag = eight.div(eight.unpack(&factor.0), eight.add(eight.dot(way, way), soft));
             let push = eight.mul(drag, eight.dot(apart, way));
             sums = std::array::from_fn(|axis| eight.add_to(sums[axis], eight.mul(push, way[axis])));
         }
-        write(eight, out, sums, self.scale);
+        write(eight, out, sums, self.scale * f64::from(links.unit));
     }
 }
 
@@ -146,9 +157,9 @@ impl Sweep<f32> for Rate<'_> {
         for (other, factor) in links.others.iter().zip(links.factors) {
             let way = ways(eight, place, &links.places[*other as usize]);
             let apart = ways(eight, own, &self.0[*other as usize]);
-            sum = eight.add(sum, eight.mul(eight.load(&factor.0), eight.dot(apart, way)));
+            sum = eight.add(sum, eight.mul(eight.unpack(&factor.0), eight.dot(apart, way)));
         }
-        out.copy_from_slice(&eight.store(sum));
+        out.copy_from_slice(&eight.store(eight.mul(sum, eight.all(links.unit))));
     }
 }
 
@@ -164,12 +175,12 @@ impl Sweep<[f32; 4]> for Gradient<'_> {
     fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [[f32; 4]]) {
         let sums = links.weighted(eight, self.lifted);
         let cluster = links.row / LANES;
-        let (at, pull) = (&self.rows.centred[cluster], &self.rows.pulls[cluster]);
-        let at = at.map(|axis| eight.load(&axis.0));
+        let at = vector(eight, &self.rows.centred[cluster]);
+        let pull = vector(eight, &self.rows.pulls[cluster]);
         let [.., own] = links.of_own(eight, self.lifted);
         let velocity: [E::Numbers; 3] = std::array::from_fn(|axis| {
             let change = eight.sub(eight.mul(at[axis], sums[3]), sums[axis]);
-            eight.add(eight.mul(eight.load(&pull[axis].0), own), change)
+            eight.add(eight.mul(pull[axis], own), change)
         });
         let [x, y, z] = velocity;
         out.copy_from_slice(&eight.rows([x, y, z, eight.dot(velocity, at)]));
@@ -189,8 +200,8 @@ impl Sweep<f32> for Divergence<'_> {
     fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [f32]) {
         let sums = links.weighted(eight, self.velocities);
         let cluster = links.row / LANES;
-        let (at, pull) = (&self.rows.centred[cluster], &self.rows.pulls[cluster]);
-        let [at, pull] = [at, pull].map(|lists| lists.map(|axis| eight.load(&axis.0)));
+        let at = vector(eight, &self.rows.centred[cluster]);
+        let pull = vector(eight, &self.rows.pulls[cluster]);
         let own = eight.dot(pull, three(links.of_own(eight, self.velocities)));
         let its = eight.dot(at, [sums[0], sums[1], sums[2]]);
         let rate = eight.add(sums[3], eight.sub(own, its));
@@ -245,9 +256,11 @@ impl ForEight for Lift<'_> {
         let Self { centred, lifted, pressures } = self;
         lifted.resize(centred.len() * LANES, [0.0; 4]);
         for (cluster, (at, out)) in centred.iter().zip(lifted.chunks_exact_mut(LANES)).enumerate() {
-            let [of, scale] = pressures.map(|list| eight.load(&eight_of(list, cluster * LANES)));
-            let pressure = eight.mul(of, scale);
-            let [x, y, z] = at.map(|axis| eight.mul(eight.load(&axis.0), pressure));
+            let [of, scale] = pressures;
+            let [of, scale] = [eight_of(of, cluster * LANES), eight_of(scale, cluster * LANES)];
+            let pressure = eight.mul(eight.load(&of), eight.load(&scale));
+            let [x, y, z] = vector(eight, at);
+            let [x, y, z] = [eight.mul(x, pressure), eight.mul(y, pressure), eight.mul(z, pressure)];
             out.copy_from_slice(&eight.rows([x, y, z, pressure]));
         }
     }

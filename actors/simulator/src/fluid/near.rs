@@ -17,6 +17,11 @@ pub(super) const DRY: u32 = u32::MAX;
 #[repr(align(32))]
 pub(super) struct Lanes(pub [f32; LANES]);
 
+/// A factor of each of the rows that lie together, in 16 bits: so many units.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(align(16))]
+pub(super) struct Packed(pub [u16; LANES]);
+
 /// Places, and what stands there for how much: three coordinates from the corner of the box \[m\], and a volume \[m³\].
 #[derive(Clone, Copy)]
 pub(super) struct Sorted<'a> {
@@ -117,24 +122,25 @@ impl Near {
         }
     }
 
-    /// Weighs what was found, and adds the factor of each: volume of what is not a plain particle of the two, `own` where that
-    /// is the row, times the kernel's slope \[1/m²\]; the way to the row times that is the gradient that the two have in common.
+    /// Weighs what was found, and adds the factor of each in `unit`s \[1/m²\], rounded: volume of what is not a plain particle of
+    /// the two, `own` where that is the row, times the kernel's slope; the way to the row times that is the gradient that the
+    /// two have in common.
     #[inline(always)]
     pub(super) fn weigh<E: Eight>(
         &self,
         eight: E,
         axes: &[Lanes; 3],
-        kernel: &Kernel,
+        (kernel, unit): (&Kernel, f32),
         own: Option<&Lanes>,
-        factors: &mut Vec<Lanes>,
+        factors: &mut Vec<Packed>,
     ) -> Sums {
         let (liquid, walls) = self.places[..self.found].split_at(self.liquid);
         let mut sums = Sums::default();
         factors.reserve(self.found);
-        weigh_each(eight, liquid, axes, kernel, own, factors, &mut sums);
+        weigh_each(eight, liquid, axes, (kernel, unit), own, factors, &mut sums);
         // Walls do not give way.
         let squares = sums.squares;
-        weigh_each(eight, walls, axes, kernel, own, factors, &mut sums);
+        weigh_each(eight, walls, axes, (kernel, unit), own, factors, &mut sums);
         Sums { squares, ..sums }
     }
 }
@@ -145,13 +151,14 @@ fn weigh_each<E: Eight>(
     eight: E,
     places: &[[f32; 4]],
     axes: &[Lanes; 3],
-    kernel: &Kernel,
+    (kernel, unit): (&Kernel, f32),
     own: Option<&Lanes>,
-    factors: &mut Vec<Lanes>,
+    factors: &mut Vec<Packed>,
     sums: &mut Sums,
 ) {
     let most = eight.all((kernel.support * kernel.support) as f32);
     let (zero, one) = (eight.all(0.0), eight.all(1.0));
+    let (unit, units) = (eight.all(unit), eight.all(1.0 / unit));
     let own = own.map(|own| eight.load(&own.0));
     let [x, y, z] = axes.map(|axis| eight.load(&axis.0));
     let Sums { value, squares, pull, count } = *sums;
@@ -167,8 +174,11 @@ fn weigh_each<E: Eight>(
         let square = eight.dot([x, y, z], [x, y, z]);
         let (its, slope) = kernel.values_and_slopes(eight, eight.sqrt(square));
         // Where the two are at the same place there is no way.
-        let factor = eight.choose(eight.less(zero, square), eight.mul(volumes, slope), zero);
-        factors.push(Lanes(eight.store(factor)));
+        let exact = eight.choose(eight.less(zero, square), eight.mul(volumes, slope), zero);
+        let packed = eight.pack(eight.mul(exact, units));
+        factors.push(Packed(packed));
+        // As it is from here on, for everybody.
+        let factor = eight.mul(eight.unpack(&packed), unit);
         value = eight.add(value, eight.mul(volumes, its));
         count = eight.add(count, eight.choose(eight.less(square, most), one, zero));
         squares = eight.add(squares, eight.mul3(factor, factor, square));

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::kernel::Kernel;
 use super::links::{Links, Sweep};
-use super::near::{DRY, FAR, LANES, Lanes, Near, Sorted, Sums};
+use super::near::{DRY, FAR, LANES, Lanes, Near, Packed, Sorted, Sums};
 use super::neighbours::{CellGrid, CellStarts};
 use crate::eight::{Eight, ForEight, with_eight};
 
@@ -17,6 +17,8 @@ use crate::eight::{Eight, ForEight, with_eight};
 const BLOCK: usize = 64 * LANES;
 /// Fewer rows are not worth a second thread.
 const PARALLEL: usize = 4 * BLOCK;
+/// Most units of a factor: a few less than 16 bits take.
+const UNITS: f64 = 65_530.0;
 /// What lies so far from the first of a cluster, in supports, begins another.
 const APART: f64 = 2.0;
 
@@ -42,7 +44,7 @@ pub(super) struct WallLink {
     pub particle: u32,
     /// In the order of the samples' cells.
     pub wall: u32,
-    /// As of the links.
+    /// As of the links \[1/m²\].
     pub factor: f32,
 }
 
@@ -57,6 +59,8 @@ pub(super) struct Rows {
     pub row_of: Vec<u32>,
     /// Rows of particles, with those between; the others are walls.
     pub particles: usize,
+    /// Unit of the factors \[1/m²\].
+    unit: f32,
     /// Which samples a particle is near to, in the order of their cells.
     pub wet: Vec<u32>,
     /// Row of each sample, or none.
@@ -92,7 +96,7 @@ struct Block {
     starts: Vec<(u32, u32)>,
     /// Row of each neighbour: particles first, then walls.
     others: Vec<u32>,
-    factors: Vec<Lanes>,
+    factors: Vec<Packed>,
     sums: Vec<Sums>,
     wall_links: Vec<WallLink>,
     near: Near,
@@ -109,6 +113,7 @@ struct Parts<'a> {
     axes: &'a [[Lanes; 3]],
     places: &'a [[f32; 4]],
     particles: usize,
+    unit: f32,
     volume: f32,
     beside: f32,
 }
@@ -146,7 +151,7 @@ impl Parts<'_> {
             let begin = factors.len();
             if row < self.particles {
                 near.find(eight, axes, square, cells, self.liquid, Some(self.walls));
-                let mut found = near.weigh(eight, axes, self.kernel, None, factors);
+                let mut found = near.weigh(eight, axes, (self.kernel, self.unit), None, factors);
                 let [px, py, pz] = &found.pull;
                 for k in 0..LANES {
                     found.squares.0[k] += px.0[k] * px.0[k] + py.0[k] * py.0[k] + pz.0[k] * pz.0[k];
@@ -156,7 +161,8 @@ impl Parts<'_> {
                 for (other, factor) in to_walls {
                     let wall = self.owner[*other as usize];
                     for (particle, factor) in self.owner[row..row + LANES].iter().zip(factor.0) {
-                        if factor != 0.0 {
+                        if factor != 0 {
+                            let factor = self.unit * f32::from(factor);
                             wall_links.push(WallLink { particle: *particle, wall, factor });
                         }
                     }
@@ -164,7 +170,7 @@ impl Parts<'_> {
             } else {
                 let volumes = Lanes(std::array::from_fn(|k| self.places[row + k][3]));
                 near.find(eight, axes, square, cells, self.liquid, None);
-                let mut found = near.weigh(eight, axes, self.kernel, Some(&volumes), factors);
+                let mut found = near.weigh(eight, axes, (self.kernel, self.unit), Some(&volumes), factors);
                 for k in 0..LANES {
                     found.value.0[k] += 1.0 - self.beside * volumes.0[k] / self.volume;
                 }
@@ -197,6 +203,9 @@ impl Rows {
         self.find_wet(grid, cells, walls, (kernel.support * kernel.support) as f32);
         self.arrange(grid, walls, (APART * kernel.support) as f32);
         let clusters = self.cells.len();
+        // Of the largest factor that there can be.
+        let largest = walls.places.iter().map(|place| place[3]).fold(volume, f32::max);
+        self.unit = (kernel.steepest() / UNITS) as f32 * largest;
         let parts = Parts {
             grid,
             kernel,
@@ -207,6 +216,7 @@ impl Rows {
             axes: &self.axes,
             places: &self.places,
             particles: self.particles,
+            unit: self.unit,
             volume,
             beside,
         };
@@ -357,6 +367,7 @@ impl<T, S: Sweep<T>> ForEight for Sweeping<'_, T, S> {
                 places: &rows.places,
                 others: &block.others[range.clone()],
                 factors: &block.factors[range],
+                unit: rows.unit,
                 liquid: ends[0].1 as usize,
             };
             sweep.sweep(eight, links, out);

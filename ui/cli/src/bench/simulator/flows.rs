@@ -175,11 +175,12 @@ pub fn liquid_secs(particles: usize, runs: usize) -> Result<(f64, f64), Failure>
 /// A basin of 20,000 particles.
 pub fn liquid() -> Result<Vec<BenchResult>, Failure> {
     let figure = liquid_secs(20_000, 4)?;
-    // About a particle there are 32 others within two spacings, among 216 that are looked at; a step multiplies by the
-    // operator about nine times: twice a factor times four numbers of each neighbour, of which a link keeps the factor and
-    // who it is.
-    let (particles, links) = (20_000.0, 32.0 * 20_000.0);
-    let operations = 8.0 * 216.0 * particles + 25.0 * links + 9.0 * 2.0 * 8.0 * links;
-    let work = Work { operations, single: true, bytes: 9.0 * 2.0 * 8.0 * links };
+    // Eight rows that lie together have a list in common: 3,250 lists, of 72 neighbours each, among 300 that are looked at. A step
+    // multiplies by the operator about nine times, in two sweeps: of each neighbour a factor for each of the eight, in 16 bits,
+    // times four numbers; who it is and the four numbers are read.
+    let (lists, lanes) = (3_250.0, 8.0);
+    let links = 72.0 * lists;
+    let operations = lanes * (8.0 * 300.0 * lists + 30.0 * links + 9.0 * 2.0 * 8.0 * links);
+    let work = Work { operations, single: true, bytes: 9.0 * 2.0 * (2.0 * lanes + 4.0 + 16.0) * links };
     Ok(vec![at_least_hz("fluid_20000", figure, 60.0), share("fluid_20000", figure.0, work)])
 }
