@@ -256,10 +256,6 @@ fn what_goes_does_not_depend_on_the_mesh() {
                 (mesh, 0.5e-3, 0.1),
                 (mesh, 0.25e-3, 0.01),
             ] {
-                // A known limit: a membrane of two cells, burned through.
-                if what == "a membrane" && mode == Mode::Coagulate && spacing < 0.5e-3 {
-                    continue;
-                }
                 let now = of(other, spacing, dt, mode);
                 for (now, reference) in [(now.cells, reference.cells), (now.elements, reference.elements)] {
                     let off = (now / reference - 1.0).abs();

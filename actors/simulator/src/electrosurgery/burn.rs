@@ -7,7 +7,7 @@
 
 use super::error::ElectrosurgeryError;
 use super::thermal_grid::EDGE;
-use super::tissue::Tissue;
+use super::tissue::{Site, Tissue};
 
 /// An element is due when this share of its volume is gone.
 const GONE: f64 = 0.5;
@@ -23,7 +23,7 @@ pub(super) struct ElementBurns {
     pub removed: Vec<f64>,
     pub coagulated: Vec<f64>,
     pub charred: Vec<f64>,
-    /// Volume of cells that went of which each element has the most \[m³\].
+    /// What each element had of the cells that went \[m³\].
     pub touched: Vec<f64>,
     /// What went of the lattice and is not gone of the mesh \[m³\]; negative where more is gone.
     pub owed: f64,
@@ -89,15 +89,23 @@ impl ElementBurns {
         })
     }
 
-    /// Books what happened to a cell of that volume \[m³\], of which `element` has the most.
-    pub(super) fn book(&mut self, number: [i32; 3], element: u32, volume: f64, event: CellEvent) {
-        let element = element as usize;
+    /// Books what happened to a cell of that volume \[m³\], by what elements have of it.
+    pub(super) fn book(&mut self, number: [i32; 3], site: &Site, volume: f64, event: CellEvent) {
         if matches!(event, CellEvent::Removed { .. }) {
-            self.touched[element] += volume;
             self.owed += volume;
         }
-        if !self.is_small[element] {
-            self.add(element, volume, event);
+        let others = f64::from(site.others) * volume;
+        for (element, volume) in [(site.element, volume - others), (site.other, others)] {
+            if volume == 0.0 {
+                continue;
+            }
+            let element = element as usize;
+            if matches!(event, CellEvent::Removed { .. }) {
+                self.touched[element] += volume;
+            }
+            if !self.is_small[element] {
+                self.add(element, volume, event);
+            }
         }
         let from = self.middles.partition_point(|entry| entry.0 < number);
         let to = from + self.middles[from..].partition_point(|entry| entry.0 == number);

@@ -155,7 +155,7 @@ impl ThermalGrid {
             let Some(raster) = self.lattice.raster(block.key) else { continue };
             for (site, now) in block.raster.sites.iter_mut().zip(raster.sites.iter()) {
                 if now.nodes != [0; 4] {
-                    *site = Site { element: site.element, ..*now };
+                    *site = Site { element: site.element, other: site.other, others: site.others, ..*now };
                 }
             }
             block.raster.cut = raster.cut;
@@ -332,7 +332,7 @@ impl ThermalGrid {
         if is_dry && celsius >= books.material.charring && block.flags[cell] & CHARRED == 0 {
             block.flags[cell] |= CHARRED;
             let number = cell_number(block.key, cell);
-            books.burns.book(number, block.site(cell).element, volume, CellEvent::Charred);
+            books.burns.book(number, block.site(cell), volume, CellEvent::Charred);
         }
         if is_dry && (books.bursts || celsius >= books.material.ablation) {
             self.remove(index, cell, books);
@@ -350,7 +350,7 @@ impl ThermalGrid {
         let volume = cell_volume * block.share(cell);
         let site = block.site(cell);
         books.organ.stop_perfusion(site, volume * books.material.perfusion_loss());
-        books.burns.book(cell_number(block.key, cell), site.element, volume, CellEvent::Coagulated);
+        books.burns.book(cell_number(block.key, cell), site, volume, CellEvent::Coagulated);
     }
 
     fn remove(&mut self, index: usize, cell: usize, books: &mut Books<'_>) {
@@ -370,7 +370,7 @@ impl ThermalGrid {
         // What vaporised was surely coagulated.
         block.damage[cell] = block.damage[cell].max(super::arrhenius::COAGULATED);
         let number = cell_number(block.key, cell);
-        books.burns.book(number, site.element, volume, CellEvent::Removed { was_coagulated, was_charred });
+        books.burns.book(number, &site, volume, CellEvent::Removed { was_coagulated, was_charred });
         let dry = books.material.density * (1.0 - books.material.water) * volume;
         books.report.smoke_rate += dry * books.material.smoke;
         books.report.removed_cells += 1;

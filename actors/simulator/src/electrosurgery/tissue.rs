@@ -11,6 +11,8 @@ use super::thermal_grid::EDGE;
 
 /// Samples of a cell along an edge: 64 in a cell, the bits of a word.
 const SAMPLES: i32 = 4;
+/// Elements that are told apart in a cell: of a fifth there is little.
+const ELEMENTS: usize = 4;
 /// Cells along an edge of a block with the cells around it.
 pub(super) const PADDED: usize = EDGE + 2;
 const ELEMENTS_MAX: usize = 10_000_000;
@@ -206,7 +208,11 @@ impl Piece {
 /// Where a cell of the lattice lies in the mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Site {
+    /// The element that has the most of it.
     pub element: u32,
+    /// The one that has the most of the rest, and which share of what the two have; 0 where there is none.
+    pub other: u32,
+    pub others: f32,
     pub nodes: [u32; 4],
     /// Of the first three nodes; the fourth has the rest.
     pub weights: [f32; 3],
@@ -363,9 +369,22 @@ impl TissueLattice {
         found.dedup();
         let mut taken = vec![0_u64; PADDED * PADDED * PADDED];
         let mut best = vec![0_u32; EDGE * EDGE * EDGE];
+        let mut of_elements = vec![[(0_u32, 0_u32); ELEMENTS]; EDGE * EDGE * EDGE];
         let mut sites = Box::new([Site::default(); EDGE * EDGE * EDGE]);
         for piece in found {
-            self.fill(&self.pieces[piece as usize], first, &mut taken, &mut best, &mut sites);
+            self.fill(
+                &self.pieces[piece as usize],
+                first,
+                &mut taken,
+                (&mut best, &mut of_elements),
+                &mut sites,
+            );
+        }
+        for (site, counts) in sites.iter_mut().zip(&mut of_elements) {
+            counts.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+            let [(element, most), (other, rest), ..] = *counts;
+            (site.element, site.other) = (element, other);
+            site.others = rest as f32 / (most + rest).max(1) as f32;
         }
         let mut share = Box::new([0.0; PADDED * PADDED * PADDED]);
         for (share, taken) in share.iter_mut().zip(&taken) {
@@ -381,7 +400,7 @@ impl TissueLattice {
         piece: &Piece,
         first: [i32; 3],
         taken: &mut [u64],
-        best: &mut [u32],
+        (best, of_elements): (&mut [u32], &mut [[(u32, u32); ELEMENTS]]),
         sites: &mut [Site; EDGE * EDGE * EDGE],
     ) {
         let (low, high) = (cell_of(&piece.min, self.spacing), cell_of(&piece.max, self.spacing));
@@ -426,11 +445,17 @@ impl TissueLattice {
             let inner = |cell: i32| usize::try_from(cell - 1).ok().filter(|cell| *cell < EDGE);
             let (Some(x), Some(y), Some(z)) = (inner(x), inner(y), inner(z)) else { continue };
             let cell = x + EDGE * (y + EDGE * z);
+            let mut known = of_elements[cell].iter_mut();
+            if count > 0
+                && let Some(of) = known.find(|of| of.1 == 0 || of.0 == piece.element)
+            {
+                *of = (piece.element, of.1 + count);
+            }
             if count > best[cell] {
                 best[cell] = count;
                 let mean = sum / f64::from(count);
                 let others = [1.0 - mean.sum(), mean.x, mean.y].map(|weight| weight as f32);
-                sites[cell] = Site { element: piece.element, nodes: piece.nodes, weights: others };
+                sites[cell] = Site { nodes: piece.nodes, weights: others, ..Site::default() };
             }
         }
     }
@@ -464,6 +489,25 @@ mod tests {
             (0..3).map(|axis| raster.sites[cell].interpolate(&positions.map(|point| point[axis]))).collect();
         let centre = [1.25e-3, 1.25e-3, 0.75e-3];
         assert!((0..3).all(|axis| (at[axis] - centre[axis]).abs() < 1e-9), "{at:?}");
+    }
+
+    /// Else what goes of a mesh that lies along the lattice would be more than goes of the lattice.
+    #[test]
+    fn a_cell_that_two_elements_share_is_told_as_of_both() {
+        let positions = [[0.0, 0.0], [1e-3, 0.0], [1e-3, 1e-3], [0.0, 1e-3]];
+        let positions = positions.map(|[x, y]| Point3::new(x, y, 0.0));
+        let triangles = [[0, 1, 2], [0, 2, 3]];
+        let tissue = Tissue::Membrane { positions: &positions, triangles: &triangles, thickness: 1e-3 };
+        let raster = TissueLattice::new(&tissue, 0.25e-3).expect("a mesh").raster([0; 3]).expect("tissue");
+        let mut parts = [0.0; 2];
+        for (x, y) in (0..4).flat_map(|x| (0..4).map(move |y| (x, y))) {
+            let site = &raster.sites[x + EDGE * y];
+            assert_eq!(site.others > 0.0, x == y, "{x} {y}: {site:?}");
+            parts[site.element as usize] += 1.0 - site.others;
+            parts[site.other as usize] += site.others;
+        }
+        // Samples on the line between the two are the first one's.
+        assert!(parts[0] + parts[1] == 16.0 && (parts[0] - 8.0).abs() <= 1.0, "{parts:?}");
     }
 
     #[test]
