@@ -29,7 +29,8 @@ pub struct TissueEntry {
 
 const ARDA: &str = "shear-wave elastography of 127 healthy volunteers, mean and one deviation (Arda et al. 2011, Am. J. \
                     Roentgenol. 197)";
-const MANCIA: &str = "collected by Mancia et al. 2019, Phys. Med. Biol. 64";
+const MANCIA: &str = "collected by Mancia et al. 2019, Phys. Med. Biol. 64; the range holds that of the IT'IS Foundation tissue \
+                      database";
 
 const ITIS: &str = "IT'IS Foundation tissue database 4 (Hasgall et al. 2018)";
 const SPREAD: &str = "IT'IS Foundation tissue database 4 (Hasgall et al. 2018); the range is what samples of one organ \
@@ -38,7 +39,7 @@ const FLOW: &str = "at rest, from the flow by mass of the IT'IS Foundation tissu
                     twice that as the body needs";
 const COTTON: &str =
     "its cotton fibre (Bledzki, Gassan 1999, Prog. Polym. Sci. 24); a sheet has a mass by area";
-const DENATURED: &str = "as liver's (Jacques et al. 1996), for want of a fit of its own; it belongs to its energy, so that change \
+const DENATURED: &str = "as liver's (Kim et al. 1996), for want of a fit of its own; it belongs to its energy, so that change \
                          both or none";
 const PYROLYSED: &str = "cellulose (Shafizadeh 1982, J. Anal. Appl. Pyrolysis 3): it browns and chars from 250 °C on, slowly from \
                          200, and goes up as tar and gas from 300 to 400";
@@ -97,7 +98,7 @@ const POISSON: TissueParameter = TissueParameter {
     unit: "",
     value: 0.45,
     range: [0.4, 0.5],
-    source: "nearly 0.5, as water keeps its volume; linear tetrahedra lock above 0.45 (Hughes 2000, §4.4)",
+    source: "nearly 0.5, as water keeps its volume; linear tetrahedra lock above 0.45 (Hughes 2000, ch. 4)",
 };
 
 /// All tissues, by name.
@@ -112,7 +113,7 @@ pub const TISSUES: &[TissueEntry] = &[
                  Biol. 64)",
             ),
             POISSON,
-            density(1050.0, [1050.0, 1075.0], MANCIA),
+            density(1050.0, [1040.0, 1102.0], MANCIA),
             conductivity(0.46, [0.4, 0.55], SPREAD),
             heat_capacity(3306.0, [3100.0, 3700.0]),
         ],
@@ -209,12 +210,12 @@ pub const TISSUES: &[TissueEntry] = &[
             damage_frequency(
                 7.39e39,
                 [1e37, 1e42],
-                "Jacques et al. 1996; fits differ by orders of magnitude and belong to their energy, so that change both or none",
+                "Kim et al. 1996; fits differ by orders of magnitude and belong to their energy, so that change both or none",
             ),
             damage_energy(
                 2.577e5,
                 [2.4e5, 2.75e5],
-                "Jacques, Rastegar, Thomsen, Motamedi 1996, IEEE J. Sel. Top. Quantum Electron. 2; the range is the one in which \
+                "Kim, Jacques, Rastegar, Thomsen, Motamedi 1996, IEEE J. Sel. Top. Quantum Electron. 2; the range is the one in which \
                  its frequency makes sense",
             ),
             charring(200.0, [150.0, 300.0], BROWNED),

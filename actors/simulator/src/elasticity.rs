@@ -11,7 +11,7 @@ use crate::sparse::{BlockMatrix, BlockPattern};
 use crate::tet_mesh::TetMesh;
 
 /// The largest ratio of Poisson that linear tetrahedra take: nearer to 0.5 they lock, that is, they bend far too little
-/// because every element by itself keeps its volume (Hughes 2000, §4.4).
+/// because every element by itself keeps its volume (Hughes 2000, ch. 4).
 pub const POISSON_MAX: f64 = 0.45;
 
 /// Young's modulus and Poisson's ratio.

@@ -25,9 +25,9 @@ pub struct Arrhenius {
 }
 
 impl Default for Arrhenius {
-    /// Liver: A = 7.39e39 1/s, Eₐ = 257.7 kJ/mol (Jacques, Rastegar, Thomsen and Motamedi, *The role of dynamic changes
-    /// in blood perfusion and optical properties in laser coagulation*, 1996); 43 °C is where hyperthermia begins
-    /// (Sapareto and Dewey, *Thermal dose determination in cancer therapy*, 1984).
+    /// Liver: A = 7.39e39 1/s, Eₐ = 257.7 kJ/mol (Kim, Jacques, Rastegar, Thomsen and Motamedi, *Nonlinear finite-element
+    /// analysis of the role of dynamic changes in blood perfusion and optical properties in laser coagulation of tissue*, 1996);
+    /// 43 °C is where hyperthermia begins (Sapareto and Dewey, *Thermal dose determination in cancer therapy*, 1984).
     fn default() -> Self {
         Self { frequency: 7.39e39, activation_energy: 2.577e5, threshold: 43.0 }
     }

@@ -1,6 +1,6 @@
 //! Pressures that keep a liquid from being compressed, and pull nowhere: the least p ≥ 0 with A p ≥ b, where A is the product
 //! of the divergence and the gradient of the particles. Solved by conjugate gradients that keep to the bounds: MPRGP
-//! (Dostál and Schöberl, *Minimizing quadratic functions over non-negative cone with the rate of convergence and finite
+//! (Dostál and Schöberl, *Minimizing quadratic functions subject to bound constraints with the rate of convergence and finite
 //! termination*, 2005), scaled by the diagonal.
 
 use nalgebra::Vector3;

@@ -38,7 +38,7 @@ impl Default for Resistance {
     /// | `cutting_force` | 0.2 N | chosen, a third of the puncture: tearing is 0.6 of all that a needle meets on its way (Barnett, Lee, Moore 2015, *Fracture mechanics model of needle cutting tissue*) |
     /// | `needle_grip` | 15 N/m | chosen |
     /// | `thread_grip` | 20 N/m | 23 to 33 N/m for 6-0 polyglactin in human sclera (PMID 28989101) |
-    /// | `needle_friction` | 0.1 | below 0.05 on the mucus of small bowel (Lyle et al. 2013, *Tribology Letters* 51), 0.12 to 0.34 in test beds |
+    /// | `needle_friction` | 0.1 | 0.007 to 0.054 of steel on the inside of small bowel (Lyle et al. 2013, *Tribology Letters* 51); chosen above, as tissue grips what pierces it |
     /// | `thread_friction` | 0.2 | 0.05 to 0.13 for coated and sheathed braids (PMC2796445); silk, which has more, is not among them |
     ///
     /// Skin asks for about 1.0, 0.7, 0.5 N, 20 and 30 N/m. Bowel tears out at some 4.6 N (Gong et al. 2023).
