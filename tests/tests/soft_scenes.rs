@@ -388,6 +388,9 @@ fn a_band_of_two_meshes_stays_about_an_organ() {
 fn nine_instruments_do_what_each_is_for_and_straight_rods_in_their_place_do_not() {
     let all = holds("instruments");
     assert!(all.summary.task.errors.is_empty());
+    // By the engine as by ours.
+    let by_the_engine = run("instruments", &[("kind = \"rigid-bodies\"", "kind = \"rapier\"")]);
+    assert!(by_the_engine.summary.task.completed, "{:?}", by_the_engine.summary.task.errors);
     // A rod does not take, spread, cut, catch, hold up level or reach behind. A fork that is wider than the knot goes past
     // it, and where there is no loop none is carried.
     let controls = [

@@ -13,6 +13,8 @@ use super::thermal_grid::EDGE;
 const SAMPLES: i32 = 4;
 /// Elements that are told apart in a cell: of a fifth there is little.
 const ELEMENTS: usize = 4;
+/// Elements that have samples of a cell, and how many.
+type Samples = [(u32, u32); ELEMENTS];
 /// Cells along an edge of a block with the cells around it.
 pub(super) const PADDED: usize = EDGE + 2;
 const ELEMENTS_MAX: usize = 10_000_000;
@@ -369,7 +371,7 @@ impl TissueLattice {
         found.dedup();
         let mut taken = vec![0_u64; PADDED * PADDED * PADDED];
         let mut best = vec![0_u32; EDGE * EDGE * EDGE];
-        let mut of_elements = vec![[(0_u32, 0_u32); ELEMENTS]; EDGE * EDGE * EDGE];
+        let mut of_elements: Vec<Samples> = vec![Default::default(); EDGE * EDGE * EDGE];
         let mut sites = Box::new([Site::default(); EDGE * EDGE * EDGE]);
         for piece in found {
             self.fill(
@@ -400,7 +402,7 @@ impl TissueLattice {
         piece: &Piece,
         first: [i32; 3],
         taken: &mut [u64],
-        (best, of_elements): (&mut [u32], &mut [[(u32, u32); ELEMENTS]]),
+        (best, of_elements): (&mut [u32], &mut [Samples]),
         sites: &mut [Site; EDGE * EDGE * EDGE],
     ) {
         let (low, high) = (cell_of(&piece.min, self.spacing), cell_of(&piece.max, self.spacing));

@@ -6,13 +6,15 @@
 //! | A body and its integrators | `body.rs` |
 //! | Contacts | `contact.rs` |
 //! | Jaws of instruments and their drives | `joint.rs` |
-//! | Impulses | `response.rs` |
+//! | Impulses: all of a step, one contact, and which have to do with each other | `response.rs`, `row.rs`, `islands.rs` |
 
 mod body;
 mod contact;
 mod error;
+mod islands;
 mod joint;
 mod response;
+mod row;
 
 use nalgebra::Vector3;
 
@@ -22,7 +24,7 @@ pub use error::{RigidError, RigidStepError};
 pub use joint::{Arm, Joint};
 
 use response::Response;
-pub(crate) use response::most_across;
+pub(crate) use row::most_across;
 
 /// What pushes a body from outside during a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -87,10 +89,10 @@ impl RigidBodies {
         &self.response.impulses
     }
 
-    /// How often the last step went through all contacts.
+    /// How often the last step solved a contact, all of them together.
     #[must_use]
-    pub fn rounds(&self) -> u32 {
-        self.response.rounds
+    pub fn visits(&self) -> u64 {
+        self.response.visits
     }
 
     /// Lets the next step begin with these impulses, one for each of its contacts: with the states, they are what a run goes

@@ -4,6 +4,8 @@
 use nalgebra::{Isometry3, Translation3, Vector3};
 
 use super::bodies::{Body, Solid};
+use super::bounds::Bounds;
+use super::parts::Part;
 use super::tool::Tool;
 use super::touch::{TouchPoint, touch};
 use crate::instrument::local_model::Obstacle;
@@ -63,8 +65,7 @@ fn nearest<'a>(
     let moved = |pose: &Isometry3<f64>| Translation3::from(*by) * pose;
     for body in fixed {
         let reach = best.map_or(reach, |(gap, _)| gap);
-        let [from, until] = tool.solid.span.map(|x| x + by.x);
-        if body.solid.span[0] > until + reach || body.solid.span[1] < from - reach {
+        if body.solid.all.is_apart(&tool.solid.all.moved(by), reach) {
             continue;
         }
         for (index, (own, pose)) in tool.solid.parts.iter().zip(&tool.solid.placed).enumerate() {
@@ -73,7 +74,8 @@ fn nearest<'a>(
             } else {
                 tool.instrument.jaw_friction.min(0.2)
             };
-            for point in touching(own, &moved(pose), &body.solid, reach, &mut points) {
+            let bounds = tool.solid.bounds[index].moved(by);
+            for point in touching((own, &bounds), &moved(pose), &body.solid, reach, &mut points) {
                 let gap = (-point.depth).max(0.0);
                 if best.is_none_or(|(nearest, _)| gap < nearest) {
                     let friction = (friction * body.component.friction).sqrt();
@@ -86,15 +88,17 @@ fn nearest<'a>(
 }
 
 fn touching<'a>(
-    own: &super::parts::Part,
+    (own, bounds): (&Part, &Bounds),
     pose: &Isometry3<f64>,
     other: &Solid,
     reach: f64,
     points: &'a mut Vec<TouchPoint>,
 ) -> &'a [TouchPoint] {
     points.clear();
-    for (part, placed) in other.parts.iter().zip(&other.placed) {
-        touch((own, pose), (part, placed), reach, points);
+    for ((part, placed), its) in other.parts.iter().zip(&other.placed).zip(&other.bounds) {
+        if !its.is_apart(bounds, reach) {
+            touch((own, pose), (part, placed), reach, points);
+        }
     }
     points
 }

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Motion, Primitive, RigidBody, SimTime, Velocity};
 
+use super::bounds::Bounds;
 use super::parts::Part;
 use crate::rigid::{RigidMass, RigidState, Wrench};
 
@@ -19,14 +20,16 @@ pub(super) struct Solid {
     pub names: Vec<Primitive>,
     /// `world_from_part`.
     pub placed: Vec<Isometry3<f64>>,
-    /// Least and largest coordinate of all of it along x \[m\].
-    pub span: [f64; 2],
+    /// About each part, and about all.
+    pub bounds: Vec<Bounds>,
+    pub all: Bounds,
 }
 
 impl Solid {
     pub fn new(parts: Vec<Part>, names: Vec<Primitive>) -> Self {
         let placed = vec![Isometry3::identity(); parts.len()];
-        Self { parts, names, placed, span: [0.0; 2] }
+        let bounds = vec![Bounds::default(); parts.len()];
+        Self { parts, names, placed, bounds, all: Bounds::default() }
     }
 
     /// Puts all parts where the body is.
@@ -38,10 +41,10 @@ impl Solid {
     }
 
     pub fn measure(&mut self) {
-        self.span = [f64::INFINITY, f64::NEG_INFINITY];
-        for (part, placed) in self.parts.iter().zip(&self.placed) {
-            let (x, reach) = (placed.translation.x, part.reach());
-            self.span = [self.span[0].min(x - reach), self.span[1].max(x + reach)];
+        self.all = Bounds::default();
+        for (bounds, (part, placed)) in self.bounds.iter_mut().zip(self.parts.iter().zip(&self.placed)) {
+            *bounds = Bounds::of(part, placed);
+            self.all = self.all.with(bounds);
         }
     }
 }

@@ -120,8 +120,8 @@ impl Everything<'_> {
             Thing::Body(entity) => self.bodies.get(&entity).map(|body| (body.velocity, &body.solid)),
             Thing::Tool(entity) => self.tools.get(&entity).map(|tool| (tool.state.velocity, &tool.solid)),
         }
-        .map_or_else(Default::default, |(velocity, solid)| (velocity, solid.span[1] - solid.span[0]));
-        velocity.linear.norm() + velocity.angular.norm() * size.max(0.0)
+        .map_or_else(Default::default, |(velocity, solid)| (velocity, solid.all.diagonal()));
+        velocity.linear.norm() + velocity.angular.norm() * size
     }
 
     fn pose(&self, entity: Entity) -> Option<Isometry3<f64>> {
@@ -174,7 +174,7 @@ impl Meetings {
         let bodies = everything.bodies.iter().map(|(entity, body)| (Thing::Body(*entity), &body.solid));
         let tools = everything.tools.iter().map(|(entity, tool)| (Thing::Tool(*entity), &tool.solid));
         let solids = bodies.chain(tools).filter(|(_, solid)| !solid.parts.is_empty());
-        self.order.extend(solids.map(|(thing, solid)| (solid.span[0], solid.span[1], thing)));
+        self.order.extend(solids.map(|(thing, solid)| (solid.all.min.x, solid.all.max.x, thing)));
         self.order.sort_by(|a, b| a.0.total_cmp(&b.0));
         let order = std::mem::take(&mut self.order);
         for (index, (_, until, first)) in order.iter().enumerate() {
@@ -208,13 +208,22 @@ impl Meetings {
             Thing::Body(entity) | Thing::Tool(entity) => entity,
         };
         let (first, second) = if rank(first) <= rank(second) { (first, second) } else { (second, first) };
+        let (Some(a), Some(b)) = (everything.solid(first), everything.solid(second)) else { return };
+        if a.all.is_apart(&b.all, margin) {
+            return;
+        }
         let begin = self.all.len();
         let mut wakes = false;
         let mut near = std::mem::take(&mut self.near);
         near.clear();
-        let (Some(a), Some(b)) = (everything.solid(first), everything.solid(second)) else { return };
         for (i, (part, pose)) in a.parts.iter().zip(&a.placed).enumerate() {
+            if a.bounds[i].is_apart(&b.all, margin) {
+                continue;
+            }
             for (j, (other, place)) in b.parts.iter().zip(&b.placed).enumerate() {
+                if a.bounds[i].is_apart(&b.bounds[j], margin) {
+                    continue;
+                }
                 self.points.clear();
                 touch((part, pose), (other, place), margin, &mut self.points);
                 near.extend(self.points.iter().map(|point| (i, j, *point)));

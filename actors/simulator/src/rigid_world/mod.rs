@@ -6,13 +6,14 @@
 //! | Our own: momenta and impulses | `impulse_world.rs`, `scheduled.rs`, of which `bodies.rs` holds what is in it, and `told.rs` what it tells |
 //! | Instruments in it: shaft, jaws, drive, coupling | `tool.rs`, `holds.rs` |
 //! | Shapes as boxes and rounded segments; what they weigh | `parts.rs`, `mesh_mass.rs` |
-//! | Who meets whom in a step | `meetings.rs` |
+//! | Who meets whom in a step, and who cannot | `meetings.rs`, `bounds.rs` |
 //! | Where two parts touch | `touch.rs`, `box_box.rs` |
 //! | Contacts that others have found | `found.rs` |
 //! | What an instrument is about to touch | `ahead.rs` |
 
 mod ahead;
 mod bodies;
+mod bounds;
 mod box_box;
 mod error;
 mod found;

@@ -1,0 +1,128 @@
+//! Contacts that have to do with each other: over bodies that both of them push, or jaws that both of them turn. What stands
+//! connects nothing.
+
+/// Which contacts and joints belong together; kept for the next step.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Islands {
+    /// Of bodies, then of joints: one of the same island with a number no larger.
+    parents: Vec<u32>,
+    /// Island of the first of each.
+    number: Vec<u32>,
+    /// Contacts and joints by islands, each in their order, and where those of each island begin.
+    contacts: Vec<u32>,
+    joints: Vec<u32>,
+    starts: Vec<[u32; 2]>,
+}
+
+const NONE: u32 = u32::MAX;
+
+impl Islands {
+    /// So many bodies and joints, of which none has to do with another one.
+    pub fn begin(&mut self, bodies: usize, joints: usize) {
+        self.parents.clear();
+        self.parents.extend(0..(bodies + joints) as u32);
+    }
+
+    fn first(&mut self, mut of: usize) -> usize {
+        while self.parents[of] as usize != of {
+            let next = self.parents[of] as usize;
+            self.parents[of] = self.parents[next];
+            of = next;
+        }
+        of
+    }
+
+    /// These two have to do with each other.
+    pub fn join(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.first(a), self.first(b));
+        self.parents[a.max(b)] = a.min(b) as u32;
+    }
+
+    /// Sorts contacts, each given by a body that it pushes, and the joints, which come after so many bodies.
+    pub fn sort(&mut self, bodies: usize, pushed: impl Iterator<Item = usize> + Clone) {
+        let all = self.parents.len();
+        self.number.clear();
+        self.number.resize(all, NONE);
+        self.starts.clear();
+        let (mut contacts, mut joints) = (0, 0);
+        // How many each has: in the order of the first contact, then of joints that nothing touches.
+        for (of, is_joint) in
+            pushed.clone().map(|body| (body, false)).chain((bodies..all).map(|of| (of, true)))
+        {
+            let first = self.first(of);
+            if self.number[first] == NONE {
+                self.number[first] = self.starts.len() as u32;
+                self.starts.push([0; 2]);
+            }
+            self.starts[self.number[first] as usize][usize::from(is_joint)] += 1;
+            *(if is_joint { &mut joints } else { &mut contacts }) += 1;
+        }
+        let mut sums = [0; 2];
+        for counts in &mut self.starts {
+            for (count, sum) in counts.iter_mut().zip(&mut sums) {
+                let own = std::mem::replace(count, *sum);
+                *sum += own;
+            }
+        }
+        self.contacts.clear();
+        self.contacts.resize(contacts, 0);
+        self.joints.clear();
+        self.joints.resize(joints, 0);
+        // Where each begins becomes where it ends.
+        for (contact, body) in pushed.enumerate() {
+            let first = self.first(body);
+            let island = self.number[first] as usize;
+            let place = &mut self.starts[island][0];
+            self.contacts[*place as usize] = contact as u32;
+            *place += 1;
+        }
+        for joint in bodies..all {
+            let first = self.first(joint);
+            let island = self.number[first] as usize;
+            let place = &mut self.starts[island][1];
+            self.joints[*place as usize] = (joint - bodies) as u32;
+            *place += 1;
+        }
+    }
+
+    /// Contacts and joints of each island.
+    pub fn each(&self) -> impl Iterator<Item = (&[u32], &[u32])> {
+        let mut from = [0; 2];
+        self.starts.iter().map(move |to| {
+            let to = to.map(|to| to as usize);
+            let island = (&self.contacts[from[0]..to[0]], &self.joints[from[1]..to[1]]);
+            from = to;
+            island
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_pushes_the_same_body_or_turns_the_same_jaws_is_together_and_each_is_there_once() {
+        // Bodies 0 to 5, two joints: 0 - 3 and 3 - 5 touch, 4 carries the first joint, 1 and 2 stand on what stands.
+        let mut islands = Islands::default();
+        for _ in 0..2 {
+            islands.begin(6, 2);
+            islands.join(3, 0);
+            islands.join(5, 3);
+            islands.join(4, 6);
+            islands.sort(6, [1, 3, 4, 2, 5, 1, 4].into_iter());
+            let all: Vec<_> = islands.each().map(|(a, b)| (a.to_vec(), b.to_vec())).collect();
+            let wanted = [
+                (vec![0, 5], vec![]),
+                (vec![1, 4], vec![]),
+                (vec![2, 6], vec![0]),
+                (vec![3], vec![]),
+                (vec![], vec![1]),
+            ];
+            assert_eq!(all, wanted);
+        }
+        islands.begin(0, 0);
+        islands.sort(0, std::iter::empty());
+        assert_eq!(islands.each().count(), 0);
+    }
+}
