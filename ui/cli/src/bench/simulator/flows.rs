@@ -35,6 +35,13 @@ pub fn thread_secs(edges: usize, lying: bool) -> Result<(f64, f64), Failure> {
     failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
 }
 
+/// Operations and bytes of a step of a thread. Of an edge at least: its strain, bend and twist with their derivatives, the factor
+/// of a band of eleven numbers to either side of four unknowns, and one way there and back through it; contacts come on top.
+pub fn thread_work(edges: usize) -> (f64, f64) {
+    let edges = edges as f64;
+    (edges * (400.0 + 4.0 * 11.0 * 11.0 + 4.0 * 4.0 * 11.0), edges * 8.0 * 4.0 * 12.0 * 3.0)
+}
+
 /// Thread with contacts among its turns, and a rod beside PyElastica's.
 pub fn thread(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     let mut rows = Vec::new();
@@ -45,15 +52,8 @@ pub fn thread(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     ] {
         let figure = thread_secs(edges, lying)?;
         rows.push(at_most(name, "ms", scaled(figure, 1e3), bar));
-        // Of an edge at least: its strain, bend and twist with their derivatives, the factor of a band of eleven numbers to
-        // either side of four unknowns, and one way there and back through it; contacts come on top.
-        let edges = edges as f64;
-        let work = Work {
-            operations: edges * (400.0 + 4.0 * 11.0 * 11.0 + 4.0 * 4.0 * 11.0),
-            single: false,
-            bytes: edges * 8.0 * 4.0 * 12.0 * 3.0,
-        };
-        rows.push(share(name, figure.0, work));
+        let (operations, bytes) = thread_work(edges);
+        rows.push(share(name, figure.0, Work { operations, single: false, bytes }));
     }
     if let Some(python) = python {
         rows.extend(beside_elastica(python)?);

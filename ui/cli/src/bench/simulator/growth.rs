@@ -87,7 +87,12 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
                 5.0 * 3.0 * 300.0 * squares,
             );
         }
-        row("cut", 2 * (n * n) as usize, scaled(surgery::cut_secs(n)?, 1e6));
+        let (squares, figure) = (f64::from(n * n), surgery::cut_secs(n)?);
+        row("cut", 2 * (n * n) as usize, scaled(figure, 1e6));
+        if n == 128 {
+            // Which triangles a blade passes: of each vertex where it is and on which side, of each triangle its corners.
+            of_peak("cut_32768", figure, 20.0 * squares, (24.0 + 2.0 * 12.0) * squares);
+        }
     }
     for edges in [30, 100, 300, 1_000] {
         let figure = soft::xpbd_rod_secs(edges)?;
@@ -97,8 +102,14 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
         }
     }
     for cells in [[4, 3, 2], [8, 6, 4], [12, 10, 6]] {
-        let (nodes, figure) = surgery::sew_secs(cells)?;
-        row("suture", nodes, scaled(figure, 1e6));
+        let (sewn, figure) = surgery::sew_secs(cells)?;
+        row("suture", sewn.nodes, scaled(figure, 1e6));
+        if cells == [12, 10, 6] {
+            // Of the tissue's columns three for each node that is held, over all of its nodes; and the thread's own, as of any.
+            let entries = 9.0 * (sewn.held * sewn.nodes) as f64;
+            let (operations, bytes) = flows::thread_work(sewn.edges);
+            of_peak("suture_1001", figure, operations + 2.0 * entries, bytes + 8.0 * entries);
+        }
     }
     for nodes in [10, 30, 100, 300, 1_000] {
         let figure = surgery::couple_secs(nodes)?;

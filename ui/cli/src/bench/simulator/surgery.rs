@@ -63,9 +63,18 @@ pub fn cut_secs(n: u32) -> Result<(f64, f64), Failure> {
     failed.map_or(Ok(figure), Err)
 }
 
-/// Nodes of a block of so many cells of tissue, and the median time of a millisecond of a needle with a thread of 60 edges that
-/// is pushed through it.
-pub fn sew_secs(cells: [usize; 3]) -> Result<(usize, (f64, f64)), Failure> {
+/// What a needle is pushed through.
+pub struct Sewn {
+    /// Nodes of the tissue, and of how many of them needle and thread have hold.
+    pub nodes: usize,
+    pub held: usize,
+    /// Edges of the thread.
+    pub edges: usize,
+}
+
+/// A block of so many cells of tissue, and the median time of a millisecond of a needle with its thread that is pushed through it.
+pub fn sew_secs(cells: [usize; 3]) -> Result<(Sewn, (f64, f64)), Failure> {
+    let edges = 60;
     let size = [0.024, 0.020, 0.012];
     let (mesh, _) = block(cells, size)?;
     let nodes = mesh.rest().len();
@@ -82,7 +91,7 @@ pub fn sew_secs(cells: [usize; 3]) -> Result<(usize, (f64, f64)), Failure> {
     let tip = Point3::new(0.5 * size[0], 0.5 * size[1], size[2] + 5e-4);
     let mut at = Isometry3::from_parts((tip - turn * solid.point(length)).into(), turn);
     let (tail, back) = (at * solid.point(0.0), at * -solid.tangent(0.0));
-    let thread: Vec<_> = (0..=60).map(|node| tail + back * (1e-3 * f64::from(node))).collect();
+    let thread: Vec<_> = (0..=edges).map(|node| tail + back * (1e-3 * node as f64)).collect();
     let state = SutureState::new(NeedleState::at_rest(&at), Some(ThreadState::at_rest(&thread)));
     let material = Some(ThreadMaterial::silk_2_0());
     let mut suture =
@@ -114,7 +123,7 @@ pub fn sew_secs(cells: [usize; 3]) -> Result<(usize, (f64, f64)), Failure> {
     if suture.state().channel.is_empty() {
         return Err(Failure::internal("the needle has not gone in"));
     }
-    Ok((nodes, figure))
+    Ok((Sewn { nodes, held: suture.tissue().forces().len(), edges }, figure))
 }
 
 /// Median time of a step in which so many loose nodes meet as many of another body that is ten times as slow.
