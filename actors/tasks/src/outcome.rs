@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, Controller, ControllerError, EntitySet, Frozen, HapticStatus,
-    HeatFrozen, Measured, Pose, Snapshot, TaskError, TaskState, Tick,
+    HeatFrozen, Measured, Parent, Pose, Snapshot, TaskError, TaskState, Tick,
 };
 
 /// Most expectations of a scenario.
@@ -231,6 +231,7 @@ impl Controller for OutcomeController {
             .reads::<Measured>()
             .reads::<Frozen>()
             .reads::<Pose>()
+            .reads::<Parent>()
             .reads::<HapticStatus>()
             .reads::<HeatFrozen>()
             .writes::<TaskState>(EntitySet::Own)
@@ -319,7 +320,7 @@ mod tests {
         let [table, ring] = [out.spawn(), out.spawn()];
         out.put(table, Pose::at(0.1, 0.2, 0.3));
         out.put(ring, Name("ring".into()));
-        out.put(ring, trocar_scene::Parent(table));
+        out.put(ring, Parent(table));
         out.put(ring, Pose::at(0.01, 0.02, 0.03));
         out.seal();
         store.apply(&mut out, SimTime::ZERO);
