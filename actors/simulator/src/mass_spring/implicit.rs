@@ -99,16 +99,6 @@ impl SheetFactor {
 }
 
 impl MassSpring {
-    /// Whether it is to be solved with the factor of the sheet at rest and has none, as its network has changed.
-    #[must_use]
-    pub fn lacks_factor(&self) -> bool {
-        let implicit = self.implicit.as_deref();
-        implicit.is_some_and(|implicit| match &implicit.solver {
-            Solver::Warped(_, warped, _) => !warped.fits(&self.network),
-            Solver::NodeBlocks(..) | Solver::Cholesky(_) => false,
-        })
-    }
-
     /// Goes on without a factor, as if its network had just changed.
     pub fn forget_factor(&mut self) {
         if let Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) = self.implicit.as_deref_mut() {

@@ -29,8 +29,8 @@ pub struct RigidContact {
 /// Parameters of the response.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ContactConfig {
-    /// Rounds over all contacts at most. A step begins with the impulses of the last one where the list has the same length: keep
-    /// contacts that last in their order, and stacks stand still.
+    /// Rounds over the contacts that have to do with each other at most. A step begins with the impulses of the last one where the
+    /// list has the same length: keep contacts that last in their order, and stacks stand still.
     pub iterations: u32,
     /// A round that changes no speed by more than this is the last one \[m/s\].
     pub tolerance: f64,

@@ -62,10 +62,10 @@ impl ImpulseWorld {
         &self.settings
     }
 
-    /// Contacts that the last step solved for, and how often it solved one, all of them together.
+    /// How often the last step solved a contact, all of them together.
     #[must_use]
-    pub fn effort(&self) -> (usize, u64) {
-        (self.solver.impulses().len(), self.solver.visits())
+    pub fn effort(&self) -> u64 {
+        self.solver.visits()
     }
 
     /// One with nothing in it.

@@ -14,7 +14,7 @@ pub struct RigidSettings {
     pub substep_secs: f64,
     /// How bodies are moved on.
     pub integrator: Integrator,
-    /// Rounds over all contacts in a step at most: with 30 a held ring creeps out of the jaws.
+    /// Rounds over contacts that have to do with each other in a step at most: with 30 a held ring creeps out of the jaws.
     pub iterations: u32,
     /// A round that changes no speed by more than this is the last one \[m/s\].
     pub tolerance: f64,
