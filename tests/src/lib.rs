@@ -3,6 +3,8 @@
 //! This library holds what several of those tests need: the standard program, and runs of the peg transfer
 //! with parts of the scenario replaced.
 
+pub mod golden;
+
 use trocar::app::App;
 use trocar::run::{RunOptions, RunOutcome, run};
 use trocar_scene::scenario::Scenario;
