@@ -26,8 +26,8 @@ fn every_figure_is_measured() {
             "snapshot_get_10000_entities",
             "write_visible_100_entities_p50",
             "write_visible_10000_entities_p50",
-            "write_visible_beside_unawaited_send_p50",
-            "write_visible_beside_equal_priority_p50",
+            "write_visible_beside_plain_awaited_send_p50",
+            "write_visible_beside_plain_send_p50",
             "model_cpu_per_batch_woken",
             "model_cpu_per_batch_flood",
         ]
