@@ -237,6 +237,9 @@ pub struct BenchArgs {
     /// Also draw how costs grow, as SVG (suites `collision` and `simulator`)
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
+    /// Print the figures as a Markdown table, as docs/figures.md has them
+    #[arg(long, conflicts_with = "json")]
+    pub markdown: bool,
     /// Print exactly one JSON object on stdout (`trocar schema bench` describes it)
     #[arg(long)]
     pub json: bool,

@@ -1,6 +1,7 @@
 //! `trocar bench`: figures beside the floors of this machine.
 
 mod allocation;
+mod build;
 mod collision;
 pub mod counting;
 mod exercise;
@@ -22,7 +23,7 @@ use crate::output;
 use crate::report::short;
 
 /// Suites by name, and what they measure.
-pub const SUITES: [(&str, &str); 6] = [
+pub const SUITES: [(&str, &str); 7] = [
     (
         "kernel",
         "rates of the kernel and of the live exercise, reads and writes, allocations, speed of lock-step, sessions",
@@ -41,6 +42,7 @@ pub const SUITES: [(&str, &str); 6] = [
         "finite elements beside MuJoCo, position-based bodies beside pypbd, a rod beside PyElastica, a sheet beside Bullet (--peers), cloth, thread, heat, liquid, growth",
     ),
     ("memory", "what sessions hold over an hour of simulated time; takes about ten minutes"),
+    ("build", "a cold build of the program from its sources, its size and the disk that it takes; takes about ten minutes"),
 ];
 
 /// Suites that look at how costs grow, and with the number of what.
@@ -72,6 +74,9 @@ const VIEWER: [Part; 5] = [
     ("the exercise live, drawn without a pause", viewer::full_load),
     ("frames of a graphics card", viewer::card),
 ];
+
+/// The parts of the suite `build`.
+const BUILD: [Part; 1] = [("a cold build of the program", build::cold)];
 
 /// The parts of the suite `memory`.
 const MEMORY: [Part; 2] = [
@@ -110,6 +115,8 @@ pub fn bench(args: &BenchArgs) -> Result<Exit, Failure> {
     }
     if args.json {
         output::print_json(&summary)?;
+    } else if result.is_ok() && args.markdown {
+        output::print_text(&markdown(&args.suite, &summary))?;
     } else if result.is_ok() {
         output::print_text(&text(&summary))?;
     }
@@ -144,6 +151,7 @@ fn measure(args: &BenchArgs, summary: &mut BenchSummary) -> Result<(), Failure> 
         "session" => &SESSION,
         "viewer" => &VIEWER,
         "memory" => &MEMORY,
+        "build" => &BUILD,
         _ => &KERNEL,
     };
     let parts: Vec<_> = parts.iter().map(|(what, part)| (*what, part as Measure)).collect();
@@ -176,29 +184,64 @@ pub fn text(summary: &BenchSummary) -> String {
         ),
         String::new(),
     ];
-    let head = ["figure", "value", "unit", "spread", "floor", "ratio", "bar", "holds"];
-    let number = |value: Option<f64>| value.map_or("–".to_owned(), short);
     let rows: Vec<Vec<String>> = summary
         .results
         .iter()
         .map(|row| {
-            let sign = match row.better {
-                Better::Lower => "≤",
-                Better::Higher => "≥",
-            };
-            vec![
-                row.name.clone(),
-                short(row.value),
-                row.unit.clone(),
-                format!("{:.0} %", 100.0 * row.spread),
-                number(row.floor),
-                number(row.ratio),
-                row.bar.map_or("–".to_owned(), |bar| format!("{sign} {}", short(bar))),
-                if row.holds { console::style("yes").green() } else { console::style("NO").red().bold() }
-                    .to_string(),
-            ]
+            let holds =
+                if row.holds { console::style("yes").green() } else { console::style("NO").red().bold() };
+            cells(row).into_iter().chain([holds.to_string()]).collect()
         })
         .collect();
-    lines.extend(output::columns(&head, &rows));
+    lines.extend(output::columns(&HEAD, &rows));
+    lines.join("\n")
+}
+
+/// Columns of every table of figures.
+const HEAD: [&str; 8] = ["figure", "value", "unit", "spread", "floor", "ratio", "bar", "holds"];
+
+/// What stands in all columns but the last.
+fn cells(row: &BenchResult) -> [String; 7] {
+    let number = |value: Option<f64>| value.map_or("–".to_owned(), short);
+    let sign = match row.better {
+        Better::Lower => "≤",
+        Better::Higher => "≥",
+    };
+    [
+        row.name.clone(),
+        short(row.value),
+        row.unit.clone(),
+        format!("{:.0} %", 100.0 * row.spread),
+        number(row.floor),
+        number(row.ratio),
+        row.bar.map_or("–".to_owned(), |bar| format!("{sign} {}", short(bar))),
+    ]
+}
+
+/// A table for `docs/figures.md`, between the comments that mark its place there.
+fn markdown(suite: &str, summary: &BenchSummary) -> String {
+    let machine = &summary.machine;
+    let mut lines = vec![
+        format!("<!-- figures: bench {suite} -->"),
+        format!(
+            "`trocar bench {suite}` on {} × {}, real-time priority {}:",
+            machine.cores,
+            machine.cpu,
+            if machine.fifo { "granted" } else { "refused" }
+        ),
+        String::new(),
+        format!("| {} |", HEAD.join(" | ")),
+        format!("|{}", "---|".repeat(HEAD.len())),
+    ];
+    for row in &summary.results {
+        let [name, rest @ ..] = cells(row);
+        let holds = match row.bar {
+            None => "–",
+            Some(_) if row.holds => "yes",
+            Some(_) => "**no**",
+        };
+        lines.push(format!("| `{name}` | {} | {holds} |", rest.join(" | ")));
+    }
+    lines.push("<!-- end -->".to_owned());
     lines.join("\n")
 }
