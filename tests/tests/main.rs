@@ -8,6 +8,7 @@ mod determinism;
 mod engine_restart;
 mod exercise;
 mod honesty;
+mod inventory;
 mod parsers;
 mod person;
 mod scenarios;
