@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use crate::support::toys::{LET_GO, count, eventually, registry, session, toy};
+use crate::support::toys::{count, eventually, let_go, registry, session, toy};
 use trocar_kernel::faults::{FaultPlan, secs};
 use trocar_kernel::live::LiveSession;
 use trocar_kernel::recorder::{Recorder, RecorderOptions, Recording, RecordingHead, Replay};
@@ -166,7 +166,7 @@ fn a_recording_goes_on_when_a_model_that_hangs_is_replaced() {
     eventually("the Model is replaced", || session.zombies() == 1);
     let then = count(&session.snapshot(), 1);
     eventually("it counts again", || count(&session.snapshot(), 1) > then + 50);
-    LET_GO.store(true, Ordering::Relaxed);
+    let_go();
     let outcome = session.stop(0);
     let recording = Recording::open(&file).expect("opens");
     let mut replay = Replay::new(&recording, &registry()).expect("has a keyframe");

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::support::toys::{Count, LET_GO, Trap, count, eventually, session, toy};
+use crate::support::toys::{Count, Trap, count, eventually, let_go, session, toy};
 use actix::prelude::{Actor, AsyncContext, Context};
 use trocar_kernel::Submitted;
 use trocar_kernel::live::{Guest, LiveSession};
@@ -97,7 +97,7 @@ fn a_guest_introduces_itself_to_a_model_that_takes_over() {
         count_on(&mut visitor);
         count(&live.snapshot(), GUEST) > 5
     });
-    LET_GO.store(true, Ordering::Relaxed);
+    let_go();
     // What it hangs on stays out of the scene.
     assert!(live.snapshot().iter::<Trap>().all(|(_, trap)| trap.0 != 2));
 }

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use trocar_test_support::alone;
 
-use crate::support::toys::{LET_GO, Trap, count, eventually, session, toy};
+use crate::support::toys::{Trap, count, eventually, let_go, session, toy};
 use trocar_kernel::commit::CommitBuffer;
 use trocar_kernel::faults::{FaultPlan, secs};
 use trocar_kernel::live::{LiveError, LiveSession};
@@ -189,7 +189,7 @@ fn a_model_that_hangs_is_replaced_and_what_it_says_later_does_not_count() {
     eventually("both go on", || {
         count(&live.snapshot(), 1) > one + 20 && count(&live.snapshot(), 2) > two + 20
     });
-    LET_GO.store(true, Ordering::Relaxed);
+    let_go();
     eventually("the old Model ends", || live.zombies() == 0);
     let (one, two) = (count(&live.snapshot(), 1), count(&live.snapshot(), 2));
     eventually("both still go on", || {

@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use crate::support::toys::{Count, LET_GO, Trap, count, eventually, session, toy};
+use crate::support::toys::{Count, Trap, count, eventually, let_go, session, toy};
 use trocar_kernel::OperatorError;
 use trocar_kernel::live::{LiveSession, OPERATORS_MAX};
 use trocar_scene::Entity;
@@ -64,7 +64,7 @@ fn a_model_that_hangs_is_not_waited_for_and_its_successor_is_found() {
     eventually("the operator finds it", || operator.apply(LIMIT, |out| out.put(me, Count(9_000))).is_ok());
     eventually("and so does everybody", || count(&live.snapshot(), 1) > 9_005);
     assert_eq!(wish.epoch.load(Ordering::Relaxed), 1, "nobody else was restarted");
-    LET_GO.store(true, Ordering::Relaxed);
+    let_go();
     assert_eq!(live.stop(0).code, 0);
 }
 

@@ -1,5 +1,6 @@
 //! Toy components and controllers for the live tests; not every test program uses all of them.
 
+use std::cell::Cell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -19,11 +20,20 @@ impl Component for Count {
     const NAME: &'static str = "toy_count";
 }
 
-/// Its own code panics (1) or hangs until [`LET_GO`] (2) in the Model; the sender's check goes well.
+/// Its own code panics (1) or hangs until [`let_go`] (2) in the Model; the sender's check goes well.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Trap(pub u32);
-/// Ends the hanging of [`Trap`].
-pub static LET_GO: AtomicBool = AtomicBool::new(false);
+/// How often those who hang were let go.
+static LET_GO: AtomicU32 = AtomicU32::new(0);
+thread_local! {
+    /// Whether this thread has been let go: it runs on to its end then.
+    static WENT: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Lets everybody go who hangs in a [`Trap`] now; another Model that runs into one later hangs again.
+pub fn let_go() {
+    LET_GO.fetch_add(1, Ordering::Relaxed);
+}
 
 impl Component for Trap {
     const NAME: &'static str = "toy_trap";
@@ -33,10 +43,12 @@ impl Component for Trap {
         if task.trim() == "model" {
             match self.0 {
                 1 => panic!("a component's own code"),
-                2 => {
-                    while !LET_GO.load(Ordering::Relaxed) {
+                2 if !WENT.get() => {
+                    let before = LET_GO.load(Ordering::Relaxed);
+                    while LET_GO.load(Ordering::Relaxed) == before {
                         std::thread::sleep(Duration::from_millis(1));
                     }
+                    WENT.set(true);
                 }
                 _ => {}
             }
