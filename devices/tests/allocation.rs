@@ -1,50 +1,11 @@
 //! A warmed driver step allocates nothing and frees nothing, on either end of the link.
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
 use nalgebra::{Isometry3, Vector3};
 use trocar_devices::{
     DeviceCommand, DeviceFaults, DriverConfig, DriverCore, HandIntent, HapticDevice, ReplayHand, Trajectory,
     TrajectoryPoint, VirtualHand, VirtualHandConfig, Wrench, link,
 };
-
-struct Counting;
-
-thread_local! {
-    // Per thread: the test harness allocates in its own at any time.
-    static CALLS: Cell<u64> = const { Cell::new(0) };
-}
-
-fn count() {
-    CALLS.with(|calls| calls.set(calls.get() + 1));
-}
-
-fn calls() -> u64 {
-    CALLS.with(Cell::get)
-}
-
-// SAFETY: every call is handed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: the caller keeps the contract of `alloc`.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        count();
-        // SAFETY: the caller keeps the contract of `dealloc`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count();
-        // SAFETY: the caller keeps the contract of `realloc`.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
+use trocar_test_support::allocations::touches;
 
 /// Steps driver and controller; allocator calls during the steps after the first ten. Faults come and go.
 fn calls_while_stepping(mut device: impl HapticDevice) -> u64 {
@@ -57,7 +18,7 @@ fn calls_while_stepping(mut device: impl HapticDevice) -> u64 {
     let mut before = 0;
     for step in 1..=5_000_u64 {
         if step == 11 {
-            before = calls();
+            before = touches();
         }
         let now_ns = step * 1_000_000 + step % 7;
         match step {
@@ -81,7 +42,7 @@ fn calls_while_stepping(mut device: impl HapticDevice) -> u64 {
         controller.command(command);
         zombie.command(DeviceCommand { time_ns: now_ns + 1, ..command });
     }
-    let counted = calls() - before;
+    let counted = touches() - before;
     // Otherwise nothing was tried.
     let statistics = monitor.sample().statistics;
     assert!(statistics.accepted > 4_000 && statistics.force_newtons_max > 0.01, "{statistics:?}");
@@ -106,7 +67,7 @@ fn a_warmed_driver_step_allocates_and_frees_nothing() {
     assert_eq!(calls_while_stepping(replay.clone()), 0);
     assert_eq!(calls_while_stepping(replay.with_force(hand.config().clone()).unwrap()), 0);
 
-    let before = calls();
+    let before = touches();
     drop(std::hint::black_box(vec![1_u8]));
-    assert_eq!(calls() - before, 2, "the counter counts");
+    assert_eq!(touches() - before, 2, "the counter counts");
 }

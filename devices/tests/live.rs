@@ -1,17 +1,16 @@
 //! The driver thread on a real clock: that it runs, obeys and stops. Nothing here judges how punctual it is.
 
-mod common;
-
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use common::force;
+use crate::support::force;
 use trocar_devices::{
     Capabilities, DeviceError, DeviceFaults, DeviceState, DriverConfig, DriverCore, DriverThread,
     DriverThreadConfig, DriverThreadError, HapticDevice, Scheduling, VirtualHand, VirtualHandConfig, Wrench,
     link,
 };
+use trocar_test_support::alone;
 
 /// What the test sees of a device that a thread owns.
 #[derive(Default)]
@@ -101,6 +100,7 @@ impl Rig {
 
 #[test]
 fn a_live_driver_renders_stops_and_tells() {
+    let _alone = alone();
     let rig = rig(|_| {});
     let mut link = rig.slot.take(1).unwrap();
     rig.push_until_felt(&mut link);
@@ -118,6 +118,7 @@ fn a_live_driver_renders_stops_and_tells() {
 
 #[test]
 fn dropping_the_driver_leaves_no_force() {
+    let _alone = alone();
     let rig = rig(|config| config.rate_hz = 10_000.0);
     let mut link = rig.slot.take(1).unwrap();
     rig.push_until_felt(&mut link);
@@ -129,6 +130,7 @@ fn dropping_the_driver_leaves_no_force() {
 
 #[test]
 fn an_emergency_from_another_thread_stops_all_force() {
+    let _alone = alone();
     let rig = rig(|_| {});
     let mut link = rig.slot.take(1).unwrap();
     rig.push_until_felt(&mut link);
@@ -143,6 +145,7 @@ fn an_emergency_from_another_thread_stops_all_force() {
 
 #[test]
 fn a_device_that_panics_ends_its_thread_only_and_feels_nothing() {
+    let _alone = alone();
     let rig = rig(|_| {});
     let mut link = rig.slot.take(1).unwrap();
     rig.push_until_felt(&mut link);
@@ -156,6 +159,7 @@ fn a_device_that_panics_ends_its_thread_only_and_feels_nothing() {
 
 #[test]
 fn a_device_that_hangs_is_abandoned() {
+    let _alone = alone();
     let rig = rig(|_| {});
     rig.until("it runs", || rig.seen.reads.load(Ordering::Relaxed) > 0);
     rig.seen.hang_now.store(true, Ordering::Relaxed);
@@ -169,6 +173,7 @@ fn a_device_that_hangs_is_abandoned() {
 
 #[test]
 fn a_priority_is_granted_or_its_refusal_is_told() {
+    let _alone = alone();
     let rig = rig(|config| config.priority = Some(80));
     rig.until("it has found out", || rig.thread.scheduling().is_some());
     match rig.thread.scheduling().unwrap() {
@@ -182,6 +187,7 @@ fn a_priority_is_granted_or_its_refusal_is_told() {
 
 #[test]
 fn a_rate_out_of_range_is_refused() {
+    let _alone = alone();
     for rate_hz in [0.0, -1.0, f64::NAN, 99.0, 10_001.0] {
         let hand = VirtualHand::new(VirtualHandConfig::default()).unwrap();
         let (end, _slot, _) = link();

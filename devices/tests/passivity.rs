@@ -1,8 +1,6 @@
 //! Whatever a controller asks for, a hand gets no energy out of the port that it has not paid or been lent.
 
-mod common;
-
-use common::Bench;
+use crate::support::Bench;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 use trocar_devices::{

@@ -1,10 +1,8 @@
 //! Recorded hands: golden files, every kind of bad file, exact replay through the driver.
 
-mod common;
-
 use std::path::PathBuf;
 
-use common::{Bench, MS, force};
+use crate::support::{Bench, MS, force};
 use nalgebra::Vector3;
 use trocar_devices::{
     DeviceSample, DeviceSpec, HandIntent, HapticDevice, JigsawsSelection, JigsawsSide, JigsawsSource,

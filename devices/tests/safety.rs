@@ -1,8 +1,6 @@
 //! A hand is never hurt: every promise of the driver core, in virtual time.
 
-mod common;
-
-use common::{Bench, MS, ScriptedDevice, force};
+use crate::support::{Bench, MS, ScriptedDevice, force};
 use nalgebra::{Isometry3, Vector3};
 use proptest::prelude::*;
 use trocar_devices::{DeviceCommand, DeviceError, HandIntent, Wrench};

@@ -1,8 +1,6 @@
 //! The virtual hand against closed forms.
 
-mod common;
-
-use common::{Bench, MS, force};
+use crate::support::{Bench, MS, force};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use trocar_devices::{
     ArmImpedance, DeviceState, Dofs, HandIntent, HapticDevice, VirtualHand, VirtualHandConfig, Wrench,

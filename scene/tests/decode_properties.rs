@@ -1,16 +1,14 @@
 //! Keyframes, batches and components from bytes that may be anything: no panic, no value that the Model would
 //! refuse, and never more memory than a fixed multiple of the input.
 
-#[path = "../../tests/support/hostile.rs"]
-mod hostile;
-
 use std::sync::Arc;
 
-use hostile::{mutated, peak_of};
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 use proptest::sample::select;
 use trocar_scene::*;
+use trocar_test_support::allocations::peak_of;
+use trocar_test_support::hostile::mutated;
 
 /// What decoding may hold per byte of input. The dearest bytes are those of a lone row: one byte of an entity that
 /// has a page to itself becomes a page, a chunk and their places in three lists.

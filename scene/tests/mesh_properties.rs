@@ -1,19 +1,17 @@
 //! No input makes a reader panic, hang, or allocate more than a fixed multiple of its size.
 
-mod common;
-#[path = "../../tests/support/hostile.rs"]
-mod hostile;
-
+use crate::support as common;
 use std::path::Path;
 
-use common::{Order, tet_box};
-use hostile::{mutated, peak_of};
+use crate::support::{Order, tet_box};
 use proptest::prelude::*;
 use trocar_scene::mesh::{
     Limits, LineData, MeshError, SurfaceData, TetData, read_gltf, read_gmsh, read_gmsh_line, read_obj,
     read_obj_line, read_stl, read_vtk, read_vtk_line, validate_surface, validate_tets,
 };
 use trocar_scene::shapes;
+use trocar_test_support::allocations::peak_of;
+use trocar_test_support::hostile::mutated;
 
 type SurfaceReader = fn(&Path, &[u8], &Limits) -> Result<SurfaceData, MeshError>;
 type TetReader = fn(&Path, &[u8], &Limits) -> Result<TetData, MeshError>;

@@ -1,10 +1,9 @@
 //! Mesh files: what is written comes back, and what is wrong is named with its place.
 
-mod common;
-
+use crate::support as common;
 use std::path::Path;
 
-use common::{Order, tet_box};
+use crate::support::{Order, tet_box};
 use trocar_scene::mesh::{
     Limits, MeshError, SurfaceData, SurfacePolicy, TetData, TetPolicy, read_gltf, read_gmsh, read_gmsh_line,
     read_line, read_obj, read_obj_line, read_stl, read_surface, read_tets, read_vtk, read_vtk_line,

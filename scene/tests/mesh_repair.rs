@@ -1,7 +1,6 @@
 //! Volumes of other people: one with bad elements is refused with a list of them, and mended when the scenario asks for it.
 
-mod common;
-
+use crate::support as common;
 use trocar_scene::mesh::{Defect, MeshRules, TetData, tet_defects, validate_tets};
 use trocar_scene::{MeshRepaired, Registry, Scenario, TetMesh, VertexPositions};
 

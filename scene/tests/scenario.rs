@@ -1,7 +1,6 @@
 //! Scenario files: what they become, and what every mistake in one is answered with.
 
-mod common;
-
+use crate::support as common;
 use std::path::Path;
 use std::sync::Arc;
 

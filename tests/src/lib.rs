@@ -66,17 +66,6 @@ pub fn for_seeds<T: Send>(seeds: &[u64], work: impl Fn(u64) -> T + Sync) -> Vec<
     })
 }
 
-/// The middle value; of an even number of values the mean of the two in the middle.
-///
-/// # Panics
-/// When there is no value.
-pub fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let half = sorted.len() / 2;
-    if sorted.len() % 2 == 1 { sorted[half] } else { (sorted[half - 1] + sorted[half]) / 2.0 }
-}
-
 /// The instruments and hands of the peg transfer, left and right.
 pub struct Names {
     /// The graspers.

@@ -2,7 +2,8 @@
 
 use trocar::prelude::*;
 use trocar::summary::Exit;
-use trocar_tests::{app, finish, for_seeds, lockstep, median, peg_transfer};
+use trocar_test_support::median;
+use trocar_tests::{app, finish, for_seeds, lockstep, peg_transfer};
 
 /// The scenario with rigid bodies of our own in the place of the engine's.
 const BY_IMPULSES: (&str, &str) = (r#"kind = "rapier""#, r#"kind = "rigid-bodies""#);

@@ -2,10 +2,12 @@
 //! is belongs to the machine, and to `trocar bench simulator`.
 
 use trocar::prelude::*;
+use trocar_test_support::alone;
 use trocar_tests::{app, edited, finish, lockstep};
 
 #[test]
 fn two_rates_come_to_the_same_and_feel_the_same_live_as_in_virtual_time() {
+    let _alone = alone();
     let app = app();
     let scenario = edited(&app, "two-rates", &[]);
     let live = finish(&app, &scenario, &RunOptions::default());

@@ -2,13 +2,9 @@
 //! fixed multiple of its input, and say what is wrong where. Meshes, keyframes and batches have tests of their own
 //! beside their readers; docs/guarantees.md lists them all.
 
-#[path = "../support/hostile.rs"]
-mod hostile;
-
 use std::cell::RefCell;
 use std::path::Path;
 
-use hostile::{mutated, peak_of};
 use proptest::prelude::*;
 use proptest::sample::select;
 use proptest::test_runner::TestCaseError;
@@ -27,6 +23,8 @@ use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::recorder::{Item, Recording, RecordingError, Replay};
 use trocar_scene::scenario::{Scenario, ScenarioError};
 use trocar_scene::{Commands, DeviceState, Entity, EntityAllocator};
+use trocar_test_support::allocations::peak_of;
+use trocar_test_support::hostile::mutated;
 use trocar_tests::{app, edited, finish};
 
 type Checked = Result<(), TestCaseError>;

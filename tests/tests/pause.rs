@@ -5,6 +5,7 @@ use std::time::Duration;
 use trocar::run::{RunOptions, start};
 use trocar::session::Session;
 use trocar_scene::SimTime;
+use trocar_test_support::alone;
 use trocar_tests::app;
 
 fn forces(session: &Session) -> Vec<f64> {
@@ -13,6 +14,7 @@ fn forces(session: &Session) -> Vec<f64> {
 
 #[test]
 fn a_paused_hand_feels_nothing_and_the_exercise_goes_on_where_it_stood() {
+    let _alone = alone();
     let app = app();
     let scenario = app.scenario("wall").expect("it comes with the program");
     // A device that is pushed against the wall with 2 N.

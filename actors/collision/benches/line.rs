@@ -1,13 +1,13 @@
 //! What a step costs: the tree, the dynamic point and the proxy, on about 8,000 and 70,000 triangles:
 //! `cargo bench -p trocar-collision --bench line`.
 
-#[path = "../tests/organ/mod.rs"]
-mod organ;
+#[path = "../tests/support/mod.rs"]
+mod support;
 
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use organ::rounds::{devices, organ as organ_of, shafts};
+use support::organ::rounds::{devices, organ as organ_of, shafts};
 use trocar_collision::aabb_tree::AabbTree;
 use trocar_collision::dynamic_point::{DynamicPoint, LineConfig};
 use trocar_collision::finger_proxy::{FingerProxy, ProxyConfig};

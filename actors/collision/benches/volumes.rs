@@ -1,7 +1,7 @@
 //! What continuous tests, the spherical hash and the Z-buffer cost, on one thread.
 
-#[path = "../tests/shapes/mod.rs"]
-mod shapes;
+#[path = "../tests/support/mod.rs"]
+mod support;
 
 use std::hint::black_box;
 
@@ -9,7 +9,7 @@ use criterion::{BatchSize, Criterion, criterion_group, criterion_main};
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use shapes::Shape;
+use support::shapes::Shape;
 use trocar_collision::Line;
 use trocar_collision::continuous::{
     ImpactFinder, Sweep, SweptLine, SweptSurface, edge_edge, segment_face, vertex_face,

@@ -1,13 +1,13 @@
 //! Prints what each step of a shaft and of a proxy costs on organs of several sizes, at rest and heaving at 100 Hz, the
 //! refits included: `cargo run --release -p trocar-collision --example line_speed`.
 
-#[path = "../tests/organ/mod.rs"]
-mod organ;
+#[path = "../tests/support/mod.rs"]
+mod support;
 
 use std::time::Instant;
 
-use organ::Organ;
-use organ::rounds::{devices, organ as organ_of, shafts};
+use support::organ::Organ;
+use support::organ::rounds::{devices, organ as organ_of, shafts};
 use trocar_collision::Surface;
 use trocar_collision::aabb_tree::AabbTree;
 use trocar_collision::dynamic_point::{DynamicPoint, LineConfig};

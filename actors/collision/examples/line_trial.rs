@@ -1,10 +1,10 @@
 //! Runs a shaft over a folded organ that heaves and is cut, and compares every segment of every step with brute force:
 //! `cargo run --release -p trocar-collision --example line_trial -- STEPS TRIANGLES SEED`.
 
-#[path = "../tests/organ/mod.rs"]
-mod organ;
+#[path = "../tests/support/mod.rs"]
+mod support;
 
-use organ::line_trial::{Trial, run};
+use support::organ::line_trial::{Trial, run};
 use trocar_collision::dynamic_point::LineConfig;
 
 fn main() {

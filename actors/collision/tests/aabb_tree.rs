@@ -1,9 +1,8 @@
 //! The tree of axis-aligned boxes against brute force over all triangles.
 
-mod organ;
-
+use crate::support::organ;
+use crate::support::organ::Organ;
 use nalgebra::{Point3, Vector3};
-use organ::Organ;
 use proptest::prelude::*;
 use trocar_collision::aabb_tree::{Aabb, AabbTree};
 use trocar_collision::primitive::{closest_on_triangle, closest_segment_triangle};

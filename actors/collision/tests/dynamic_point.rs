@@ -1,10 +1,8 @@
 //! The dynamic point: against brute force while an organ heaves and is cut, and against what can be worked out by hand.
 
-mod organ;
-
+use crate::support::organ::line_trial::{Trial, run};
+use crate::support::organ::shapes::cuboid;
 use nalgebra::{Point3, Rotation3, Vector3};
-use organ::line_trial::{Trial, run};
-use organ::shapes::cuboid;
 use trocar_collision::Surface;
 use trocar_collision::dynamic_point::{DynamicPoint, LineConfig, LineContact, LineContactKind, LineError};
 use trocar_collision::moving_surface::MovingSurface;

@@ -1,9 +1,7 @@
 //! The haptic proxy against what can be worked out by hand.
 
-mod organ;
-
+use crate::support::organ::shapes::{Mesh, cuboid, inverted, joined, plate, sphere};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use organ::shapes::{Mesh, cuboid, inverted, joined, plate, sphere};
 use trocar_collision::Surface;
 use trocar_collision::finger_proxy::{FingerProxy, PlaneFeel, ProxyConfig, ProxyError};
 use trocar_collision::moving_surface::MovingSurface;

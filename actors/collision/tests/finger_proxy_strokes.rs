@@ -1,10 +1,8 @@
 //! Random strokes: whatever the hand does, the proxy stays on its side of the surface.
 
-mod organ;
-
+use crate::support::organ::Organ;
+use crate::support::organ::shapes::{Mesh, burr, cuboid, hollow, inverted, joined, sphere, winding};
 use nalgebra::{Point3, Vector3};
-use organ::Organ;
-use organ::shapes::{Mesh, burr, cuboid, hollow, inverted, joined, sphere, winding};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 use trocar_collision::Surface;

@@ -1,35 +1,11 @@
 //! A warmed query asks for no memory: the refit of a surface, a shaft and a proxy, step after step.
 
-mod organ;
-
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicU64, Ordering};
-
-use organ::Organ;
-use organ::rounds::{devices, organ as organ_of, shafts};
+use crate::support::organ::Organ;
+use crate::support::organ::rounds::{devices, organ as organ_of, shafts};
 use trocar_collision::Surface;
 use trocar_collision::dynamic_point::{DynamicPoint, LineConfig};
 use trocar_collision::finger_proxy::{FingerProxy, ProxyConfig};
-
-struct Counting;
-
-static ASKED: AtomicU64 = AtomicU64::new(0);
-
-// SAFETY: everything is handed to the system's allocator as it came.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ASKED.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.alloc(layout) }
-    }
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promises are passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static COUNTING: Counting = Counting;
+use trocar_test_support::allocations::calls;
 
 #[test]
 fn a_step_of_shaft_and_proxy_and_a_refit_ask_for_no_memory_once_warm() {
@@ -58,8 +34,10 @@ fn a_step_of_shaft_and_proxy_and_a_refit_ask_for_no_memory_once_warm() {
     let mut touches = 0;
     round(&mut touches);
     round(&mut touches);
-    let before = ASKED.load(Ordering::Relaxed);
+    let (before, _) = calls();
     round(&mut touches);
-    assert_eq!(ASKED.load(Ordering::Relaxed) - before, 0);
+    let (after, _) = calls();
+    assert_eq!(after - before, 0);
+    assert!(before > 0, "the allocator does not count");
     assert!(touches > 1_000, "{touches}");
 }

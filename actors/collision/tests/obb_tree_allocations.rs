@@ -1,14 +1,10 @@
 //! A warmed query, and a refit, allocate nothing.
 
-#[path = "../../../tests/support/counting.rs"]
-mod counting;
-mod support;
-
-use counting::peak_of;
-use support::surfaces::deformed;
-use support::{mesh, poses};
+use crate::support::surfaces::deformed;
+use crate::support::{mesh, poses};
 use trocar_collision::Surface;
 use trocar_collision::obb_tree::{ObbTree, TreeQuery};
+use trocar_test_support::allocations::peak_of;
 
 #[test]
 fn what_was_asked_once_is_asked_again_without_allocating() {

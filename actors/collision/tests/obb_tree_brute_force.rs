@@ -1,12 +1,10 @@
 //! Every answer of the trees against all pairs of triangles, on surfaces that are folded, thin, cut, in many parts,
 //! nested, coplanar, touching, degenerate, empty, non-manifold or inverted, moved, scaled, deformed and cut further.
 
-mod support;
-
+use crate::support::Mesh;
+use crate::support::surfaces::{KINDS, deformed, surface};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
-use support::Mesh;
-use support::surfaces::{KINDS, deformed, surface};
 use trocar_collision::obb_tree::{ObbTree, TreeQuery};
 use trocar_collision::primitive::{Triangle, closest_triangles, triangles_overlap};
 use trocar_collision::{Surface, SurfaceError};

@@ -1,17 +1,14 @@
 //! The front that two trees keep from one question to the next against a descent from the roots: the same pairs, whatever
 //! moves, turns, jumps, rests, deforms or is cut in between.
 
-#[path = "../../../tests/support/counting.rs"]
-mod counting;
-mod support;
-
-use counting::peak_of;
+use crate::support;
+use crate::support::Mesh;
+use crate::support::surfaces::{KINDS, deformed, surface};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
-use support::Mesh;
-use support::surfaces::{KINDS, deformed, surface};
 use trocar_collision::Surface;
 use trocar_collision::obb_tree::{ObbTree, TouchingPair, TreeFront, TreeQuery};
+use trocar_test_support::allocations::peak_of;
 
 fn built(mesh: &Mesh) -> ObbTree {
     ObbTree::build(&Surface::new(&mesh.vertices, &mesh.triangles).expect("a surface"))

@@ -1,9 +1,7 @@
 //! Two bumpy spheres in 200 poses, against what coal and FCL say of them (`tests/data`).
 
-mod support;
-
+use crate::support::{Mesh, expected, mesh, poses};
 use nalgebra::{Isometry3, Point3};
-use support::{Mesh, expected, mesh, poses};
 use trocar_collision::Surface;
 use trocar_collision::obb_tree::{ObbTree, TreeQuery};
 use trocar_collision::primitive::{Triangle, closest_on_triangle};

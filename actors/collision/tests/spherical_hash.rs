@@ -1,13 +1,11 @@
 //! Soft bodies, bands and threads by the local spherical hash, against all pairs and closed forms.
 
-mod shapes;
-
 use std::collections::BTreeMap;
 
+use crate::support::shapes::Shape;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use shapes::Shape;
 use trocar_collision::primitive::{
     Triangle, closest_on_triangle, closest_segment_triangle, triangle_penetration,
 };

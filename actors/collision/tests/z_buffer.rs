@@ -1,11 +1,9 @@
 //! An instrument's volume in image space: what it meets is reported, and nothing that is further than the tolerance.
 
-mod shapes;
-
+use crate::support::shapes::Shape;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use shapes::Shape;
 use trocar_collision::Surface;
 use trocar_collision::continuous::Sweep;
 use trocar_collision::primitive::{Triangle, closest_on_triangle, closest_segment_triangle};

@@ -1,15 +1,15 @@
 //! Our own world, by momenta and impulses: the same as Rapier's has to do.
 
+#[path = "cases/mod.rs"]
 mod cases;
-mod common;
 
 use nalgebra::Vector3;
 use trocar_simulator::rigid_world::RigidSettings;
-pub(crate) use trocar_simulator::rigid_world::{ImpulseWorld as W, TOOLS_MAX};
+use trocar_simulator::rigid_world::{ImpulseWorld as W, TOOLS_MAX};
 
 /// Whether contacts that others have found are springs, which give way, or kept by impulses.
-pub(crate) const GIVES_WAY: bool = false;
+const GIVES_WAY: bool = false;
 
-pub(crate) fn settings(gravity_in_world: Vector3<f64>, floor_height: Option<f64>) -> RigidSettings {
+fn settings(gravity_in_world: Vector3<f64>, floor_height: Option<f64>) -> RigidSettings {
     RigidSettings { gravity_in_world, floor_height, ..RigidSettings::default() }
 }

@@ -1,11 +1,8 @@
 //! The engine's soft volumes beside finite elements on the same mesh: how far they give way, what is felt of them, and
 //! what stops them.
 
-#[path = "../../simulator/tests/stage/mod.rs"]
-mod stage;
-
+use crate::stage::{Stage, scene_with};
 use nalgebra::{Isometry3, Vector3};
-use stage::{Stage, scene_with};
 use trocar_engine::EngineSoftController;
 use trocar_scene::{
     BuildContext, CollisionList, Controller, ControllerError, Frozen, JawState, Pose, Store, Velocity,

@@ -1,6 +1,6 @@
 //! What a haptic tick costs: `cargo run --release -p trocar-haptics --example tick_cost`.
 
-#[path = "../tests/bench/mod.rs"]
+#[path = "../tests/support/mod.rs"]
 mod bench;
 
 use std::time::Instant;

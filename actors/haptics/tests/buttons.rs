@@ -1,7 +1,6 @@
 //! Buttons and grippers through the controller, with a device that is scripted.
 
-mod bench;
-
+use crate::support as bench;
 use trocar_devices::{
     Capabilities, DeviceError, DeviceFaults, DeviceState, Dofs, DriverConfig, DriverCore, HapticDevice,
     Workspace, Wrench, link,

@@ -1,8 +1,6 @@
 //! The controller in its place: between driver and scene, unplugged, pressed, restarted, edited live.
 
-mod bench;
-
-use bench::{Bench, HAND, INSTRUMENT, Mount, PORT, Wall, handle, start_tip};
+use crate::support::{Bench, HAND, INSTRUMENT, Mount, PORT, Wall, handle, start_tip};
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_devices::{DeviceFaults, VirtualHandConfig};
 use trocar_haptics::HapticsConfig;

@@ -4,11 +4,9 @@
 //! seal. After an intended change, delete `tests/golden/force_trace.csv`, run this test once, look at the
 //! difference, and commit the new file with the reason.
 
-mod bench;
-
 use std::fmt::Write as _;
 
-use bench::{Bench, Mount, Wall, handle, start_tip};
+use crate::support::{Bench, Mount, Wall, handle, start_tip};
 use nalgebra::Vector3;
 use trocar_devices::VirtualHandConfig;
 use trocar_haptics::HapticsConfig;

@@ -1,9 +1,7 @@
 //! A wall under the hand, with physics at 10, 100 and 500 Hz and the arm's impedance on and off: the felt
 //! stiffness is at least 500 N/m, the energy observer never goes negative, and nothing oscillates.
 
-mod bench;
-
-use bench::{Bench, Mount, Wall, handle, start_tip};
+use crate::support::{Bench, Mount, Wall, handle, start_tip};
 use nalgebra::Vector3;
 use trocar_devices::VirtualHandConfig;
 use trocar_haptics::HapticsConfig;

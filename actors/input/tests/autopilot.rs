@@ -1,9 +1,7 @@
 //! The trainee's strategy on a kinematic double: whole exercises in milliseconds.
 
-mod support;
-
+use crate::support::Double;
 use nalgebra::Vector3;
-use support::Double;
 use trocar_input::motor_model::{MotorParameters, Skill};
 use trocar_input::strategy::Step;
 use trocar_scene::Side;

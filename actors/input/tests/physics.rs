@@ -1,9 +1,6 @@
 //! The trainee on the real physics: the whole chain from its intent to the ring and back.
 
-#[path = "support/lockstep.rs"]
-mod lockstep;
-
-use lockstep::Session;
+use crate::support::lockstep::Session;
 use trocar_input::{AutopilotConfig, Skill};
 use trocar_scene::Instrument;
 

@@ -1,14 +1,13 @@
 //! The referee, which does not know the skill, ranks the skills.
 
-mod support;
-
-use support::{DT, Double};
+use crate::support::{DT, Double};
 use trocar_input::motor_model::{MotorParameters, Skill};
 use trocar_scene::Side;
 use trocar_tasks::fls_score::FlsWeights;
 use trocar_tasks::peg_geometry::{FieldOfView, Peg, RingPlacement, RingShape};
 use trocar_tasks::peg_rules::{PegTransferSetup, RingObservation, Rules, TipObservation};
 use trocar_tasks::peg_transfer::{Outcome, PegTransfer};
+use trocar_test_support::median;
 
 use nalgebra::{Point3, Vector3};
 
@@ -64,23 +63,17 @@ fn judged(skill: Skill, seed: u64) -> (PegTransfer, f64) {
     (referee, score)
 }
 
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2])
-}
-
 #[test]
 fn score_time_path_and_smoothness_rank_the_skills_over_twenty_seeds() {
     let of = |skill| {
         let runs: Vec<(PegTransfer, f64)> = (0..20).map(|seed| judged(skill, seed)).collect();
         let metric = |name: &str| {
-            median(
-                runs.iter()
-                    .map(|(run, _)| run.metrics()[0].named()[name] + run.metrics()[1].named()[name])
-                    .collect(),
-            )
+            let sum = |(run, _): &(PegTransfer, f64)| {
+                run.metrics()[0].named()[name] + run.metrics()[1].named()[name]
+            };
+            median(&runs.iter().map(sum).collect::<Vec<f64>>())
         };
-        let score = median(runs.iter().map(|(_, score)| *score).collect());
+        let score = median(&runs.iter().map(|(_, score)| *score).collect::<Vec<f64>>());
         [score, -metric("time_secs"), -metric("path_length_m"), metric("smoothness_ldlj"), metric("economy")]
     };
     let (novice, intermediate, expert) = (of(Skill::Novice), of(Skill::Intermediate), of(Skill::Expert));

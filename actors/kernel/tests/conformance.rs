@@ -1,13 +1,11 @@
 //! The two drivers agree: what a live session took in, in the order in which it was applied, gives the same
 //! revisions and the same hash in a fresh Model that is driven in lock-step.
 
-mod toys;
-
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use toys::{LET_GO, count, eventually, registry, session, toy};
+use crate::support::toys::{count, eventually, let_go, registry, session, toy};
 use trocar_kernel::faults::{FaultPlan, secs};
 use trocar_kernel::live::LiveSession;
 use trocar_kernel::recorder::{Recorder, RecorderOptions, Recording, RecordingHead, Replay};
@@ -16,6 +14,7 @@ use trocar_kernel::{CommitBuffer, CommitKind, LockstepSession, ModelCore, Outcom
 use trocar_scene::{
     Batch, Commands, Entity, EntityAllocator, Provenance, Revision, SimTime, Snapshot, Store,
 };
+use trocar_test_support::alone;
 
 /// One applied batch or fence as the Model committed it.
 struct Entry {
@@ -69,6 +68,7 @@ fn run_live(spec: SessionSpec) -> SessionOutcome {
 
 #[test]
 fn a_live_log_gives_the_same_revisions_and_hash_in_lock_step() {
+    let _alone = alone();
     let log = Log::default();
     let mut spec = two_toys();
     spec.commit_sink = Some(Box::new(log.clone()));
@@ -115,6 +115,7 @@ fn a_live_log_gives_the_same_revisions_and_hash_in_lock_step() {
 
 #[test]
 fn a_live_recording_replays_to_the_hash_of_the_session() {
+    let _alone = alone();
     let folder = tempfile::tempdir().expect("a folder for temporary files");
     let file = folder.path().join("live.mcap");
     let mut spec = two_toys();
@@ -132,6 +133,7 @@ fn a_live_recording_replays_to_the_hash_of_the_session() {
 
 #[test]
 fn the_same_session_description_runs_in_both_drivers() {
+    let _alone = alone();
     let live = run_live(two_toys());
     let mut session = LockstepSession::new(two_toys()).expect("starts");
     session.step_until(secs(0.6));
@@ -150,6 +152,7 @@ fn the_same_session_description_runs_in_both_drivers() {
 
 #[test]
 fn a_recording_goes_on_when_a_model_that_hangs_is_replaced() {
+    let _alone = alone();
     let folder = tempfile::tempdir().expect("a folder for temporary files");
     let file = folder.path().join("live.mcap");
     let (spec, wish) = toy("fast", 1, 1_000.0);
@@ -163,7 +166,7 @@ fn a_recording_goes_on_when_a_model_that_hangs_is_replaced() {
     eventually("the Model is replaced", || session.zombies() == 1);
     let then = count(&session.snapshot(), 1);
     eventually("it counts again", || count(&session.snapshot(), 1) > then + 50);
-    LET_GO.store(true, Ordering::Relaxed);
+    let_go();
     let outcome = session.stop(0);
     let recording = Recording::open(&file).expect("opens");
     let mut replay = Replay::new(&recording, &registry()).expect("has a keyframe");

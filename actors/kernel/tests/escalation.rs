@@ -1,8 +1,6 @@
 //! Who fails for good ends the session, who fails now and then does not.
 
-mod rig;
-
-use rig::{Rig, ms};
+use crate::support::rig::{Rig, ms};
 use trocar_kernel::supervision::{
     Backoff, Cause, ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, RuntimeClass, Strategy, Supervisor,
     TreeError,

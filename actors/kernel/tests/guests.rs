@@ -1,16 +1,15 @@
 //! Those who take part without being ticked: guests, and plain actix actors that act through one.
 
-mod toys;
-
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::support::toys::{Count, Trap, count, eventually, let_go, session, toy};
 use actix::prelude::{Actor, AsyncContext, Context};
-use toys::{Count, LET_GO, Trap, count, eventually, session, toy};
 use trocar_kernel::Submitted;
 use trocar_kernel::live::{Guest, LiveSession};
 use trocar_scene::{Access, EntitySet, WriterId};
+use trocar_test_support::alone;
 
 /// Number of the guests among the writers.
 const GUEST: u16 = 900;
@@ -35,6 +34,7 @@ fn count_on(guest: &mut Guest) -> Submitted {
 
 #[test]
 fn a_guest_reads_writes_and_hears_each_event_once() {
+    let _alone = alone();
     let (a, _) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let mut visitor = guest(&live);
@@ -58,6 +58,7 @@ fn a_guest_reads_writes_and_hears_each_event_once() {
 
 #[test]
 fn a_guest_that_claims_what_others_write_is_refused() {
+    let _alone = alone();
     let (a, _) = toy("a", 1, 100.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let greedy = Access::new().writes::<Count>(EntitySet::All);
@@ -67,6 +68,7 @@ fn a_guest_that_claims_what_others_write_is_refused() {
 
 #[test]
 fn a_flood_of_a_guest_is_refused_at_its_own_ring() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let mut visitor = guest(&live);
@@ -83,6 +85,7 @@ fn a_flood_of_a_guest_is_refused_at_its_own_ring() {
 
 #[test]
 fn a_guest_introduces_itself_to_a_model_that_takes_over() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let mut visitor = guest(&live);
@@ -94,7 +97,7 @@ fn a_guest_introduces_itself_to_a_model_that_takes_over() {
         count_on(&mut visitor);
         count(&live.snapshot(), GUEST) > 5
     });
-    LET_GO.store(true, Ordering::Relaxed);
+    let_go();
     // What it hangs on stays out of the scene.
     assert!(live.snapshot().iter::<Trap>().all(|(_, trap)| trap.0 != 2));
 }
@@ -122,6 +125,7 @@ impl Actor for Counter {
 
 #[test]
 fn an_actor_that_panics_is_built_again_and_goes_on_from_the_scene() {
+    let _alone = alone();
     let (a, _) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let (panic, hang) = (Arc::new(AtomicBool::new(false)), Arc::default());
@@ -146,6 +150,7 @@ fn an_actor_that_panics_is_built_again_and_goes_on_from_the_scene() {
 
 #[test]
 fn an_actor_that_hangs_stalls_nobody_and_is_left_behind() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let hang = Arc::new(AtomicBool::new(false));
@@ -171,6 +176,7 @@ fn an_actor_that_hangs_stalls_nobody_and_is_left_behind() {
 
 #[test]
 fn an_actor_that_always_fails_is_given_up_and_the_rest_runs_on() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let builds = Arc::new(AtomicU32::new(0));

@@ -1,12 +1,12 @@
 //! Sessions in real time with toy controllers: what fails is replaced, what does not goes on.
 
-mod toys;
-
+use crate::support::toys;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
+use trocar_test_support::alone;
 
-use toys::{LET_GO, Trap, count, eventually, session, toy};
+use crate::support::toys::{Trap, count, eventually, let_go, session, toy};
 use trocar_kernel::commit::CommitBuffer;
 use trocar_kernel::faults::{FaultPlan, secs};
 use trocar_kernel::live::{LiveError, LiveSession};
@@ -20,6 +20,7 @@ fn ms(millis: u64) -> SimTime {
 
 #[test]
 fn controllers_tick_write_and_report() {
+    let _alone = alone();
     let (a, _) = toy("a", 1, 500.0);
     let (b, _) = toy("b", 2, 100.0);
     let live = LiveSession::start(session(vec![b, a])).expect("starts");
@@ -47,6 +48,7 @@ impl Fence for Recorded {
 
 #[test]
 fn a_panic_is_fenced_and_rebuilt_from_the_scene_and_nobody_else_notices() {
+    let _alone = alone();
     let (mut a, wish) = toy("a", 1, 500.0);
     let (b, other) = toy("b", 2, 500.0);
     let fenced = Arc::new(AtomicU32::new(0));
@@ -71,6 +73,7 @@ fn a_panic_is_fenced_and_rebuilt_from_the_scene_and_nobody_else_notices() {
 
 #[test]
 fn errors_failed_constructions_and_panics_in_drop_are_survived() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     eventually("it counts", || count(&live.snapshot(), 1) > 5);
@@ -86,6 +89,7 @@ fn errors_failed_constructions_and_panics_in_drop_are_survived() {
 
 #[test]
 fn an_endless_loop_is_fenced_left_behind_and_replaced() {
+    let _alone = alone();
     let (mut a, wish) = toy("a", 1, 500.0);
     let (b, _) = toy("b", 2, 500.0);
     a.child = a.child.with_heartbeat_limit(ms(50));
@@ -108,6 +112,7 @@ fn an_endless_loop_is_fenced_left_behind_and_replaced() {
 
 #[test]
 fn a_long_first_step_is_no_stall_unless_it_holds_hands_and_a_long_later_one_is() {
+    let _alone = alone();
     /// Takes four limits over its first step, and hangs in its twentieth until it is let go.
     struct Builder {
         done: Arc<AtomicU32>,
@@ -148,6 +153,7 @@ fn a_long_first_step_is_no_stall_unless_it_holds_hands_and_a_long_later_one_is()
 
 #[test]
 fn the_model_resumes_after_a_panic_and_does_not_try_the_batch_again() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let (b, other) = toy("b", 2, 500.0);
     let live = LiveSession::start(session(vec![a, b])).expect("starts");
@@ -172,6 +178,7 @@ fn the_model_resumes_after_a_panic_and_does_not_try_the_batch_again() {
 
 #[test]
 fn a_model_that_hangs_is_replaced_and_what_it_says_later_does_not_count() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let (b, other) = toy("b", 2, 500.0);
     let live = LiveSession::start(session(vec![a, b])).expect("starts");
@@ -182,7 +189,7 @@ fn a_model_that_hangs_is_replaced_and_what_it_says_later_does_not_count() {
     eventually("both go on", || {
         count(&live.snapshot(), 1) > one + 20 && count(&live.snapshot(), 2) > two + 20
     });
-    LET_GO.store(true, Ordering::Relaxed);
+    let_go();
     eventually("the old Model ends", || live.zombies() == 0);
     let (one, two) = (count(&live.snapshot(), 1), count(&live.snapshot(), 2));
     eventually("both still go on", || {
@@ -194,6 +201,7 @@ fn a_model_that_hangs_is_replaced_and_what_it_says_later_does_not_count() {
 
 #[test]
 fn a_session_stops_within_two_seconds_although_a_step_never_ends() {
+    let _alone = alone();
     let (mut a, wish) = toy("a", 1, 200.0);
     // Nobody notices the stall before the session is stopped.
     a.child = a.child.with_heartbeat_limit(ms(60_000));
@@ -219,6 +227,7 @@ fn a_session_stops_within_two_seconds_although_a_step_never_ends() {
 
 #[test]
 fn a_session_whose_controller_cannot_be_built_does_not_start() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     wish.fail_builds.store(1, Ordering::Relaxed);
     let Err(LiveError::Start(reason)) = LiveSession::start(session(vec![a])) else {
@@ -230,6 +239,7 @@ fn a_session_whose_controller_cannot_be_built_does_not_start() {
 
 #[test]
 fn controllers_that_write_the_same_rows_are_refused_at_the_start() {
+    let _alone = alone();
     struct Everything;
     impl Controller for Everything {
         fn access(&self) -> Access {
@@ -252,6 +262,7 @@ fn controllers_that_write_the_same_rows_are_refused_at_the_start() {
 
 #[test]
 fn sessions_that_make_no_sense_are_refused() {
+    let _alone = alone();
     let error = |controllers| LiveSession::start(session(controllers)).err().expect("refused").to_string();
     let mut slow = toy("a", 1, 100.0).0;
     slow.rate_hz = -5.0;
@@ -263,6 +274,7 @@ fn sessions_that_make_no_sense_are_refused() {
 
 #[test]
 fn a_child_that_keeps_failing_ends_the_session_with_forces_at_zero() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let mut spec = session(vec![a]);
     let backoff = Backoff { base: SimTime::ZERO, max: SimTime::ZERO, ..Backoff::default() };
@@ -288,6 +300,7 @@ fn a_child_that_keeps_failing_ends_the_session_with_forces_at_zero() {
 
 #[test]
 fn every_fault_of_a_plan_is_noticed_and_overcome() {
+    let _alone = alone();
     let (mut a, _) = toy("a", 1, 200.0);
     a.child = a.child.with_heartbeat_limit(ms(60));
     let (b, _) = toy("b", 2, 200.0);
@@ -324,6 +337,7 @@ fn every_fault_of_a_plan_is_noticed_and_overcome() {
 
 #[test]
 fn an_unknown_fault_target_is_refused_with_the_valid_ones() {
+    let _alone = alone();
     let mut spec = session(vec![toy("a", 1, 100.0).0]);
     spec.faults = FaultPlan::new(7).at(secs(1.0)).kill("b");
     let error = LiveSession::start(spec).err().expect("refused").to_string();
@@ -332,6 +346,7 @@ fn an_unknown_fault_target_is_refused_with_the_valid_ones() {
 
 #[test]
 fn long_work_runs_elsewhere_and_comes_back() {
+    let _alone = alone();
     struct Worker(Arc<Mutex<Vec<u64>>>);
     impl Controller for Worker {
         fn access(&self) -> Access {
@@ -361,6 +376,7 @@ fn long_work_runs_elsewhere_and_comes_back() {
 
 #[test]
 fn no_event_is_missed_by_a_slow_reader_nor_seen_twice() {
+    let _alone = alone();
     struct Crier;
     impl Controller for Crier {
         fn access(&self) -> Access {
@@ -404,6 +420,7 @@ fn no_event_is_missed_by_a_slow_reader_nor_seen_twice() {
 
 #[test]
 fn a_held_controller_rests_without_being_taken_for_dead() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     eventually("it counts", || count(&live.snapshot(), 1) > 5);
@@ -420,6 +437,7 @@ fn a_held_controller_rests_without_being_taken_for_dead() {
 
 #[test]
 fn a_session_ends_at_its_time_or_at_its_goal() {
+    let _alone = alone();
     let mut spec = session(vec![toy("a", 1, 200.0).0]);
     spec.until = Some(ms(200));
     let live = LiveSession::start(spec).expect("starts");
@@ -437,6 +455,7 @@ fn a_session_ends_at_its_time_or_at_its_goal() {
 
 #[test]
 fn the_recorder_gets_every_commit_in_order_and_is_closed() {
+    let _alone = alone();
     #[derive(Default)]
     struct Tape {
         revisions: Vec<u64>,
@@ -473,6 +492,7 @@ fn the_recorder_gets_every_commit_in_order_and_is_closed() {
 
 #[test]
 fn a_session_at_rest_uses_hardly_any_cpu() {
+    let _alone = alone();
     let (mut a, _) = toy("a", 1, 5.0);
     a.child = a.child.with_heartbeat_limit(ms(1_000));
     let live = LiveSession::start(session(vec![a])).expect("starts");

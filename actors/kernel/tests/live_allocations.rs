@@ -1,19 +1,17 @@
 //! A warmed tick allocates nothing and frees nothing on its thread: not in the controller, not in the ring,
 //! not in the host around them.
 
-mod counting;
-mod toys;
-
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use counting::touches;
-use toys::{Count, session};
+use crate::support::toys::{Count, session};
 use trocar_kernel::live::LiveSession;
 use trocar_kernel::spec::ControllerSpec;
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{Access, Commands, Controller, ControllerError, EntitySet, Snapshot, Tick};
+use trocar_test_support::allocations::touches;
+use trocar_test_support::alone;
 
 /// Notes its thread's count at the beginning of every tick, in room that is there already.
 struct Scale {
@@ -64,6 +62,7 @@ fn run(waste: bool) -> Vec<u64> {
 
 #[test]
 fn a_warmed_tick_neither_allocates_nor_frees() {
+    let _alone = alone();
     let seen = run(false);
     let warm = &seen[500..];
     assert_eq!(warm[warm.len() - 1] - warm[0], 0, "over {} ticks", warm.len());

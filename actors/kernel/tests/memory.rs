@@ -1,13 +1,9 @@
 //! An hour of a session in lock-step, with everything that a controller can do: what the session holds afterwards is
 //! what it held before. `trocar bench memory` does the same with the exercises.
 
-#[path = "../../../tests/support/counting.rs"]
-mod counting;
-
 use std::sync::Arc;
 use std::time::Duration;
 
-use counting::{held, peak_of};
 use serde::{Deserialize, Serialize};
 use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::spec::{CommitSink, ControllerSpec, SessionSpec};
@@ -17,6 +13,7 @@ use trocar_scene::{
     Access, BuildContext, Commands, Component, Controller, ControllerError, Entity, EntityAllocator,
     EntitySet, Registry, RegistryBuilder, SimTime, Snapshot, Store, Tick, WriterId,
 };
+use trocar_test_support::allocations::{held, peak_of};
 
 const BODIES: u32 = 40;
 const HOUR_SECS: u64 = 3_600;

@@ -2,23 +2,25 @@
 //! step in what became of it, every row, every revision, everything that changed since any revision, the counts,
 //! the log; in the end every published snapshot is still what it was, and the log replayed gives the same scene.
 //!
-//! `TROCAR_SEQUENCES=1000000` plays more, `TROCAR_SEED=17` one only.
+//! `TROCAR_SEQUENCES=1000000` plays more, as a thorough run of the tests does, `TROCAR_SEED=17` one only.
 
-mod sequences;
-
+use crate::support::sequences;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 
-use sequences::reference::{Entry, Objection, Reference, Scene};
-use sequences::steps::{Author, PEG, RING, Random, Step, Write, first_claims, listing, minimal, universe};
-use sequences::values::{KINDS, Kind, Level, Row, Stranger, registry, with_fuse};
+use crate::support::sequences::reference::{Entry, Objection, Reference, Scene};
+use crate::support::sequences::steps::{
+    Author, PEG, RING, Random, Step, Write, first_claims, listing, minimal, universe,
+};
+use crate::support::sequences::values::{KINDS, Kind, Level, Row, Stranger, registry, with_fuse};
 use trocar_kernel::runtime::guarded;
 use trocar_kernel::{CommitBuffer, CommitKind, ModelCore, Outcome, Rejection};
 use trocar_scene::{
     Batch, CommandError, Commands, Component, Entity, EntityAllocator, Provenance, Refusal, Registry,
     Revision, SimTime, Snapshot, Store, WriterId,
 };
+use trocar_test_support::thorough;
 
 const SEQUENCES: u64 = 100_000;
 const STEPS_MAX: usize = 30;
@@ -456,7 +458,9 @@ fn number_in(variable: &str) -> Option<u64> {
 fn a_hundred_thousand_random_sessions_agree_with_plain_maps() {
     let seeds = match number_in("TROCAR_SEED") {
         Some(seed) => seed..seed + 1,
-        None => 0..number_in("TROCAR_SEQUENCES").unwrap_or(SEQUENCES),
+        None => {
+            0..number_in("TROCAR_SEQUENCES").unwrap_or(if thorough() { 10 * SEQUENCES } else { SEQUENCES })
+        }
     };
     let next = AtomicU64::new(seeds.start);
     let (total, failures) = (Mutex::new(Tally::new()), Mutex::new(Vec::new()));

@@ -1,19 +1,19 @@
 //! An operator beside a live session: it is answered, waits for nobody too long, and disturbs nobody.
 
-mod toys;
-
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use toys::{Count, LET_GO, Trap, count, eventually, session, toy};
+use crate::support::toys::{Count, Trap, count, eventually, let_go, session, toy};
 use trocar_kernel::OperatorError;
 use trocar_kernel::live::{LiveSession, OPERATORS_MAX};
 use trocar_scene::Entity;
+use trocar_test_support::alone;
 
 const LIMIT: Duration = Duration::from_secs(5);
 
 #[test]
 fn an_operator_of_a_live_session_is_told_what_became_of_its_batch() {
+    let _alone = alone();
     let (a, _) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let mut operator = live.operator().expect("the first");
@@ -39,6 +39,7 @@ fn an_operator_of_a_live_session_is_told_what_became_of_its_batch() {
 
 #[test]
 fn a_batch_that_kills_the_model_is_answered_and_the_next_one_is_applied() {
+    let _alone = alone();
     let (a, _) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let mut operator = live.operator().expect("the first");
@@ -51,6 +52,7 @@ fn a_batch_that_kills_the_model_is_answered_and_the_next_one_is_applied() {
 
 #[test]
 fn a_model_that_hangs_is_not_waited_for_and_its_successor_is_found() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let mut operator = live.operator().expect("the first");
@@ -62,12 +64,13 @@ fn a_model_that_hangs_is_not_waited_for_and_its_successor_is_found() {
     eventually("the operator finds it", || operator.apply(LIMIT, |out| out.put(me, Count(9_000))).is_ok());
     eventually("and so does everybody", || count(&live.snapshot(), 1) > 9_005);
     assert_eq!(wish.epoch.load(Ordering::Relaxed), 1, "nobody else was restarted");
-    LET_GO.store(true, Ordering::Relaxed);
+    let_go();
     assert_eq!(live.stop(0).code, 0);
 }
 
 #[test]
 fn operators_are_bounded_and_their_places_come_back() {
+    let _alone = alone();
     let (a, _) = toy("a", 1, 100.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     let all: Vec<_> = (0..OPERATORS_MAX).map(|_| live.operator().expect("room")).collect();

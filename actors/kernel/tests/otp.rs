@@ -2,9 +2,7 @@
 //! Principles) and of the reference manual of `supervisor`, named for it. `docs/guarantees.md` has the table, with
 //! what is deliberately different.
 
-mod rig;
-
-use rig::{A, B, C, Rig, ms, position, prompt, spec, starts, stops, three};
+use crate::support::rig::{A, B, C, Rig, ms, position, prompt, spec, starts, stops, three};
 use trocar_kernel::supervision::{
     Action, Cause, ChildId, EXIT_GAVE_UP, Event, GroupSpec, Health, Restart, Strategy,
 };

@@ -1,16 +1,16 @@
 //! A session that rests: nobody ticks, nothing is missed, nobody counts as stalled, and it goes on where it stood.
 
-mod toys;
-
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use toys::{eventually, session, toy};
+use crate::support::toys::{eventually, session, toy};
 use trocar_kernel::live::LiveSession;
 use trocar_kernel::supervision::Health;
+use trocar_test_support::alone;
 
 #[test]
 fn a_paused_session_stands_still_and_goes_on_without_a_missed_tick_or_a_stall() {
+    let _alone = alone();
     let (a, fast) = toy("a", 1, 500.0);
     let (b, slow) = toy("b", 2, 2.0);
     let live = LiveSession::start(session(vec![a, b])).expect("starts");
@@ -41,6 +41,7 @@ fn a_paused_session_stands_still_and_goes_on_without_a_missed_tick_or_a_stall() 
 
 #[test]
 fn a_paused_session_can_be_ended() {
+    let _alone = alone();
     let (a, wish) = toy("a", 1, 500.0);
     let live = LiveSession::start(session(vec![a])).expect("starts");
     eventually("it ticks", || wish.ticks.load(Ordering::Relaxed) > 5);

@@ -1,9 +1,6 @@
 //! What the Model gives to the recorder after each publication costs it nothing: no allocation, no free, once
 //! as many buffers are in circulation as there are publications between two ticks of the recorder.
 
-mod counting;
-
-use counting::touches;
 use serde::{Deserialize, Serialize};
 use trocar_kernel::recorder::{Recorder, RecorderOptions, Recording, RecordingHead, Replay};
 use trocar_kernel::spec::SessionSpec;
@@ -12,6 +9,7 @@ use trocar_scene::{
     Access, Batch, BuildContext, Commands, Component, Entity, EntityAllocator, EntitySet, Events, Jobs,
     Provenance, RegistryBuilder, SimTime, Store, Tick, WriterId,
 };
+use trocar_test_support::allocations::touches;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Count(u64);

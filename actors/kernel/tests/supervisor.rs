@@ -1,9 +1,7 @@
 //! What the supervisor tree does beyond Erlang/OTP, one test per promise: pauses between restarts, children that
 //! are held, and what a shared address space adds (stalls, fences, zombies). `otp.rs` holds it against OTP itself.
 
-mod rig;
-
-use rig::{A, B, C, Rig, ms, position, spec, stops, three};
+use crate::support::rig::{A, B, C, Rig, ms, position, spec, stops, three};
 use trocar_kernel::supervision::{
     Action, Backoff, Cause, ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, RuntimeClass,
     Strategy, Supervisor, TreeError,

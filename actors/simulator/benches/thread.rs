@@ -6,7 +6,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_simulator::thread::{Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 
-#[path = "../tests/thread_support/mod.rs"]
+#[path = "../tests/support/thread.rs"]
 mod thread_support;
 
 fn step(c: &mut Criterion) {

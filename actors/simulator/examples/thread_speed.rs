@@ -14,7 +14,7 @@ use std::time::Instant;
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_simulator::thread::{Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadReport};
 
-#[path = "../tests/thread_support/mod.rs"]
+#[path = "../tests/support/thread.rs"]
 mod thread_support;
 
 /// Edges that lie in turns where the others do not.

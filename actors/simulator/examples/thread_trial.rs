@@ -6,7 +6,7 @@
 
 use trocar_simulator::thread::{Thread, ThreadMaterial, ThreadReport, knot};
 
-#[path = "../tests/thread_support/mod.rs"]
+#[path = "../tests/support/thread.rs"]
 mod thread_support;
 
 fn with_friction(thread: &Thread, friction: f64) -> Thread {

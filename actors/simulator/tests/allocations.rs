@@ -1,12 +1,7 @@
 //! A warmed step of a solver allocates nothing.
 
-#[path = "../../../tests/support/counting.rs"]
-mod counting;
-mod suture_support;
-
-use counting::peak_of;
+use crate::support::suture::{jaws, pad, pose, straight, threaded, tissue};
 use nalgebra::{Isometry3, Point3, Vector3};
-use suture_support::{jaws, pad, pose, straight, threaded, tissue};
 use trocar_simulator::dynamic_fem::{Config, Constitution, DynamicFem, Inputs};
 use trocar_simulator::elasticity::Elastic;
 use trocar_simulator::fluid::{Fluid, FluidConfig};
@@ -18,6 +13,7 @@ use trocar_simulator::suture::{Around, Resistance};
 use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::thread::{self, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 use trocar_simulator::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput};
+use trocar_test_support::allocations::peak_of;
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 /// Long enough for every list to have had its largest size.

@@ -1,13 +1,11 @@
 //! A vessel that bleeds, as a scene: who clamps, coagulates or cuts it, what the liquid, the smoke and the patient make of it,
 //! and the scenario `bleeding` with its failing controls.
 
-mod stage;
-
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::support::stage::{Stage, scene};
 use nalgebra::{UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     Access, Activation, BuildContext, Commands, Controller, ControllerError, Entity, EntityAllocator, Events,
     Frozen, JawState, Jobs, Measured, ParticleKind, Particles, Pose, RestPositions, SimTime, Store, TetMesh,

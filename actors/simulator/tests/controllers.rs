@@ -1,11 +1,9 @@
 //! Simulators as controllers on a scene: what they read, what they write, and that another life of theirs goes on.
 
-mod stage;
-
 use std::collections::BTreeSet;
 
+use crate::support::stage::{Stage, scene};
 use nalgebra::Vector3;
-use stage::{Stage, scene};
 use trocar_scene::{
     Activation, BuildContext, Burn, CollisionList, Controller, ControllerError, Doubtful, Frozen,
     InstrumentForce, InstrumentTarget, JawState, LocalContactModel, Pose, RestPositions, SurfaceMesh,

@@ -1,12 +1,10 @@
 //! A membrane of positions that has grown onto finite elements, each moved by a controller of its own: what passes between
 //! them is in the scene, so that either can begin another life.
 
-mod stage;
-
 use std::sync::Arc;
 
+use crate::support::stage::{Stage, scene};
 use nalgebra::Vector3;
-use stage::{Stage, scene};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, EntitySet, Frozen, Measured, Snapshot, Tick,
     VertexPositions, VertexVelocities,

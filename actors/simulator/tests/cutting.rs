@@ -1,12 +1,9 @@
 //! Cutting: what comes apart, how large it is, what the springs make of it.
 
-#[path = "support/sheet.rs"]
-mod sheet;
-
+use crate::support::sheet::follow;
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use sheet::follow;
 use trocar_simulator::cutting::{Sheet, Sweep, TopologyChange, VertexChange};
 use trocar_simulator::mass_spring::{
     Config, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,

@@ -1,9 +1,7 @@
 //! Bodies in motion: against statics, vibration and closed forms; budgets of momentum and energy; inverted elements;
 //! what a killed controller needs.
 
-#[path = "support/beam.rs"]
-mod beam;
-
+use crate::support::beam;
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 use trocar_simulator::dynamic_fem::{

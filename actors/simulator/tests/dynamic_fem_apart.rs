@@ -1,12 +1,10 @@
 //! Finite elements in motion that are cut: no tick waits for a new order, pattern and factor. Those are computed beside the
 //! ticks while the former factor serves, and nothing jumps when they take over.
 
-mod stage;
-
 use std::sync::Arc;
 
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, ControllerError, Frozen, JawState, Pose, VertexPositions, VertexVelocities,
 };

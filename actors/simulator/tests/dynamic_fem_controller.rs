@@ -1,9 +1,7 @@
 //! The controller of dynamic finite elements: another life of it goes on to the bit.
 
-mod stage;
-
+use crate::support::stage::{Stage, scene};
 use nalgebra::Vector3;
-use stage::{Stage, scene};
 use trocar_scene::{BuildContext, Pose, VertexPositions, VertexVelocities};
 use trocar_simulator::controller::{DynamicFemController, DynamicFemMemory};
 

@@ -1,9 +1,6 @@
 //! Liquid as a whole: momentum, walls, bounds, going on from a state.
 
-#[path = "support/basin.rs"]
-mod basin;
-
-use basin::tank;
+use crate::support::basin::tank;
 use nalgebra::{Point3, Vector3};
 use trocar_simulator::fluid::{Fluid, FluidConfig, FluidStepError};
 

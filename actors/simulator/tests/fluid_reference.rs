@@ -1,9 +1,6 @@
 //! Liquid against closed forms: pressure at rest, a dam that breaks.
 
-#[path = "support/basin.rs"]
-mod basin;
-
-use basin::{smooth_tank, tank};
+use crate::support::basin::{smooth_tank, tank};
 use nalgebra::Point3;
 use trocar_simulator::fluid::{Fluid, FluidConfig};
 

@@ -2,13 +2,11 @@
 //! keeps them apart, whichever method moves them, and with a detector that is slower than the solver. What one gets the other
 //! loses.
 
-mod stage;
-
 use std::sync::Arc;
 
+use crate::support::stage::other::Other;
+use crate::support::stage::{Stage, scene_with};
 use nalgebra::{Point3, Vector3};
-use stage::other::Other;
-use stage::{Stage, scene_with};
 use trocar_collision::controller::{
     ContinuousConfig, ContinuousController, ObbTreeConfig, ObbTreeController,
 };

@@ -1,13 +1,11 @@
 //! Soft and rigid bodies that detectors find in each other: what one gets the other loses, at a mass ratio of 1:100 and a rate
 //! ratio of 10:1 either way, and nothing is made of nothing.
 
-mod stage;
-
 use std::sync::Arc;
 
+use crate::support::stage::other::Other;
+use crate::support::stage::{Stage, scene_with};
 use nalgebra::{Matrix3, Point3, Vector3};
-use stage::other::Other;
-use stage::{Stage, scene_with};
 use trocar_collision::controller::{ObbTreeConfig, ObbTreeController};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, Frozen, Measured, Pose, Snapshot, Store,

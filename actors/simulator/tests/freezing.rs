@@ -1,14 +1,11 @@
 //! What cannot be stops the one body that it is of, at its last good state and with a reason; the others go on, and another
 //! life of the controller keeps it so.
 
-mod freezing_support;
-mod stage;
-
 use std::sync::Arc;
 
-use freezing_support::{Build, GRAVITY, positions, two};
+use crate::support::freezing::{Build, GRAVITY, positions, two};
+use crate::support::stage::{Stage, context, scene};
 use nalgebra::{Point3, Vector3};
-use stage::{Stage, context, scene};
 use trocar_scene::{
     Activation, BuildContext, Burn, Controller, ControllerError, Frozen, HeatFrozen, Pose, RestPositions,
     SimTime, SurfaceMesh, Temperature, Velocity, VertexPositions, VertexVelocities,

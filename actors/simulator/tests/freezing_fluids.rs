@@ -1,14 +1,11 @@
 //! What cannot be of vessels, patients, smoke and liquids stops that one alone, with a reason; the others go on, and another life of
 //! the controller keeps it so.
 
-mod freezing_support;
-mod stage;
-
 use std::sync::Arc;
 
-use freezing_support::{Build, GRAVITY, positions, two};
+use crate::support::freezing::{Build, GRAVITY, positions, two};
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{Activation, BuildContext, ControllerError, Doubtful, Frozen, VertexPositions};
 use trocar_simulator::controller::smoke::Plume;
 use trocar_simulator::controller::{

@@ -1,12 +1,10 @@
 //! Heat and cuts: between what blades have parted nothing flows, neither on the lattice nor in the organ's mesh; what was there
 //! stays.
 
-mod stage;
-
 use std::sync::Arc;
 
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{Activation, HeatFrozen, Pose, RestPositions, Temperature, TetMesh, VertexPositions};
 use trocar_simulator::controller::ElectrosurgeryController;
 use trocar_simulator::controller::parting::VolumeCuts;

@@ -1,12 +1,10 @@
 //! What jaws take hold of follows them, whichever method moves the body: from the start of each frame, with what is beside it
 //! drawn along smoothly, until they open.
 
-mod stage;
-
 use std::cell::Cell;
 
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, CollisionList, Controller, ControllerError, Frozen, JawState, Pose, Primitive,
     VertexPositions,

@@ -1,8 +1,6 @@
 //! The precomputed inverse at run time: grasps, needles, patches and contacts against direct solves.
 
-#[path = "support/beam.rs"]
-mod beam;
-
+use crate::support::beam;
 use nalgebra::{Point3, Unit, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;

@@ -2,9 +2,7 @@
 //! computed of what the body has become.
 
 #[allow(dead_code)] // every test uses another part
-#[path = "support/beam.rs"]
-mod beam;
-
+use crate::support::beam;
 use nalgebra::{Point3, Vector3};
 use trocar_simulator::elasticity::{Alteration, stiffness};
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, LinearFemError, Load, patch};

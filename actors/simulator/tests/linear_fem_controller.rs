@@ -1,9 +1,7 @@
 //! The controller of linear organs on a scene: what it asks of the solver, what it tells, and that another life goes on.
 
-mod stage;
-
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, CollisionList, ControllerError, Doubtful, Frozen, JawState, Pose, VertexPositions,
 };

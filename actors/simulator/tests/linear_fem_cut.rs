@@ -1,10 +1,8 @@
 //! Linear organs in a scene that scissors cut and that tear: they give way at once, the next inverse takes over unfelt, and
 //! another life finds the same.
 
-mod stage;
-
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, RestPositions, SurfaceMesh,
     VertexPositions,

@@ -1,11 +1,7 @@
 //! Linear elements on meshes of any kind: the patch test, and the order in which the error of a smooth solution falls.
 
-#[path = "support/delaunay.rs"]
-mod delaunay;
-#[path = "support/direct.rs"]
-mod direct;
-
-use direct::displaced;
+use crate::support::delaunay;
+use crate::support::direct::displaced;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng};

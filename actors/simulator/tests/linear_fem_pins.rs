@@ -1,13 +1,9 @@
 //! What has been driven into a linear organ holds points of its inside: where it leads them they are, what that takes is felt
 //! by whoever holds it and is that of a direct solve, and what is held from tick to tick is the same in every life.
 
+use crate::support::stage::{Stage, context, scene};
 #[allow(dead_code)] // every test uses another part
-#[path = "support/beam.rs"]
-mod beam;
-mod stage;
-
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use stage::{Stage, context, scene};
 use trocar_scene::{
     BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, RestPositions, TetMesh as Tets,
     VertexPositions,

@@ -1,12 +1,8 @@
 //! Linear elements against independent numbers: scikit-fem's deflections and frequencies of the clamped beam, of its linear
 //! elements and of its quadratic ones.
 
-#[path = "support/beam.rs"]
-mod beam;
-#[path = "support/direct.rs"]
-mod direct;
-
-use direct::{direct, factored, numbers};
+use crate::support::beam;
+use crate::support::direct::{direct, factored, numbers};
 use nalgebra::{DMatrix, SymmetricEigen, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;

@@ -1,9 +1,7 @@
 //! Elements that are taken out while an inverse serves that was computed with them, and the cache of inverses.
 
 #[allow(dead_code)] // every test uses another part
-#[path = "support/beam.rs"]
-mod beam;
-
+use crate::support::beam;
 use nalgebra::{Point3, Vector3};
 use trocar_simulator::elasticity::Alteration;
 use trocar_simulator::linear_fem::{

@@ -1,8 +1,5 @@
 //! Mass-spring against closed forms and its own budgets.
 
-#[path = "support/springs.rs"]
-mod springs;
-
 use nalgebra::{DMatrix, DVector, Point3, SymmetricEigen, Vector3};
 use proptest::prelude::*;
 use trocar_simulator::mass_spring::{
@@ -10,7 +7,7 @@ use trocar_simulator::mass_spring::{
     Spring, StepError, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
 
-use springs::*;
+use crate::support::springs::*;
 
 /// Force that stretches a strip by 2 %: the modulus times its width, whatever the triangles.
 #[test]

@@ -1,15 +1,12 @@
 //! Masses and springs against closed forms: pendulum, chain, string, catenary, elastica, plate.
 
-#[path = "support/springs.rs"]
-mod springs;
-
 use nalgebra::{Point3, Vector3};
 use trocar_simulator::mass_spring::{
     Config, Input, LineMaterial, LinearSolver, MassSpring, Network, NodeForce, Spring, SurfaceMaterial,
     TooLarge,
 };
 
-use springs::*;
+use crate::support::springs::*;
 
 /// Period of a pendulum of 1 m let go at an angle, over that of small swings.
 fn pendulum(angle: f64) -> f64 {

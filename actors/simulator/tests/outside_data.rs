@@ -1,12 +1,10 @@
 //! What others have written of a body and cannot be is refused with a reason that names it, by every controller of soft bodies,
 //! and never ends one: meshes whose elements name vertices that there are not, and memories of another body.
 
-mod stage;
-
 use std::sync::Arc;
 
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, Component, Controller, ControllerError, Entity, Frozen, HeatFrozen, LineMesh, SimTime,
     SurfaceMesh, TetMesh,

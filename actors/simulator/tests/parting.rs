@@ -1,11 +1,9 @@
 //! Volumes that come apart on a scene: burned through, cut, torn, by every method that moves volumes of elements.
 
-mod stage;
-
 use std::sync::Arc;
 
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, Controller, ControllerError, Frozen, JawState, Pose, RestPositions, SurfaceMesh, TetMesh,
     VertexPositions, VertexVelocities,
@@ -420,7 +418,7 @@ fn a_membrane_that_has_burned_is_cut_and_one_that_was_cut_burns() {
     let springs = "membrane_stiffness = 60.0, bending_stiffness = 1e-6, density = 1.0";
     is_cut_as_a_membrane(
         &format!("mass_spring = {{ springs = {{ surface = {{ {springs} }} }}, damping = 10.0 }}"),
-        crate::springs,
+        crate::parting::springs,
     );
     is_cut_as_a_membrane(
         &format!(

@@ -1,10 +1,7 @@
 //! Picking: who holds what, and that it follows.
 
-#[path = "support/sheet.rs"]
-mod sheet;
-
+use crate::support::sheet::follow;
 use nalgebra::{Isometry3, Point3, Vector3};
-use sheet::follow;
 use trocar_simulator::cutting::{Sheet, Sweep};
 use trocar_simulator::mass_spring::{
     Config, Input, Integrator, LinearSolver, MassSpring, Network, Prescribed, SurfaceMaterial,

@@ -1,10 +1,8 @@
 //! A rod that is pressed through a held membrane: it tears about the tip where it is drawn too far, and the rod goes on through
 //! the hole; a blunt one, or one that goes less far, only dents it.
 
-mod stage;
-
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{BuildContext, Controller, ControllerError, Frozen, Pose, Velocity};
 use trocar_simulator::controller::{MassSpringController, XpbdController};
 

@@ -1,9 +1,7 @@
 //! Rigid bodies as a scene has them: the integrator that is asked for is the one that moves them.
 
-mod stage;
-
+use crate::support::stage::{Stage, scene};
 use nalgebra::Vector3;
-use stage::{Stage, scene};
 use trocar_scene::{Pose, Velocity};
 use trocar_simulator::controller::RigidBodiesController;
 use trocar_simulator::rigid::Integrator;

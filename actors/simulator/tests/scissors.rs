@@ -1,12 +1,10 @@
 //! Scissors on a scene: what is between their blades is cut when they close, whichever method moves it; what is beside them is
 //! not, and blades that open or wait open cut nothing.
 
-mod stage;
-
 use std::sync::Arc;
 
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, Controller, ControllerError, Frozen, JawState, Pose, RestPositions, VertexPositions,
     VertexVelocities,

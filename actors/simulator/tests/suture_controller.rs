@@ -1,10 +1,8 @@
 //! The controller of sewing on a scene: a needle driver drives a needle along its arc through a pad, a second instrument
 //! takes the tip and draws the thread through.
 
-mod stage;
-
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, CollisionList, Component, ControllerError, Doubtful, Frozen, JawState, Pose,
     VertexPositions,

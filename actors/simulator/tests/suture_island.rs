@@ -1,10 +1,8 @@
 //! Thread in tissue: it stays where friction holds it, slides beyond, draws a wound together, and takes from the tissue
 //! what it gives to it.
 
-mod suture_support;
-
+use crate::support::suture::*;
 use nalgebra::{Isometry3, Point3, Vector3};
-use suture_support::*;
 use trocar_simulator::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{
     Around, Bite, ChannelPoint, Event, Place, Resistance, Suture, SutureReport, SutureState, Tip, Tissue,

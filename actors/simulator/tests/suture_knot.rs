@@ -1,14 +1,11 @@
 //! A stitch on a scene: a sewn thread that lies in throws over a wound has short edges there, is told its knot, and goes on
 //! in another life.
 
-mod stage;
-mod suture_support;
-
 use std::sync::Arc;
 
+use crate::support::stage::{Stage, scene};
+use crate::support::suture::{stitch, wound};
 use nalgebra::Vector3;
-use stage::{Stage, scene};
-use suture_support::{stitch, wound};
 use trocar_scene::{BuildContext, ControllerError, Frozen, LineMesh, TetMesh, VertexPositions};
 use trocar_simulator::controller::{KnotState, SutureController, SutureMemory, SutureNeedle};
 use trocar_simulator::thread::{ThreadMaterial, ThreadState};

@@ -1,9 +1,7 @@
 //! A needle and its thread in free flight; a needle that goes into tissue, through it, and back.
 
-mod suture_support;
-
+use crate::support::suture::*;
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
-use suture_support::*;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
 use trocar_simulator::needle::NeedleShape;
 use trocar_simulator::suture::{Around, Event, Resistance, Suture, SutureReport, Tip};

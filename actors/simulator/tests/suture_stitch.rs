@@ -1,10 +1,8 @@
 //! A stitch: a thread goes through both edges of a wound and is tied over it. Its knot holds what one holds that is in no
 //! tissue, and one that would not there, does not here.
 
-mod suture_support;
-
+use crate::support::suture::*;
 use nalgebra::Vector3;
-use suture_support::*;
 use trocar_simulator::suture::{Around, Suture};
 use trocar_simulator::thread::knot::throws;
 use trocar_simulator::thread::{Hold, ThreadMaterial};

@@ -1,10 +1,8 @@
 //! A needle and its own thread: strands lie on the wire with friction, press it as hard as they are pressed, and do not pass
 //! it however fast they come.
 
-mod suture_support;
-
+use crate::support::suture::{jaws, nowhere, pose, straight};
 use nalgebra::{Point3, Vector3};
-use suture_support::{jaws, nowhere, pose, straight};
 use trocar_collision::primitive::closest_segments;
 use trocar_simulator::needle::NeedleState;
 use trocar_simulator::suture::{Around, Resistance, Suture, SutureState};

@@ -1,9 +1,7 @@
 //! Needle and thread on the surface of a tissue: it bears them, gives way, and holds them by friction as far as that goes.
 
-mod suture_support;
-
+use crate::support::suture::*;
 use nalgebra::{Point3, Vector3};
-use suture_support::*;
 use trocar_simulator::needle::NeedleShape;
 use trocar_simulator::suture::{Around, Resistance, Suture, Tissue};
 use trocar_simulator::thread::{Hold, Load, ThreadMaterial};

@@ -2,14 +2,11 @@
 //! the edges meet. When they let go a single throw gives the edges back. Three throws drawn all at once lock where they are,
 //! above a wound that stays open: what is drawn down is the first.
 
-mod stage;
-mod suture_support;
-
 use std::sync::Arc;
 
+use crate::support::stage::{Stage, scene};
+use crate::support::suture::{stitch, wound};
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
-use suture_support::{stitch, wound};
 use trocar_scene::{
     BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, TetMesh, VertexPositions,
 };

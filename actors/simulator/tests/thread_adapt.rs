@@ -1,11 +1,9 @@
 //! Adaptive segments: short where strands come near to each other, long elsewhere, and nothing is lost on the way.
 
-mod thread_support;
-
+use crate::support::thread::{Bend, loose_knot, nearest_strands};
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use thread_support::{Bend, loose_knot, nearest_strands};
 use trocar_simulator::thread::knot::{KnotKind, identify};
 use trocar_simulator::thread::{
     Fineness, Hold, Surroundings, Thread, ThreadError, ThreadMaterial, ThreadState,

@@ -1,7 +1,6 @@
 //! Contacts of a thread: static friction stays where it is, nothing fast passes through, forces answer each other.
 
-mod thread_support;
-
+use crate::support::thread as thread_support;
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use trocar_simulator::thread::knot::{KnotKind, identify};
 use trocar_simulator::thread::{

@@ -1,9 +1,7 @@
 //! A thread on a scene: taken by jaws, pulled, let go, met by rods, laid tied, and continued by another life.
 
-mod stage;
-
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     BuildContext, Collision, CollisionList, ControllerError, Frozen, JawState, Pose, VertexPositions,
 };

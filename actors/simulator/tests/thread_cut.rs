@@ -1,12 +1,9 @@
 //! Threads that are cut by scissors, or break: what was pulled is so no longer, knots whose ears are cut off hold as before,
 //! and another life goes on with the pieces.
 
-mod stage;
-mod thread_support;
-
+use crate::support::stage::{Stage, scene};
+use crate::support::thread::{Bend, loose_knot};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
-use thread_support::{Bend, loose_knot};
 use trocar_scene::{BuildContext, ControllerError, Frozen, JawState, LineMesh, Pose, VertexPositions};
 use trocar_simulator::controller::{KnotState, ThreadController, ThreadMemory};
 use trocar_simulator::thread::knot::{KnotKind, identify};

@@ -16,9 +16,7 @@
 //! throws of one turn hold at 0.1, with up to seven of them; what does is in `thread_turns.rs`. Longer runs:
 //! `examples/thread_trial.rs`.
 
-mod thread_support;
-
-use thread_support::{Bend, loose_knot, nearest_strands};
+use crate::support::thread::{Bend, loose_knot, nearest_strands};
 use trocar_simulator::thread::knot::{KnotKind, identify};
 use trocar_simulator::thread::{Thread, ThreadMaterial};
 

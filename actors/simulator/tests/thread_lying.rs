@@ -1,12 +1,10 @@
 //! A thread that lies on soft tissue which another controller moves: it presses in what it is drawn over, and what the one
 //! gives is what the other takes.
 
-mod stage;
-
 use std::sync::Arc;
 
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, Controller, ControllerError, EntitySet, Frozen, JawState,
     LineMesh, Measured, Pose, RestPositions, Snapshot, Tick, VertexPositions,

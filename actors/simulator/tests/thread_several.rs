@@ -1,10 +1,8 @@
 //! Several threads in one problem: they touch each other as strands of one thread do. Two threads tied together by a reef
 //! knot bear two newtons on friction alone; smooth ones come apart. Threads that do not meet do not know of each other.
 
-mod thread_support;
-
+use crate::support::thread::loose_knot;
 use nalgebra::{Point3, Vector3};
-use thread_support::loose_knot;
 use trocar_simulator::thread::knot::{KnotKind, identify_joined};
 use trocar_simulator::thread::{
     Fineness, Hold, Surroundings, Thread, ThreadError, ThreadMaterial, ThreadState, ThreadStepError,

@@ -17,9 +17,7 @@
 //! bears whatever it was drawn tight with. A loop that has once been slack is another matter: the stiffness of the thread
 //! opens its knot, and either kind slips at some 0.2 N.
 
-mod thread_support;
-
-use thread_support::{Bend, loose_knot};
+use crate::support::thread::{Bend, loose_knot};
 use trocar_simulator::thread::{Thread, ThreadMaterial};
 
 /// At all four ends, to tighten it \[N\].

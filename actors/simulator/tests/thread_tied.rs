@@ -1,10 +1,8 @@
 //! A thread on a scene around an elastic body: it presses the body as it is pulled, the body gives way in the scene, and
 //! another life goes on with both.
 
-mod stage;
-
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, VertexPositions};
 use trocar_simulator::controller::{ThreadController, ThreadMemory};
 

@@ -1,10 +1,8 @@
 //! Threads of a scene that can touch each other: two loops that are hooked into each other carry the pull of a hand; without
 //! being told of each other they pass.
 
-mod stage;
-
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{BuildContext, ControllerError, Frozen, JawState, LineMesh, Pose, VertexPositions};
 use trocar_simulator::controller::{ThreadController, ThreadMemory};
 

@@ -30,9 +30,7 @@
 //! limit with edges of 1.5 diameters slips with shorter ones. Six throws of three turns are not at their limit. Creep is 0.003
 //! to 0.007 mm in all of these minutes.
 
-mod thread_support;
-
-use thread_support::{Bend, loose_knot, nearest_strands};
+use crate::support::thread::{Bend, loose_knot, nearest_strands};
 use trocar_simulator::thread::{Thread, ThreadMaterial};
 
 /// Centre lines of strands never come nearer than this part of a diameter while the loop is pulled.

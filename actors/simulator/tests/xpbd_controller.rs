@@ -1,9 +1,7 @@
 //! Position-based bodies on a scene: pressed, hung and continued, of every kind of matter.
 
-mod stage;
-
+use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, Vector3};
-use stage::{Stage, scene};
 use trocar_scene::{BuildContext, CollisionList, Controller, ControllerError, Frozen, Pose, VertexPositions};
 use trocar_simulator::controller::{DynamicFemController, XpbdController};
 

@@ -1,46 +1,11 @@
 //! The program from outside: what it prints, how it ends, what it leaves behind.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
 use serde_json::Value;
 
-fn trocar(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_trocar"))
-        .args(arguments)
-        .current_dir(folder)
-        .env("NO_COLOR", "1")
-        .output()
-        .expect("the program starts")
-}
-
-fn here() -> tempfile::TempDir {
-    tempfile::tempdir().expect("a folder")
-}
-
-fn stdout(output: &Output) -> String {
-    String::from_utf8(output.stdout.clone()).expect("text")
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8(output.stderr.clone()).expect("text")
-}
-
-/// The one object on stdout.
-fn object(output: &Output) -> Value {
-    serde_json::from_slice(&output.stdout)
-        .unwrap_or_else(|error| panic!("{error}: stdout is {:?}, stderr {}", stdout(output), stderr(output)))
-}
-
-fn assert_valid(of: &str, object: &Value) {
-    let folder = here();
-    let printed = trocar(folder.path(), &["schema", of]);
-    let schema: Value = serde_json::from_slice(&printed.stdout).expect("a schema");
-    let validator = jsonschema::validator_for(&schema).expect("a sound schema");
-    let errors: Vec<String> =
-        validator.iter_errors(object).map(|error| format!("{}: {error}", error.instance_path())).collect();
-    assert!(errors.is_empty(), "{errors:?}");
-}
+use crate::support::{assert_valid, here, object, stderr, stdout, trocar};
 
 /// A program of one's own, built beside this test as an example.
 #[test]
@@ -479,33 +444,4 @@ fn a_session_that_nobody_drives_yet_rests_and_says_so() {
     let output = trocar(folder.path(), &[&["run", "empty.toml", "--play"], &quiet[..]].concat());
     assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
     assert!(stderr(&output).contains("has no hands"), "{}", stderr(&output));
-}
-
-#[test]
-#[cfg(unix)]
-fn a_signal_ends_a_live_run_within_two_seconds_and_in_good_order() {
-    let folder = here();
-    for signal in ["-INT", "-TERM"] {
-        let child = Command::new(env!("CARGO_BIN_EXE_trocar"))
-            .args(["run", "peg-transfer", "--json", "--record", "cut.mcap", "--no-report"])
-            .current_dir(folder.path())
-            .stdout(std::process::Stdio::piped())
-            .stderr(std::process::Stdio::piped())
-            .spawn()
-            .expect("the program starts");
-        std::thread::sleep(std::time::Duration::from_millis(1_500));
-        let sent = std::time::Instant::now();
-        let killed =
-            Command::new("kill").args([signal, &child.id().to_string()]).status().expect("kill runs");
-        assert!(killed.success(), "the run was over before the signal");
-        let output = child.wait_with_output().expect("an end");
-        assert!(sent.elapsed().as_secs_f64() < 2.0, "{signal}: {:?}", sent.elapsed());
-        assert_eq!(output.status.code(), Some(0), "{signal}: {}", stderr(&output));
-        let summary = object(&output);
-        assert_valid("run", &summary);
-        assert_eq!(summary["task"]["cut_off"], true);
-        assert_eq!(summary["recording_complete"], true);
-        let replayed = trocar(folder.path(), &["replay", "cut.mcap", "--json"]);
-        assert_eq!(object(&replayed)["state_hash"], summary["state_hash"], "{}", stderr(&replayed));
-    }
 }

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
+use trocar_test_support::alone;
 
 /// A crate's name, the template, what its program runs for how many seconds, and the controller that must have
 /// ticked in it, with its rate \[Hz\].
@@ -87,6 +88,8 @@ fn cargo(folder: &Path, arguments: &[&str]) -> Output {
             command.env_remove(name);
         }
     }
+    // Told so, some libraries would be built once more.
+    command.env_remove("RUSTC_BOOTSTRAP");
     command
         .args(arguments)
         .args(["--release", "--offline"])
@@ -98,6 +101,7 @@ fn cargo(folder: &Path, arguments: &[&str]) -> Output {
 
 #[test]
 fn every_template_builds_passes_its_tests_and_runs_outside_of_the_repository() {
+    let _alone = alone();
     let folder = written();
     let tested = cargo(folder.path(), &["test", "--workspace", "--no-fail-fast"]);
     assert_ok("cargo test", &tested);
@@ -145,6 +149,7 @@ fn every_template_builds_passes_its_tests_and_runs_outside_of_the_repository() {
 
 #[test]
 fn templates_are_listed_and_what_cannot_be_written_is_refused() {
+    let _alone = alone();
     let folder = tempfile::tempdir().expect("a folder");
     let trocar = |arguments: &[&str]| {
         let output =

@@ -5,6 +5,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use trocar_test_support::alone;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_trocar");
 
@@ -29,6 +30,7 @@ fn said(output: &Output) -> String {
 
 #[test]
 fn values_are_set_before_a_run() {
+    let _alone = alone();
     let folder = tempfile::tempdir().unwrap();
     let run = |more: &[&str]| {
         let base =
@@ -135,6 +137,7 @@ impl Session {
 
 #[test]
 fn a_running_session_is_tuned_from_another_terminal() {
+    let _alone = alone();
     let session = Session::start();
     let mass = |ring: &str| session.value(&format!("ring.{ring}.rigid_body.mass"));
     assert_eq!(object(&session.tune(&["status"]))["in_use"], "base");
@@ -190,6 +193,7 @@ fn a_running_session_is_tuned_from_another_terminal() {
 
 #[test]
 fn without_a_session_there_is_nothing_to_tune() {
+    let _alone = alone();
     let folder = tempfile::tempdir().unwrap();
     let output = trocar(folder.path(), &["tune", "status"]);
     assert_eq!(output.status.code(), Some(4));

@@ -1,5 +1,4 @@
 //! Without root, real-time priority or locked memory everything works, and what is lost is said.
-#![cfg(target_os = "linux")]
 
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
@@ -9,6 +8,7 @@ use std::process::{Command, Output};
 use trocar::summary::RunSummary;
 use trocar_kernel::runtime::ticker;
 use trocar_scene::SimTime;
+use trocar_test_support::alone;
 
 const SECONDS: u64 = 4;
 const MILLISECOND: SimTime = SimTime::from_millis(1);
@@ -35,6 +35,7 @@ fn is_root() -> bool {
 
 #[test]
 fn the_live_exercise_runs_without_any_rights_and_says_what_it_lost() {
+    let _alone = alone();
     // Where the program was built, others may not be allowed to look.
     let folder = tempfile::tempdir().expect("a folder");
     let program = folder.path().join("trocar");

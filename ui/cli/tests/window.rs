@@ -1,9 +1,8 @@
 //! Windows on a real X server, with real keys and a real mouse.
 
-mod screen;
-
-use screen::{Running, Screen};
+use crate::support::screen::{Running, Screen};
 use serde_json::Value;
+use trocar_test_support::alone;
 
 /// A session without files, in a small world that lasts as long as one looks.
 const WALL: [&str; 6] = ["run", "wall", "--no-report", "--no-record", "--quality", "plain"];
@@ -19,6 +18,7 @@ fn differing(a: &image::RgbaImage, b: &image::RgbaImage) -> f64 {
 
 #[test]
 fn keys_and_mouse_do_what_the_list_of_keys_says() {
+    let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     let mut running = Running::start(&screen, folder.path(), &WALL);
     running.until("time passes", |running| running.seconds() > 0.2);
@@ -72,6 +72,7 @@ fn keys_and_mouse_do_what_the_list_of_keys_says() {
 
 #[test]
 fn a_value_found_in_the_panel_is_changed_by_dragging_it() {
+    let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     let mut running = Running::start(&screen, folder.path(), &WALL);
     running.until("time passes", |running| running.seconds() > 0.2);
@@ -108,6 +109,7 @@ fn a_value_found_in_the_panel_is_changed_by_dragging_it() {
 
 #[test]
 fn a_person_moves_a_hand_with_the_mouse_and_gives_it_back() {
+    let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     let play = ["run", "wall", "--play", "--window", "--no-report", "--record", "play.mcap", "--json"];
     let mut running = Running::start(&screen, folder.path(), &play);
@@ -142,6 +144,7 @@ fn a_person_moves_a_hand_with_the_mouse_and_gives_it_back() {
 
 #[test]
 fn a_display_that_disappears_takes_no_session_with_it() {
+    let _alone = alone();
     let (mut screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     let run = ["--window", "--json", "--seconds", "8"];
     let mut running = Running::start(&screen, folder.path(), &[&WALL[..], &run].concat());
@@ -161,6 +164,7 @@ fn a_display_that_disappears_takes_no_session_with_it() {
 
 #[test]
 fn without_a_graphics_adapter_the_window_is_given_up_and_the_session_goes_on() {
+    let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     let run = [&WALL[..], &["--window", "--json", "--seconds", "2"]].concat();
     let none = [("VK_DRIVER_FILES", "/dev/null"), ("VK_ICD_FILENAMES", "/dev/null")];
@@ -175,6 +179,7 @@ fn without_a_graphics_adapter_the_window_is_given_up_and_the_session_goes_on() {
 
 #[test]
 fn a_session_begins_anew_and_keeps_what_was_recorded_before() {
+    let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     let run = ["run", "wall", "--lockstep", "--window", "--no-report", "--record", "try.mcap"];
     let mut running = Running::start(&screen, folder.path(), &run);
@@ -201,6 +206,7 @@ fn a_session_begins_anew_and_keeps_what_was_recorded_before() {
 
 #[test]
 fn a_window_of_no_size_and_a_large_one_again_show_the_same() {
+    let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     let mut running = Running::start(&screen, folder.path(), &WALL);
     running.until("time passes", |running| running.seconds() > 0.2);
@@ -224,6 +230,7 @@ fn a_window_of_no_size_and_a_large_one_again_show_the_same() {
 
 #[test]
 fn recordings_are_led_through_and_compared() {
+    let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     for (seed, name) in [("1", "a.mcap"), ("2", "b.mcap")] {
         let status = std::process::Command::new(env!("CARGO_BIN_EXE_trocar"))
@@ -266,6 +273,7 @@ fn recordings_are_led_through_and_compared() {
 
 #[test]
 fn a_viewer_that_panics_or_loses_its_device_is_started_again_and_shows_the_same() {
+    let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     let plan = r#"schema = 1
         [[fault]]
@@ -312,6 +320,7 @@ fn a_viewer_that_panics_or_loses_its_device_is_started_again_and_shows_the_same(
 
 #[test]
 fn where_no_window_is_no_fault_can_be_aimed_at_it() {
+    let _alone = alone();
     let folder = tempfile::tempdir().expect("a folder");
     let plan = "schema = 1\n[[fault]]\nid = 'a'\nat_secs = 1\ntarget = 'viewer'\nkind = 'kill'\n";
     std::fs::write(folder.path().join("plan.toml"), plan).expect("a plan");
@@ -328,6 +337,7 @@ fn where_no_window_is_no_fault_can_be_aimed_at_it() {
 
 #[test]
 fn several_cameras_stand_beside_each_other() {
+    let _alone = alone();
     let (screen, folder) = (Screen::new(), tempfile::tempdir().expect("a folder"));
     let wall = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../scenarios/wall.toml");
     let second = "\n[[entity]]\nname = \"above\"\ncamera = { field_of_view = 0.9, near = 0.01, far = 1.0 }\n\

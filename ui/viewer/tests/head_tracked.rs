@@ -1,8 +1,6 @@
 //! A screen as a window into the scene: whoever writes the pose of the head moves the eye.
 
-mod common;
-
-use common::{Scene, eye, middle_column};
+use crate::support::{Scene, eye, middle_column};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_scene::{Pose, Scenario};
 use trocar_viewer::layout::{Sight, Stereo, Tile};

@@ -1,10 +1,8 @@
 //! What surfaces look like: each map, burns where they are, threads, materials with shaders of their own.
 
-mod common;
-
 use std::sync::Arc;
 
-use common::{Scene, colored, eye, front, grid, mean, picture};
+use crate::support::{Scene, colored, eye, front, grid, mean, picture};
 use nalgebra::{Point3, Vector2};
 use trocar_scene::{
     Burn, Entity, LineMesh, Pose, Shape, SurfaceMesh, Texture, TextureCoordinates, VertexPositions,

@@ -1,10 +1,9 @@
 //! Smoke veils by its thickness and ends softly at surfaces; drops of a fluid are one surface that hides and is hidden.
 
-mod common;
-
+use crate::support as common;
 use std::sync::Arc;
 
-use common::{Scene, colored, eye, front, mean, picture};
+use crate::support::{Scene, colored, eye, front, mean, picture};
 use nalgebra::{Point3, Vector3};
 use trocar_scene::{Entity, Light, ParticleKind, Particles, Pose, Shape};
 use trocar_viewer::layout::{Pane, Sight, Stereo, Tile};

@@ -1,11 +1,10 @@
 //! What moves slowly is shown as if it moved all the time.
 
-mod common;
-
+use crate::support as common;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use common::{Scene, colored, eye, front, middle_column};
+use crate::support::{Scene, colored, eye, front, middle_column};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_scene::{
     Entity, JawState, Parent, Particles, Pose, Shape, SimTime, Snapshot, SurfaceMesh, VertexPositions,

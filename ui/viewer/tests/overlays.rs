@@ -1,10 +1,8 @@
 //! Seeing the simulation: what touches, which forces act, how hot tissue is, where tips have been.
 
-mod common;
-
 use std::sync::Arc;
 
-use common::{Scene, colored, eye, front, grid, mean, picture};
+use crate::support::{Scene, colored, eye, front, grid, mean, picture};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_scene::{
     BoundingVolumeNode, BoundingVolumeTree, Burn, Collision, CollisionList, Detection, DeviceState, Entity,

@@ -1,8 +1,6 @@
 //! Pictures of small scenes: what is where, in which colour, how far away.
 
-mod common;
-
-use common::{Scene, colored, eye, front, mean, middle_column, picture};
+use crate::support::{Scene, colored, eye, front, mean, middle_column, picture};
 use trocar_scene::{Light, Pose, Shape};
 use trocar_viewer::gpu::{Gpu, targets};
 use trocar_viewer::layout::Stereo;

@@ -1,18 +1,13 @@
 //! Pictures beside committed ones: each map, each way in which views share a picture, each thing that is shown over a
 //! scene, every scenario. How alike they have to be, and that this is close enough to see what went wrong.
 
-mod common;
-#[path = "common/gallery.rs"]
-mod gallery;
-#[path = "common/perceptual.rs"]
-mod perceptual;
-#[path = "common/reference.rs"]
-mod reference;
-
+use crate::support::gallery;
+use crate::support::perceptual;
+use crate::support::reference;
 use std::path::{Path, PathBuf};
 
-use gallery::{Case, SIZE, TISSUE, TOUCHING};
-use perceptual::{Difference, Limits};
+use crate::support::gallery::{Case, SIZE, TISSUE, TOUCHING};
+use crate::support::perceptual::{Difference, Limits};
 use trocar_scene::{RegistryBuilder, Scenario};
 use trocar_viewer::{Picture, View};
 

@@ -1,8 +1,6 @@
 //! Several views in one picture.
 
-mod common;
-
-use common::{Scene, colored, eye, front, middle_column, picture};
+use crate::support::{Scene, colored, eye, front, middle_column, picture};
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Camera, Entity, Light, Pose, Shape};
 use trocar_viewer::layout::{Sight, Stereo, Tile};

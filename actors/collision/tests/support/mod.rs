@@ -1,8 +1,9 @@
-//! The reference data, read.
-#![allow(dead_code)]
+//! What tests, benches and examples share, and the reference data, read.
+#![allow(dead_code, reason = "benches and examples use a part of it")]
 
-#[path = "../cuboid/mod.rs"]
-mod cuboid;
+pub mod cuboid;
+pub mod organ;
+pub mod shapes;
 pub mod surfaces;
 
 use std::path::{Path, PathBuf};

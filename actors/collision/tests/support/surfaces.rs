@@ -1,5 +1,4 @@
 //! Random surfaces of the kinds that trees and triangle tests go wrong on.
-#![allow(dead_code)]
 
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};

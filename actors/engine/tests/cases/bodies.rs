@@ -10,8 +10,8 @@ use trocar_scene::time::SimTime;
 use trocar_simulator::instrument::opening::InstrumentState;
 use trocar_simulator::rigid_world::{World, WorldError};
 
-use crate::common::*;
-use crate::{TOOLS_MAX, W, settings};
+use super::common::*;
+use super::{TOOLS_MAX, W, settings};
 
 const BALL: Entity = Entity::new(0, 0, 50);
 

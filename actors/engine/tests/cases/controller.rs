@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use crate::common::{
+use super::common::{
     LEFT, RIGHT, RING_MASS, RING_RADIUS, TUBE_RADIUS, minimum_jerk, pointing_down, ring_body, ring_shape,
 };
 use nalgebra::Vector3;
@@ -18,7 +18,7 @@ use trocar_scene::{
 use trocar_simulator::controller::RigidBodiesController;
 use trocar_simulator::rigid_world::World;
 
-use crate::W;
+use super::W;
 
 type Settings = <W as World>::Settings;
 

@@ -1,7 +1,7 @@
 //! Grasping by friction: what holds, what slips, what falls, and what two hands feel of one ring.
 
-use crate::W;
-use crate::common::*;
+use super::W;
+use super::common::*;
 use nalgebra::{Isometry3, Vector3};
 use trocar_scene::components::{Instrument, Pose};
 use trocar_scene::entity::Entity;

@@ -8,8 +8,8 @@ use trocar_scene::shapes::working_end;
 use trocar_simulator::instrument::opening::InstrumentState;
 use trocar_simulator::rigid_world::World;
 
-use crate::W;
-use crate::common::*;
+use super::W;
+use super::common::*;
 
 const BALL: Entity = Entity::new(0, 0, 60);
 const RADIUS: f64 = 0.003;

@@ -7,7 +7,7 @@ use trocar_scene::time::SimTime;
 use trocar_simulator::rigid::Wrench;
 use trocar_simulator::rigid_world::{World, WorldError};
 
-use crate::{GIVES_WAY, W, settings};
+use super::{GIVES_WAY, W, settings};
 
 const BLOCK: Entity = Entity::new(0, 0, 1);
 const OTHER: Entity = Entity::new(0, 0, 2);

@@ -1,7 +1,7 @@
 //! A kinematic double of the exercise: tips follow their commands, a ring sticks to jaws that close across its
 //! tube, and falls straight down when nobody holds it. No forces, so a whole exercise takes milliseconds.
 
-#![allow(dead_code, reason = "every test binary uses its own part of the double")]
+pub mod lockstep;
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use trocar_input::autopilot::Autopilot;

@@ -1,0 +1,10 @@
+//! Worlds of rigid bodies, and the engine's soft ones.
+//!
+//! All of these tests run beside each other.
+#![allow(clippy::duplicate_mod, reason = "the cases are held against each of the worlds")]
+
+mod impulse_world;
+mod rapier_world;
+mod soft_bodies;
+#[path = "../../simulator/tests/support/stage/mod.rs"]
+mod stage;

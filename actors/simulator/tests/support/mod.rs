@@ -1,0 +1,12 @@
+//! What several of the tests share.
+
+pub mod basin;
+pub mod beam;
+pub mod delaunay;
+pub mod direct;
+pub mod freezing;
+pub mod sheet;
+pub mod springs;
+pub mod stage;
+pub mod suture;
+pub mod thread;

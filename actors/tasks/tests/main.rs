@@ -1,0 +1,6 @@
+//! Exercises.
+//!
+//! All of these tests run beside each other.
+
+mod controller;
+mod peg_transfer;

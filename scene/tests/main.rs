@@ -1,0 +1,19 @@
+//! What exists, and the contract of those who act on it.
+//!
+//! All of these tests run beside each other.
+
+mod components_round_trip;
+mod core;
+mod decode_properties;
+mod mesh_properties;
+mod mesh_readers;
+mod mesh_repair;
+mod peg_bench;
+mod scenario;
+mod shapes;
+mod store_properties;
+mod support;
+
+#[global_allocator]
+static ALLOCATOR: trocar_test_support::allocations::CountingAllocator =
+    trocar_test_support::allocations::CountingAllocator;

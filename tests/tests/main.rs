@@ -1,0 +1,24 @@
+//! What crosses crates.
+//!
+//! All of these tests run beside each other.
+
+mod collision_gallery;
+mod detectors;
+mod determinism;
+mod engine_restart;
+mod exercise;
+mod golden;
+mod honesty;
+mod inventory;
+mod parsers;
+mod person;
+mod scenarios;
+mod sessions;
+mod soak;
+mod soft_scenes;
+mod touch;
+mod wall;
+
+#[global_allocator]
+static ALLOCATOR: trocar_test_support::allocations::CountingAllocator =
+    trocar_test_support::allocations::CountingAllocator;

@@ -1,0 +1,7 @@
+//! The program from outside.
+//!
+//! All of these tests run beside each other.
+
+mod cli;
+mod pictures;
+mod support;

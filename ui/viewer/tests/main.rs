@@ -1,0 +1,13 @@
+//! Views of a scene.
+//!
+//! All of these tests run beside each other.
+
+mod head_tracked;
+mod looks;
+mod matter;
+mod motion;
+mod overlays;
+mod pictures;
+mod references;
+mod support;
+mod tiles;
