@@ -28,7 +28,11 @@ name = "stomach"
 [[entity]]
 name = "hook"
 [[entity]]
+name = "probe.right"
+instrument = { kind = "probe", shaft_length = 0.15, shaft_radius = 0.006, jaw_length = 0.010, jaws = 0, mass = 0.03 }
+[[entity]]
 name = "hand.right"
+hand = { side = "right", instrument = "probe.right" }
 "#;
 
 fn root() -> PathBuf {
@@ -57,16 +61,17 @@ fn files(folder: &str) -> Vec<String> {
 
 /// Blocks of code of a page: language, text, and line of the first fence.
 fn blocks(page: &str) -> Vec<(&str, String, usize)> {
-    let (mut found, mut open) = (Vec::new(), None::<(&str, String, usize)>);
+    let mut found = Vec::new();
+    let mut open: Option<(&str, String, usize)> = None;
     for (index, line) in page.lines().enumerate() {
-        match (line.strip_prefix("```"), &mut open) {
-            (Some(language), None) => open = Some((language, String::new(), index + 1)),
-            (Some(_), Some(_)) => found.extend(open.take()),
-            (None, Some((_, text, _))) => {
-                text.push_str(line);
-                text.push('\n');
+        if let Some(language) = line.strip_prefix("```") {
+            match open.take() {
+                Some(block) => found.push(block),
+                None => open = Some((language, String::new(), index + 1)),
             }
-            (None, None) => {}
+        } else if let Some((_, text, _)) = &mut open {
+            text.push_str(line);
+            text.push('\n');
         }
     }
     assert!(open.is_none(), "a block of code does not end");
@@ -181,7 +186,7 @@ fn read_toml(snippet: &str) -> Result<(), String> {
     } else if ["[[entity]]", "[[controller]]", "[[hand]]", "[task]"].into_iter().any(starts) {
         format!("{NEIGHBOURS}\n{snippet}")
     } else {
-        format!("{NEIGHBOURS}\n[[entity]]\nname = \"the snippet's\"\n{snippet}")
+        format!("{NEIGHBOURS}\n[[entity]]\nname = \"example\"\n{snippet}")
     };
     let scenario = Scenario::parse(Path::new("snippet.toml"), &text, app.registry());
     let scenario = scenario.map_err(|error| error.to_string())?;
@@ -222,6 +227,11 @@ fn the_figures_of_every_suite_have_one_place() {
     assert_eq!(page.matches("<!-- end -->").count(), SUITES.len());
 }
 
+/// Whether a folder is shown as it is going to be.
+fn moves(path: &str) -> bool {
+    MOVING.iter().any(|room| path.starts_with(room))
+}
+
 #[test]
 fn the_map_of_the_code_names_every_folder_and_none_that_does_not_exist() {
     let page = read("docs/architecture.md");
@@ -230,7 +240,6 @@ fn the_map_of_the_code_names_every_folder_and_none_that_does_not_exist() {
         .filter_map(|line| line.strip_prefix("- `")?.split_once("` – "))
         .map(|(path, _)| path)
         .collect();
-    let moves = |path: &str| MOVING.iter().any(|room| path.starts_with(room));
     let mut wrong: Vec<String> = named
         .iter()
         .filter(|path| !moves(path) && !root().join(path).exists())

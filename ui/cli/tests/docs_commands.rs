@@ -48,7 +48,7 @@ fn check(arguments: &[String]) -> Result<(), String> {
     use clap::error::ErrorKind;
     let known = || arguments.iter().filter(|word| *word != "…").map(String::as_str);
     let whole: Vec<&str> = ["trocar"].into_iter().chain(known()).collect();
-    let Err(error) = command_line().try_get_matches_from(&whole) else { return Ok(()) };
+    let Err(error) = command_line().try_get_matches_from(whole.iter().copied()) else { return Ok(()) };
     let text = error.to_string();
     let mut places = known().filter(|word| word.chars().all(|c| c.is_ascii_uppercase()));
     let is_fine = match error.kind() {
