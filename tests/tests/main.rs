@@ -3,6 +3,7 @@
 //! All of these tests run beside each other.
 
 mod collision_gallery;
+mod docs;
 mod detectors;
 mod determinism;
 mod engine_restart;

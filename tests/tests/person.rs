@@ -404,9 +404,9 @@ fn in_real_time_a_window_writes_from_a_thread_of_its_own() {
 }
 
 #[test]
-fn the_readme_shows_the_default_bindings() {
-    let readme = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../README.md");
-    let readme = std::fs::read_to_string(readme).expect("a readable README");
+fn the_manual_shows_the_default_bindings() {
+    let page = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/playing.md");
+    let page = std::fs::read_to_string(page).expect("a readable page");
     let table = Bindings::default().table();
-    assert!(readme.contains(&table), "the README shows other bindings than these:\n{table}");
+    assert!(page.contains(&table), "docs/playing.md shows other bindings than these:\n{table}");
 }

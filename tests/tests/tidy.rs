@@ -231,31 +231,60 @@ fn every_crate_lies_in_its_room_and_takes_the_lints_of_the_workspace() {
 }
 
 #[test]
-fn the_readmes_sessions_are_the_examples_that_the_tests_build() {
+fn the_sessions_of_the_manual_are_the_examples_that_the_tests_build() {
     let read = |name: &str| std::fs::read_to_string(root().join(name)).expect("a readable file");
-    let readme = read("README.md");
-    for name in ["ui/sdk/examples/slippery.rs", "ui/cli/examples/eye.rs"] {
-        let example = read(name);
+    for (page, name) in
+        [("docs/sessions.md", "ui/sdk/examples/slippery.rs"), ("docs/pictures.md", "ui/cli/examples/eye.rs")]
+    {
+        let (page_text, example) = (read(page), read(name));
         let (_, program) = example.split_once("\n\n").expect("a head and a program");
         assert!(
-            readme.contains(&format!("```rust\n{program}```\n")),
-            "the README shows something else than {name}"
+            page_text.contains(&format!("```rust\n{program}```\n")),
+            "{page} shows something else than {name}"
         );
     }
 }
 
 #[test]
-fn the_readmes_program_is_the_example_that_the_tests_build() {
+fn the_behaviour_of_the_manual_is_the_example_that_the_tests_build() {
     let read = |name: &str| std::fs::read_to_string(root().join(name)).expect("a readable file");
-    let (readme, example) = (read("README.md"), read("ui/cli/examples/haste.rs"));
-    let (_, shown) = readme.split_once("```rust\n").expect("the README shows a program");
+    let (page, example) = (read("docs/behaviours.md"), read("ui/cli/examples/haste.rs"));
+    let (_, shown) = page.split_once("```rust\n").expect("the page shows a program");
     let (shown, _) = shown.split_once("\n```").expect("which ends");
     assert!(
         example.ends_with(&format!("{shown}\n")),
-        "the README shows something else than examples/haste.rs"
+        "docs/behaviours.md shows something else than examples/haste.rs"
     );
     let counts = |line: &&str| !line.trim().is_empty() && !line.trim_start().starts_with("//");
     assert!(shown.lines().filter(counts).count() <= 25, "a new behaviour takes 25 lines at most");
+}
+
+/// The drawing leaves out an arrow that follows from others.
+#[test]
+fn the_drawing_of_the_crates_shows_the_arrows_of_the_house() {
+    let page = std::fs::read_to_string(root().join("docs/architecture.md")).expect("a readable page");
+    let (_, drawing) = page.split_once("```mermaid\n").expect("the page has a drawing");
+    let (drawing, _) = drawing.split_once("```").expect("which ends");
+    let drawn: Vec<(&str, &str)> =
+        drawing.lines().filter_map(|line| line.trim().split_once(" --> ")).collect();
+    let mut wrong: Vec<String> = drawn
+        .iter()
+        .filter(|(from, to)| !ARROWS.iter().any(|(name, known)| name == from && known.contains(to)))
+        .map(|(from, to)| format!("{from} → {to} is drawn, and not allowed"))
+        .collect();
+    for (from, known) in ARROWS {
+        let mut reached = BTreeSet::from([from]);
+        let mut last = 0;
+        while reached.len() > last {
+            last = reached.len();
+            let more: Vec<&str> =
+                drawn.iter().filter(|(from, _)| reached.contains(from)).map(|(_, to)| *to).collect();
+            reached.extend(more);
+        }
+        let missing = known.iter().filter(|to| !reached.contains(*to));
+        wrong.extend(missing.map(|to| format!("{from} → {to} is allowed, and neither drawn nor implied")));
+    }
+    refuse("the drawing in docs/architecture.md", wrong);
 }
 
 #[test]

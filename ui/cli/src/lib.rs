@@ -44,6 +44,11 @@ use failure::Failure;
 use trocar::app::App;
 use trocar::summary::{Exit, SCHEMA};
 
+/// The command line as a whole: every command with its options, for tests of what documents say of it.
+pub fn command_line() -> clap::Command {
+    Cli::command()
+}
+
 /// Gives an application the whole command line: every command of `trocar`, with its own components and
 /// controllers among them.
 pub trait CommandLine {

@@ -3,5 +3,6 @@
 //! All of these tests run beside each other.
 
 mod cli;
+mod docs_commands;
 mod pictures;
 mod support;

@@ -72,6 +72,11 @@
 //! SI units everywhere; angles in radians; time is [`SimTime`](scene::SimTime), in seconds in files. Names say
 //! their frames: `tip_in_world`, `world_from_device`. No score is clinically validated.
 
+/// The programs of the manual that no example shows, compiled and run as tests.
+#[cfg(doctest)]
+#[doc = include_str!("../../../docs/adding.md")]
+mod manual {}
+
 mod actors;
 pub mod app;
 pub mod assembly;

@@ -1,0 +1,261 @@
+//! What README and docs say that can be checked: their length, links and pictures, the snippets, the figures' places, the
+//! map of the code. That names of tests exist, and that the programs shown are the examples, is in `tidy.rs`; command lines
+//! are parsed in `ui/cli/tests/docs_commands.rs`.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use trocar::play::Bindings;
+use trocar_kernel::faults::FaultPlan;
+use trocar_scene::scenario::Scenario;
+use trocar_tests::app;
+
+/// Lines of the README beyond which it tells more than it shows.
+const README_LINES_MAX: usize = 200;
+/// Programs that tests build, and that pages may show.
+const EXAMPLES: [&str; 3] =
+    ["ui/cli/examples/haste.rs", "ui/sdk/examples/slippery.rs", "ui/cli/examples/eye.rs"];
+/// Suites of `trocar bench` whose tables stand in docs/figures.md.
+const SUITES: [&str; 6] = ["kernel", "session", "viewer", "collision", "simulator", "build"];
+/// Crates whose folders the map shows as they are going to be.
+const MOVING: [&str; 2] = ["actors/simulator/", "actors/dynamics/"];
+/// What snippets of scenarios refer to.
+const NEIGHBOURS: &str = r#"
+schema = 1
+name = "snippet"
+[[entity]]
+name = "stomach"
+[[entity]]
+name = "hook"
+[[entity]]
+name = "probe.right"
+instrument = { kind = "probe", shaft_length = 0.15, shaft_radius = 0.006, jaw_length = 0.010, jaws = 0, mass = 0.03 }
+[[entity]]
+name = "hand.right"
+hand = { side = "right", instrument = "probe.right" }
+"#;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the tests lie in the workspace").to_owned()
+}
+
+fn read(name: &str) -> String {
+    std::fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
+/// README and manual: path from the root and text.
+fn pages() -> Vec<(String, String)> {
+    let mut names: Vec<String> = files("docs").into_iter().filter(|name| name.ends_with(".md")).collect();
+    names.push("README.md".to_owned());
+    names.into_iter().map(|name| (name.clone(), read(&name))).collect()
+}
+
+/// Files of a folder, with their paths from the root.
+fn files(folder: &str) -> Vec<String> {
+    let entries = std::fs::read_dir(root().join(folder)).expect("a readable folder");
+    let names = entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned());
+    let mut names: Vec<String> = names.map(|name| format!("{folder}/{name}")).collect();
+    names.sort();
+    names
+}
+
+/// Blocks of code of a page: language, text, and line of the first fence.
+fn blocks(page: &str) -> Vec<(&str, String, usize)> {
+    let mut found = Vec::new();
+    let mut open: Option<(&str, String, usize)> = None;
+    for (index, line) in page.lines().enumerate() {
+        if let Some(language) = line.strip_prefix("```") {
+            match open.take() {
+                Some(block) => found.push(block),
+                None => open = Some((language, String::new(), index + 1)),
+            }
+        } else if let Some((_, text, _)) = &mut open {
+            text.push_str(line);
+            text.push('\n');
+        }
+    }
+    assert!(open.is_none(), "a block of code does not end");
+    found
+}
+
+fn refuse(what: &str, found: Vec<String>) {
+    assert!(found.is_empty(), "{what}:\n  {}", found.join("\n  "));
+}
+
+#[test]
+fn the_readme_is_short() {
+    let lines = read("README.md").lines().count();
+    assert!(lines <= README_LINES_MAX, "the README has {lines} lines, of {README_LINES_MAX} at most");
+}
+
+/// The name that GitHub gives a heading.
+fn anchor(heading: &str) -> String {
+    let kept = heading.trim().to_lowercase();
+    let kept = kept.chars().filter(|c| c.is_alphanumeric() || [' ', '-', '_'].contains(c));
+    kept.map(|c| if c == ' ' { '-' } else { c }).collect()
+}
+
+/// Places that a page links to, pictures included.
+fn links(page: &str) -> Vec<&str> {
+    let mut code = false;
+    let mut found = Vec::new();
+    for line in page.lines() {
+        code ^= line.starts_with("```");
+        if !code {
+            found.extend(line.split("](").skip(1).filter_map(|rest| rest.split(')').next()));
+        }
+    }
+    found
+}
+
+#[test]
+fn every_link_and_every_picture_leads_somewhere() {
+    let mut wrong = Vec::new();
+    for (name, text) in pages() {
+        let folder = root().join(&name).parent().expect("a folder").to_owned();
+        for link in links(&text).into_iter().filter(|link| !link.starts_with("http")) {
+            let (file, place) =
+                link.split_once('#').map_or((link, None), |(file, place)| (file, Some(place)));
+            let target = if file.is_empty() { root().join(&name) } else { folder.join(file) };
+            if !target.exists() {
+                wrong.push(format!("{name}: {link} does not exist"));
+            } else if let Some(place) = place {
+                let text = std::fs::read_to_string(&target).expect("a readable page");
+                let headings = text.lines().filter(|line| line.starts_with('#'));
+                if !headings.map(|line| anchor(line.trim_start_matches('#'))).any(|known| known == place) {
+                    wrong.push(format!("{name}: {link} has no such heading"));
+                }
+            }
+        }
+    }
+    refuse("links of README and docs", wrong);
+}
+
+#[test]
+fn every_page_is_in_the_index_and_every_picture_is_shown() {
+    let index = read("docs/README.md");
+    let shown: BTreeSet<String> = pages()
+        .iter()
+        .flat_map(|(_, text)| links(text).into_iter().map(str::to_owned).collect::<Vec<_>>())
+        .map(|link| link.rsplit('/').next().unwrap_or_default().to_owned())
+        .collect();
+    let mut wrong = Vec::new();
+    for name in files("docs").iter().filter_map(|file| file.strip_prefix("docs/")) {
+        if name.ends_with(".md") {
+            if name != "README.md" && !index.contains(&format!("]({name})")) {
+                wrong.push(format!("docs/README.md does not list {name}"));
+            }
+        } else if !shown.contains(name) {
+            wrong.push(format!("docs/{name} is shown nowhere"));
+        }
+    }
+    refuse("pages and pictures", wrong);
+}
+
+#[test]
+fn every_program_of_the_docs_is_compiled() {
+    let doctests = read("ui/sdk/src/lib.rs");
+    let examples = EXAMPLES.map(|name| (name, read(name)));
+    let mut wrong = Vec::new();
+    for (name, text) in pages() {
+        let is_doctest = doctests.contains(&format!("include_str!(\"../../../{name}\")"));
+        for (language, block, line) in blocks(&text) {
+            match language {
+                "rust" if is_doctest || examples.iter().any(|(_, example)| example.ends_with(&block)) => {}
+                "rust" => wrong.push(format!("{name}:{line}: neither an example nor a doctest")),
+                "" | "sh" | "toml" | "mermaid" => {}
+                other => wrong.push(format!("{name}:{line}: '{other}' is a language that no test checks")),
+            }
+        }
+    }
+    refuse("programs that nothing compiles", wrong);
+}
+
+/// Reads a snippet as what it is: a fault plan, bindings, a scenario, or a part of one.
+fn read_toml(snippet: &str) -> Result<(), String> {
+    if snippet.contains("[[fault]]") {
+        return FaultPlan::parse(snippet, "snippet").map(drop).map_err(|error| error.to_string());
+    }
+    if snippet.contains("[controls]") {
+        return Bindings::parse(snippet).map(drop).map_err(|error| error.to_string());
+    }
+    let app = app();
+    let starts = |table: &str| snippet.starts_with(table);
+    let text = if starts("schema =") {
+        snippet.to_owned()
+    } else if ["[[entity]]", "[[controller]]", "[[hand]]", "[task]"].into_iter().any(starts) {
+        format!("{NEIGHBOURS}\n{snippet}")
+    } else {
+        format!("{NEIGHBOURS}\n[[entity]]\nname = \"example\"\n{snippet}")
+    };
+    let scenario = Scenario::parse(Path::new("snippet.toml"), &text, app.registry());
+    let scenario = scenario.map_err(|error| error.to_string())?;
+    scenario.spawn(app.registry()).map_err(|error| error.to_string())?;
+    match scenario.controllers.iter().find(|entry| app.kind_of(&entry.kind).is_none()) {
+        Some(unknown) => Err(format!("no controller is of the kind '{}'", unknown.kind)),
+        None => Ok(()),
+    }
+}
+
+#[test]
+fn every_toml_of_the_docs_is_read() {
+    let mut wrong = Vec::new();
+    let mut snippets = 0;
+    for (name, text) in pages() {
+        for (_, block, line) in blocks(&text).into_iter().filter(|(language, ..)| *language == "toml") {
+            snippets += 1;
+            wrong.extend(read_toml(&block).err().map(|error| format!("{name}:{line}: {error}")));
+        }
+    }
+    refuse("snippets of TOML", wrong);
+    assert!(snippets >= 12, "{snippets} snippets were found");
+    assert!(read_toml("linear_fem = { yuong_modulus = 6000.0 }").is_err(), "a wrong key is refused");
+    assert!(read_toml("[[controller]]\nname = \"x\"\nkind = \"rapeir\"\nrate_hz = 10").is_err());
+}
+
+#[test]
+fn the_figures_of_every_suite_have_one_place() {
+    let page = read("docs/figures.md");
+    for suite in SUITES {
+        let mark = format!("<!-- figures: bench {suite} -->\n");
+        assert_eq!(page.matches(&mark).count(), 1, "{suite}");
+        let (_, rest) = page.split_once(&mark).expect("it is there");
+        let (table, _) = rest.split_once("<!-- end -->").expect("a table ends");
+        assert!(table.lines().count() > 2 && table.lines().all(|line| line.starts_with('|')), "{suite}");
+    }
+    assert_eq!(page.matches("<!-- figures:").count(), SUITES.len());
+    assert_eq!(page.matches("<!-- end -->").count(), SUITES.len());
+}
+
+/// Whether a folder is shown as it is going to be.
+fn moves(path: &str) -> bool {
+    MOVING.iter().any(|room| path.starts_with(room))
+}
+
+#[test]
+fn the_map_of_the_code_names_every_folder_and_none_that_does_not_exist() {
+    let page = read("docs/architecture.md");
+    let named: BTreeSet<&str> = page
+        .lines()
+        .filter_map(|line| line.strip_prefix("- `")?.split_once("` – "))
+        .map(|(path, _)| path)
+        .collect();
+    let mut wrong: Vec<String> = named
+        .iter()
+        .filter(|path| !moves(path) && !root().join(path).exists())
+        .map(|path| format!("{path} does not exist"))
+        .collect();
+    let mut waiting: Vec<PathBuf> = ["scene", "devices"].map(|room| root().join(room).join("src")).into();
+    for floor in ["actors", "ui"] {
+        waiting.extend(files(floor).into_iter().map(|room| root().join(room).join("src")));
+    }
+    while let Some(folder) = waiting.pop() {
+        let path = format!("{}/", folder.strip_prefix(root()).expect("below the root").display());
+        if !moves(&path) && !named.contains(path.as_str()) {
+            wrong.push(format!("{path} is not on the map"));
+        }
+        let entries = std::fs::read_dir(&folder).unwrap_or_else(|error| panic!("{path}: {error}"));
+        waiting.extend(entries.map(|entry| entry.expect("an entry").path()).filter(|path| path.is_dir()));
+    }
+    refuse("the map in docs/architecture.md", wrong);
+}
