@@ -15,7 +15,7 @@ use super::mesh_source::{self, LoadedMesh};
 use super::tissue_defaults::{completed, doubt};
 use super::{
     CONTROLLERS_MAX, ControllerEntry, ENTITIES_MAX, FILE_BYTES_MAX, HANDS_MAX, HandEntry, RATE_HZ,
-    SCHEMA_VERSION, Scenario, sourced,
+    SCHEMA_VERSION, Scenario, provenance,
 };
 use crate::commands::Commands;
 use crate::component::Component;
@@ -298,7 +298,7 @@ fn put_entity(
             Some(tissue) => completed(tissue, (registry.entry(id).schema)().as_ref(), value, &mut text),
             None => value.clone(),
         };
-        let of_source = sourced::doubt(&sources, component_name, &completed)
+        let of_source = provenance::doubt(&sources, component_name, &completed)
             .map_err(|reason| table.error(sources_span(), Sources::NAME, reason))?;
         let of_tissue = tissue.and_then(|tissue| doubt(tissue, component_name, &completed));
         if let Some(reason) = of_tissue.or(of_source) {
