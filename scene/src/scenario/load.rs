@@ -19,7 +19,7 @@ use super::{
 };
 use crate::commands::Commands;
 use crate::component::Component;
-use crate::components::{Doubtful, Hand, Name, Parent, Sources, Tissue};
+use crate::components::{Hand, Name, OutOfValidity, Parent, Sources, Tissue};
 use crate::confined_path;
 use crate::entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
 use crate::registry::Registry;
@@ -302,7 +302,7 @@ fn put_entity(
             .map_err(|reason| table.error(sources_span(), Sources::NAME, reason))?;
         let of_tissue = tissue.and_then(|tissue| doubt(tissue, component_name, &completed));
         if let Some(reason) = of_tissue.or(of_source) {
-            commands.put(entity, Doubtful { reason, since: SimTime::ZERO });
+            commands.put(entity, OutOfValidity { reason, since: SimTime::ZERO });
         }
         registry.put_document(id, commands, entity, ValueDeserializer::from(completed)).map_err(
             |(span, error)| table.error(span.unwrap_or(value.span()), component_name, super::reason(&error)),
