@@ -6,9 +6,9 @@ mod forces;
 mod hostile;
 mod links;
 mod live;
+mod live_faults;
 mod lockstep;
 mod process;
-mod strikes;
 mod zombie;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -82,7 +82,7 @@ fn measure(args: &VerifyArgs) -> Rows {
     if both || args.live {
         live::plan(&mut plan);
         forces::live(&mut plan);
-        strikes::live(&mut plan);
+        live_faults::live(&mut plan);
         links::live(&mut plan);
         flood::live(&mut plan);
         disks::live(folder.path(), &mut plan);
