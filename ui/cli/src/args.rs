@@ -72,7 +72,7 @@ pub enum Command {
 #[command(next_help_heading = "Session")]
 pub struct SessionArgs {
     /// Name of a scenario (see `trocar list`), or a TOML file
-    #[arg(value_hint = ValueHint::FilePath)]
+    #[arg(value_hint = ValueHint::FilePath, help_heading = None::<&str>)]
     pub scenario: String,
     /// Seed of everything random
     #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
@@ -188,13 +188,13 @@ pub struct ReplayArgs {
     #[command(flatten)]
     pub pictures: PictureArgs,
     /// Another recording, shown beside this one
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = None::<&str>)]
     pub beside: Option<PathBuf>,
     /// Windows.
     #[command(flatten)]
     pub window: WindowArgs,
     /// The folder of the scenario, where it has textures in files
-    #[arg(long, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
+    #[arg(long, value_name = "FOLDER", value_hint = ValueHint::DirPath, help_heading = None::<&str>)]
     pub folder: Option<PathBuf>,
     /// Print exactly one JSON object on stdout
     #[arg(long, help_heading = "Output")]
@@ -208,10 +208,16 @@ pub struct GraphArgs {
     #[command(flatten)]
     pub session: SessionArgs,
     /// In which language
-    #[arg(long, value_enum, default_value_t = GraphFormat::Mermaid)]
+    #[arg(long, value_enum, default_value_t = GraphFormat::Mermaid, help_heading = None::<&str>)]
     pub format: GraphFormat,
     /// Run live for this many seconds first, and write the achieved rates into the graph
-    #[arg(long, allow_negative_numbers = true, value_name = "SECONDS", value_parser = positive)]
+    #[arg(
+        long,
+        allow_negative_numbers = true,
+        value_name = "SECONDS",
+        value_parser = positive,
+        help_heading = None::<&str>,
+    )]
     pub after: Option<f64>,
 }
 
