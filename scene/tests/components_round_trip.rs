@@ -115,7 +115,7 @@ fn graph_and_meshes(formats: &mut Formats) {
     ];
     formats.check(Anchors { regions }, true);
     formats.check(Frozen { reason: "a step of 0.002 s".into(), since: SimTime::from_millis(12) }, true);
-    formats.check(Doubtful { reason: "strained by 12 %".into(), since: SimTime::from_millis(31) }, true);
+    formats.check(OutOfValidity { reason: "strained by 12 %".into(), since: SimTime::from_millis(31) }, true);
     formats.check(HeatFrozen { reason: "a step of 2 s".into(), since: SimTime::from_millis(44) }, true);
     formats.check(MeshRepaired { what: "1 inverted elements turned (4)".into() }, true);
     formats.check(TextureCoordinates { uv: Arc::new(vec![Vector2::new(0.25, 1.0)]) }, true);

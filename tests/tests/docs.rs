@@ -1,6 +1,6 @@
-//! What README and docs say that can be checked: their length, links and pictures, the snippets, the figures' places, the
-//! map of the code. That names of tests exist, and that the programs shown are the examples, is in `tidy.rs`; command lines
-//! are parsed in `ui/cli/tests/docs_commands.rs`.
+//! What README and docs say that can be checked: the index, the snippets, the figures' places, the map of the code. Links,
+//! names of tests, and that the programs shown are the examples, are checked in `tidy/`; command lines are parsed in
+//! `ui/cli/tests/docs_commands.rs`.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -10,8 +10,6 @@ use trocar_kernel::faults::FaultPlan;
 use trocar_scene::scenario::Scenario;
 use trocar_tests::app;
 
-/// Lines of the README beyond which it tells more than it shows.
-const README_LINES_MAX: usize = 200;
 /// Programs that tests build, and that pages may show.
 const EXAMPLES: [&str; 3] =
     ["ui/cli/examples/haste.rs", "ui/sdk/examples/slippery.rs", "ui/cli/examples/eye.rs"];
@@ -83,73 +81,12 @@ fn refuse(what: &str, found: Vec<String>) {
 }
 
 #[test]
-fn the_readme_is_short() {
-    let lines = read("README.md").lines().count();
-    assert!(lines <= README_LINES_MAX, "the README has {lines} lines, of {README_LINES_MAX} at most");
-}
-
-/// The name that GitHub gives a heading.
-fn anchor(heading: &str) -> String {
-    let kept = heading.trim().to_lowercase();
-    let kept = kept.chars().filter(|c| c.is_alphanumeric() || [' ', '-', '_'].contains(c));
-    kept.map(|c| if c == ' ' { '-' } else { c }).collect()
-}
-
-/// Places that a page links to, pictures included.
-fn links(page: &str) -> Vec<&str> {
-    let mut code = false;
-    let mut found = Vec::new();
-    for line in page.lines() {
-        code ^= line.starts_with("```");
-        if !code {
-            found.extend(line.split("](").skip(1).filter_map(|rest| rest.split(')').next()));
-        }
-    }
-    found
-}
-
-#[test]
-fn every_link_and_every_picture_leads_somewhere() {
-    let mut wrong = Vec::new();
-    for (name, text) in pages() {
-        let folder = root().join(&name).parent().expect("a folder").to_owned();
-        for link in links(&text).into_iter().filter(|link| !link.starts_with("http")) {
-            let (file, place) =
-                link.split_once('#').map_or((link, None), |(file, place)| (file, Some(place)));
-            let target = if file.is_empty() { root().join(&name) } else { folder.join(file) };
-            if !target.exists() {
-                wrong.push(format!("{name}: {link} does not exist"));
-            } else if let Some(place) = place {
-                let text = std::fs::read_to_string(&target).expect("a readable page");
-                let headings = text.lines().filter(|line| line.starts_with('#'));
-                if !headings.map(|line| anchor(line.trim_start_matches('#'))).any(|known| known == place) {
-                    wrong.push(format!("{name}: {link} has no such heading"));
-                }
-            }
-        }
-    }
-    refuse("links of README and docs", wrong);
-}
-
-#[test]
-fn every_page_is_in_the_index_and_every_picture_is_shown() {
+fn every_page_is_in_the_index() {
     let index = read("docs/README.md");
-    let shown: BTreeSet<String> = pages()
-        .iter()
-        .flat_map(|(_, text)| links(text).into_iter().map(str::to_owned).collect::<Vec<_>>())
-        .map(|link| link.rsplit('/').next().unwrap_or_default().to_owned())
-        .collect();
-    let mut wrong = Vec::new();
-    for name in files("docs").iter().filter_map(|file| file.strip_prefix("docs/")) {
-        if name.ends_with(".md") {
-            if name != "README.md" && !index.contains(&format!("]({name})")) {
-                wrong.push(format!("docs/README.md does not list {name}"));
-            }
-        } else if !shown.contains(name) {
-            wrong.push(format!("docs/{name} is shown nowhere"));
-        }
-    }
-    refuse("pages and pictures", wrong);
+    let pages = files("docs").into_iter().filter_map(|file| Some(file.strip_prefix("docs/")?.to_owned()));
+    let pages = pages.filter(|name| name.ends_with(".md") && name != "README.md");
+    let missing = pages.filter(|name| !index.contains(&format!("]({name})")));
+    refuse("pages that docs/README.md does not list", missing.collect());
 }
 
 #[test]

@@ -6,7 +6,7 @@ use serde_json::Value;
 use trocar::app::SCENARIOS;
 use trocar_scene::scenario::{self, Scenario};
 use trocar_scene::tissue::tissue;
-use trocar_scene::{Doubtful, Hand, Instrument, Snapshot, Sources, Tissue};
+use trocar_scene::{Hand, Instrument, OutOfValidity, Snapshot, Sources, Tissue};
 use trocar_tests::app;
 
 fn shipped() -> Vec<PathBuf> {
@@ -132,7 +132,8 @@ fn what_soft_bodies_of_shipped_scenarios_are_made_of_has_a_source_and_is_within_
         let scene = scenario.spawn(registry).unwrap_or_else(|error| panic!("{error}")).snapshot();
         let bare = without_source(&scene);
         assert!(bare.is_empty(), "{}: {bare:#?}", file.display());
-        let doubtful: Vec<String> = scene.iter::<Doubtful>().map(|(_, doubt)| doubt.reason.clone()).collect();
+        let doubtful: Vec<String> =
+            scene.iter::<OutOfValidity>().map(|(_, doubt)| doubt.reason.clone()).collect();
         assert!(doubtful.is_empty(), "{}: {doubtful:#?}", file.display());
         bodies += scene
             .entities()
@@ -152,7 +153,7 @@ fn what_soft_bodies_of_shipped_scenarios_are_made_of_has_a_source_and_is_within_
     let bare = without_source(&spawned(&text.replace(line, "")));
     assert!(bare.len() == 1 && bare[0].contains("cushion") && bare[0].contains("poisson_ratio"), "{bare:?}");
     let far = spawned(&text.replace("density = 1100.0", "density = 2000.0"));
-    let doubt = far.iter::<Doubtful>().next().expect("no such silicone").1.reason.clone();
+    let doubt = far.iter::<OutOfValidity>().next().expect("no such silicone").1.reason.clone();
     assert!(doubt.contains("density of 2000") && doubt.contains("970 to 1250"), "{doubt}");
     // A source of nothing is refused by name.
     for (from, to, says) in [

@@ -18,13 +18,12 @@
 #![forbid(unsafe_code)]
 
 pub mod aabb_tree;
-mod box_grid;
 mod candidates;
 pub mod continuous;
 pub mod controller;
 pub mod dynamic_point;
 pub mod finger_proxy;
-mod identity;
+mod generation;
 mod line;
 pub mod moving_surface;
 pub mod obb_tree;
@@ -35,6 +34,7 @@ mod pseudonormal;
 pub mod spherical_hash;
 mod surface;
 pub mod topology;
+mod uniform_grid;
 pub mod z_buffer;
 
 pub use line::{Line, LineError};

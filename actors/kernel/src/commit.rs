@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use trocar_scene::{Provenance, Revision};
 
-use crate::chain::{CommitKind, StateHash};
+use crate::state_hash::{CommitKind, StateHash};
 
 /// One applied batch or fence.
 #[derive(Clone, Copy, Debug)]

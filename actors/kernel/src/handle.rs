@@ -12,10 +12,10 @@ use rtrb::{Consumer, Producer};
 use trocar_scene::{Batch, Commands, EntityAllocator, Provenance, Registry, Revision, SimTime, WriterId};
 
 use crate::faults::LinkCounts;
-use crate::flow::{FlowLimit, TokenBucket, count};
 use crate::model_core::Outcome;
 use crate::runtime::Clock;
 use crate::signal::Signal;
+use crate::token_bucket::{FlowLimit, TokenBucket, count};
 
 /// Buffers that a handle has from the beginning: enough for a Model that is late now and then, so that
 /// nothing is allocated for it once they have all been used.

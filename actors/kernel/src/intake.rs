@@ -11,9 +11,9 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use trocar_scene::{Batch, EntityAllocator, Registry, SimTime, WriterId};
 
 use crate::faults::{FaultOrder, LinkCounts, LinkFaults, Parcel};
-use crate::flow::FlowLimit;
 use crate::handle::{Bell, Doorbell, Ends, LaneStatus, Receipt, Sealed, WriterHandle};
 use crate::runtime::Clock;
+use crate::token_bucket::FlowLimit;
 
 /// The Model's end of one writer's rings.
 struct Lane {

@@ -1,10 +1,9 @@
 //! The Model actor, runtimes and rates, supervision, faults, recording, clock and lock-step.
 
+mod admission;
 pub mod bench;
-pub mod chain;
 pub mod commit;
 pub mod faults;
-pub mod flow;
 pub mod handle;
 mod heartbeat;
 pub mod intake;
@@ -18,23 +17,24 @@ pub mod operator;
 mod operator_tests;
 pub mod publish;
 pub mod recorder;
-pub mod retire;
 pub mod runtime;
 mod signal;
+pub mod snapshot_reclaimer;
 pub mod spec;
+pub mod state_hash;
 pub mod supervision;
 mod sync;
 #[cfg(test)]
 mod testing;
-mod verdict;
+pub mod token_bucket;
 
 /// actix, in the version that [`live::LiveSession::actor`] takes.
 pub use actix;
-pub use chain::{CommitKind, StateHash};
 pub use commit::{Commit, CommitBuffer};
-pub use flow::FlowLimit;
 pub use handle::{Doorbell, LaneStatus, Submitted, WriterHandle};
 pub use intake::{Arrival, Intake, LaneIndex, Lanes};
 pub use lockstep::{BranchError, LockstepSession, Moment, SessionError};
 pub use model_core::{DeclareError, ModelCore, Outcome, Rejection, WriterCounts};
 pub use operator::{OPERATOR, OPERATOR_NAME, OperatorError};
+pub use state_hash::{CommitKind, StateHash};
+pub use token_bucket::FlowLimit;

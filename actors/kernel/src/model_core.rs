@@ -11,12 +11,12 @@ use trocar_scene::{
     Registry, Revision, SimTime, Snapshot, Store, WriterId, WriterRules,
 };
 
-use crate::chain::{Chain, CommitKind, StateHash};
+use crate::admission::TRANSFERS_MAX;
+pub use crate::admission::{DeclareError, Outcome, Rejection, WriterCounts};
 use crate::commit::CommitBuffer;
 use crate::operator::{OPERATOR, OPERATOR_EPOCH, OPERATOR_NAME, OPERATOR_WRITES_MAX};
 use crate::publish::{PublishClock, PublishRule};
-use crate::verdict::TRANSFERS_MAX;
-pub use crate::verdict::{DeclareError, Outcome, Rejection, WriterCounts};
+use crate::state_hash::{Chain, CommitKind, StateHash};
 
 struct Writer {
     name: Arc<str>,

@@ -5,10 +5,10 @@ use trocar_scene::{
     SimTime, Store, WriterId,
 };
 
-use crate::chain::CommitKind;
 use crate::commit::CommitBuffer;
 use crate::model_core::{DeclareError, ModelCore, Outcome, Rejection};
 use crate::runtime::panics::guarded;
+use crate::state_hash::CommitKind;
 use crate::testing::{Bomb, Count, Level, Pairs, Shadow, registry};
 
 const RING: Entity = Entity::new(0, 0, 1);

@@ -8,12 +8,12 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{BuildContext, Controller, ControllerError, Registry, SimTime, Snapshot, Store};
 
-use crate::chain::StateHash;
 use crate::commit::CommitBuffer;
 use crate::faults::{FaultPlan, FaultRow};
-use crate::flow::FlowLimit;
 use crate::runtime::{ControllerReport, Permission};
+use crate::state_hash::StateHash;
 use crate::supervision::{ChildSpec, GroupSpec, Incident, RuntimeClass};
+use crate::token_bucket::FlowLimit;
 
 /// Builds a controller from the scene as it is now; called again for every restart.
 pub type Factory = Arc<dyn Fn(&BuildContext) -> Result<Box<dyn Controller>, ControllerError> + Send + Sync>;

@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use crate::support::stage::{Stage, scene};
 use nalgebra::Vector3;
 use trocar_scene::{
-    Activation, BuildContext, Burn, CollisionList, Controller, ControllerError, Doubtful, Frozen,
-    InstrumentForce, InstrumentTarget, JawState, LocalContactModel, Pose, RestPositions, SurfaceMesh,
+    Activation, BuildContext, Burn, CollisionList, Controller, ControllerError, Frozen, InstrumentForce,
+    InstrumentTarget, JawState, LocalContactModel, OutOfValidity, Pose, RestPositions, SurfaceMesh,
     Temperature, VertexPositions,
 };
 use trocar_simulator::controller::grips::Grips;
@@ -351,7 +351,7 @@ fn a_tissue_fills_in_what_its_components_leave_open_and_doubts_what_it_is_known_
         panic!("it is a volume")
     };
     assert_eq!([young_modulus, poisson_ratio, density], [4740.0, 0.45, 1079.0]);
-    assert!(snapshot.get::<Doubtful>(organ).is_none());
+    assert!(snapshot.get::<OutOfValidity>(organ).is_none());
     let kidney = scene(&body("cauterised = { charring = 250.0 }").replace("liver", "kidney"));
     let organ = kidney.view().find("organ").expect("it");
     let burns = *kidney.view().get::<CauterisedBody>(organ).expect("one");
@@ -361,7 +361,7 @@ fn a_tissue_fills_in_what_its_components_leave_open_and_doubts_what_it_is_known_
     let table = snapshot.get::<CauterisedBody>(organ_of_liver).expect("one");
     assert_eq!((*table, burns.damage_energy), (CauterisedBody::default(), table.damage_energy));
     let (snapshot, organ) = has("linear_fem = { young_modulus = 1e5 }");
-    let doubt = &snapshot.get::<Doubtful>(organ).expect("no such liver").reason;
+    let doubt = &snapshot.get::<OutOfValidity>(organ).expect("no such liver").reason;
     assert!(doubt.contains("young_modulus of 100000 Pa") && doubt.contains("2700 to 7800 Pa"), "{doubt}");
 }
 

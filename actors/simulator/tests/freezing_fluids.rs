@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::support::freezing::{Build, GRAVITY, positions, two};
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
-use trocar_scene::{Activation, BuildContext, ControllerError, Doubtful, Frozen, VertexPositions};
+use trocar_scene::{Activation, BuildContext, ControllerError, Frozen, OutOfValidity, VertexPositions};
 use trocar_simulator::controller::smoke::Plume;
 use trocar_simulator::controller::{
     BleedingController, FluidController, LiquidState, SmokeController, VesselState, VitalSignsController,
@@ -115,7 +115,7 @@ fn a_wall_that_leaves_the_world_is_taken_where_it_was_and_the_liquid_goes_on() {
                 [[entity]]\nname = \"floor\"\nmesh = { sheet = { size = [0.02, 0.02], cells = [2, 2] } }\nliquid_wall = {}\n";
     let mut stage = Stage::new(scene(text), 100.0, fluid as Build<_>);
     stage.tick();
-    assert_eq!((stage.measured("blood.held_walls"), stage.has::<Doubtful>("blood")), (0.0, false));
+    assert_eq!((stage.measured("blood.held_walls"), stage.has::<OutOfValidity>("blood")), (0.0, false));
     let sound = positions(&stage, "floor");
     let mut vertices = sound.clone();
     vertices[1].z = 1e300;
@@ -123,7 +123,7 @@ fn a_wall_that_leaves_the_world_is_taken_where_it_was_and_the_liquid_goes_on() {
     for _ in 0..2 {
         stage.tick();
         assert_eq!((stage.measured("blood.held_walls"), stage.measured("blood.frozen")), (1.0, 0.0));
-        assert!(stage.get::<Doubtful>("blood").reason.contains("'floor'"));
+        assert!(stage.get::<OutOfValidity>("blood").reason.contains("'floor'"));
         stage.rebuild(fluid);
     }
     stage.put("floor", VertexPositions { positions: Arc::new(sound) });

@@ -3,7 +3,7 @@
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
 use trocar_scene::{
-    BuildContext, CollisionList, ControllerError, Doubtful, Frozen, JawState, Pose, VertexPositions,
+    BuildContext, CollisionList, ControllerError, Frozen, JawState, OutOfValidity, Pose, VertexPositions,
 };
 use trocar_simulator::controller::{Coagulated, CoagulatedElements, LinearFemController, RemovedElements};
 
@@ -278,11 +278,11 @@ fn what_goes_beyond_small_displacements_is_told_once_and_goes_on() {
         }
         stage
     };
-    assert!(!pressed(0.0003).has::<Doubtful>("pad"));
+    assert!(!pressed(0.0003).has::<OutOfValidity>("pad"));
     let mut stage = pressed(0.004);
-    let doubtful = stage.get::<Doubtful>("pad");
+    let doubtful = stage.get::<OutOfValidity>("pad");
     assert!(doubtful.reason.contains("beyond 10° or 10 %"), "{}", doubtful.reason);
     assert!(doubtful.since.as_secs_f64() > 0.1 && force_on_body(&stage).norm() > 0.0);
     at(&mut stage, -0.004);
-    assert_eq!(stage.get::<Doubtful>("pad"), doubtful, "it is told once");
+    assert_eq!(stage.get::<OutOfValidity>("pad"), doubtful, "it is told once");
 }

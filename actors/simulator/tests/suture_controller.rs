@@ -4,7 +4,7 @@
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use trocar_scene::{
-    BuildContext, CollisionList, Component, ControllerError, Doubtful, Frozen, JawState, Pose,
+    BuildContext, CollisionList, Component, ControllerError, Frozen, JawState, OutOfValidity, Pose,
     VertexPositions,
 };
 use trocar_simulator::controller::{SewnTissue, SutureController, SutureNeedle};
@@ -238,11 +238,11 @@ fn open_jaws_and_a_skin_that_does_not_give_let_nothing_in() {
     assert_eq!((hard.measured("needle.entries"), hard.measured("needle.held_by")), (0.0, 1.0));
     assert!(felt(&hard, "driver") > 0.3, "{} N", felt(&hard, "driver"));
     // Pressed in so far, an element turns or is strained by more than linear elasticity bears: that is told, once.
-    assert!(!open.has::<Doubtful>("pad") && open.measured("needle.tissue_strain_max") < 1e-3);
-    let doubt = hard.get::<Doubtful>("pad");
+    assert!(!open.has::<OutOfValidity>("pad") && open.measured("needle.tissue_strain_max") < 1e-3);
+    let doubt = hard.get::<OutOfValidity>("pad");
     assert!(doubt.reason.contains("linear elasticity misleads"), "{}", doubt.reason);
     drive(&mut hard, "driver", &hold, 100.0 * TURN, 40);
-    assert_eq!(hard.get::<Doubtful>("pad").since, doubt.since);
+    assert_eq!(hard.get::<OutOfValidity>("pad").since, doubt.since);
 }
 
 #[test]

@@ -56,13 +56,13 @@ super::component!(Frozen, "frozen");
 /// A body whose simulator goes on, but beyond what its method is right for.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Doubtful {
+pub struct OutOfValidity {
     /// What of it is not to be believed, and what to do about that.
     pub reason: String,
     /// Since when.
     pub since: SimTime,
 }
-super::component!(Doubtful, "doubtful");
+super::component!(OutOfValidity, "doubtful");
 
 /// A body whose heat stands still since its solver had to stop it, while whoever moves the body goes on.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

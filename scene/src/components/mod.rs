@@ -16,7 +16,7 @@ pub mod visual;
 
 pub use contact::{Collision, CollisionList, Detection, Primitive};
 pub use deformation::{
-    Anchors, Doubtful, Frozen, HeatFrozen, MeshRepaired, Region, RestPositions, VertexVelocities,
+    Anchors, Frozen, HeatFrozen, MeshRepaired, OutOfValidity, Region, RestPositions, VertexVelocities,
 };
 pub use device::{DeviceForce, DeviceInfo, DeviceState, Hand, HandTarget, HapticStatus, Side};
 pub use field::{ScalarField, ScalarFields};
@@ -73,7 +73,7 @@ pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<RestPositions>()?;
     builder.register::<Anchors>()?;
     builder.register::<Frozen>()?;
-    builder.register::<Doubtful>()?;
+    builder.register::<OutOfValidity>()?;
     builder.register::<HeatFrozen>()?;
     builder.register::<MeshRepaired>()?;
     builder.register::<TextureCoordinates>()?;

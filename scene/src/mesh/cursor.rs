@@ -5,7 +5,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::error::{MeshError, Place};
-use super::read::Limits;
+use super::limits::Limits;
 
 /// Longest token or line that is quoted in a message \[characters\].
 const QUOTED: usize = 40;

@@ -18,7 +18,7 @@ use super::cursor::{Cursor, Where};
 use super::data::SurfaceData;
 use super::error::{MeshError, Place};
 use super::gltf_buffer::Buffers;
-use super::read::Limits;
+use super::limits::Limits;
 
 /// Deepest tree of nodes.
 const DEPTH_MAX: usize = 64;

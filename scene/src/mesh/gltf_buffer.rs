@@ -8,7 +8,7 @@ use json::validation::Checked;
 
 use super::cursor::{Cursor, Where};
 use super::error::{MeshError, Place};
-use super::read::read_bytes;
+use super::limits::read_bytes;
 use crate::confined_path;
 
 const WHOLE: Where = Where::Place(Place::Whole);

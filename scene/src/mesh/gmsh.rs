@@ -13,7 +13,7 @@ use nalgebra::Point3;
 use super::cursor::{Cursor, Order, Where, quoted};
 use super::data::{LineData, TetData};
 use super::error::{MeshError, Place};
-use super::read::Limits;
+use super::limits::Limits;
 use super::{gmsh_v2, gmsh_v4};
 
 const SUPPORTED_VERSIONS: &str = "2.2 and 4.1";

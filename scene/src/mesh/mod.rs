@@ -19,6 +19,7 @@ mod gltf_buffer;
 mod gmsh;
 mod gmsh_v2;
 mod gmsh_v4;
+mod limits;
 mod obj;
 mod read;
 mod stl;
@@ -33,10 +34,9 @@ pub use data::{LineData, SplitSurface, SurfaceData, TetData};
 pub use error::{MeshError, Place};
 pub use gltf::read_gltf;
 pub use gmsh::{read_gmsh, read_gmsh_line};
+pub use limits::Limits;
 pub use obj::{read_obj, read_obj_line};
-pub use read::{
-    LINE_EXTENSIONS, Limits, SURFACE_EXTENSIONS, TET_EXTENSIONS, read_line, read_surface, read_tets,
-};
+pub use read::{LINE_EXTENSIONS, SURFACE_EXTENSIONS, TET_EXTENSIONS, read_line, read_surface, read_tets};
 pub use stl::read_stl;
 pub use tet_defects::{BadTets, Defect, MeshRules, mean_ratio, tet_defects, tet_shape};
 pub use tet_repair::{RepairedTets, Repairs, repaired_tets};

@@ -12,7 +12,7 @@ use nalgebra::{Point3, Vector3};
 use super::cursor::{Cursor, Where, quoted};
 use super::data::{LineData, SurfaceData};
 use super::error::{MeshError, Place};
-use super::read::Limits;
+use super::limits::Limits;
 
 /// Largest number of corners of one polygon.
 const CORNERS_MAX: usize = 4096;

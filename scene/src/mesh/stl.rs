@@ -11,7 +11,7 @@ use nalgebra::Point3;
 use super::cursor::{Cursor, Order, Where, quoted};
 use super::data::SurfaceData;
 use super::error::{MeshError, Place};
-use super::read::Limits;
+use super::limits::Limits;
 
 const HEADER: usize = 80;
 const FACET: usize = 50;

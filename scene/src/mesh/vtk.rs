@@ -11,7 +11,7 @@ use nalgebra::Point3;
 use super::cursor::{Cursor, Order, Where, quoted};
 use super::data::{LineData, TetData};
 use super::error::{MeshError, Place};
-use super::read::Limits;
+use super::limits::Limits;
 
 const TETRA: i64 = 10;
 /// Types of dimension 0 to 2: vertex, poly-vertex, line, poly-line, triangle, strip, polygon, pixel, quad, and the

@@ -15,11 +15,11 @@ use super::mesh_source::{self, LoadedMesh};
 use super::tissue_defaults::{completed, doubt};
 use super::{
     CONTROLLERS_MAX, ControllerEntry, ENTITIES_MAX, FILE_BYTES_MAX, HANDS_MAX, HandEntry, RATE_HZ,
-    SCHEMA_VERSION, Scenario, sourced,
+    SCHEMA_VERSION, Scenario, provenance,
 };
 use crate::commands::Commands;
 use crate::component::Component;
-use crate::components::{Doubtful, Hand, Name, Parent, Sources, Tissue};
+use crate::components::{Hand, Name, OutOfValidity, Parent, Sources, Tissue};
 use crate::confined_path;
 use crate::entity::{Entity, EntityAllocator, SCENARIO_SPAWNER, with_entity_names};
 use crate::registry::Registry;
@@ -298,11 +298,11 @@ fn put_entity(
             Some(tissue) => completed(tissue, (registry.entry(id).schema)().as_ref(), value, &mut text),
             None => value.clone(),
         };
-        let of_source = sourced::doubt(&sources, component_name, &completed)
+        let of_source = provenance::doubt(&sources, component_name, &completed)
             .map_err(|reason| table.error(sources_span(), Sources::NAME, reason))?;
         let of_tissue = tissue.and_then(|tissue| doubt(tissue, component_name, &completed));
         if let Some(reason) = of_tissue.or(of_source) {
-            commands.put(entity, Doubtful { reason, since: SimTime::ZERO });
+            commands.put(entity, OutOfValidity { reason, since: SimTime::ZERO });
         }
         registry.put_document(id, commands, entity, ValueDeserializer::from(completed)).map_err(
             |(span, error)| table.error(span.unwrap_or(value.span()), component_name, super::reason(&error)),

@@ -1,5 +1,5 @@
 //! `mesh = { file = … }` or `mesh = { shape = … }` at an entity: a mesh file, or the surface of a shape, as components;
-//! what is made otherwise is in [`made_mesh`].
+//! what is made otherwise is in [`procedural_mesh`].
 
 use std::path::Path;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use toml::de::DeValue;
 
 use super::document::Table;
 use super::error::ScenarioError;
-use super::made_mesh;
+use super::procedural_mesh;
 use crate::commands::Commands;
 use crate::components::{
     LineMesh, MeshRepaired, Shape, SurfaceMesh, TetMesh, TextureCoordinates, VertexPositions,
@@ -96,12 +96,12 @@ pub(super) fn load(
     if table.get("shape").is_some() {
         return shaped(table, value);
     }
-    if let Some(key) = made_mesh::MADE.into_iter().find(|key| table.get(key).is_some()) {
-        return made_mesh::load(table, key, value);
+    if let Some(key) = procedural_mesh::MADE.into_iter().find(|key| table.get(key).is_some()) {
+        return procedural_mesh::load(table, key, value);
     }
-    table.only(&[&KEYS[..], &SHAPE_KEYS[..1], &made_mesh::MADE[..]].concat())?;
+    table.only(&[&KEYS[..], &SHAPE_KEYS[..1], &procedural_mesh::MADE[..]].concat())?;
     if table.get("file").is_none() {
-        let one_of = [&["file", "shape"], &made_mesh::MADE[..]].concat().join(", ");
+        let one_of = [&["file", "shape"], &procedural_mesh::MADE[..]].concat().join(", ");
         return Err(table.error(value.span(), "", format!("one of {one_of} is missing")));
     }
     let (relative, span) = table.string("file")?.unwrap_or(("", value.span()));

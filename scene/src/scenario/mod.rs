@@ -28,10 +28,10 @@
 mod document;
 mod error;
 mod load;
-mod made_mesh;
 mod mesh_source;
+mod procedural_mesh;
+mod provenance;
 mod schema;
-mod sourced;
 mod tissue_defaults;
 
 use std::collections::BTreeMap;

@@ -2,7 +2,7 @@
 
 use serde_json::{Map, Value, json};
 
-use super::{CONTROLLERS_MAX, ENTITIES_MAX, HANDS_MAX, SCHEMA_VERSION, made_mesh, mesh_source};
+use super::{CONTROLLERS_MAX, ENTITIES_MAX, HANDS_MAX, SCHEMA_VERSION, mesh_source, procedural_mesh};
 use crate::registry::Registry;
 
 /// The schema of scenario files with the components of this registry.
@@ -22,12 +22,16 @@ pub fn json_schema(registry: &Registry) -> Value {
     definitions.insert("mesh_shape".into(), mesh_shape());
     definitions.insert("mesh_organ".into(), mesh_organ());
     for (key, of, description) in [
-        ("sheet", schema_of::<made_mesh::Sheet>(), "A rectangle in the xy plane, with texture coordinates."),
-        ("tube", schema_of::<made_mesh::Tube>(), "A tube without lids along z."),
-        ("block", schema_of::<made_mesh::Block>(), "A box of tetrahedra."),
+        (
+            "sheet",
+            schema_of::<procedural_mesh::Sheet>(),
+            "A rectangle in the xy plane, with texture coordinates.",
+        ),
+        ("tube", schema_of::<procedural_mesh::Tube>(), "A tube without lids along z."),
+        ("block", schema_of::<procedural_mesh::Block>(), "A box of tetrahedra."),
         (
             "line",
-            schema_of::<made_mesh::Line>(),
+            schema_of::<procedural_mesh::Line>(),
             "A straight thread along x: vertex_positions and line_mesh.",
         ),
     ] {
@@ -169,8 +173,8 @@ fn mesh_organ() -> Value {
             "organ": schema_of::<crate::organs::Organ>(),
             "edge": {
                 "description": "Length of the lattice's edges at the surface [m].", "type": "number",
-                "minimum": made_mesh::EDGE.0.start(), "maximum": made_mesh::EDGE.0.end(),
-                "default": made_mesh::EDGE.1,
+                "minimum": procedural_mesh::EDGE.0.start(), "maximum": procedural_mesh::EDGE.0.end(),
+                "default": procedural_mesh::EDGE.1,
             },
             "levels": {
                 "description": "How often the edges double inside.", "type": "integer",

@@ -1,5 +1,7 @@
 //! The command line.
 
+#[cfg(test)]
+mod help_tests;
 mod picture;
 
 use std::path::PathBuf;
@@ -67,12 +69,13 @@ pub enum Command {
 
 /// What to simulate.
 #[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Session")]
 pub struct SessionArgs {
     /// Name of a scenario (see `trocar list`), or a TOML file
-    #[arg(value_hint = ValueHint::FilePath)]
+    #[arg(value_hint = ValueHint::FilePath, help_heading = None::<&str>)]
     pub scenario: String,
     /// Seed of everything random
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
     pub seed: u64,
     /// Another device for a hand: NAME=SPEC, such as `left=virtual:impedance=off` or `right=replay:hand.csv`
     #[arg(long = "hand", value_name = "NAME=SPEC", value_parser = hand)]
@@ -102,42 +105,42 @@ pub struct RunArgs {
     /// What to simulate.
     #[command(flatten)]
     pub session: SessionArgs,
-    /// End after this much time of the session \[s\]; otherwise when the exercise is over
-    #[arg(long, value_parser = positive)]
+    /// End after this much time of the session, in seconds; otherwise when the exercise is over
+    #[arg(long, allow_negative_numbers = true, value_parser = positive, help_heading = "Session")]
     pub seconds: Option<f64>,
     /// Windows.
     #[command(flatten)]
     pub window: WindowArgs,
     /// Virtual time on one thread, as fast as it goes: the same seed gives the same bits
-    #[arg(long)]
+    #[arg(long, help_heading = "Session")]
     pub lockstep: bool,
     /// A person moves the hands with mouse, keyboard or gamepad, in the place of the virtual trainee
-    #[arg(long, conflicts_with = "skill")]
+    #[arg(long, conflicts_with = "skill", help_heading = "Session")]
     pub play: bool,
     /// Which key, button or stick means what, for a person who plays (TOML)
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, requires = "play")]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, requires = "play", help_heading = "Session")]
     pub bindings: Option<PathBuf>,
     /// Fault plan: what shall go wrong, and what must hold all the same; a name (see `trocar list plans`)
     /// or a TOML file
-    #[arg(long, value_name = "PLAN", value_hint = ValueHint::FilePath)]
+    #[arg(long, value_name = "PLAN", value_hint = ValueHint::FilePath, help_heading = "Session")]
     pub faults: Option<String>,
     /// Recording (MCAP) [default: SCENARIO.mcap]
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
     pub record: Option<PathBuf>,
     /// Do not record
-    #[arg(long, conflicts_with = "record")]
+    #[arg(long, conflicts_with = "record", help_heading = "Output")]
     pub no_record: bool,
     /// Report (HTML, one file) [default: report-SCENARIO.html]
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
     pub report: Option<PathBuf>,
     /// Write no report
-    #[arg(long, conflicts_with = "report")]
+    #[arg(long, conflicts_with = "report", help_heading = "Output")]
     pub no_report: bool,
     /// Pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,
     /// Print exactly one JSON object on stdout (`trocar schema run` describes it)
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     pub json: bool,
 }
 
@@ -179,22 +182,22 @@ pub struct ReplayArgs {
     #[arg(value_hint = ValueHint::FilePath)]
     pub file: PathBuf,
     /// Report (HTML, one file)
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = "Output")]
     pub report: Option<PathBuf>,
     /// Pictures.
     #[command(flatten)]
     pub pictures: PictureArgs,
     /// Another recording, shown beside this one
-    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, help_heading = None::<&str>)]
     pub beside: Option<PathBuf>,
     /// Windows.
     #[command(flatten)]
     pub window: WindowArgs,
     /// The folder of the scenario, where it has textures in files
-    #[arg(long, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
+    #[arg(long, value_name = "FOLDER", value_hint = ValueHint::DirPath, help_heading = None::<&str>)]
     pub folder: Option<PathBuf>,
     /// Print exactly one JSON object on stdout
-    #[arg(long)]
+    #[arg(long, help_heading = "Output")]
     pub json: bool,
 }
 
@@ -205,10 +208,16 @@ pub struct GraphArgs {
     #[command(flatten)]
     pub session: SessionArgs,
     /// In which language
-    #[arg(long, value_enum, default_value_t = GraphFormat::Mermaid)]
+    #[arg(long, value_enum, default_value_t = GraphFormat::Mermaid, help_heading = None::<&str>)]
     pub format: GraphFormat,
-    /// Run live for this long first, and write the achieved rates into the graph \[s\]
-    #[arg(long, value_name = "SECONDS", value_parser = positive)]
+    /// Run live for this many seconds first, and write the achieved rates into the graph
+    #[arg(
+        long,
+        allow_negative_numbers = true,
+        value_name = "SECONDS",
+        value_parser = positive,
+        help_heading = None::<&str>,
+    )]
     pub after: Option<f64>,
 }
 
@@ -252,7 +261,7 @@ pub struct TuneArgs {
     #[command(subcommand)]
     pub command: TuneCommand,
     /// Process number of the session, when several are running
-    #[arg(long, global = true, value_name = "PID")]
+    #[arg(long, global = true, allow_negative_numbers = true, value_name = "PID")]
     pub session: Option<u32>,
     /// Print exactly one JSON object on stdout
     #[arg(long, global = true)]
@@ -331,13 +340,18 @@ pub struct SoakArgs {
     #[arg(default_value = "peg-transfer", value_hint = ValueHint::FilePath)]
     pub scenario: String,
     /// How many plans
-    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    #[arg(
+        long,
+        default_value_t = 1000,
+        allow_negative_numbers = true,
+        value_parser = clap::value_parser!(u64).range(1..=1_000_000),
+    )]
     pub plans: u64,
     /// Seed of the first plan; the others follow
-    #[arg(long, value_name = "SEED", default_value_t = 1)]
+    #[arg(long, value_name = "SEED", default_value_t = 1, allow_negative_numbers = true)]
     pub from: u64,
-    /// End each run after this much time of the session \[s\]; otherwise when the exercise is over
-    #[arg(long, value_parser = positive)]
+    /// End each run after this much time of the session, in seconds; otherwise when the exercise is over
+    #[arg(long, allow_negative_numbers = true, value_parser = positive)]
     pub seconds: Option<f64>,
     /// Print exactly one JSON object on stdout
     #[arg(long)]

@@ -24,13 +24,13 @@ pub struct GalleryArgs {
     /// Names of scenarios, or TOML files [default: all that come with the program]
     #[arg(long = "scenario", value_name = "SCENARIO", value_hint = ValueHint::FilePath)]
     pub scenarios: Vec<String>,
-    /// The moment that is shown: time of the session \[s\]
-    #[arg(long, default_value_t = 8.0, value_parser = positive)]
+    /// The moment that is shown: time of the session, in seconds
+    #[arg(long, allow_negative_numbers = true, default_value_t = 8.0, value_parser = positive)]
     pub at: f64,
     /// Seed of everything random
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
     pub seed: u64,
-    /// Width and height \[pixels\]
+    /// Width and height in pixels
     #[arg(long, value_name = "WxH", default_value = "800x600", value_parser = size)]
     pub size: (u32, u32),
     /// Print exactly one JSON object on stdout

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use trocar::summary::RunSummary;
 use trocar_scene::{SimTime, Snapshot};
+use trocar_viewer::draw_list::Stage;
 use trocar_viewer::layout::Sight;
-use trocar_viewer::stage::Stage;
 use trocar_viewer::{Eye, Film, Layout, Motion, Overlays, Quality, View, ViewError};
 
 use crate::args::{Care, Eyes, PictureArgs};

@@ -3,83 +3,19 @@
 use std::path::{Component, Path};
 use std::sync::Arc;
 
-use thiserror::Error;
-use trocar_devices::{BuildError, SpecError};
 use trocar_kernel::spec::{SessionSpec, period_of};
 use trocar_kernel::supervision::RuntimeClass;
-use trocar_scene::scenario::{Scenario, ScenarioError};
+use trocar_scene::scenario::Scenario;
 use trocar_scene::{Commands, EntityAllocator, SCENARIO_SPAWNER, SimTime};
 
 use crate::actors::ActorKind;
-use crate::app::{App, KindContext};
+use crate::app::App;
+pub use crate::error::AssemblyError;
 use crate::hands::{HandPort, OpenedHand};
+use crate::kind::KindContext;
+use crate::options::RunOptions;
 use crate::play;
-use crate::recorded_hand::RecordedHandError;
-use crate::run::RunOptions;
 use crate::session_plan::{Role, SessionPlan};
-
-/// Why a session could not be put together.
-#[derive(Debug, Error)]
-pub enum AssemblyError {
-    /// Something in the scenario.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
-    /// A hand that the scenario does not have.
-    #[error("--hand {name}: the scenario has no such hand; there are: {known}")]
-    UnknownHand {
-        /// What was asked for.
-        name: String,
-        /// What there is.
-        known: String,
-    },
-    /// A scenario that nobody can play.
-    #[error("the scenario '{0}' has no hands, so nobody can play it: it needs a [[hand]]")]
-    NoHands(String),
-    /// A device that cannot be named like that.
-    #[error("hand {hand}: {source}")]
-    Spec {
-        /// The hand.
-        hand: String,
-        /// Why.
-        source: SpecError,
-    },
-    /// A device that there is not.
-    #[error("hand {hand}: unknown device '{kind}'; there are: {known}")]
-    UnknownDevice {
-        /// The hand.
-        hand: String,
-        /// What was asked for.
-        kind: String,
-        /// What there is.
-        known: String,
-    },
-    /// A device of the program's own that cannot be named like that.
-    #[error("hand {hand}: {usage}: {reason}")]
-    OwnDevice {
-        /// The hand.
-        hand: String,
-        /// How it is written.
-        usage: String,
-        /// What is wrong.
-        reason: String,
-    },
-    /// A device that could not be made.
-    #[error("hand {hand}: {source}")]
-    Device {
-        /// The hand.
-        hand: String,
-        /// Why.
-        source: BuildError,
-    },
-    /// A recording that holds no such hand.
-    #[error("hand {hand}: {source}")]
-    Recording {
-        /// The hand.
-        hand: String,
-        /// Why.
-        source: RecordedHandError,
-    },
-}
 
 /// A session and its hands, not yet running.
 pub struct Assembly {

@@ -10,7 +10,7 @@ use trocar_devices::{DeviceSpec, HapticDevice, ReplayHand, SpecError};
 use trocar_scene::Entity;
 
 use crate::app::{App, SetupError};
-use crate::assembly::AssemblyError;
+use crate::error::AssemblyError;
 use crate::recorded_hand;
 
 /// Devices that come with Trocar: the text that names one, and what it is.
@@ -97,7 +97,7 @@ impl App {
     ) -> Result<Box<dyn HapticDevice>, AssemblyError> {
         let hand = || hand.to_owned();
         if let Some(file) = text.strip_prefix("recording:") {
-            let (points, capabilities) = recorded_hand::read(self, Path::new(file), entity)
+            let (points, capabilities) = recorded_hand::read(self.registry(), Path::new(file), entity)
                 .map_err(|source| AssemblyError::Recording { hand: hand(), source })?;
             let replay = ReplayHand::from_recording(points)
                 .map_err(|error| AssemblyError::Recording { hand: hand(), source: error.into() })?;

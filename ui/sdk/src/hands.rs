@@ -4,16 +4,14 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use trocar_devices::{
-    Capabilities, DeviceFaults, DeviceMonitor, DeviceSlot, DriverConfig, DriverCore, DriverResume,
-    DriverThread, DriverThreadConfig, DriverThreadError, Fence as DeviceFence, HandIntent, HapticDevice,
-    PortEnergy, SessionTime, Wrench, link,
+    Capabilities, DeviceFaults, DeviceMonitor, DeviceSlot, DeviceState as Measured, DriverConfig, DriverCore,
+    DriverResume, DriverThread, DriverThreadConfig, DriverThreadError, Fence as DeviceFence, HandIntent,
+    HapticDevice, PortEnergy, SessionTime, Wrench, link,
 };
 use trocar_kernel::spec::{FaultKind, FaultOrder, FaultSink, Fence, Peer};
 use trocar_scene::{
     DeviceForce, DeviceInfo, DeviceState, Entity, HandTarget, HapticStatus, SimTime, Snapshot,
 };
-
-use crate::recorded_hand::measured;
 
 /// Steps per second of a driver, live and in lock-step \[Hz\].
 pub const DRIVER_RATE_HZ: f64 = 1_000.0;
@@ -139,6 +137,18 @@ pub fn device_info(capabilities: &Capabilities) -> DeviceInfo {
         apparent_mass: capabilities.apparent_mass,
         input_dofs: capabilities.input_dofs.count(),
         output_dofs: capabilities.output_dofs.count(),
+    }
+}
+
+/// What a device had measured, as the scene tells it.
+pub(crate) fn measured(state: &DeviceState) -> Measured {
+    Measured {
+        pose_in_device: state.handle_in_device.isometry(),
+        linear_velocity: state.velocity_in_device.linear,
+        angular_velocity: state.velocity_in_device.angular,
+        gripper: state.gripper,
+        buttons: state.buttons,
+        connected: state.connected,
     }
 }
 

@@ -32,8 +32,8 @@ use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings};
 use trocar_tasks::peg_transfer_controller::mirrored_start;
 use trocar_tasks::{OutcomeConfig, OutcomeController, PegTransferConfig, PegTransferController};
 
-use crate::app::{Blueprint, Kind, KindContext, KindInfo};
 use crate::hands::{HandFence, HandPort};
+use crate::kind::{Blueprint, Kind, KindContext, KindInfo};
 
 /// The kind of controller through which a person moves the hands.
 pub(crate) const MANUAL: &str = "manual";

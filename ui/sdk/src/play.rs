@@ -35,8 +35,8 @@ use trocar_scene::{Entity, PersonInput, Snapshot};
 pub use trocar_devices::gamepad::{GamepadReader, GamepadReaderError, GamepadState};
 pub use trocar_input::manual::{Bindings, BindingsError, Control, Controls, ManualConfig};
 
-use crate::app::joining;
-use crate::assembly::AssemblyError;
+use crate::error::AssemblyError;
+use crate::kind::joining;
 use crate::kinds::{AUTOPILOT, MANUAL, PATH};
 
 /// Ticks per second of the person's controller where no virtual trainee says it \[Hz\].

@@ -1,16 +1,15 @@
 //! Hands out of our own recordings: what a device measured, step by step.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 use thiserror::Error;
-use trocar_devices::{
-    Capabilities, DeviceState as Measured, Dofs, TrajectoryError, TrajectoryPoint, Workspace,
-};
+use trocar_devices::{Capabilities, Dofs, TrajectoryError, TrajectoryPoint, Workspace};
 use trocar_kernel::recorder::{Recording, RecordingError, Replay};
-use trocar_scene::{DeviceInfo, DeviceState, Entity};
+use trocar_scene::{DeviceInfo, DeviceState, Entity, Registry};
 
-use crate::app::App;
+use crate::hands::measured;
 
 /// Why a recording cannot play a hand.
 #[derive(Debug, Error)]
@@ -35,17 +34,17 @@ pub enum RecordedHandError {
 /// # Errors
 /// [`RecordedHandError`].
 pub fn read(
-    app: &App,
+    registry: &Arc<Registry>,
     file: &Path,
     hand: Entity,
 ) -> Result<(Vec<TrajectoryPoint>, Capabilities), RecordedHandError> {
     let recording = Recording::open(file)?;
     let none = || RecordedHandError::NoHand { file: file.display().to_string() };
-    recording.check_components(app.registry())?;
-    let first = Replay::new(&recording, app.registry())?;
+    recording.check_components(registry)?;
+    let first = Replay::new(&recording, registry)?;
     let info = first.view().get::<DeviceInfo>(hand).cloned().ok_or_else(none)?;
     let mut points: Vec<TrajectoryPoint> = Vec::new();
-    for (_, state) in recording.series::<DeviceState>(app.registry(), hand)? {
+    for (_, state) in recording.series::<DeviceState>(registry, hand)? {
         let point = TrajectoryPoint { time_ns: state.sampled_at.as_nanos(), state: measured(&state) };
         // A haptic controller faster than the driver sees one sample several times.
         if points.last().is_none_or(|last| last.time_ns < point.time_ns) {
@@ -56,18 +55,6 @@ pub fn read(
         return Err(none());
     }
     Ok((points, capabilities(&info)))
-}
-
-/// What a device had measured, as the scene tells it.
-pub(crate) fn measured(state: &DeviceState) -> Measured {
-    Measured {
-        pose_in_device: state.handle_in_device.isometry(),
-        linear_velocity: state.velocity_in_device.linear,
-        angular_velocity: state.velocity_in_device.angular,
-        gripper: state.gripper,
-        buttons: state.buttons,
-        connected: state.connected,
-    }
 }
 
 fn capabilities(info: &DeviceInfo) -> Capabilities {

@@ -1,108 +1,27 @@
 //! One run of a scenario from start to end: what `trocar run` does, for programs.
 
-use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use thiserror::Error;
-use trocar_devices::{DriverStatistics, DriverThreadError};
-use trocar_kernel::SessionError;
-use trocar_kernel::faults::{FaultPlan, Measured};
-use trocar_kernel::live::LiveError;
-use trocar_kernel::recorder::{self, Recorder, RecorderError, RecorderOptions, RecordingHead};
+use trocar_devices::DriverStatistics;
+use trocar_kernel::faults::Measured;
+use trocar_kernel::recorder::{self, Recorder, RecordingHead};
 use trocar_kernel::runtime::ControllerReport;
-use trocar_kernel::spec::{FaultSink, MODEL, RECORDER, SessionOutcome};
+use trocar_kernel::spec::{MODEL, RECORDER, SessionOutcome};
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{Access, CollisionList, SimTime, Snapshot, TaskState};
 
 use crate::app::App;
-use crate::assembly::{Assembly, AssemblyError};
+use crate::assembly::Assembly;
+pub use crate::error::RunError;
 use crate::graph::ActorGraph;
+pub use crate::options::{FaultTargets, RunOptions};
 use crate::session::{Finished, Session, doubts};
 use crate::summary::{FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;
 
 /// How often a run looks at its session.
 const LOOK_EVERY: SimTime = SimTime::from_millis(20);
-
-/// Parts of a program that faults can be aimed at, by name.
-#[derive(Clone, Default)]
-pub struct FaultTargets(pub Vec<(String, Arc<dyn FaultSink>)>);
-
-impl std::fmt::Debug for FaultTargets {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_list().entries(self.0.iter().map(|(name, _)| name)).finish()
-    }
-}
-
-/// What a user asks of a run.
-#[derive(Clone, Debug)]
-pub struct RunOptions {
-    /// Virtual time on one thread instead of real time.
-    pub lockstep: bool,
-    /// End after this much session time \[s\]; none: when the exercise is over.
-    pub seconds: Option<f64>,
-    /// Seeds everything random.
-    pub seed: u64,
-    /// Devices instead of the scenario's: (hand, spec).
-    pub hands: Vec<(String, String)>,
-    /// What shall go wrong.
-    pub faults: Option<FaultPlan>,
-    /// Who else faults can be aimed at: what belongs to a program and not to the session.
-    pub fault_targets: FaultTargets,
-    /// File to record to.
-    pub record: Option<PathBuf>,
-    /// How it is recorded.
-    pub recorder: RecorderOptions,
-    /// Skill of the virtual trainee instead of the scenario's.
-    pub skill: Option<String>,
-    /// The trainee is left-handed.
-    pub left_handed: bool,
-    /// A person moves the hands, in the place of the virtual trainee: see [`crate::play`].
-    pub play: bool,
-    /// Set by somebody else to end the run early.
-    pub stop: Arc<AtomicBool>,
-}
-
-impl Default for RunOptions {
-    fn default() -> Self {
-        Self {
-            lockstep: false,
-            seconds: None,
-            seed: 1,
-            hands: Vec::new(),
-            faults: None,
-            fault_targets: FaultTargets::default(),
-            record: None,
-            recorder: RecorderOptions::default(),
-            skill: None,
-            left_handed: false,
-            play: false,
-            stop: Arc::default(),
-        }
-    }
-}
-
-/// Why a run could not start or could not be finished.
-#[derive(Debug, Error)]
-pub enum RunError {
-    /// The session could not be put together.
-    #[error(transparent)]
-    Assembly(#[from] AssemblyError),
-    /// The kernel refused it in lock-step.
-    #[error(transparent)]
-    Session(#[from] SessionError),
-    /// The kernel refused it live.
-    #[error(transparent)]
-    Live(#[from] LiveError),
-    /// A device driver could not be started.
-    #[error(transparent)]
-    Driver(#[from] DriverThreadError),
-    /// The recording could not be created.
-    #[error(transparent)]
-    Recorder(#[from] RecorderError),
-}
 
 /// A look at a running session.
 pub struct Progress<'a> {

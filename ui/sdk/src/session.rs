@@ -21,8 +21,8 @@ use trocar_scene::{Access, Commands, Revision, SimTime, Snapshot, WriterId};
 
 use crate::assembly::Assembly;
 use crate::branching::Origin;
+use crate::error::RunError;
 use crate::hands::{HandPort, OpenedHand};
-use crate::run::RunError;
 
 /// Numbers of guests among the writers: above those of any scenario's controllers, below the operator's.
 const GUESTS_FROM: u16 = 0x8000;

@@ -7,9 +7,9 @@ use trocar_kernel::spec::{ControllerSpec, Factory, Fence, SessionSpec, StopWhen,
 use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::{SimTime, Snapshot, Store, TaskState};
 
-use crate::app::{Blueprint, ForHands};
 use crate::hands::{HandFaults, HandPort};
-use crate::run::FaultTargets;
+use crate::kind::{Blueprint, ForHands};
+use crate::options::FaultTargets;
 
 /// How often a session asks whether its exercise is over.
 const STOP_CHECK: SimTime = SimTime::from_millis(20);

@@ -10,7 +10,7 @@ use trocar_scene::{
     Shape, Side, SimTime, Store, SurfaceMesh, Temperature, Texture, TextureCoordinates, VertexPositions,
     VisualMaterial,
 };
-use trocar_viewer::stage::Stage;
+use trocar_viewer::draw_list::Stage;
 use trocar_viewer::{Eye, Layout, Lens, Overlay, Overlays, View};
 
 /// Squares along a side of the tissue.

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Entity, Snapshot};
 
-use crate::stage::{Part, Stage};
+use crate::draw_list::{Part, Stage};
 use crate::view::{Lens, View};
 
 /// Field of view of what is to look as if it were seen from infinitely far away \[rad\].
@@ -227,7 +227,7 @@ impl Layout {
 /// A ball around what a view shows: centre and radius \[m\]. Shafts reach far out of what is looked at.
 fn shown(stage: &Stage, view: &View) -> (Point3<f64>, f64) {
     let things = || stage.items().iter().filter(|item| item.part != Part::Shaft);
-    let ball = |item: &crate::stage::Item| {
+    let ball = |item: &crate::draw_list::Item| {
         (Point3::from(item.world_from_item.translation.vector), f64::from(item.surface.geometry.radius))
     };
     let within = |(centre, _): &(Point3<f64>, f64)| {

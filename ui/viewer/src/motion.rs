@@ -23,7 +23,7 @@ const PAUSE_SECS: f64 = 0.25;
 const FORGET_SECS: f64 = 10.0;
 
 /// What is between the snapshots that a viewer gets. One for each viewer: every snapshot that [`Motion::at`] gives has to
-/// be followed ([`Renderer::update`](crate::Renderer::update), [`Stage::update`](crate::stage::Stage::update)) before the
+/// be followed ([`Renderer::update`](crate::Renderer::update), [`Stage::update`](crate::draw_list::Stage::update)) before the
 /// next one is asked for.
 #[derive(Default)]
 pub struct Motion {

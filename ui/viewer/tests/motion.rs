@@ -9,7 +9,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector3};
 use trocar_scene::{
     Entity, JawState, Parent, Particles, Pose, Shape, SimTime, Snapshot, SurfaceMesh, VertexPositions,
 };
-use trocar_viewer::stage::Stage;
+use trocar_viewer::draw_list::Stage;
 use trocar_viewer::{Layout, Motion};
 
 const FRAME: f64 = 1.0 / 60.0;

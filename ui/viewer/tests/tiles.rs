@@ -3,8 +3,8 @@
 use crate::support::{Scene, colored, eye, front, middle_column, picture};
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Camera, Entity, Light, Pose, Shape};
+use trocar_viewer::draw_list::Stage;
 use trocar_viewer::layout::{Sight, Stereo, Tile};
-use trocar_viewer::stage::Stage;
 use trocar_viewer::{Eye, Layout, Overlay, Overlays, Pane, Picture, Quality, View};
 
 fn scene() -> Scene {

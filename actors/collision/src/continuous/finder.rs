@@ -6,8 +6,8 @@ use nalgebra::Point3;
 use super::advancement::{Impact, Sweep};
 use super::pairs::{edge_edge, vertex_face};
 use super::swept::{Features, SweptLine, SweptSurface, edge, face, vertex};
-use crate::box_grid::{Box3, BoxGrid};
 use crate::part::Part;
+use crate::uniform_grid::{Box3, BoxGrid};
 
 /// An impact and what takes part in it.
 #[derive(Clone, Copy, Debug, PartialEq)]

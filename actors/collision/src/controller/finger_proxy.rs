@@ -13,7 +13,7 @@ use trocar_scene::{
 };
 
 use super::bodies;
-use super::felt::Felt;
+use super::combined_surface::Felt;
 use super::report::{self, Found, Report};
 use crate::finger_proxy::{FingerProxy, PlaneFeel, ProxyConfig};
 

@@ -10,9 +10,9 @@
 //! the start of a session is it an error.
 
 mod bodies;
+mod combined_surface;
 mod continuous;
 mod dynamic_point;
-mod felt;
 mod finger_proxy;
 mod obb_tree;
 mod proximity;

@@ -16,7 +16,7 @@ use super::lanes::Lanes;
 use super::obb::ObbQuad;
 use super::query::exactly;
 use super::{ObbTree, TouchingPair, TreeQuery, WIDTH};
-use crate::identity::Known;
+use crate::generation::Known;
 
 /// Pairs of a front at most; where more would be needed, every question is asked anew.
 const PAIRS_MAX: usize = 1 << 20;

@@ -7,9 +7,10 @@
 //! decided by `f64` tests of triangles ([`crate::primitive`]). A refit keeps the order of everything and turns the axes
 //! with the surface.
 
+mod axis_update;
 mod build;
 mod descend;
-mod far;
+mod f64_traversal;
 mod fit;
 mod front;
 mod lanes;
@@ -17,14 +18,13 @@ mod leaf;
 mod obb;
 mod query;
 mod self_contacts;
-mod turn;
 
 pub use front::{FrontCost, TreeFront};
 pub use query::{Proximity, TouchingPair, TreeQuery};
 
 use nalgebra::Point3;
 
-use crate::identity::Identity;
+use crate::generation::Identity;
 use crate::primitive::Triangle;
 use crate::{Surface, SurfaceError, check_finite};
 use fit::Reach;
@@ -72,7 +72,7 @@ pub struct ObbTree {
     /// Children after their parents; the root is the first, unless one leaf is all.
     nodes: Vec<Node>,
     /// Of each node; none where the surface has no extent to speak of.
-    anchors: Vec<Option<turn::Anchors>>,
+    anchors: Vec<Option<axis_update::Anchors>>,
     leaves: Vec<Leaf>,
     /// Box of each node, then of each leaf.
     boxes: Vec<Obb>,
@@ -99,7 +99,7 @@ impl ObbTree {
         for (place, &number) in tree.numbers.iter().enumerate() {
             tree.places[number as usize] = place as u32;
         }
-        turn::attach(&mut tree);
+        axis_update::attach(&mut tree);
         tree.refit_boxes();
         tree
     }
@@ -123,7 +123,7 @@ impl ObbTree {
         self.motion += furthest_squared.sqrt();
         self.refits += u64::from(furthest_squared > 0.0);
         self.rescale();
-        turn::carry(self);
+        axis_update::carry(self);
         self.refit_boxes();
         Ok(())
     }

@@ -4,7 +4,7 @@
 use nalgebra::{Isometry3, Point3};
 
 use super::descend::{Relation, Side, sorted};
-use super::far::FarPending;
+use super::f64_traversal::FarPending;
 use super::lanes::Lanes;
 use super::{ObbTree, WIDTH};
 use crate::primitive::{TriangleTriangle, closest_triangles, common_segment, triangles_overlap};

@@ -22,7 +22,6 @@ mod table;
 
 use nalgebra::{Point3, Vector3};
 
-use crate::box_grid::Box3;
 use crate::line::Line;
 use crate::part::Part;
 use crate::primitive::{
@@ -30,6 +29,7 @@ use crate::primitive::{
     triangle_penetration,
 };
 use crate::surface::{Surface, SurfaceError, check_finite};
+use crate::uniform_grid::Box3;
 use table::Table;
 
 /// A contact of a hashed body `a` and another one `b`.

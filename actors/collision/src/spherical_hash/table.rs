@@ -2,8 +2,8 @@
 
 use nalgebra::{Point3, Vector3};
 
-use crate::box_grid::Box3;
 use crate::primitive::{Triangle, closest_on_triangle};
+use crate::uniform_grid::Box3;
 
 /// Triangles over more cells than this are looked at by every query, which costs less than to hash them.
 const CELLS_OF_ONE_MAX: usize = 512;

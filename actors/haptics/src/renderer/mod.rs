@@ -9,13 +9,13 @@
 //! | [`VirtualCoupling`] | the instrument's pose | physics from about 500 Hz |
 //! | [`Proxy`] | planes with compliance, evaluated at the device's present pose | any rate |
 
-mod held;
 mod proxy;
 mod virtual_coupling;
+mod zero_order_hold;
 
-pub use held::Held;
 pub use proxy::{Proxy, ProxyConfig};
 pub use virtual_coupling::{VirtualCoupling, VirtualCouplingConfig};
+pub use zero_order_hold::Held;
 
 use nalgebra::Isometry3;
 use serde::{Deserialize, Serialize};

@@ -17,8 +17,8 @@ use trocar_scene::{
 
 use super::LiveError;
 use super::shared::Shared;
-use crate::flow::FlowLimit;
 use crate::handle::{LaneStatus, Submitted, WriterHandle};
+use crate::token_bucket::FlowLimit;
 
 /// Longest wait for the Model's answer to somebody who introduces himself.
 const ANSWER_MAX: Duration = Duration::from_secs(1);

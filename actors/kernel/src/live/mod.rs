@@ -25,7 +25,6 @@ use thiserror::Error;
 use tokio::sync::Notify;
 use trocar_scene::{Access, ComponentError, EntityAllocator, SimTime, Snapshot, Store, WriterId};
 
-use crate::chain::StateHash;
 use crate::faults::{FaultLog, FaultPlanError, FaultRow, FaultSchedule, TargetClass, Targets};
 use crate::handle::LaneStatus;
 use crate::intake::Intake;
@@ -34,12 +33,13 @@ use crate::operator::{OPERATOR, OperatorError};
 use crate::runtime::{Clock, ControllerReport, Permission, TickStats};
 use crate::signal::Signal;
 use crate::spec::{ControllerSpec, FaultOrder, MODEL, Mode, SessionOutcome, SessionSpec};
+use crate::state_hash::StateHash;
 use crate::supervision::{
     ChildId, ChildSpec, EXIT_GAVE_UP, Event, GroupSpec, Health, Incident, Supervisor, TreeError,
 };
 use guest::Invitation;
 use shared::{Life, OperatorSeat, Report, Seam, Seat, Shared, Writer, lock};
-use supervise::{Board, Crew};
+use supervise::{Board, SupervisorThread};
 
 pub use actors::HostedActor;
 pub use guest::Guest;
@@ -177,7 +177,7 @@ impl LiveSession {
         let system = start_system()?;
         let log = start_log()?;
         let board = Arc::new(Board::default());
-        let crew = Crew {
+        let crew = SupervisorThread {
             shared: shared.clone(),
             board: board.clone(),
             tree: supervisor,

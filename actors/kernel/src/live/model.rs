@@ -12,13 +12,13 @@ use tokio::sync::futures::OwnedNotified;
 use trocar_scene::{SimTime, Snapshot, Store, WriterId};
 
 use super::shared::{Declare, Life, Shared, Visitor, lock};
-use crate::chain::StateHash;
 use crate::commit::CommitBuffer;
 use crate::handle::Receipt;
 use crate::intake::{Arrival, LaneIndex, Lanes};
 use crate::model_core::{ModelCore, Outcome};
-use crate::retire::Retired;
 use crate::runtime::{guarded, sched};
+use crate::snapshot_reclaimer::Retired;
+use crate::state_hash::StateHash;
 use crate::supervision::{Cause, Event};
 
 /// Retired snapshots kept for their readers before the reaper gets them.

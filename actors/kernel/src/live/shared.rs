@@ -9,13 +9,13 @@ use arc_swap::ArcSwap;
 use tokio::sync::oneshot;
 use trocar_scene::{Access, EntityAllocator, Revision, SimTime, Snapshot, WriterId};
 
-use crate::chain::StateHash;
 use crate::handle::{LaneStatus, WriterHandle};
 use crate::heartbeat::Heartbeat;
 use crate::intake::{Arrival, Intake};
 use crate::runtime::{Account, Clock, ControllerReport, Permission, TickStats, guarded};
 use crate::signal::Signal;
 use crate::spec::{CommitSink, ControllerSpec, FaultKind, FaultOrder};
+use crate::state_hash::StateHash;
 use crate::supervision::{Cause, ChildId, Event, RuntimeClass};
 
 /// One life of a child, from its construction to its end; an abandoned thread keeps its own.

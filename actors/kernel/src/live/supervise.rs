@@ -69,7 +69,7 @@ struct Counters {
     link: u64,
 }
 
-pub(super) struct Crew {
+pub(super) struct SupervisorThread {
     pub(super) shared: Arc<Shared>,
     pub(super) board: Arc<Board>,
     pub(super) tree: Tree,
@@ -100,7 +100,7 @@ struct Run {
     recording_complete: Option<bool>,
 }
 
-impl Crew {
+impl SupervisorThread {
     /// The thread's main function; returns when the session has ended.
     pub(super) fn run(mut self) {
         System::set_current(self.system.clone());

@@ -9,9 +9,9 @@ use trocar_scene::{
 };
 
 use super::{BranchError, LockstepSession};
-use crate::chain::Chain;
 use crate::faults::{FaultPlan, secs};
 use crate::spec::{ControllerSpec, Peer, SessionSpec, StopWhen};
+use crate::state_hash::Chain;
 use crate::supervision::RuntimeClass;
 use crate::testing::{self, Count, Level, Pairs};
 

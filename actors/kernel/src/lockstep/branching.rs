@@ -13,12 +13,12 @@ use thiserror::Error;
 use trocar_scene::{Batch, Commands, ComponentError, EntityAllocator, Revision, SimTime, Snapshot, Store};
 
 use super::session::LockstepSession;
-use super::slot::{Ailments, Slot};
-use crate::chain::{Chain, StateHash};
+use super::slot::{ActiveFaults, Slot};
 use crate::faults::{FaultLog, FaultSchedule, LinkFaults, Parcel, second_of};
 use crate::model_core::{ModelCore, Transfers};
 use crate::operator::OPERATOR;
 use crate::spec::{Peer, SessionSpec};
+use crate::state_hash::{Chain, StateHash};
 
 use super::operating::OperatorDesk;
 use super::session::SessionError;
@@ -64,7 +64,7 @@ struct SlotMoment {
     /// What it has heard of the events; of the past that follows from the time of its last tick.
     cursor: Option<u64>,
     allocator: EntityAllocator,
-    ailments: Ailments,
+    ailments: ActiveFaults,
     /// What is on its way to the Model, or waits for one that is down.
     link: LinkFaults<Parcel>,
     queue: VecDeque<Box<Batch>>,
@@ -176,7 +176,7 @@ impl LockstepSession {
             name: slot.spec.name.clone(),
             cursor: None,
             allocator: allocator(slot.writer.0),
-            ailments: Ailments::default(),
+            ailments: ActiveFaults::default(),
             link: LinkFaults::default(),
             queue: VecDeque::new(),
         };

@@ -11,7 +11,6 @@ use super::branching::{Given, Moment};
 use super::faulting::Hang;
 use super::operating::OperatorDesk;
 use super::slot::{NEVER, Slot, Ticked, Zombie};
-use crate::chain::StateHash;
 use crate::commit::CommitBuffer;
 use crate::faults::{FaultLog, FaultPlanError, FaultSchedule};
 use crate::model_core::{ModelCore, Outcome};
@@ -21,6 +20,7 @@ use crate::runtime::{ControllerReport, Permission, TickStats};
 use crate::spec::{
     CommitSink, FaultKind, FaultSink, MODEL, Mode, Peer, SessionOutcome, SessionSpec, StopWhen, ZeroForces,
 };
+use crate::state_hash::StateHash;
 use crate::supervision::{Action, ChildId, Event, GroupSpec, Supervisor, TreeError};
 
 /// How often the Model publishes when nobody asks: what a fall-back after a panic can cost at most.

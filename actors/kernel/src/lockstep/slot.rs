@@ -11,11 +11,11 @@ use trocar_scene::{
 };
 
 use crate::faults::{LinkCounts, LinkFaults, Parcel};
-use crate::flow::{TokenBucket, count};
 use crate::runtime::panics::guarded;
 use crate::runtime::{Account, ControllerReport, TickStats};
 use crate::spec::ControllerSpec;
 use crate::supervision::{Cause, ChildId};
+use crate::token_bucket::{TokenBucket, count};
 
 /// When something is due that never will be.
 pub(super) const NEVER: SimTime = SimTime(u64::MAX);
@@ -89,7 +89,7 @@ struct Delivery {
 
 /// The faults that act on a controller at present.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Ailments {
+pub(super) struct ActiveFaults {
     pub(super) kill: bool,
     /// The next step takes this long; zero: no stall.
     pub(super) stall: SimTime,
@@ -127,7 +127,7 @@ pub(super) struct Slot {
     /// It was asked to end, and will when its step is over.
     pub(super) stopping: bool,
     pub(super) resumed: bool,
-    pub(super) ailments: Ailments,
+    pub(super) ailments: ActiveFaults,
     pub(super) late: bool,
     /// The way to the Model.
     pub(super) link: LinkFaults<Parcel>,
@@ -173,7 +173,7 @@ impl Slot {
             queue: VecDeque::new(),
             stopping: false,
             resumed: false,
-            ailments: Ailments::default(),
+            ailments: ActiveFaults::default(),
             late: false,
             link: LinkFaults::default(),
             flow: TokenBucket::new(spec.flow),

@@ -6,14 +6,14 @@ use std::sync::Arc;
 use rtrb::RingBuffer;
 use trocar_scene::{Access, Commands, Controller, ControllerError, SimTime, Snapshot, Tick};
 
-use super::desk::Desk;
+use super::commit_sink::Tap;
 use super::gate::Gate;
+use super::handover::Handover;
 use super::journal::{Journal, Pen};
 use super::options::{RecorderError, RecorderOptions, RecordingHead};
-use super::spool::Spool;
-use super::tap::Tap;
-use crate::chain::Chain;
+use super::write_buffer::WriteBuffer;
 use crate::spec::{ControllerSpec, RECORDER, SessionSpec};
+use crate::state_hash::Chain;
 use crate::supervision::{Node, RuntimeClass};
 
 /// Ticks per second: often enough that what waits is short, and twice a second falls on a tick.
@@ -34,7 +34,7 @@ const FIRST_EPOCH: u32 = 0;
 /// long as the queue that it left behind does not overflow.
 pub struct Recorder {
     tap: Tap,
-    desk: Arc<Desk>,
+    desk: Arc<Handover>,
 }
 
 impl Recorder {
@@ -48,14 +48,14 @@ impl Recorder {
         scene: &Snapshot,
         options: RecorderOptions,
     ) -> Result<Self, RecorderError> {
-        let spool =
-            Spool::create(path).map_err(|source| RecorderError::Create { file: path.to_owned(), source })?;
+        let spool = WriteBuffer::create(path)
+            .map_err(|source| RecorderError::Create { file: path.to_owned(), source })?;
         Self::begin(spool, head, scene, options)
             .map_err(|message| RecorderError::Head { file: path.to_owned(), message })
     }
 
     pub(super) fn begin(
-        spool: Spool,
+        spool: WriteBuffer,
         head: &RecordingHead,
         scene: &Snapshot,
         options: RecorderOptions,
@@ -65,7 +65,7 @@ impl Recorder {
         let journal = Journal::begin(spool, head, scene, hash, options, gate.pass(FIRST_EPOCH))?;
         let (queue, published) = RingBuffer::new(options.queue_max.max(1));
         let (give_back, emptied) = RingBuffer::new(BUFFERS);
-        let desk = Arc::new(Desk::new(gate, journal, published, give_back));
+        let desk = Arc::new(Handover::new(gate, journal, published, give_back));
         Ok(Self { tap: Tap::new(queue, emptied, desk.clone(), hash), desk })
     }
 
@@ -100,7 +100,7 @@ impl Recorder {
 
 /// One life of the recorder.
 struct Life {
-    desk: Arc<Desk>,
+    desk: Arc<Handover>,
     epoch: u32,
     pen: Pen,
 }

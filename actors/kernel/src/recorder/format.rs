@@ -18,8 +18,8 @@
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Provenance, Revision, SimTime};
 
-use crate::chain::{CommitKind, StateHash};
 use crate::commit::{Commit, CommitBuffer};
+use crate::state_hash::{CommitKind, StateHash};
 
 /// Version of the format; readers refuse others.
 pub const SCHEMA: &str = "1";

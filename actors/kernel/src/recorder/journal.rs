@@ -16,12 +16,12 @@ use super::format::{
     SCHEMA, TF, encode_group, encode_keyframe_header,
 };
 use super::gate::Pass;
+use super::json_channels::{self, EVENT_SCHEMA, Frames, TF_SCHEMA};
 use super::mcap_records::{Channel, Schema};
 use super::options::{RecorderOptions, RecordingHead};
-use super::side::{self, EVENT_SCHEMA, Frames, TF_SCHEMA};
-use super::spool::Spool;
-use crate::chain::StateHash;
+use super::write_buffer::WriteBuffer;
 use crate::commit::CommitBuffer;
+use crate::state_hash::StateHash;
 
 /// An open chunk of this size is closed.
 const CHUNK_BYTES: usize = 1 << 20;
@@ -47,7 +47,7 @@ pub(super) struct Pen {
 pub(super) struct Journal {
     container: Container,
     chunk: OpenChunk,
-    spool: Spool,
+    spool: WriteBuffer,
     /// Room in which a chunk is put together.
     sealed: Vec<u8>,
     sequence: u32,
@@ -72,7 +72,7 @@ pub(super) struct Journal {
 impl Journal {
     /// Writes the head and the first keyframe.
     pub(super) fn begin(
-        spool: Spool,
+        spool: WriteBuffer,
         head: &RecordingHead,
         scene: &Snapshot,
         hash: StateHash,
@@ -214,8 +214,11 @@ impl Journal {
     }
 
     fn side_channels(&mut self, pen: &mut Pen, scene: &Snapshot) {
-        let events: Vec<Value> =
-            scene.events().since(self.event_cursor).map(|(_, event)| side::event(scene, event)).collect();
+        let events: Vec<Value> = scene
+            .events()
+            .since(self.event_cursor)
+            .map(|(_, event)| json_channels::event(scene, event))
+            .collect();
         self.event_cursor = scene.events().next();
         for event in events {
             self.message(channel::EVENTS, event.to_string().as_bytes());
@@ -331,7 +334,10 @@ fn schemas() -> Vec<Schema> {
         encoding: "jsonschema",
         data: text.to_string().into_bytes(),
     };
-    vec![schema(1, TF_SCHEMA, side::tf_schema()), schema(2, EVENT_SCHEMA, side::event_schema())]
+    vec![
+        schema(1, TF_SCHEMA, json_channels::tf_schema()),
+        schema(2, EVENT_SCHEMA, json_channels::event_schema()),
+    ]
 }
 
 fn channels() -> Vec<Channel> {

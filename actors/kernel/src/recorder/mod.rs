@@ -7,23 +7,23 @@
 //! The recorder is a supervised controller. What has to outlive it lies on the desk as plain data.
 
 mod bytes;
+mod commit_sink;
 mod container;
 mod controller;
-mod desk;
 mod format;
 mod gate;
+mod handover;
 mod journal;
+mod json_channels;
 mod mcap_records;
 mod options;
 mod reader;
 mod replay;
-mod side;
-mod spool;
 #[cfg(test)]
 mod supervised_tests;
-mod tap;
 #[cfg(test)]
 pub(crate) mod tests;
+mod write_buffer;
 
 pub use controller::{RATE_HZ, Recorder};
 pub use format::{Gap, Group, PROFILE, SCHEMA};

@@ -18,7 +18,7 @@ use super::format::{
     decode_keyframe_header,
 };
 use super::mcap_records::{MAGIC, op};
-use crate::chain::StateHash;
+use crate::state_hash::StateHash;
 
 /// Longest chunk that is read into memory; ours are about 1 MiB unless one keyframe is larger.
 const CHUNK_MAX: u64 = 1 << 30;

@@ -8,8 +8,8 @@ use trocar_scene::{Commands, ComponentError, EntityAllocator, Registry, SimTime,
 
 use super::format::{Gap, Group};
 use super::reader::{Item, Keyframe, Recording, RecordingError};
-use crate::chain::StateHash;
 use crate::model_core::ModelCore;
+use crate::state_hash::StateHash;
 
 type Items<'a> = Box<dyn Iterator<Item = Result<Item, RecordingError>> + 'a>;
 

@@ -14,8 +14,8 @@ use trocar_scene::{
     RegistryBuilder, SimTime, Snapshot, Store, Tick,
 };
 
-use super::spool::{Disk, Spool};
 use super::tests::{Folder, Mover, RING, head, registry, scene};
+use super::write_buffer::{Disk, WriteBuffer};
 use super::{Recorder, RecorderOptions, Recording, Replay};
 use crate::faults::{FaultPlan, secs};
 use crate::live::LiveSession;
@@ -251,7 +251,7 @@ impl Disk for Moody {
 fn moody(file: &Path, mut spec: SessionSpec) -> (SessionSpec, Arc<AtomicU8>) {
     let mood = Arc::new(AtomicU8::new(WELL));
     let disk = Moody { file: File::create(file).expect("writable"), mood: mood.clone() };
-    let spool = Spool::new(Box::new(disk));
+    let spool = WriteBuffer::new(Box::new(disk));
     let recorder = Recorder::begin(spool, &head(), spec.scene.view(), RecorderOptions::default());
     recorder.expect("begins").install(&mut spec);
     (spec, mood)

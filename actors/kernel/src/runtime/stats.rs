@@ -6,8 +6,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::SimTime;
 
+use super::contribution_stats::{HitCounts, Hits};
 use super::histogram::{AtomicHistogram, Bars, Quantiles};
-use super::hits::{HitCounts, Hits};
 use super::sched;
 
 /// A tick that starts later than this counts as missed in `on_time`, ns.

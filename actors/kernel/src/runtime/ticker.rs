@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use trocar_scene::SimTime;
 
-use super::standstill::Standstill;
+use super::pausable_clock::Standstill;
 
 /// How early the timer is armed: the rest is spent spinning.
 pub const LEAD: SimTime = SimTime::from_micros(30);

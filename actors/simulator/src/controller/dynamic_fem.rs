@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Access, Commands, Component, ComponentError, Doubtful, Entity, EntitySet, Snapshot};
+use trocar_scene::{Access, Commands, Component, ComponentError, Entity, EntitySet, OutOfValidity, Snapshot};
 
 use super::deformable::Deformable;
 use super::dynamic_fem_jobs::{Built, Former};
@@ -230,7 +230,7 @@ impl SoftMethod for DynamicFemMethod {
     fn access(access: Access, bodies: &[Entity]) -> Access {
         Parting::access(access, bodies)
             .writes::<DynamicFemMemory>(EntitySet::Of(bodies.to_vec()))
-            .writes::<Doubtful>(EntitySet::Of(bodies.to_vec()))
+            .writes::<OutOfValidity>(EntitySet::Of(bodies.to_vec()))
     }
 
     fn is_cut_by_blades(&self) -> bool {
@@ -259,8 +259,8 @@ impl SoftMethod for DynamicFemMethod {
     }
 
     fn publish(&mut self, body: &Deformable, site: &Site<'_>, out: &mut Commands) {
-        if self.unsolved[0] == UNSOLVED_MAX && site.scene.get::<Doubtful>(body.entity).is_none() {
-            out.put(body.entity, Doubtful { reason: self.doubt(), since: site.tick.time });
+        if self.unsolved[0] == UNSOLVED_MAX && site.scene.get::<OutOfValidity>(body.entity).is_none() {
+            out.put(body.entity, OutOfValidity { reason: self.doubt(), since: site.tick.time });
         }
         let Solver { solver, memory, .. } = &mut self.of;
         memory.take(solver);

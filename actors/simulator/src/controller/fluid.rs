@@ -9,8 +9,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, Activation, BuildContext, Commands, Component, ComponentError, Controller, ControllerError,
-    Doubtful, Entity, EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, RestPositions, Snapshot,
-    SurfaceMesh, Tick, VertexPositions,
+    Entity, EntitySet, Frozen, Measured, OutOfValidity, Particles, Pose, RecordPolicy, RestPositions,
+    Snapshot, SurfaceMesh, Tick, VertexPositions,
 };
 
 use super::bleeding::{VesselState, rest_of};
@@ -319,7 +319,8 @@ impl FluidController {
 
     /// Says once that a wall is not where the scene has it.
     fn doubt(&self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
-        let Some(wall) = self.held.first().filter(|_| scene.get::<Doubtful>(self.liquid).is_none()) else {
+        let Some(wall) = self.held.first().filter(|_| scene.get::<OutOfValidity>(self.liquid).is_none())
+        else {
             return;
         };
         let reason = format!(
@@ -327,7 +328,7 @@ impl FluidController {
              that there is none of",
             scene.name(*wall)
         );
-        out.put(self.liquid, Doubtful { reason, since: tick.time });
+        out.put(self.liquid, OutOfValidity { reason, since: tick.time });
         out.event("wall_held", *wall, None, tick.time.as_secs_f64());
     }
 
@@ -401,9 +402,9 @@ impl Controller for FluidController {
             .writes::<Particles>(liquid())
             .writes::<LiquidState>(liquid())
             .reads::<Frozen>()
-            .reads::<Doubtful>()
+            .reads::<OutOfValidity>()
             .writes::<Frozen>(liquid())
-            .writes::<Doubtful>(liquid())
+            .writes::<OutOfValidity>(liquid())
             .writes::<Measured>(EntitySet::Own)
     }
 

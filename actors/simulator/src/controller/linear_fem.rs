@@ -16,8 +16,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,
-    ControllerError, Detection, Doubtful, Entity, EntitySet, Frozen, Instrument, JawState, Measured, Pose,
-    Primitive, SimTime, Snapshot, Tick, Velocity,
+    ControllerError, Detection, Entity, EntitySet, Frozen, Instrument, JawState, Measured, OutOfValidity,
+    Pose, Primitive, SimTime, Snapshot, Tick, Velocity,
 };
 
 use super::deformable::Deformable;
@@ -156,7 +156,7 @@ impl Controller for LinearFemController {
             .reads::<Velocity>()
             .reads::<Instrument>()
             .reads::<JawState>()
-            .writes::<Doubtful>(EntitySet::Of(bodies.clone()))
+            .writes::<OutOfValidity>(EntitySet::Of(bodies.clone()))
             .reads::<PinnedBody>()
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
             .writes::<PinPlaces>(EntitySet::Of(bodies.clone()))
@@ -199,7 +199,7 @@ impl Controller for LinearFemController {
                         }
                         if body.goes_beyond(tick) {
                             out.event("beyond_linear", body.body.entity, None, tick.time.as_secs_f64());
-                            if scene.get::<Doubtful>(body.body.entity).is_none() {
+                            if scene.get::<OutOfValidity>(body.body.entity).is_none() {
                                 out.put(body.body.entity, body.doubt(tick));
                             }
                         }
@@ -482,9 +482,9 @@ impl Body {
         new
     }
 
-    fn doubt(&self, tick: &Tick<'_>) -> Doubtful {
+    fn doubt(&self, tick: &Tick<'_>) -> OutOfValidity {
         let reason = format!("{}; 'dynamic_fem' bears more", self.deformation.doubt());
-        Doubtful { reason, since: tick.time }
+        OutOfValidity { reason, since: tick.time }
     }
 
     fn measure(&self, [touched, driven_in]: [f64; 2], values: &mut BTreeMap<String, f64>) {

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
-    CollisionList, Commands, ControllerError, Doubtful, Entity, Frozen, Instrument, JawState, Measured,
+    CollisionList, Commands, ControllerError, Entity, Frozen, Instrument, JawState, Measured, OutOfValidity,
     Primitive, Snapshot, Tick,
 };
 
@@ -345,8 +345,8 @@ impl Sewing {
         let body_from_world = scene.world_pose(body).inverse();
         let positions: Vec<_> =
             self.suture.tissue().positions().iter().map(|point| body_from_world * point).collect();
-        if !self.deformation.is_small() && scene.get::<Doubtful>(body).is_none() {
-            out.put(body, Doubtful { reason: self.deformation.doubt(), since: tick.time });
+        if !self.deformation.is_small() && scene.get::<OutOfValidity>(body).is_none() {
+            out.put(body, OutOfValidity { reason: self.deformation.doubt(), since: tick.time });
         }
         // Quasi-static: it has no velocities.
         let still = vec![Vector3::zeros(); positions.len()];

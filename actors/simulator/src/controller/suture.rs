@@ -8,8 +8,8 @@
 use nalgebra::Vector3;
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
-    Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Doubtful, Entity, EntitySet,
-    Instrument, JawState, Measured, Pose, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
+    Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Entity, EntitySet,
+    Instrument, JawState, Measured, OutOfValidity, Pose, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
 };
 
 use super::deformable::Deformable;
@@ -74,7 +74,7 @@ impl Controller for SutureController {
             .writes::<LineMesh>(needle.clone())
             .writes::<SutureMemory>(needle.clone())
             .writes::<KnotState>(needle)
-            .writes::<Doubtful>(EntitySet::Of(vec![self.tissue]))
+            .writes::<OutOfValidity>(EntitySet::Of(vec![self.tissue]))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>()
     }

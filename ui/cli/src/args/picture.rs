@@ -32,12 +32,12 @@ pub struct PictureArgs {
     #[arg(long, value_name = "FILE", value_hint = ValueHint::AnyPath)]
     pub film: Option<PathBuf>,
     /// Frames of the film per second of the session
-    #[arg(long = "fps", value_name = "HZ", default_value_t = 25.0, value_parser = frames)]
+    #[arg(long = "fps", value_name = "HZ", default_value_t = 25.0, allow_negative_numbers = true, value_parser = frames)]
     pub frames_per_second: f64,
     /// The camera to look through; several, separated by commas, stand beside each other [default: the first one]
     #[arg(long, value_name = "NAME", value_delimiter = ',')]
     pub camera: Vec<String>,
-    /// Width and height \[pixels\]
+    /// Width and height in pixels
     #[arg(long, value_name = "WxH", default_value = "960x720", value_parser = size)]
     pub size: (u32, u32),
     /// One eye, how two of them share the picture, or four views
@@ -46,11 +46,11 @@ pub struct PictureArgs {
     /// What is shown over the scene, separated by commas; `field=NAME` picks one of several fields
     #[arg(long, value_name = "WHAT", value_delimiter = ',', value_parser = Show)]
     pub show: Vec<String>,
-    /// Between the two eyes \[m\]
-    #[arg(long, default_value_t = 0.0048, value_parser = length)]
+    /// Distance between the two eyes, in metres
+    #[arg(long, allow_negative_numbers = true, default_value_t = 0.0048, value_parser = length)]
     pub interocular: f64,
-    /// Depth at which both eyes see the same \[m\]
-    #[arg(long, default_value_t = 0.2, value_parser = length)]
+    /// Depth at which both eyes see the same, in metres
+    #[arg(long, allow_negative_numbers = true, default_value_t = 0.2, value_parser = length)]
     pub convergence: f64,
     /// How much care goes into a picture [default: fine; in a window, what the machine can draw]
     #[arg(long = "quality")]

@@ -1,6 +1,5 @@
 //! The fault table in real time: medians of at least twenty, beside what a bare thread needs.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
@@ -20,7 +19,7 @@ use trocar_scene::{Controller, SimTime};
 
 use super::hostile::{NeverReturns, Nuisance};
 use super::lockstep::{ACTORS, SCENARIO, detection_bar};
-use super::{Plan, disks, flood, forces, links, strikes};
+use super::{Plan, forces};
 use crate::failure::Failure;
 use trocar_kernel::bench::median_and_spread as median;
 
@@ -34,7 +33,7 @@ const LOOK_EVERY: SimTime = SimTime::from_millis(5);
 pub const COMPARED_SECS: f64 = 5.0;
 
 /// The rows of this table.
-pub fn plan<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
+pub fn plan(plan: &mut Plan<'_>) {
     plan.row("live_bare_thread_restart_p50", |name| {
         Ok(BenchResult::on_value(name, "ms", median(&bare_restarts()), None, Better::Lower))
     });
@@ -44,11 +43,6 @@ pub fn plan<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
     plan.rows("live kills", |_| kills());
     plan.rows("live stalls", |_| stalls());
     plan.rows("live endless loop", |_| endless_loop());
-    forces::live(plan);
-    strikes::live(plan);
-    links::live(plan);
-    flood::live(plan);
-    disks::live(folder, plan);
 }
 
 /// How late a bare thread of the watchdog's priority wakes up from sleeping to the end of a limit of 50 ms \[ms\]: no

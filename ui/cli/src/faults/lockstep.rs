@@ -13,8 +13,8 @@ use trocar_kernel::spec::MODEL;
 use trocar_kernel::supervision::{ChildSpec, RuntimeClass};
 use trocar_scene::SimTime;
 
+use super::Plan;
 use super::hostile::{AlwaysFails, Floods, Nuisance, WritesNan};
-use super::{Plan, disks, forces, links};
 use crate::failure::Failure;
 
 /// What the faults strike.
@@ -50,9 +50,6 @@ pub fn plan<'a>(folder: &'a Path, plan: &mut Plan<'a>) {
     stalls(plan);
     strikes(plan);
     guests(plan);
-    forces::lockstep(plan);
-    links::lockstep(plan);
-    disks::lockstep(folder, plan);
 }
 
 fn kills<'a>(folder: &'a Path, plan: &mut Plan<'a>) {

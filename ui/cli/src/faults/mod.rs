@@ -6,9 +6,9 @@ mod forces;
 mod hostile;
 mod links;
 mod live;
+mod live_faults;
 mod lockstep;
 mod process;
-mod strikes;
 mod zombie;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -75,9 +75,17 @@ fn measure(args: &VerifyArgs) -> Rows {
     let both = args.live == args.lockstep;
     if both || args.lockstep {
         lockstep::plan(folder.path(), &mut plan);
+        forces::lockstep(&mut plan);
+        links::lockstep(&mut plan);
+        disks::lockstep(folder.path(), &mut plan);
     }
     if both || args.live {
-        live::plan(folder.path(), &mut plan);
+        live::plan(&mut plan);
+        forces::live(&mut plan);
+        live_faults::live(&mut plan);
+        links::live(&mut plan);
+        flood::live(&mut plan);
+        disks::live(folder.path(), &mut plan);
         process::plan(folder.path(), &mut plan);
     }
     if let Some(text) = &args.only {

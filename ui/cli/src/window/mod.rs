@@ -1,11 +1,11 @@
 //! Sessions in a window: the event loop has the program's first thread, the session another one.
 
 mod actors;
-mod attendant;
 mod faults;
 mod link;
 mod playback;
 mod player;
+mod session_host;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -23,9 +23,9 @@ use trocar_viewer::window::{Eyes, Options, Player, Subject, Told, Windows, displ
 use crate::args::{self, Care, PictureArgs, WindowArgs};
 use crate::failure::Failure;
 
-pub use attendant::{Attendant, Next};
 use link::{Audience, Looker, Shared};
 pub use playback::Findings;
+pub use session_host::{Attendant, Next};
 
 /// Asks for the display; `None` where there is none, or nobody wants a window.
 ///

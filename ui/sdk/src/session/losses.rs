@@ -1,7 +1,7 @@
 //! What a session does without: because the system refused it, because it had to be taken away, because a solver gave up.
 
 use trocar_devices::Scheduling;
-use trocar_scene::{Doubtful, Frozen, HeatFrozen, MeshRepaired, Snapshot};
+use trocar_scene::{Frozen, HeatFrozen, MeshRepaired, OutOfValidity, Snapshot};
 
 use super::{Running, Session};
 
@@ -13,7 +13,7 @@ pub fn doubts(scene: &Snapshot) -> Vec<String> {
         let since = frozen.since.as_secs_f64();
         format!("{}: it stands still since {since:.2} s: {}", scene.name(body), frozen.reason)
     });
-    let doubtful = scene.iter::<Doubtful>().map(|(body, doubtful)| {
+    let doubtful = scene.iter::<OutOfValidity>().map(|(body, doubtful)| {
         let since = doubtful.since.as_secs_f64();
         format!("{}: since {since:.2} s {}", scene.name(body), doubtful.reason)
     });

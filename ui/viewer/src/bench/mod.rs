@@ -3,15 +3,15 @@
 //! On a shared machine a time alone says little, so every figure is measured beside another in the same run: a block of
 //! frames of each, in turns.
 
-mod bare;
-mod studio;
-mod theatre;
+mod baseline;
+mod harness;
+mod test_scene;
 
 use std::time::Instant;
 
-pub use bare::Bare;
-pub use studio::{Studio, Upload};
-pub use theatre::Theatre;
+pub use baseline::Bare;
+pub use harness::{Studio, Upload};
+pub use test_scene::Theatre;
 
 /// Times of blocks in turns: `blocks` times a block of `frames` frames of each contestant, after one block that is not
 /// counted. Gives the median frame of every block \[s\], a list for each contestant.

@@ -6,6 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use wgpu::util::DeviceExt;
 
 use crate::colormap::Colormap;
+use crate::draw_list::Stage;
 use crate::geometry::Geometry;
 use crate::gpu::Gpu;
 use crate::gpu::surfaces::{SurfaceCopies, SurfaceCopy};
@@ -13,7 +14,6 @@ use crate::gpu::targets::DEPTH;
 use crate::gpu::uniforms::GpuItem;
 use crate::overlay::sketch::{Corner, Line, Sketch};
 use crate::overlay::{Field, Overlay, Overlays, Seen};
-use crate::stage::Stage;
 use crate::view::View;
 
 /// Share of its distance that everything is drawn nearer by than it is, so that it lies upon what it is on.

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use crate::draw_list::Surface;
 use crate::gpu::Gpu;
-use crate::stage::Surface;
 
 /// One surface on the device.
 pub struct SurfaceCopy {

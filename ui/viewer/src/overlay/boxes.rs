@@ -6,8 +6,8 @@ use trocar_scene::{BoundingVolumeTree, Snapshot};
 use super::Overlays;
 use super::sketch::{Sketch, Stroke};
 use crate::colormap::Colormap;
+use crate::draw_list::Stage;
 use crate::geometry::Geometry;
-use crate::stage::Stage;
 
 /// Boxes of one tree that are drawn.
 const NODES_MAX: usize = 4096;

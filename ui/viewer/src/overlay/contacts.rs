@@ -9,7 +9,7 @@ use trocar_scene::{
 
 use super::sketch::{Spot, Stroke};
 use super::{Legend, Overlays, Seen};
-use crate::stage::{Item, Part, Stage};
+use crate::draw_list::{Item, Part, Stage};
 
 /// What touches.
 pub const CONTACT: [u8; 4] = [240, 20, 16, 255];

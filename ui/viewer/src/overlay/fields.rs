@@ -6,8 +6,8 @@ use trocar_scene::{Burn, ScalarField, ScalarFields, Snapshot, Temperature};
 
 use super::{Legend, Overlay, Overlays, Seen};
 use crate::colormap::Colormap;
+use crate::draw_list::Stage;
 use crate::edit_map::damage;
-use crate::stage::Stage;
 
 /// From a vertex' value to what the scale shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

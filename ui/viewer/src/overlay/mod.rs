@@ -21,7 +21,7 @@ use nalgebra::Point3;
 use thiserror::Error;
 use trocar_scene::{Name, Pose, Snapshot};
 
-use crate::stage::Stage;
+use crate::draw_list::Stage;
 
 /// Something that can be shown over a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -5,13 +5,13 @@ use std::sync::Arc;
 use nalgebra::Point3;
 use trocar_scene::{Entity, VisualMaterial};
 
+use crate::draw_list::{Item, Part};
 use crate::gpu::Gpu;
 use crate::gpu::materials::Look;
 use crate::gpu::passes::{Features, Key, Passes, Shading};
 use crate::gpu::uniforms::{GpuItem, ITEM_BYTES};
 use crate::quality::Quality;
 use crate::renderer::frames::matrix;
-use crate::stage::{Item, Part};
 
 /// Relief narrower than this is not seen \[pixels\].
 const RELIEF_PIXELS: f64 = 0.75;

@@ -19,6 +19,7 @@ use self::overlays::{Below, Layer};
 use self::particles::{Loose, Over};
 use self::scratch::Scratches;
 use self::shadows::Shadows;
+use crate::draw_list::Stage;
 use crate::gpu::Gpu;
 use crate::gpu::composite::{Composite, Seen};
 use crate::gpu::edits::Edits;
@@ -31,7 +32,6 @@ use crate::lights;
 use crate::overlay::{Legend, Overlays};
 use crate::pacing::Pace;
 use crate::quality::Quality;
-use crate::stage::Stage;
 use crate::view::View;
 
 /// What is seen where nothing is.

@@ -3,6 +3,7 @@
 use nalgebra::Point3;
 use trocar_scene::Snapshot;
 
+use crate::draw_list::Stage;
 use crate::gpu::Gpu;
 use crate::gpu::annotate::{Annotator, Note};
 use crate::gpu::overlay::OverlayPass;
@@ -10,7 +11,6 @@ use crate::gpu::passes::Passes;
 use crate::gpu::surfaces::SurfaceCopies;
 use crate::layout::Shot;
 use crate::overlay::{self, Legend, Overlay, Overlays, Seen, Trails};
-use crate::stage::Stage;
 use crate::view::View;
 
 /// What there is to draw over, and on what it lies.

@@ -3,7 +3,7 @@
 //! Plastic, rubber, board and the metals are neutral, so that the material's base colour tints them.
 
 use super::noise::{Fbm, Perlin, Worley, lerp, mix, smoothstep, wrap};
-use super::procedural::{Canvas, Painter, Recipe, Texel};
+use super::recipe::{Canvas, Painter, Recipe, Texel};
 
 /// Open-celled polyurethane foam as in box trainers.
 pub(super) const FOAM: Recipe =

@@ -1,7 +1,7 @@
 //! What is woven, pressed or braided: gauze, drapes, sutures.
 
 use super::noise::{Fbm, Field, Perlin, lerp, mix, smoothstep, wave, wrap};
-use super::procedural::{Canvas, Painter, Recipe, Texel};
+use super::recipe::{Canvas, Painter, Recipe, Texel};
 
 /// Open plain weave of cotton; nothing between the threads.
 pub(super) const GAUZE: Recipe =

@@ -1,7 +1,7 @@
 //! Solid tissues: liver, fat, muscle, skin; and blood.
 
 use super::noise::{Fbm, Perlin, Worley, lerp, mix, smoothstep};
-use super::procedural::{Canvas, Painter, Recipe, Texel};
+use super::recipe::{Canvas, Painter, Recipe, Texel};
 use super::vessels::{Growth, VesselTree};
 
 /// Deep red-brown under a glistening capsule, mottled, with lobules of one to two millimetres: darker around

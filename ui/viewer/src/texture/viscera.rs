@@ -1,7 +1,7 @@
 //! Hollow organs and the membranes around them: peritoneum, stomach, bowel, gallbladder.
 
 use super::noise::{Fbm, Worley, lerp, mix, smoothstep};
-use super::procedural::{Canvas, Painter, Recipe, Texel};
+use super::recipe::{Canvas, Painter, Recipe, Texel};
 use super::vessels::{Growth, VesselTree};
 
 /// Lays a vessel over a colour: a fine edge in the wall's own shade, then the vessel's.

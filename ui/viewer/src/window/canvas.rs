@@ -2,8 +2,8 @@
 
 use egui::{Color32, Pos2, Rect, Stroke, Ui, Vec2};
 
-use super::painter::Painter;
-use super::sight::{AS_SEEN, Eyes, Sight};
+use super::surface::Painter;
+use super::view_state::{AS_SEEN, Eyes, Sight};
 use crate::error::ViewError;
 use crate::gpu::Gpu;
 use crate::pacing::Pace;

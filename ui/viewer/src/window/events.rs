@@ -17,10 +17,10 @@ use winit::keyboard::{KeyCode, PhysicalKey};
 use winit::window::{CursorGrabMode, Window, WindowId};
 
 use super::keys;
-use super::life::{self, Address, Mail, Opening, Trouble};
-use super::sight::{Choice, Eyes, Look};
+use super::lifecycle::{self, Address, Mail, Opening, Trouble};
 use super::soundness::Soundness;
 use super::subject::{Player, Subject};
+use super::view_state::{Choice, Eyes, Look};
 use crate::layout::Stereo;
 use crate::overlay::Overlays;
 use crate::quality::Quality;
@@ -160,7 +160,7 @@ struct House {
 
 impl House {
     fn find(&self, id: WindowId) -> Option<&Address> {
-        self.windows.iter().find(|window| life::id(window) == id)
+        self.windows.iter().find(|window| lifecycle::id(window) == id)
     }
 
     fn open(&mut self, event_loop: &ActiveEventLoop, subjects: Vec<Box<dyn Subject>>, choice: Choice) {
@@ -182,7 +182,7 @@ impl House {
         };
         let opened = event_loop.create_window(attributes).map_err(|error| error.to_string());
         let started = opened.and_then(|window| {
-            life::start(Arc::new(window), opening, self.proxy.clone()).map_err(|error| error.to_string())
+            lifecycle::start(Arc::new(window), opening, self.proxy.clone()).map_err(|error| error.to_string())
         });
         match started {
             Ok(address) => self.windows.push(address),
@@ -284,7 +284,7 @@ impl House {
         }
         let passed = now.duration_since(self.last).as_secs_f64();
         self.last = now;
-        let taken = self.hands.or_else(|| self.windows.first().map(life::id));
+        let taken = self.hands.or_else(|| self.windows.first().map(lifecycle::id));
         let view = taken.and_then(|id| self.find(id)).and_then(|address| address.view.load_full());
         if let Some(player) = &mut self.player {
             player.pass(passed, view.map(|view| *view));
@@ -297,7 +297,7 @@ impl ApplicationHandler<Told> for House {
         if let Some((subjects, choice)) = self.opening.take() {
             self.open(event_loop, subjects, choice);
             if std::mem::take(&mut self.wants_hands)
-                && let Some(first) = self.windows.first().map(life::id)
+                && let Some(first) = self.windows.first().map(lifecycle::id)
             {
                 self.take_hands(first);
             }
@@ -311,7 +311,7 @@ impl ApplicationHandler<Told> for House {
                 if self.hands == Some(id) {
                     self.give_back_hands();
                 }
-                if let Some(at) = self.windows.iter().position(|window| life::id(window) == id) {
+                if let Some(at) = self.windows.iter().position(|window| lifecycle::id(window) == id) {
                     self.windows.remove(at).close();
                 }
                 if let Some(why) = why {

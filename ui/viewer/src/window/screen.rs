@@ -1,7 +1,7 @@
 //! The actor behind one window: takes events, draws when there is something new, and waits for nobody.
 //!
 //! It has a thread of its own: however long a software rasteriser takes for a frame, the event loop, the other windows
-//! and the session go on. It is restarted when it fails ([`super::life`]): on a device that was lost, or after a panic.
+//! and the session go on. It is restarted when it fails ([`super::lifecycle`]): on a device that was lost, or after a panic.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -15,13 +15,13 @@ use winit::window::Fullscreen;
 use super::canvas::Canvas;
 use super::events::Told;
 use super::keys::{self, Action};
-use super::life::{Life, Mail, Trouble};
+use super::lifecycle::{Life, Mail, Trouble};
 use super::mouse::{Gesture, Mouse};
-use super::painter::{Painter, Shown};
 use super::panel::{Hands, Panels, ask_all, next_speed, toggle_course};
-use super::sight::{Choice, Eyes, QUALITIES, Sight};
 use super::soundness::Pulse;
 use super::subject::{Ask, Course};
+use super::surface::{Painter, Shown};
+use super::view_state::{Choice, Eyes, QUALITIES, Sight};
 use crate::error::ViewError;
 use crate::gpu::Gpu;
 use crate::pacing::Pacer;

@@ -10,8 +10,8 @@ use trocar_scene::{
     SimTime, Snapshot, SurfaceMesh, Temperature, Texture, TextureCoordinates, VertexPositions,
     VisualMaterial,
 };
+use trocar_viewer::draw_list::Stage;
 use trocar_viewer::layout::{Sight, Stereo, Tile};
-use trocar_viewer::stage::Stage;
 use trocar_viewer::{Eye, Layout, Lens, Overlay, Overlays, Pane, Picture, Quality, View};
 
 use super::{Scene, colored, grid};

@@ -2,8 +2,8 @@
 
 use egui::{RichText, Ui};
 
-use super::super::sight::Sight;
 use super::super::subject::Actor;
+use super::super::view_state::Sight;
 use super::{BAD, GOOD, POOR};
 
 const HEAD: [&str; 10] = [

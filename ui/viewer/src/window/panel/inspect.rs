@@ -6,8 +6,8 @@ use egui::Ui;
 use serde_json::Value;
 use trocar_scene::Entity;
 
-use super::super::sight::Sight;
 use super::super::subject::{Ask, Tune};
+use super::super::view_state::Sight;
 use super::tune::FIELD;
 use super::value;
 

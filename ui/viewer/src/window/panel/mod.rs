@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 use egui::{Color32, RichText, Ui};
 
 use super::keys::Action;
-use super::sight::Sight;
 use super::subject::{Ask, Course, Note};
+use super::view_state::Sight;
 
 pub(super) use inspect::Inspector;
 pub(super) use tune::TuningPanel;

@@ -3,8 +3,8 @@
 use egui::{RichText, Ui};
 
 use super::super::keys::{Action, KEYS, name};
-use super::super::sight::{Eyes, Look, QUALITIES, Sight};
 use super::super::subject::{Ask, Course};
+use super::super::view_state::{Eyes, Look, QUALITIES, Sight};
 use crate::overlay::Overlay;
 
 use super::{Hands, SPEEDS, Wishes, ask_all, clock, task, toggle_course};

@@ -4,8 +4,8 @@ use egui::{Color32, Pos2, Rect, Sense, Stroke, Ui, Vec2};
 use trocar_scene::SimTime;
 
 use super::super::keys::Action;
-use super::super::sight::Sight;
 use super::super::subject::{Ask, Course};
+use super::super::view_state::Sight;
 use super::{BAD, Wishes, ask_all, clock, toggle_course};
 
 /// A line from the beginning to the end, with marks where something happened.

@@ -7,8 +7,8 @@ use egui::{RichText, Ui};
 use serde_json::Value;
 use trocar_scene::{Name, Snapshot};
 
-use super::super::sight::Sight;
 use super::super::subject::{Ask, Tune};
+use super::super::view_state::Sight;
 use super::value;
 
 /// Most fields that are found.

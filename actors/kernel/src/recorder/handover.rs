@@ -9,9 +9,9 @@ use trocar_scene::{ControllerError, SimTime, Snapshot};
 
 use super::gate::{Gate, Pass};
 use super::journal::{Journal, Pen};
-use crate::chain::StateHash;
 use crate::commit::CommitBuffer;
 use crate::spec::{FaultKind, FaultOrder, FaultSink, Fence};
+use crate::state_hash::StateHash;
 
 /// Pause between two looks at a desk that somebody sits at.
 const CLOSING_PAUSE: Duration = Duration::from_millis(2);
@@ -46,12 +46,12 @@ struct Papers {
 }
 
 /// See the module.
-pub(super) struct Desk {
+pub(super) struct Handover {
     gate: Gate,
     papers: Mutex<Papers>,
 }
 
-impl Desk {
+impl Handover {
     pub(super) fn new(
         gate: Gate,
         journal: Journal,
@@ -163,13 +163,13 @@ impl Papers {
     }
 }
 
-impl Fence for Desk {
+impl Fence for Handover {
     fn raise(&self, epoch: u32) {
         self.gate.raise(epoch);
     }
 }
 
-impl FaultSink for Desk {
+impl FaultSink for Handover {
     fn fault(&self, order: &FaultOrder) {
         match order.kind {
             FaultKind::DiskFull => self.gate.set_disk_full(order.begins),

@@ -31,7 +31,7 @@ impl Disk for File {
 }
 
 /// What waits for the disk; appending to it never fails.
-pub(super) struct Spool {
+pub(super) struct WriteBuffer {
     waiting: Vec<u8>,
     /// Bytes at the front of `waiting` that the disk has.
     done: usize,
@@ -46,7 +46,7 @@ pub(super) struct Spool {
     pub(super) refusal: Option<io::Error>,
 }
 
-impl Spool {
+impl WriteBuffer {
     pub(super) fn create(path: &Path) -> io::Result<Self> {
         Ok(Self::new(Box::new(File::create(path)?)))
     }

@@ -8,6 +8,7 @@ use trocar_scene::{Camera, Entity, PersonView, SimTime, Snapshot};
 
 use super::navigate::Orbit;
 use super::subject::Subject;
+use crate::draw_list::Stage;
 use crate::error::ViewError;
 use crate::gpu::{Gpu, targets};
 use crate::layout::{self, Layout, Stereo};
@@ -17,7 +18,6 @@ use crate::pacing::Pace;
 use crate::picture::Picture;
 use crate::quality::Quality;
 use crate::renderer::Renderer;
-use crate::stage::Stage;
 use crate::view::View;
 
 /// From where it is looked.

@@ -6,8 +6,8 @@ use bytemuck::{Pod, Zeroable};
 use nalgebra::{Matrix4, Point3, Vector3};
 use wgpu::util::DeviceExt;
 
+use crate::draw_list::{Item, Stage};
 use crate::gpu::{Gpu, targets};
-use crate::stage::{Item, Stage};
 use crate::view::View;
 
 /// Between the uniforms of two items: what every adapter takes.
@@ -202,7 +202,7 @@ fn pipeline(
     });
     let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
         label: Some("bare"),
-        source: wgpu::ShaderSource::Wgsl(include_str!("bare.wgsl").into()),
+        source: wgpu::ShaderSource::Wgsl(include_str!("baseline.wgsl").into()),
     });
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("bare"),

@@ -15,12 +15,12 @@ use winit::event_loop::EventLoopProxy;
 use winit::window::{Window, WindowId};
 
 use super::events::Told;
-use super::painter::Painter;
 use super::panel::{Hands, Panels};
 use super::screen::{End, Kept, Screen};
-use super::sight::{Choice, Sight};
 use super::soundness::{Pulse, Soundness};
 use super::subject::Subject;
+use super::surface::Painter;
+use super::view_state::{Choice, Sight};
 use crate::error::ViewError;
 
 /// Events that may wait for a window that is drawing.

@@ -3,6 +3,7 @@
 use trocar_scene::Snapshot;
 
 use crate::bench::{Bare, Theatre};
+use crate::draw_list::Stage;
 use crate::error::ViewError;
 use crate::gpu::surfaces::SurfaceCopies;
 use crate::gpu::{Gpu, targets};
@@ -11,7 +12,6 @@ use crate::pacing::Pace;
 use crate::picture::Picture;
 use crate::quality::Quality;
 use crate::renderer::Renderer;
-use crate::stage::Stage;
 use crate::view::View;
 
 /// Draws a [`Theatre`] into a texture.

@@ -7,11 +7,11 @@ use std::time::Duration;
 use rtrb::{Consumer, Producer, PushError};
 use trocar_scene::Snapshot;
 
-use super::desk::{Desk, Lost, Publication};
-use crate::chain::StateHash;
+use super::handover::{Handover, Lost, Publication};
 use crate::commit::CommitBuffer;
 use crate::runtime::guarded;
 use crate::spec::CommitSink;
+use crate::state_hash::StateHash;
 
 /// Why there is a gap after a flood.
 const QUEUE_FULL: &str = "the recorder's queue was full";
@@ -20,7 +20,7 @@ const QUEUE_FULL: &str = "the recorder's queue was full";
 pub(super) struct Tap {
     queue: Producer<Publication>,
     emptied: Consumer<CommitBuffer>,
-    desk: Arc<Desk>,
+    desk: Arc<Handover>,
     hash: StateHash,
     lost: Option<Lost>,
 }
@@ -29,7 +29,7 @@ impl Tap {
     pub(super) fn new(
         queue: Producer<Publication>,
         emptied: Consumer<CommitBuffer>,
-        desk: Arc<Desk>,
+        desk: Arc<Handover>,
         hash: StateHash,
     ) -> Self {
         Self { queue, emptied, desk, hash, lost: None }

@@ -9,7 +9,7 @@ use trocar_scene::{
     VisualMaterial,
 };
 
-use crate::stage::Stage;
+use crate::draw_list::Stage;
 use crate::view::{Lens, View};
 
 /// Tissues, each with where its middle is \[m\] and its size \[m\].

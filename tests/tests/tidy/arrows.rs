@@ -1,0 +1,169 @@
+//! Who depends on whom: crates, the libraries that only some may know, and where crates lie.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use cargo_metadata::{DependencyKind, Metadata, MetadataCommand};
+
+use super::{ROOMS, refuse, root};
+
+/// Whom each crate may know of its neighbours. What is not listed is not allowed.
+const ARROWS: [(&str, &[&str]); 14] = [
+    ("trocar-scene", &[]),
+    ("trocar-devices", &[]),
+    ("trocar-kernel", &["trocar-scene"]),
+    ("trocar-engine", &["trocar-scene", "trocar-simulator"]),
+    ("trocar-collision", &["trocar-scene"]),
+    ("trocar-simulator", &["trocar-scene", "trocar-collision"]),
+    ("trocar-tasks", &["trocar-scene"]),
+    ("trocar-haptics", &["trocar-scene", "trocar-devices"]),
+    ("trocar-input", &["trocar-scene", "trocar-devices"]),
+    (
+        "trocar",
+        &[
+            "trocar-scene",
+            "trocar-devices",
+            "trocar-kernel",
+            "trocar-engine",
+            "trocar-collision",
+            "trocar-simulator",
+            "trocar-haptics",
+            "trocar-input",
+            "trocar-tasks",
+        ],
+    ),
+    ("trocar-viewer", &["trocar-scene"]),
+    (
+        "trocar-cli",
+        &[
+            "trocar",
+            "trocar-viewer",
+            "trocar-scene",
+            "trocar-devices",
+            "trocar-kernel",
+            "trocar-collision",
+            "trocar-simulator",
+        ],
+    ),
+    ("trocar-test-support", &[]),
+    (
+        "trocar-tests",
+        &[
+            "trocar",
+            "trocar-scene",
+            "trocar-devices",
+            "trocar-kernel",
+            "trocar-engine",
+            "trocar-collision",
+            "trocar-haptics",
+            "trocar-input",
+            "trocar-tasks",
+        ],
+    ),
+];
+
+/// Libraries that only some crates may know directly. `*` stands for any ending.
+const RESERVED: [(&str, &[&str]); 10] = [
+    ("actix*", &["trocar-kernel"]),
+    ("tokio*", &["trocar-kernel"]),
+    ("rapier*", &["trocar-engine"]),
+    ("wgpu*", &["trocar-viewer"]),
+    ("winit", &["trocar-viewer"]),
+    ("egui*", &["trocar-viewer"]),
+    ("rayon*", &["trocar-simulator", "trocar-cli"]),
+    ("axum*", &[]),
+    ("clap*", &["trocar-cli"]),
+    ("indicatif", &["trocar-cli"]),
+];
+
+fn metadata() -> Metadata {
+    let manifest = root().join("Cargo.toml");
+    MetadataCommand::new()
+        .manifest_path(manifest)
+        .no_deps()
+        .other_options(["--offline".to_owned()])
+        .exec()
+        .expect("cargo metadata answers")
+}
+
+#[test]
+fn dependencies_point_only_where_the_house_allows() {
+    let allowed: BTreeMap<&str, &[&str]> = ARROWS.into_iter().collect();
+    let metadata = metadata();
+    let ours: BTreeSet<&str> = metadata.packages.iter().map(|package| package.name.as_str()).collect();
+    let mut wrong = Vec::new();
+    for package in &metadata.packages {
+        let Some(arrows) = allowed.get(package.name.as_str()) else {
+            wrong.push(format!("{} has no place in the house", package.name));
+            continue;
+        };
+        for dependency in &package.dependencies {
+            // A test may look at more than the crate itself.
+            let counts = dependency.kind == DependencyKind::Normal && ours.contains(dependency.name.as_str());
+            if counts && !arrows.contains(&dependency.name.as_str()) {
+                wrong.push(format!("{} → {}", package.name, dependency.name));
+            }
+        }
+    }
+    refuse("arrows that the design does not have", wrong);
+    assert_eq!(ours.len(), ROOMS.len(), "crates and rooms differ: {ours:?}");
+}
+
+#[test]
+fn some_libraries_are_known_to_one_crate_only() {
+    let matches = |pattern: &str, name: &str| match pattern.strip_suffix('*') {
+        Some(stem) => name.starts_with(stem),
+        None => name == pattern,
+    };
+    let mut wrong = Vec::new();
+    for package in metadata().packages {
+        for dependency in &package.dependencies {
+            for (pattern, owners) in RESERVED {
+                if matches(pattern, &dependency.name) && !owners.contains(&package.name.as_str()) {
+                    wrong.push(format!("{} → {}", package.name, dependency.name));
+                }
+            }
+        }
+    }
+    refuse("libraries that these crates may not know", wrong);
+}
+
+#[test]
+fn every_crate_lies_in_its_room_and_takes_the_lints_of_the_workspace() {
+    let root = root();
+    let rooms: BTreeMap<&str, &str> = ROOMS.into_iter().collect();
+    for package in metadata().packages {
+        let folder = package.manifest_path.parent().expect("a manifest lies somewhere");
+        let folder = folder.strip_prefix(&root).expect("below the root").as_str().to_owned();
+        assert_eq!(rooms.get(package.name.as_str()).copied(), Some(folder.as_str()), "{}", package.name);
+        let manifest = std::fs::read_to_string(&package.manifest_path).expect("a readable manifest");
+        assert!(manifest.contains("[lints]\nworkspace = true"), "{} has lints of its own", package.name);
+    }
+}
+
+/// The drawing leaves out an arrow that follows from others.
+#[test]
+fn the_drawing_of_the_crates_shows_the_arrows_of_the_house() {
+    let page = std::fs::read_to_string(root().join("docs/architecture.md")).expect("a readable page");
+    let (_, drawing) = page.split_once("```mermaid\n").expect("the page has a drawing");
+    let (drawing, _) = drawing.split_once("```").expect("which ends");
+    let drawn: Vec<(&str, &str)> =
+        drawing.lines().filter_map(|line| line.trim().split_once(" --> ")).collect();
+    let mut wrong: Vec<String> = drawn
+        .iter()
+        .filter(|(from, to)| !ARROWS.iter().any(|(name, known)| name == from && known.contains(to)))
+        .map(|(from, to)| format!("{from} → {to} is drawn, and not allowed"))
+        .collect();
+    for (from, known) in ARROWS {
+        let mut reached = BTreeSet::from([from]);
+        let mut last = 0;
+        while reached.len() > last {
+            last = reached.len();
+            let more: Vec<&str> =
+                drawn.iter().filter(|(from, _)| reached.contains(from)).map(|(_, to)| *to).collect();
+            reached.extend(more);
+        }
+        let missing = known.iter().filter(|to| !reached.contains(*to));
+        wrong.extend(missing.map(|to| format!("{from} → {to} is allowed, and neither drawn nor implied")));
+    }
+    refuse("the drawing in docs/architecture.md", wrong);
+}

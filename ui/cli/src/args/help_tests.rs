@@ -1,0 +1,161 @@
+//! What `--help` says, of every command: plain words, and each option under the heading where it is looked for.
+
+use clap::builder::Styles;
+use clap::{Arg, Command, CommandFactory};
+
+use super::Cli;
+
+/// Names with a capital within that are no types.
+const NAMES: [&str; 3] = ["MuJoCo", "PyElastica", "GitHub"];
+
+/// Headings of the options of `run` and `replay`: all others stand under `Options`.
+const HEADINGS: [(&str, &[&str]); 4] = [
+    (
+        "Session",
+        &[
+            "seed",
+            "hand",
+            "skill",
+            "left-handed",
+            "set",
+            "tuning",
+            "use",
+            "seconds",
+            "lockstep",
+            "play",
+            "bindings",
+            "faults",
+        ],
+    ),
+    ("Window", &["window", "headless"]),
+    (
+        "Pictures",
+        &[
+            "picture",
+            "film",
+            "fps",
+            "camera",
+            "size",
+            "eyes",
+            "show",
+            "interocular",
+            "convergence",
+            "quality",
+        ],
+    ),
+    ("Output", &["record", "no-record", "report", "no-report", "json"]),
+];
+
+/// Every command with what it is called, from the program down.
+fn commands() -> Vec<(String, Command)> {
+    fn walk(command: &Command, above: &str, found: &mut Vec<(String, Command)>) {
+        let name = format!("{above} {}", command.get_name()).trim().to_owned();
+        found.push((name.clone(), command.clone()));
+        command.get_subcommands().for_each(|below| walk(below, &name, found));
+    }
+    let mut command = Cli::command().styles(Styles::plain());
+    command.build();
+    let mut found = Vec::new();
+    walk(&command, "", &mut found);
+    found.retain(|(name, _)| !name.contains(" help"));
+    found
+}
+
+fn options(command: &Command) -> impl Iterator<Item = (&str, &Arg)> {
+    command.get_arguments().filter_map(|arg| Some((arg.get_long()?, arg)))
+}
+
+/// What is wrong with a help text.
+fn faults(text: &str) -> Vec<String> {
+    let mut found = Vec::new();
+    for wrong in ["::", "\\", "``", "[`"] {
+        if text.contains(wrong) {
+            found.push(format!("has {wrong}"));
+        }
+    }
+    for word in text.split(|c: char| !c.is_alphanumeric()) {
+        let letters: Vec<char> = word.chars().collect();
+        let inner = letters
+            .windows(3)
+            .any(|three| three[0].is_lowercase() && three[1].is_uppercase() && three[2].is_lowercase());
+        let is_name = NAMES.contains(&word);
+        if inner && word.starts_with(char::is_uppercase) && !is_name {
+            found.push(format!("names the type {word}"));
+        }
+    }
+    found
+}
+
+#[test]
+fn help_texts_have_no_types_and_no_marks_of_rustdoc() {
+    let commands = commands();
+    assert!(commands.len() > 15, "{} commands", commands.len());
+    for (name, mut command) in commands {
+        for text in [command.render_help().to_string(), command.render_long_help().to_string()] {
+            let found = faults(&text);
+            assert!(found.is_empty(), "{name} --help {found:?}:\n{text}");
+        }
+        assert!(command.get_about().is_some(), "{name} does not say what it does");
+        let about = command.get_about().map(ToString::to_string).unwrap_or_default();
+        assert!(!about.starts_with('`') && !about.ends_with('.'), "{name}: {about}");
+        for arg in command.get_arguments() {
+            assert!(arg.get_help().is_some(), "{name}: {} has no help", arg.get_id());
+        }
+    }
+}
+
+#[test]
+fn every_option_stands_under_the_heading_where_it_is_looked_for() {
+    for (name, command) in commands() {
+        let has_headings = name == "trocar run" || name == "trocar replay";
+        for (option, arg) in options(&command) {
+            let heading = arg.get_help_heading().unwrap_or("Options");
+            let listed = HEADINGS.iter().find(|(_, options)| options.contains(&option));
+            let expected = match listed {
+                Some((heading, _)) if has_headings => heading,
+                // What a graph is drawn of is asked for as a run is.
+                Some(("Session", _)) if name == "trocar graph" => "Session",
+                _ => "Options",
+            };
+            assert_eq!(heading, expected, "{name} --{option}");
+        }
+    }
+    let run = commands().into_iter().find(|(name, _)| name == "trocar run").expect("a command").1;
+    let known: Vec<&str> = options(&run).map(|(option, _)| option).collect();
+    for (heading, listed) in HEADINGS {
+        for option in listed {
+            assert!(known.contains(option), "{heading}: --{option} is no option of run");
+        }
+    }
+}
+
+#[test]
+fn a_number_below_zero_is_refused_as_a_number() {
+    let lines = [
+        ("run wall --seconds", "number of seconds above 0"),
+        ("run wall --fps", "frames per second"),
+        ("run wall --interocular", "a length above 0"),
+        ("run wall --convergence", "a length above 0"),
+        ("run wall --seed", "invalid digit"),
+        ("graph wall --after", "number of seconds above 0"),
+        ("soak --plans", "invalid digit"),
+        ("soak --seconds", "number of seconds above 0"),
+        ("soak --from", "invalid digit"),
+        ("gallery --at", "number of seconds above 0"),
+        ("gallery --seed", "invalid digit"),
+        ("tune status --session", "-1 is not in"),
+    ];
+    for (line, expected) in lines {
+        let words = format!("trocar {line} -1");
+        let error = Cli::command().try_get_matches_from(words.split(' ')).expect_err("it is refused");
+        let text = error.to_string();
+        assert!(text.contains(expected) && !text.contains("unexpected argument"), "{words}: {text}");
+    }
+}
+
+#[test]
+fn faults_of_help_texts_are_found() {
+    assert_eq!(faults("Length in metres; `left=virtual`, MuJoCo, WIDTHxHEIGHT"), Vec::<String>::new());
+    assert_eq!(faults("See RunOptions").len(), 1);
+    assert_eq!(faults(r"After \[s\], see a::b").len(), 2);
+}

@@ -1,0 +1,67 @@
+//! What a user asks of a run.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use trocar_kernel::faults::FaultPlan;
+use trocar_kernel::recorder::RecorderOptions;
+use trocar_kernel::spec::FaultSink;
+
+/// Parts of a program that faults can be aimed at, by name.
+#[derive(Clone, Default)]
+pub struct FaultTargets(pub Vec<(String, Arc<dyn FaultSink>)>);
+
+impl std::fmt::Debug for FaultTargets {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_list().entries(self.0.iter().map(|(name, _)| name)).finish()
+    }
+}
+
+/// What a user asks of a run.
+#[derive(Clone, Debug)]
+pub struct RunOptions {
+    /// Virtual time on one thread instead of real time.
+    pub lockstep: bool,
+    /// End after this much session time \[s\]; none: when the exercise is over.
+    pub seconds: Option<f64>,
+    /// Seeds everything random.
+    pub seed: u64,
+    /// Devices instead of the scenario's: (hand, spec).
+    pub hands: Vec<(String, String)>,
+    /// What shall go wrong.
+    pub faults: Option<FaultPlan>,
+    /// Who else faults can be aimed at: what belongs to a program and not to the session.
+    pub fault_targets: FaultTargets,
+    /// File to record to.
+    pub record: Option<PathBuf>,
+    /// How it is recorded.
+    pub recorder: RecorderOptions,
+    /// Skill of the virtual trainee instead of the scenario's.
+    pub skill: Option<String>,
+    /// The trainee is left-handed.
+    pub left_handed: bool,
+    /// A person moves the hands, in the place of the virtual trainee: see [`crate::play`].
+    pub play: bool,
+    /// Set by somebody else to end the run early.
+    pub stop: Arc<AtomicBool>,
+}
+
+impl Default for RunOptions {
+    fn default() -> Self {
+        Self {
+            lockstep: false,
+            seconds: None,
+            seed: 1,
+            hands: Vec::new(),
+            faults: None,
+            fault_targets: FaultTargets::default(),
+            record: None,
+            recorder: RecorderOptions::default(),
+            skill: None,
+            left_handed: false,
+            play: false,
+            stop: Arc::default(),
+        }
+    }
+}
