@@ -13,7 +13,7 @@ use rapier3d_f64::dynamics::{
 use rapier3d_f64::pipeline::PhysicsWorld;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError, Snapshot};
+use trocar_scene::{Component, ComponentError, Snapshot, SoftAbilities};
 use trocar_simulator::controller::deformable::Deformable;
 use trocar_simulator::controller::soft::{Measures, Site};
 use trocar_simulator::controller::touch::{Skin, Touch};
@@ -78,6 +78,7 @@ impl Default for EngineSoftBody {
 
 impl Component for EngineSoftBody {
     const NAME: &'static str = "engine_soft";
+    const SOFT_BODY: Option<SoftAbilities> = Some(SoftAbilities::NONE);
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)?;
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;

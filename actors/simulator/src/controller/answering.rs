@@ -2,12 +2,11 @@
 //! what it is about to do.
 
 use nalgebra::{UnitQuaternion, Vector3};
-use trocar_scene::{Access, Commands, Entity, EntitySet, Snapshot};
+use trocar_scene::{Access, Commands, Entity, EntitySet, Registry, Snapshot};
 
-use super::coupling::{CoupledBody, CouplingGiven, CouplingTaken, GivenTo, TakenFrom};
+use super::coupling::{CouplingGiven, CouplingTaken, GivenTo, TakenFrom};
 use super::deformable::Deformable;
 use super::soft::Site;
-use super::thread_body::ThreadBody;
 
 /// What is to be expected of the next step of a body.
 #[derive(Clone, Debug, Default)]
@@ -35,15 +34,7 @@ impl Answering {
     /// Of a body as the scene has it; of one that nobody is coupled with nothing.
     #[must_use]
     pub fn new(body: &Deformable, scene: &Snapshot) -> Option<Self> {
-        let names = |coupled: &CoupledBody| coupled.with.iter().any(|with| with.body == body.name);
-        let mut givers: Vec<Entity> = scene
-            .iter::<CoupledBody>()
-            .filter(|(_, coupled)| names(coupled))
-            .map(|(giver, _)| giver)
-            .collect();
-        let on_it = |thread: &ThreadBody| thread.lies_on.as_ref().is_some_and(|lies| lies.body == body.name);
-        givers.extend(scene.iter::<ThreadBody>().filter(|(_, thread)| on_it(thread)).map(|(giver, _)| giver));
-        givers.sort_unstable();
+        let givers = scene.partners_of(&body.name);
         if givers.is_empty() {
             return None;
         }
@@ -61,10 +52,9 @@ impl Answering {
     }
 
     /// What controllers of such bodies read and write for it.
-    pub fn access(access: Access, bodies: &[Entity]) -> Access {
+    pub fn access(access: Access, registry: &Registry, bodies: &[Entity]) -> Access {
         access
-            .reads::<CoupledBody>()
-            .reads::<ThreadBody>()
+            .reads_named(registry.components_with_partners())
             .reads::<CouplingGiven>()
             .writes::<CouplingTaken>(EntitySet::Of(bodies.to_vec()))
     }

@@ -6,18 +6,17 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::Surface;
+use trocar_scene::soft_body::one_of;
 use trocar_scene::{
-    Access, Commands, Component, Entity, EntitySet, Snapshot, SurfaceMesh, TetMesh, VertexPositions,
+    Access, Commands, Entity, EntitySet, Snapshot, SoftAbilities, SurfaceMesh, TetMesh, VertexPositions,
     VertexVelocities,
 };
 
 use super::coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, GivenTo, Joined};
 use super::deformable::Deformable;
-use super::dynamic_fem::DynamicFemBody;
 use super::grafts::{Fused, grafts};
 use super::heat::RemovedElements;
 use super::soft::{Measures, Site};
-use super::xpbd::XpbdBody;
 use crate::coupling::{Lying, LyingRule, News};
 use crate::mass_spring::State;
 use crate::xpbd::company::{Company, CompanyMoved, Guest, GuestMoved, Press, Tie};
@@ -74,7 +73,7 @@ impl Coupled {
         for rule in &coupled.with {
             let told = |why: String| format!("it is coupled with '{}': {why}", rule.body);
             let other = other(body, rule, scene).map_err(told)?;
-            if scene.get::<XpbdBody>(other.entity).is_some() {
+            if scene.soft_body(other.entity).is_some_and(|(_, of)| of.couples) {
                 fused.push(Fused::new(body, &other, rule, scene).map_err(told)?);
                 continue;
             }
@@ -215,9 +214,10 @@ pub(super) fn other(body: &Deformable, rule: &CoupledWith, scene: &Snapshot) -> 
     if entity == body.entity {
         return Err("that is itself".into());
     }
-    if scene.get::<DynamicFemBody>(entity).is_none() && scene.get::<XpbdBody>(entity).is_none() {
-        let [fem, xpbd] = [DynamicFemBody::NAME, XpbdBody::NAME];
-        return Err(format!("that is to be moved by '{fem}' or '{xpbd}'"));
+    let can = |of: &SoftAbilities| of.answers_couplings || of.couples;
+    if !scene.soft_body(entity).is_some_and(|(_, of)| can(&of)) {
+        let valid = one_of(&scene.registry().soft_bodies_that(can));
+        return Err(format!("that is to be moved by {valid}"));
     }
     let other = Deformable::read(scene, entity).map_err(|error| error.to_string())?;
     if other.tets.is_empty() {

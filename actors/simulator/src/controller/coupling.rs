@@ -76,8 +76,15 @@ pub struct CoupledBody {
     pub with: Vec<CoupledWith>,
 }
 
+impl CoupledBody {
+    fn partners(&self) -> Vec<&str> {
+        self.with.iter().map(|with| with.body.as_str()).collect()
+    }
+}
+
 impl Component for CoupledBody {
     const NAME: &'static str = "coupled";
+    const PARTNERS: Option<fn(&Self) -> Vec<&str>> = Some(Self::partners);
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)?;
         let bodies = 1.0..=BODIES_MAX as f64;

@@ -3,15 +3,14 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_scene::soft_body::one_of;
 use trocar_scene::{
     Access, Anchors, Commands, Component, ControllerError, Entity, EntitySet, Frozen, LineMesh,
-    RestPositions, Snapshot, SurfaceMesh, TetMesh, Tick, VertexPositions, VertexVelocities,
+    RestPositions, Snapshot, SoftAbilities, SurfaceMesh, TetMesh, Tick, VertexPositions, VertexVelocities,
 };
 
 use super::coupling::CoupledBody;
-use super::linear_fem::LinearFemBody;
 use super::linear_fem_pins::PinnedBody;
-use super::xpbd::XpbdBody;
 use crate::mass_spring::Faulty;
 
 /// A body with vertices that move.
@@ -67,13 +66,19 @@ impl Deformable {
             return Err(wrong("has no vertices to move: give it a mesh"));
         };
         let is_coupled = scene.get::<CoupledBody>(entity).is_some();
-        if is_coupled && scene.get::<XpbdBody>(entity).is_none() {
-            return Err(wrong("is 'coupled', which goes with 'xpbd' only: couple that with it instead"));
+        let can = scene.soft_body(entity).map_or(SoftAbilities::NONE, |(_, can)| can);
+        let those = |ability: fn(&SoftAbilities) -> bool| one_of(&scene.registry().soft_bodies_that(ability));
+        if is_coupled && !can.couples {
+            let valid = those(|of| of.couples);
+            return Err(wrong(&format!(
+                "is 'coupled', which goes with {valid} only: couple that with it instead"
+            )));
         }
-        if scene.get::<PinnedBody>(entity).is_some() && scene.get::<LinearFemBody>(entity).is_none() {
-            return Err(wrong(
-                "is 'pinned', which goes with 'linear_fem' only: anchor it, or let jaws hold it",
-            ));
+        if scene.get::<PinnedBody>(entity).is_some() && !can.is_pinnable {
+            let valid = those(|of| of.is_pinnable);
+            return Err(wrong(&format!(
+                "is 'pinned', which goes with {valid} only: anchor it, or let jaws hold it"
+            )));
         }
         let positions = vertices.positions.clone();
         let rest = scene.get::<RestPositions>(entity);

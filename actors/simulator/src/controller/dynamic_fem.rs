@@ -3,7 +3,9 @@
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Access, Commands, Component, ComponentError, Doubtful, Entity, EntitySet, Snapshot};
+use trocar_scene::{
+    Access, Commands, Component, ComponentError, Doubtful, Entity, EntitySet, Snapshot, SoftAbilities,
+};
 
 use super::deformable::Deformable;
 use super::dynamic_fem_jobs::{Built, Former};
@@ -66,6 +68,12 @@ impl Default for DynamicFemBody {
 
 impl Component for DynamicFemBody {
     const NAME: &'static str = "dynamic_fem";
+    const SOFT_BODY: Option<SoftAbilities> = Some(SoftAbilities {
+        responds_to_contacts: true,
+        answers_couplings: true,
+        loses_elements: true,
+        ..SoftAbilities::NONE
+    });
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)?;
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
@@ -213,7 +221,6 @@ pub struct DynamicFemMethod {
 impl SoftMethod for DynamicFemMethod {
     type Kind = DynamicFemBody;
     const CONTROLLER: &'static str = "dynamic-fem";
-    const ANSWERS: bool = true;
 
     fn build(kind: &DynamicFemBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
         let memory = scene.get::<DynamicFemMemory>(body.entity).cloned().unwrap_or_default();

@@ -11,6 +11,7 @@ use std::sync::Arc;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_scene::mesh::TetData;
+use trocar_scene::soft_body::one_of;
 use trocar_scene::{
     Access, Activation, ActivationMode, BuildContext, Burn, Commands, Component, Controller, ControllerError,
     Entity, EntitySet, Frozen, HeatFrozen, Instrument, InstrumentKind, Measured, Pose, RecordPolicy,
@@ -19,17 +20,13 @@ use trocar_scene::{
 
 use super::cauterised::{CauterisedBody, ElectrodeTip};
 use super::deformable::Deformable;
-use super::dynamic_fem::DynamicFemBody;
 use super::heat::{Coagulated, CoagulatedElements, RemovedElements};
 use super::heat_parted::{PartedMesh, births};
-use super::linear_fem::LinearFemBody;
-use super::mass_spring_body::MassSpringBody;
 use super::membrane::SurfaceElements;
 use super::parting::VolumeCuts;
 use super::refused::{Refused, Still, freeze};
 use super::rest_place::rest_place;
 use super::smoke::Plume;
-use super::xpbd::XpbdBody;
 use crate::electrosurgery::{
     Contact, Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, Tissue, shares,
 };
@@ -131,7 +128,7 @@ impl Body {
         let births = births(scene, entity).map_or(0, |births| births.len());
         let tissue = heated.map_err(|error| wrong(error.to_string()))?;
         let removed = known.map(|known| known.state.removed.clone()).unwrap_or_default();
-        let is_moved = moved_by(scene, entity).is_some();
+        let is_moved = is_moved(scene, entity).map_err(wrong)?;
         let frozen =
             scene.get::<HeatFrozen>(entity).is_some() || (!is_moved && scene.get::<Frozen>(entity).is_some());
         let plume = scene.get::<Plume>(entity).copied().unwrap_or_default();
@@ -290,15 +287,17 @@ fn grow(births: &[Birth], values: [&mut Vec<f64>; 2]) {
     }
 }
 
-/// The kind of component by which somebody moves a body, if anybody does.
-fn moved_by(scene: &Snapshot, entity: Entity) -> Option<&'static str> {
-    let kinds = [
-        scene.get::<DynamicFemBody>(entity).map(|_| DynamicFemBody::NAME),
-        scene.get::<XpbdBody>(entity).map(|_| XpbdBody::NAME),
-        scene.get::<LinearFemBody>(entity).map(|_| LinearFemBody::NAME),
-        scene.get::<MassSpringBody>(entity).map(|_| MassSpringBody::NAME),
-    ];
-    kinds.into_iter().flatten().next()
+/// Whether a method moves a body; one that cannot go on without what has burned is refused.
+fn is_moved(scene: &Snapshot, entity: Entity) -> Result<bool, String> {
+    match scene.soft_body(entity) {
+        Some((method, of)) if !of.loses_elements => {
+            let valid = one_of(&scene.registry().soft_bodies_that(|of| of.loses_elements));
+            Err(format!(
+                "it is 'cauterised' and moved by '{method}', which burns no elements; valid: {valid}"
+            ))
+        }
+        moved => Ok(moved.is_some()),
+    }
 }
 
 /// Areas of the parts of a surface that share no vertex, the largest first \[m²\].

@@ -21,14 +21,11 @@ use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::{closest_on_segment, closest_on_triangle};
 use trocar_scene::{
     Access, Collision, CollisionList, Component, ComponentError, Detection, Entity, EntitySet, Frozen,
-    Instrument, LineMesh, Primitive, SimTime, Snapshot, SurfaceMesh, Velocity, VertexPositions,
+    Instrument, LineMesh, Primitive, Registry, SimTime, Snapshot, SurfaceMesh, Velocity, VertexPositions,
     VertexVelocities,
 };
 
-use super::dynamic_fem::DynamicFemBody;
 use super::found_rigid::{RigidContacts, WholeSums};
-use super::mass_spring_body::MassSpringBody;
-use super::xpbd::XpbdBody;
 use crate::tet_mesh::Stars;
 
 /// Contacts of a body that are answered at a time.
@@ -150,24 +147,20 @@ impl ContactSums {
 }
 
 /// What answers are read from and written to.
-pub(super) fn access(access: Access, bodies: &[Entity]) -> Access {
+pub(super) fn access(access: Access, registry: &Registry, bodies: &[Entity]) -> Access {
     access
         .reads::<CollisionList>()
         .reads::<VertexPositions>()
         .reads::<VertexVelocities>()
-        .reads::<MassSpringBody>()
-        .reads::<XpbdBody>()
-        .reads::<DynamicFemBody>()
+        .reads_named(registry.soft_bodies_that(|of| of.responds_to_contacts))
         .reads::<RigidContacts>()
         .writes::<SoftContacts>(EntitySet::Of(bodies.to_vec()))
 }
 
 /// Whether a controller of soft bodies answers for a body.
 pub(super) fn answers(scene: &Snapshot, entity: Entity) -> bool {
-    let is_soft = scene.get::<MassSpringBody>(entity).is_some()
-        || scene.get::<XpbdBody>(entity).is_some()
-        || scene.get::<DynamicFemBody>(entity).is_some();
-    is_soft && scene.get::<Frozen>(entity).is_none()
+    scene.soft_body(entity).is_some_and(|(_, of)| of.responds_to_contacts)
+        && scene.get::<Frozen>(entity).is_none()
 }
 
 /// A body as it is now, of this controller or of the scene.

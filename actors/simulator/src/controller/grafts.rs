@@ -2,11 +2,11 @@
 
 use nalgebra::Isometry3;
 use trocar_collision::primitive::closest_on_triangle;
-use trocar_scene::{Component, Entity, Snapshot};
+use trocar_scene::soft_body::one_of;
+use trocar_scene::{Entity, Snapshot};
 
 use super::coupling::{CoupledWith, Graft, JOINED_MAX, Joined};
 use super::deformable::Deformable;
-use super::dynamic_fem::DynamicFemBody;
 use crate::tet_mesh::{MeshRules, TetMesh};
 use crate::xpbd::company::{OF_BODY, Tie};
 
@@ -26,7 +26,8 @@ impl Fused {
         scene: &Snapshot,
     ) -> Result<Self, String> {
         let Some(joined) = rule.joined.filter(|_| rule.lies.is_none()) else {
-            return Err(format!("'lies' goes with bodies of '{}' only", DynamicFemBody::NAME));
+            let valid = one_of(&scene.registry().soft_bodies_that(|of| of.answers_couplings));
+            return Err(format!("'lies' goes with bodies of {valid} only"));
         };
         let body_from_other = scene.world_pose(body.entity).inverse() * scene.world_pose(other.entity);
         let apart = body_from_other.translation.vector.norm() + body_from_other.rotation.angle();

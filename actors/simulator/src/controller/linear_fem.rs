@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,
     ControllerError, Detection, Doubtful, Entity, EntitySet, Frozen, Instrument, JawState, Measured, Pose,
-    Primitive, SimTime, Snapshot, Tick, Velocity,
+    Primitive, SimTime, Snapshot, SoftAbilities, Tick, Velocity,
 };
 
 use super::deformable::Deformable;
@@ -77,6 +77,8 @@ impl LinearFemBody {
 
 impl Component for LinearFemBody {
     const NAME: &'static str = "linear_fem";
+    const SOFT_BODY: Option<SoftAbilities> =
+        Some(SoftAbilities { is_pinnable: true, loses_elements: true, ..SoftAbilities::NONE });
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)?;
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;

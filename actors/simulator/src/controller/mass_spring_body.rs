@@ -3,7 +3,7 @@
 use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError};
+use trocar_scene::{Component, ComponentError, SoftAbilities};
 
 use super::deformable::Deformable;
 use super::parting::Weakness;
@@ -128,6 +128,8 @@ impl Default for MassSpringBody {
 
 impl Component for MassSpringBody {
     const NAME: &'static str = "mass_spring";
+    const SOFT_BODY: Option<SoftAbilities> =
+        Some(SoftAbilities { responds_to_contacts: true, loses_elements: true, ..SoftAbilities::NONE });
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)?;
         ComponentError::range("lag", self.lag, 0.0..=1.0, "0 to 1 s")?;

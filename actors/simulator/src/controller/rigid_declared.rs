@@ -8,11 +8,8 @@ use trocar_scene::components::{
 use trocar_scene::entity::Entity;
 use trocar_scene::snapshot::Snapshot;
 
-use super::dynamic_fem::DynamicFemBody;
 use super::found::SoftContacts;
 use super::found_rigid::RigidContacts;
-use super::mass_spring_body::MassSpringBody;
-use super::xpbd::XpbdBody;
 use crate::instrument::mechanism::MechanismState;
 use crate::rigid_world::Scheduling;
 
@@ -78,9 +75,7 @@ pub(super) fn declared_access(
     let access = match meets_soft_bodies(scene) {
         true => access
             .reads::<SoftContacts>()
-            .reads::<MassSpringBody>()
-            .reads::<XpbdBody>()
-            .reads::<DynamicFemBody>()
+            .reads_named(scene.registry().soft_bodies_that(|of| of.responds_to_contacts))
             .reads::<RigidContacts>()
             .writes::<RigidContacts>(on(moved)),
         false => access,

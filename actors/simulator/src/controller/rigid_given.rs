@@ -6,12 +6,9 @@ use trocar_scene::entity::Entity;
 use trocar_scene::snapshot::Snapshot;
 use trocar_scene::time::SimTime;
 
-use super::dynamic_fem::DynamicFemBody;
 use super::found::answers;
 use super::found_rigid::{RigidContacts, motion};
-use super::mass_spring_body::MassSpringBody;
 use super::rigid_bodies::RigidBodiesController;
-use super::xpbd::XpbdBody;
 use crate::rigid::Wrench;
 use crate::rigid_world::{World, WorldError};
 
@@ -21,9 +18,7 @@ impl<W: World> RigidBodiesController<W> {
         if !self.meets_soft_bodies || period_secs <= 0.0 {
             return;
         }
-        let is_any_soft = scene.iter::<MassSpringBody>().next().is_some()
-            || scene.iter::<XpbdBody>().next().is_some()
-            || scene.iter::<DynamicFemBody>().next().is_some();
+        let is_any_soft = scene.has_soft_body_that(|of| of.responds_to_contacts);
         for (entity, known) in &mut self.bodies {
             if known.contacts.is_none() && !is_any_soft {
                 continue;

@@ -6,12 +6,13 @@
 //! answered, it steps, the scene is told.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{
     Access, BuildContext, Collision, CollisionList, Commands, Component, Controller, ControllerError,
     Detection, Entity, EntitySet, Frozen, Instrument, InstrumentKind, JawState, Measured, Pose, Primitive,
-    Snapshot, Tick, Velocity,
+    Registry, Snapshot, Tick, Velocity,
 };
 
 use super::answering::Answering;
@@ -88,8 +89,6 @@ pub trait SoftMethod: Send + Sized + 'static {
     type Kind: Component + Clone;
     /// The kind of its controller, for messages.
     const CONTROLLER: &'static str;
-    /// Whether bodies of other controllers can be coupled with its own.
-    const ANSWERS: bool = false;
 
     /// The solver of one body, where the scene says that the body is.
     ///
@@ -247,6 +246,7 @@ pub struct SoftController<M> {
     bodies: Vec<Body<M>>,
     refused: Vec<Refused>,
     surroundings: Surroundings,
+    registry: Arc<Registry>,
 }
 
 impl<M: SoftMethod> SoftController<M> {
@@ -267,7 +267,8 @@ impl<M: SoftMethod> SoftController<M> {
             let (controller, kind) = (M::CONTROLLER, M::Kind::NAME);
             return Err(ControllerError::Scene(format!("{controller}: no entity has a '{kind}'")));
         }
-        Ok(Self { gravity_in_world, bodies, refused, surroundings: Surroundings::default() })
+        let (surroundings, registry) = (Surroundings::default(), context.scene.registry().clone());
+        Ok(Self { gravity_in_world, bodies, refused, surroundings, registry })
     }
 
     /// Answers what detectors have found of its bodies.
@@ -324,7 +325,8 @@ impl<M: SoftMethod> Controller for SoftController<M> {
             .writes::<Grips>(EntitySet::Of(bodies.clone()))
             .writes::<Measured>(EntitySet::Own)
             .contributes::<CollisionList>();
-        M::access(found::access(Answering::access(access, &bodies), &bodies), &bodies)
+        let access = Answering::access(access, &self.registry, &bodies);
+        M::access(found::access(access, &self.registry, &bodies), &bodies)
     }
 
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
@@ -394,7 +396,8 @@ impl<M: SoftMethod> Body<M> {
             .fit(body.rest.len(), body.holdable().len())
             .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
         let frozen = scene.get::<Frozen>(entity).is_some();
-        let answering = if M::ANSWERS { Answering::new(&body, scene) } else { None };
+        let answers = M::Kind::SOFT_BODY.is_some_and(|of| of.answers_couplings);
+        let answering = if answers { Answering::new(&body, scene) } else { None };
         let contacts = scene.get::<SoftContacts>(entity).cloned().unwrap_or_default();
         let (meets, pressed) = (Meets::default(), (0.0, 0));
         Ok(Self { body, method, is_pinned, grips, answering, frozen, meets, contacts, pressed })

@@ -174,8 +174,15 @@ impl Default for ThreadBody {
     }
 }
 
+impl ThreadBody {
+    fn partners(&self) -> Vec<&str> {
+        self.lies_on.iter().map(|on| on.body.as_str()).collect()
+    }
+}
+
 impl Component for ThreadBody {
     const NAME: &'static str = "thread";
+    const PARTNERS: Option<fn(&Self) -> Vec<&str>> = Some(Self::partners);
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)?;
         for (field, known, range, valid) in [

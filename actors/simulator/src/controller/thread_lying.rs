@@ -2,6 +2,7 @@
 //! between bodies that are coupled ([`CouplingGiven`]).
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_scene::soft_body::one_of;
 use trocar_scene::{Commands, Entity, Snapshot, Tick};
 
 use super::coupled::{Partner, other};
@@ -10,7 +11,6 @@ use super::deformable::Deformable;
 use super::soft::Site;
 use super::thread_body::LiesOn;
 use super::thread_obstacles::Yielding;
-use super::xpbd::XpbdBody;
 use crate::thread::ThreadState;
 use crate::thread::soft::SoftSurface;
 
@@ -39,10 +39,11 @@ impl LyingOn {
         let lies = Some(Lies { friction: on.friction, ..Lies::default() });
         let rule = CoupledWith { body: on.body.clone(), joined: None, lies };
         let body = other(thread, &rule, scene).map_err(told)?;
-        if scene.get::<XpbdBody>(body.entity).is_some() {
-            return Err(told(
-                "that is moved by 'xpbd', which takes nothing from a thread; valid: 'dynamic_fem'".into(),
-            ));
+        if let Some((method, _)) = scene.soft_body(body.entity).filter(|(_, of)| !of.answers_couplings) {
+            let valid = one_of(&scene.registry().soft_bodies_that(|of| of.answers_couplings));
+            return Err(told(format!(
+                "that is moved by '{method}', which takes nothing from a thread; valid: {valid}"
+            )));
         }
         let known = scene.get::<CouplingGiven>(thread.entity);
         let known = known.and_then(|known| known.to.iter().find(|to| to.body == Some(body.entity)));

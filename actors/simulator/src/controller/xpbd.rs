@@ -9,7 +9,9 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Access, Commands, Component, ComponentError, Entity, EntitySet, LineMesh, Snapshot};
+use trocar_scene::{
+    Access, Commands, Component, ComponentError, Entity, EntitySet, LineMesh, Snapshot, SoftAbilities,
+};
 
 use super::coupled::Coupled;
 use super::deformable::Deformable;
@@ -112,6 +114,12 @@ impl Default for XpbdBody {
 
 impl Component for XpbdBody {
     const NAME: &'static str = "xpbd";
+    const SOFT_BODY: Option<SoftAbilities> = Some(SoftAbilities {
+        responds_to_contacts: true,
+        couples: true,
+        loses_elements: true,
+        ..SoftAbilities::NONE
+    });
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)?;
         ComponentError::range("parts", f64::from(self.parts), 1.0..=1000.0, "1 to 1000")?;
