@@ -15,7 +15,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError, Snapshot, SoftAbilities};
 use trocar_simulator::controller::deformable::Deformable;
-use trocar_simulator::controller::soft::{Measures, Site};
+use trocar_simulator::controller::method::{Measures, Site};
 use trocar_simulator::controller::touch::{Skin, Touch};
 use trocar_simulator::controller::{SoftController, SoftMethod};
 use trocar_simulator::elasticity::cauchy_stress;

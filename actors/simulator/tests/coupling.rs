@@ -6,7 +6,7 @@ use trocar_collision::Surface;
 use trocar_simulator::coupling::{Ghosts, GhostsError, Lying, LyingRule, News};
 use trocar_simulator::dynamic_fem::{Config, DynamicFem, DynamicFemState, Inputs};
 use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::mass_spring::State;
+use trocar_simulator::particles::State;
 use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::xpbd::company::{Company, Guest, Press, Tie};
 use trocar_simulator::xpbd::{Body, Distance, Xpbd, XpbdConfig, XpbdInput};

@@ -9,8 +9,9 @@ use proptest::prelude::*;
 use trocar_simulator::cutting::{Sheet, Sweep, TopologyChange};
 use trocar_simulator::elasticity::Alteration;
 use trocar_simulator::mass_spring::{
-    Config, Input, Integrator, MassSpring, Network, Patch, State, SurfaceMaterial, TooLarge, VolumeMaterial,
+    Config, Input, Integrator, MassSpring, Network, Patch, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
+use trocar_simulator::particles::State;
 use trocar_simulator::tet_mesh::{
     Birth, BoxCells, MeshRules, Moving, Slit, Stars, TetMesh, Volume, VolumeChange, box_cells,
 };

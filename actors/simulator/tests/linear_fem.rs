@@ -119,7 +119,7 @@ fn what_is_held_stands_where_it_is_to_and_the_force_is_read_back() {
 fn ten_grasped_nodes_read_back_the_force_of_a_direct_solve() {
     // All displacements of ten neighbouring nodes: what is hardest on the rounding of the compliance. The direct solve
     // holds them too, as part of the fixed boundary, and its forces are K u.
-    use trocar_simulator::elasticity::stiffness;
+    use trocar_simulator::stiffness::stiffness;
     let mesh = beam::mesh([12, 4, 4]);
     let mut fem = body([12, 4, 4]);
     let mut tip: Vec<u32> = fem.compliance().nodes().to_vec();

@@ -10,8 +10,9 @@ use trocar_scene::{
     VertexPositions,
 };
 use trocar_simulator::controller::LinearFemController;
-use trocar_simulator::elasticity::{Elastic, stiffness};
+use trocar_simulator::elasticity::Elastic;
 use trocar_simulator::sparse::SparseCholesky;
+use trocar_simulator::stiffness::stiffness;
 use trocar_simulator::tet_mesh::{MeshRules, TetMesh};
 
 const HZ: f64 = 60.0;

@@ -5,8 +5,9 @@ use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use trocar_simulator::mass_spring::{
     Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, NodeForce,
-    Prescribed, State, StepError,
+    Prescribed,
 };
+use trocar_simulator::particles::{State, StepError};
 use trocar_simulator::xpbd::{Body, Distance, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);

@@ -6,18 +6,7 @@ use trocar_scene::{Access, Commands, Entity, EntitySet, Registry, Snapshot};
 
 use super::coupling::{CouplingGiven, CouplingTaken, GivenTo, TakenFrom};
 use super::deformable::Deformable;
-use super::soft::Site;
-
-/// What is to be expected of the next step of a body.
-#[derive(Clone, Debug, Default)]
-pub struct Outlook {
-    /// How all vertices would move after one more step like the last \[m/s\].
-    pub expected: Vec<Vector3<f64>>,
-    /// How readily those that were asked for follow impulses that all of them are given alike \[1/kg\].
-    pub yielding: Vec<f64>,
-    /// Masses of all vertices \[kg\].
-    pub masses: Vec<f64>,
-}
+use super::method::{Outlook, Site};
 
 /// A body that others are coupled with.
 pub struct Answering {

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::shapes::instrument_from_hinge;
 use trocar_scene::{Entity, Instrument, InstrumentKind, JawState, Snapshot};
 
-use super::grips::CLOSED;
+use super::jaws::CLOSED;
 use crate::cutting::Sweep;
 
 /// Shares of [`CLOSED`] at which each edge stops, counted from the middle: the one lies over the other, so that nothing between

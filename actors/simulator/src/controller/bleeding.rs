@@ -14,8 +14,8 @@ use trocar_scene::{
 
 use super::blades::{Blades, swept};
 use super::electrosurgery::HeatState;
-use super::grips::holds;
 use super::heat::RemovedElements;
+use super::jaws::holds;
 use super::parting::VolumeCuts;
 use super::refused::{Refused, Still, freeze};
 use super::vital_signs::PatientState;

@@ -16,9 +16,9 @@ use super::coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, Gi
 use super::deformable::Deformable;
 use super::grafts::{Fused, grafts};
 use super::heat::RemovedElements;
-use super::soft::{Measures, Site};
+use super::method::{Measures, Site};
 use crate::coupling::{Lying, LyingRule, News};
-use crate::mass_spring::State;
+use crate::particles::State;
 use crate::xpbd::company::{Company, CompanyMoved, Guest, GuestMoved, Press, Tie};
 
 /// News older than this are none: what they are of is a wall \[s\].

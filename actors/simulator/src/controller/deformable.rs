@@ -10,8 +10,8 @@ use trocar_scene::{
 };
 
 use super::coupling::CoupledBody;
-use super::linear_fem_pins::PinnedBody;
-use crate::mass_spring::Faulty;
+use super::pinned::PinnedBody;
+use crate::faulty::Faulty;
 
 /// A body with vertices that move.
 #[derive(Clone, Debug)]

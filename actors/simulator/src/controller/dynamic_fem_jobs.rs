@@ -9,7 +9,7 @@ use super::deformable::Deformable;
 use super::dynamic_fem::{DynamicFemBody, Solver};
 use super::dynamic_fem_memory::{LentFactor, WantedFactor};
 use super::heat::Heated;
-use super::soft::Site;
+use super::method::Site;
 use crate::dynamic_fem::{Analysis, DynamicFem};
 
 /// What a factor takes in lock-step, however long it takes.

@@ -24,9 +24,9 @@ use super::heat::{Coagulated, CoagulatedElements, RemovedElements};
 use super::heat_parted::{PartedMesh, births};
 use super::membrane::SurfaceElements;
 use super::parting::VolumeCuts;
+use super::plume::Plume;
 use super::refused::{Refused, Still, freeze};
 use super::rest_place::rest_place;
-use super::smoke::Plume;
 use crate::electrosurgery::{
     Contact, Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, Tissue, shares,
 };

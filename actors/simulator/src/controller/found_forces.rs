@@ -20,6 +20,7 @@ use super::found::{
 };
 use super::found_movers::{Given, Handle, Mover};
 use super::found_rigid::WholeSums;
+use super::method::Terms;
 use crate::picking::Led;
 
 /// Times that all contacts are gone over.
@@ -57,17 +58,6 @@ impl Own<'_> {
             self.changed = true;
         }
     }
-}
-
-/// How a body answers.
-#[derive(Clone, Copy, Debug)]
-pub struct Terms<'a> {
-    /// One over the mass of each vertex, 0 where it is held \[1/kg\].
-    pub masses_inverse: &'a [f64],
-    /// Force per depth of each contact \[N/m\].
-    pub stiffness: f64,
-    /// Coulomb's coefficient.
-    pub friction: f64,
 }
 
 struct Row {

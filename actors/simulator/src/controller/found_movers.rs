@@ -7,8 +7,9 @@ use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_scene::{Entity, SimTime, Snapshot, Velocity};
 
 use super::found::{ContactSums, Place, Shape, SoftContacts};
-use super::found_forces::{Own, Terms};
+use super::found_forces::Own;
 use super::found_rigid::{Whole, WholeSums};
+use super::method::Terms;
 use crate::picking::Led;
 
 /// What the bodies of a controller have given others so far: who, and to whom.

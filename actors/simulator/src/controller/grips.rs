@@ -1,17 +1,13 @@
 //! What jaws hold of soft bodies, whichever method moves them.
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, Entity, Instrument, InstrumentKind, JawState, Snapshot};
+use trocar_scene::{Component, Instrument};
 
-use super::soft::Site;
+use super::jaws::{AT_REST, holds, is_closed, opening};
+use super::method::{Reshaped, Site};
 use super::touch::Touch;
 use crate::picking::{Jaws, Picks};
-
-/// Full opening below which jaws hold, and blades cut \[rad\].
-pub const CLOSED: f64 = 0.12;
-/// Jaws that turn no faster are at rest \[rad/s\].
-pub(super) const AT_REST: f64 = 0.01;
 
 /// What instruments hold of a body: another life of whoever moves it goes on holding it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -44,31 +40,27 @@ impl Grips {
         Ok(())
     }
 
+    /// Follows a body that has another shape now.
+    pub(super) fn follow(
+        &mut self,
+        reshaped: &Reshaped,
+        site: &Site<'_>,
+        triangles: &[[u32; 3]],
+        positions: &[Point3<f64>],
+    ) {
+        if let Some(kept) = &reshaped.kept {
+            self.picks.renumber(kept);
+        }
+        let holders = Holder::all(site, &[], triangles);
+        let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
+        self.picks.follow(&reshaped.parents, triangles, positions, &jaws);
+    }
+
     /// How many vertices are held.
     #[must_use]
     pub fn vertices(&self) -> usize {
         self.picks.picks.iter().map(|pick| pick.vertices.len()).sum()
     }
-}
-
-/// Whether its jaws take hold of what is between them; blades do not.
-#[must_use]
-pub fn holds(kind: InstrumentKind) -> bool {
-    kind.has_jaws() && kind != InstrumentKind::Scissors
-}
-
-/// Opening of an instrument's jaws \[rad\], and how fast they open \[rad/s\]; closed and at rest as long as nobody has told,
-/// as in the first tick of a scene. Whoever takes them as a body and as what holds has to take them alike: closed jaws that do not
-/// hold squeeze out what lies between them.
-#[must_use]
-pub fn opening(scene: &Snapshot, instrument: Entity) -> [f64; 2] {
-    scene.get::<JawState>(instrument).map_or([0.0; 2], |jaws| [jaws.angle, jaws.rate])
-}
-
-/// Whether the jaws of an instrument are closed, or its blades.
-#[must_use]
-pub fn is_closed(scene: &Snapshot, instrument: Entity) -> bool {
-    opening(scene, instrument)[0] < CLOSED
 }
 
 /// An instrument that holds: its number, its pose in the frame of a body, whether it is closed, what each jaw touches.

@@ -8,7 +8,7 @@ use trocar_scene::{Commands, LineMesh, Snapshot};
 
 use super::cuts::Cuts;
 use super::deformable::Deformable;
-use super::soft::{Measures, Site};
+use super::method::{Measures, Site};
 use crate::cutting::{part_line, pieces, tear_line};
 
 /// What makes lines come apart.

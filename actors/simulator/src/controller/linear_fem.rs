@@ -22,15 +22,17 @@ use trocar_scene::{
 
 use super::deformable::Deformable;
 use super::grips::Grips;
+use super::jaws::is_blade;
 use super::linear_fem_altered::{Altered, AlteredAt};
 use super::linear_fem_contacts::{Answer, By, Contacts};
 use super::linear_fem_fading::Fading;
 use super::linear_fem_holding::Holding;
 use super::linear_fem_jobs::{altered_as_job, built, built_as_job};
-use super::linear_fem_pins::{PinPlaces, PinnedBody, Pins};
+use super::linear_fem_pins::{PinPlaces, Pins};
+use super::method::{Measures, Site, finite_vertices};
 use super::parting::{Parting, Weakness};
+use super::pinned::PinnedBody;
 use super::refused::{Refused, Still};
-use super::soft::{Measures, Site, finite_vertices, is_blade};
 use super::tools::{Rod, rods_of_all};
 use super::touch::{COLLISIONS_MAX, Touch, collision};
 use crate::elasticity::{Elastic, POISSON_MAX};
@@ -312,7 +314,7 @@ impl Body {
         let mut elements = AlteredAt { altered, positions, mesh, has_followed };
         if let Some(reshaped) = parting.reshape(&mut elements, &mut self.body, site, out)? {
             self.is_pinned = self.body.stays();
-            reshaped.followed_by(&mut self.grips, site, &self.body.triangles, &self.positions);
+            self.grips.follow(&reshaped, site, &self.body.triangles, &self.positions);
             self.contacts = Contacts::default();
         }
         let Some(solver) = &mut self.solver else { return Ok(()) };

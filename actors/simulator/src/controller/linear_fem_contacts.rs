@@ -12,7 +12,7 @@ use trocar_scene::{Component, Entity};
 
 use super::grips::Holder;
 use super::linear_fem::Body;
-use super::soft::Site;
+use super::method::Site;
 use super::tools::Rod;
 use super::touch::{Skin, Touch, touches};
 use crate::linear_fem::{Attachment, Hold, LinearFemError, patch};

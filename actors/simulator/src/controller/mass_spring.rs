@@ -10,14 +10,15 @@ use super::line_cuts::{LineCuts, LineWeakness};
 use super::mass_spring_body::{MassSpringBody, Method, SolvedBy, Springs};
 use super::mass_spring_factor::{FactorKeeper, SpringFactor};
 use super::membrane::{Membrane, MembraneWeakness, Parted};
+use super::method::{Measures, Reshaped, Site, SoftMethod, Terms};
 use super::parting::{Elements, Parting, Split};
-use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Terms};
+use super::soft::SoftController;
 use super::touch::{Skin, Touch};
 use crate::elasticity::Alteration;
 use crate::mass_spring::{
-    Contact, Input, LinearSolver, MassSpring, NodeForce, Patch, Prescribed, State, SurfaceMaterial,
-    VolumeMaterial,
+    Contact, Input, LinearSolver, MassSpring, NodeForce, Patch, Prescribed, SurfaceMaterial, VolumeMaterial,
 };
+use crate::particles::State;
 use crate::tet_mesh::Stars;
 
 /// Masses and springs of one body, whose elements may go.

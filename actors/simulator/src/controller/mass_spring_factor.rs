@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError, Entity, Job, JobOutput, SimTime};
 
-use super::soft::Site;
+use super::method::Site;
 use crate::mass_spring::{Config, MassSpring, Network, SheetFactor};
 
 /// For so long nothing may have come apart before a factor is worth making.

@@ -14,10 +14,11 @@ use super::cauterised::CauterisedBody;
 use super::cuts::Cuts;
 use super::deformable::Deformable;
 use super::heat::{self, Coagulated, Heated};
-use super::soft::{Measures, Reshaped, Site};
+use super::method::{Measures, Reshaped, Site};
 use crate::cutting::{Sheet, TopologyChange, VertexChange};
 use crate::elasticity::Alteration;
-use crate::mass_spring::{Patch, State};
+use crate::mass_spring::Patch;
+use crate::particles::State;
 use crate::tet_mesh::Birth;
 
 /// What the mesh of a membrane does not say about how heat has changed it.

@@ -19,9 +19,9 @@ use super::cauterised::CauterisedBody;
 use super::coupling::CoupledBody;
 use super::deformable::Deformable;
 use super::heat::{self, Coagulated, Heated, RemovedElements};
-use super::soft::{Measures, Reshaped, Site};
+use super::method::{Measures, Reshaped, Site};
 use crate::elasticity::{Alteration, cauchy_stress, small_stress};
-use crate::mass_spring::State;
+use crate::particles::State;
 use crate::tet_mesh::{
     self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape,
 };

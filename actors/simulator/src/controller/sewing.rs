@@ -8,7 +8,7 @@ use trocar_scene::{
 };
 
 use super::deformable::Deformable;
-use super::grips::{CLOSED, holds};
+use super::jaws::{CLOSED, holds};
 use super::knot_state::KnotState;
 use super::knot_watch::KnotWatch;
 use super::suture_body::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};

@@ -11,6 +11,7 @@ use trocar_scene::{
     EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, Snapshot, Tick,
 };
 
+use super::plume::Plume;
 use super::refused::{Still, freeze};
 use crate::fluid::smoke::{Smoke, SmokeConfig, SmokeState};
 
@@ -62,18 +63,6 @@ impl Component for SmokeCloud {
     fn schema() -> Option<serde_json::Value> {
         Some(schemars::schema_for!(Self).to_value())
     }
-}
-
-/// What a body gives off, as a total: whoever looks late misses nothing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Plume {
-    /// Smoke since the beginning \[kg\].
-    pub emitted: f64,
-    /// Where the last of it rose, in the frame of the body \[m\].
-    pub place: Point3<f64>,
-}
-impl Component for Plume {
-    const NAME: &'static str = "plume";
 }
 
 /// What a later life goes on from.

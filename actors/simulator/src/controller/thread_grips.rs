@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::closest_segments;
 use trocar_scene::{Entity, Instrument, Snapshot};
 
-use super::grips::{AT_REST, CLOSED, holds, opening};
+use super::jaws::{AT_REST, CLOSED, holds, opening};
 use super::thread_obstacles::{Parts, between};
 use crate::thread::{Hold, Spared, ThreadState, TwistHold};
 

@@ -8,7 +8,7 @@ use trocar_scene::{Commands, Entity, Snapshot, Tick};
 use super::coupled::{Partner, other};
 use super::coupling::{CoupledWith, CouplingGiven, Lies};
 use super::deformable::Deformable;
-use super::soft::Site;
+use super::method::Site;
 use super::thread_body::LiesOn;
 use super::thread_obstacles::Yielding;
 use crate::thread::ThreadState;

@@ -10,7 +10,7 @@ use trocar_scene::{
     Entity, Instrument, RigidBody, Shape as SceneShape, Snapshot, SurfaceMesh, VertexPositions,
 };
 
-use super::grips::opening;
+use super::jaws::opening;
 use super::thread_memory::Met;
 use super::tools::{Rod, rods_of_all};
 use crate::thread::{ContactMemory, Obstacle, Shape};

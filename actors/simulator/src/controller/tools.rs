@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::shapes::{instrument_from_hinge, working_end};
 use trocar_scene::{Entity, Instrument, Snapshot, Velocity};
 
-use super::grips::{CLOSED, opening};
+use super::jaws::{CLOSED, opening};
 
 /// Most of a shaft that takes part, from the hinge backwards \[m\].
 const SHAFT_REACH: f64 = 0.12;

@@ -18,14 +18,16 @@ use super::deformable::Deformable;
 use super::heat::Coagulated;
 use super::line_cuts::{LineCuts, LineWeakness};
 use super::membrane::{Membrane, MembraneWeakness, Parted};
+use super::method::{Measures, Reshaped, Site, SoftMethod, Step, Terms};
 use super::parting::{Elements, Parting, Split, Weakness};
-use super::soft::{Measures, Reshaped, Site, SoftController, SoftMethod, Step, Terms};
+use super::soft::SoftController;
 use super::touch::{Skin, Touch};
 use super::xpbd_island::step_island;
 use crate::elasticity::Alteration;
 use crate::mass_spring::{
-    Contact, LineMaterial, Network, NetworkError, NodeForce, Prescribed, State, SurfaceMaterial,
+    Contact, LineMaterial, Network, NetworkError, NodeForce, Prescribed, SurfaceMaterial,
 };
+use crate::particles::State;
 use crate::xpbd::company::CompanyState;
 use crate::xpbd::{Body, Elasticity, Groups, SplitTets, Xpbd, XpbdConfig, distances_of};
 

@@ -3,9 +3,9 @@
 use nalgebra::Vector3;
 
 use super::coupled::Coupled;
-use super::soft::Step;
+use super::method::Step;
 use super::xpbd::XpbdMethod;
-use crate::mass_spring::StepError;
+use crate::particles::StepError;
 use crate::xpbd::company::{Company, CompanyMoved, CompanyState, Guest, Press, Tie};
 use crate::xpbd::{Member, XpbdInput, step_together};
 

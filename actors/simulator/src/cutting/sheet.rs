@@ -10,7 +10,8 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::change::{TopologyChange, VertexChange};
-use crate::mass_spring::{Faulty, NetworkError};
+use crate::faulty::Faulty;
+use crate::mass_spring::NetworkError;
 
 /// How flat a new triangle may be: its least height, of the least of the mesh at first.
 const HEIGHT: f64 = 0.35;

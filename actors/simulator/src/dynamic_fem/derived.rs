@@ -6,8 +6,8 @@ use super::config::MassMatrix;
 use super::lbfgs::Memory;
 use super::objective::{Mass, elements};
 use super::solver::DynamicFem;
-use crate::elasticity::{consistent_mass, pattern};
 use crate::sparse::{BlockMatrix, FactorError, SparseCholesky, minimum_degree};
+use crate::stiffness::{consistent_mass, pattern};
 use crate::tet_mesh::TetMesh;
 
 impl DynamicFem {

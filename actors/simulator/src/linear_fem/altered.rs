@@ -8,7 +8,8 @@ use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::error::LinearFemError;
 use super::removal::REMNANT;
 use super::solver::LinearFem;
-use crate::elasticity::{Alteration, Bonds, Elastic};
+use crate::elasticity::{Alteration, Elastic};
+use crate::stiffness::Bonds;
 use crate::tet_mesh::{TetMesh, surface};
 
 impl LinearFem {

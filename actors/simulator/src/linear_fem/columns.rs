@@ -7,8 +7,9 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::compliance::{Boundary, Limits, PrecomputeError, factor};
-use crate::elasticity::{Bonds, Elastic};
+use crate::elasticity::Elastic;
 use crate::sparse::SparseCholesky;
+use crate::stiffness::Bonds;
 use crate::tet_mesh::TetMesh;
 
 /// Columns of the inverse, found as they are asked for.

@@ -7,8 +7,9 @@ use nalgebra::Vector3;
 use thiserror::Error;
 
 use super::correction::BATCH;
-use crate::elasticity::{Bonds, Elastic, bound_stiffness};
+use crate::elasticity::Elastic;
 use crate::sparse::{FactorError, SparseCholesky, nested_dissection};
+use crate::stiffness::{Bonds, bound_stiffness};
 use crate::tet_mesh::TetMesh;
 
 /// How much a precomputation may take.

@@ -19,8 +19,9 @@ use nalgebra::{DVector, SMatrix, Vector3};
 use super::active::{ActiveSet, Packed};
 use super::compliance::Boundary;
 use super::removal::{RANK, REMNANT, REMOVED_MAX, root_of_stiffness};
-use crate::elasticity::{Elastic, stiffness_block};
+use crate::elasticity::Elastic;
 use crate::sparse::SparseCholesky;
+use crate::stiffness::stiffness_block;
 use crate::tet_mesh::TetMesh;
 
 /// Unknowns that an inverse is corrected by at most.

@@ -6,7 +6,8 @@ use nalgebra::SMatrix;
 use super::correction::{BATCH, UNKNOWNS_MAX};
 use super::error::LinearFemError;
 use super::solver::LinearFem;
-use crate::elasticity::{Elastic, stiffness_block};
+use crate::elasticity::Elastic;
+use crate::stiffness::stiffness_block;
 use crate::tet_mesh::TetMesh;
 
 /// Elements that can be taken out until a new inverse is due.

@@ -9,8 +9,9 @@ use super::attachment::{Attachment, Hold, check_weights};
 use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::correction::{Correction, Through};
 use super::error::LinearFemError;
-use crate::elasticity::{Bonds, Elastic};
+use crate::elasticity::Elastic;
 use crate::sparse::SparseCholesky;
+use crate::stiffness::Bonds;
 use crate::tet_mesh::TetMesh;
 
 /// Directions that can be held at once: 128 grasped points.

@@ -2,7 +2,8 @@
 
 use nalgebra::Vector3;
 
-use super::{Input, MassSpring, Report, StepError, TooLarge, bound, forces};
+use super::{Input, MassSpring, Report, TooLarge, bound, forces};
+use crate::particles::StepError;
 
 impl MassSpring {
     pub(super) fn step_explicit(

@@ -8,9 +8,10 @@
 
 use nalgebra::Point3;
 
-use super::error::{Faulty, NetworkError};
+use super::error::NetworkError;
 use super::network::{Hinge, LEAST, LOOSE, Network, Spring};
 use crate::elasticity::Alteration;
+use crate::faulty::Faulty;
 
 /// A mesh that has changed, as whoever keeps it knows it.
 #[derive(Clone, Copy)]

@@ -12,7 +12,8 @@ mod warped;
 use nalgebra::Vector3;
 
 use super::matrix::StepMatrix;
-use super::{Config, Input, LinearSolver, MassSpring, Network, Report, StepError, forces};
+use super::{Config, Input, LinearSolver, MassSpring, Network, Report, forces};
+use crate::particles::StepError;
 use cholesky::Cholesky;
 use conjugate_gradients::ConjugateGradients;
 use node_blocks::NodeBlocks;

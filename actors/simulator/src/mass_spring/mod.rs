@@ -18,7 +18,7 @@ mod network;
 mod surface;
 
 pub use contact::Contact;
-pub use error::{Faulty, NetworkError, StepError};
+pub use error::NetworkError;
 pub use following::{Edits, Followed, Patch};
 pub use network::{Hinge, LineMaterial, Network, Spring, SurfaceMaterial, VolumeMaterial};
 
@@ -30,6 +30,8 @@ pub(crate) use surface::area;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::faulty::Faulty;
+use crate::particles::{State, StepError};
 use bound::Bound;
 use implicit::Implicit;
 pub use implicit::SheetFactor;
@@ -111,15 +113,6 @@ impl Default for Config {
         let too_large = TooLarge::Divide { most: 100 };
         Self { integrator: Integrator::Explicit { too_large }, lag: 0.0, damping: 0.0, speed_max: 100.0 }
     }
-}
-
-/// Where every node is, and how it moves: all that a solver needs to continue.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct State {
-    /// One per node \[m\].
-    pub positions: Vec<Point3<f64>>,
-    /// One per node \[m/s\].
-    pub velocities: Vec<Vector3<f64>>,
 }
 
 /// A force on a node for one step.

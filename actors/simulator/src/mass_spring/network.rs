@@ -14,9 +14,10 @@
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::error::{Faulty, NetworkError};
+use super::error::NetworkError;
 use super::following::{Followed, Patch};
 use crate::elasticity::Alteration;
+use crate::faulty::Faulty;
 
 /// Holds two nodes at a distance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

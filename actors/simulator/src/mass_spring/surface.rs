@@ -3,10 +3,11 @@
 
 use nalgebra::Point3;
 
-use super::error::{Faulty, NetworkError};
+use super::error::NetworkError;
 use super::following::{Followed, OfEdge, Patch};
 use super::network::{Hinge, LEAST, LOOSE, Network, Spring, SurfaceMaterial, check_elements, parameter};
 use crate::elasticity::Alteration;
+use crate::faulty::Faulty;
 
 /// One side of a triangle, by its edge: the order in which shares are summed.
 type Side = ([u32; 2], u32);

@@ -6,7 +6,8 @@
 //! to be told the groups.
 
 use super::constraint::Constraint;
-use crate::mass_spring::{Edits, Faulty, NetworkError};
+use crate::faulty::Faulty;
+use crate::mass_spring::{Edits, NetworkError};
 
 /// The group of what is no constraint.
 pub(super) const NONE: u16 = u16::MAX;

@@ -7,7 +7,7 @@
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::mass_spring::StepError;
+use crate::particles::StepError;
 
 /// Where ties name guests, numbers from here on name nodes of the bodies that are stepped together instead.
 pub const OF_BODY: u32 = 1 << 31;

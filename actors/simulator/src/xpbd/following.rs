@@ -5,7 +5,9 @@ use nalgebra::Point3;
 
 use super::constraint::{Bend, Distance};
 use super::{Xpbd, tets};
-use crate::mass_spring::{Faulty, Followed, Network, NetworkError, Patch, State};
+use crate::faulty::Faulty;
+use crate::mass_spring::{Followed, Network, NetworkError, Patch};
+use crate::particles::State;
 
 /// Tetrahedra that have got other corners, or are new.
 #[derive(Clone, Copy)]

@@ -27,9 +27,9 @@ use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::mass_spring::{
-    Contact, Faulty, NetworkError, NodeForce, Prescribed, State, StepError, check_contacts, check_elements,
-};
+use crate::faulty::Faulty;
+use crate::mass_spring::{Contact, NetworkError, NodeForce, Prescribed, check_contacts, check_elements};
+use crate::particles::{State, StepError};
 use colouring::Coloured;
 use company::{Company, CompanyMoved, CompanyState};
 use constraint::{Constraint, Nodes};

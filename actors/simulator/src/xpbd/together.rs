@@ -2,7 +2,7 @@
 
 use super::company::{Company, CompanyState};
 use super::{Xpbd, XpbdConfig, XpbdInput};
-use crate::mass_spring::StepError;
+use crate::particles::StepError;
 
 /// A body that is stepped together with others.
 #[derive(Debug)]

@@ -2,8 +2,9 @@
 #![allow(dead_code)] // every test uses another part
 
 use nalgebra::Vector3;
-use trocar_simulator::elasticity::{Elastic, stiffness};
+use trocar_simulator::elasticity::Elastic;
 use trocar_simulator::sparse::{BlockMatrix, SparseCholesky};
+use trocar_simulator::stiffness::stiffness;
 use trocar_simulator::tet_mesh::TetMesh;
 
 /// Numbers of the nodes that are not fixed.

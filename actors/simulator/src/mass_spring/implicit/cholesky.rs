@@ -14,7 +14,8 @@ use nalgebra::Vector3;
 
 use super::StepMatrix;
 use crate::mass_spring::matrix::pairs;
-use crate::mass_spring::{Contact, Network, StepError};
+use crate::mass_spring::{Contact, Network};
+use crate::particles::StepError;
 use crate::sparse::nested_dissection;
 
 /// The lower triangle, by columns.
