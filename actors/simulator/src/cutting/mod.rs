@@ -20,7 +20,6 @@ mod walk;
 pub use change::{TopologyChange, VertexChange};
 pub use line::{PartedLine, crossed, part_line, pieces, tear_line};
 pub use sheet::{Sheet, SheetState};
-pub use sweep::Sweep;
 
 use nalgebra::Point3;
 use thiserror::Error;

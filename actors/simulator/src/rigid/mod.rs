@@ -24,16 +24,6 @@ pub use error::{RigidError, RigidStepError};
 pub use joint::{Arm, Joint};
 
 use response::Response;
-pub(crate) use row::most_across;
-
-/// What pushes a body from outside during a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Wrench {
-    /// Force at the centre of mass, in world \[N\].
-    pub force: Vector3<f64>,
-    /// Torque about the centre of mass, in world axes \[N·m\].
-    pub torque: Vector3<f64>,
-}
 
 /// Bodies that move and collide.
 #[derive(Clone, Debug)]

@@ -48,15 +48,6 @@ pub(super) struct Row {
     undone: f64,
 }
 
-/// What an impulse across `normal` makes of the speed across at most, over all directions \[1/kg\].
-pub(crate) fn most_across(feels: &Matrix3<f64>, normal: &Vector3<f64>) -> f64 {
-    let across = Matrix3::identity() - normal * normal.transpose();
-    let feels = across * feels * across;
-    // Of the two numbers that are not zero: their sum, and the sum of their squares.
-    let (sum, squares) = (feels.trace(), feels.norm_squared());
-    0.5 * (sum + (2.0 * squares - sum * sum).max(0.0).sqrt())
-}
-
 impl Row {
     /// Of a contact between two bodies (what stands is the last of `inverse`) that are where they are given.
     pub fn new(

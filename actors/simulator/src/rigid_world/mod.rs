@@ -28,6 +28,7 @@ mod told;
 mod tool;
 mod touch;
 mod world;
+mod wrench;
 
 pub use error::WorldError;
 pub use impulse_world::{BODIES_MAX, ImpulseWorld, TOOLS_MAX};
@@ -35,3 +36,4 @@ pub use parts::{Core, Part, mass_of, parts_of};
 pub use settings::RigidSettings;
 pub use touch::{TouchPoint, touch};
 pub use world::{FLOOR, Inertia, Scheduling, ToolView, World, check};
+pub use wrench::{Wrench, most_across};

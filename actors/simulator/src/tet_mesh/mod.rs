@@ -9,6 +9,7 @@ mod halve;
 mod refine;
 mod slit;
 mod stars;
+mod sweep;
 mod volume;
 
 use nalgebra::{Matrix3, Point3, Vector3};
@@ -18,6 +19,7 @@ pub use boxes::{BoxCells, box_cells};
 pub use refine::{NodesAndTets, RefineError, refined};
 pub use slit::{Mark, Moving, Slit};
 pub use stars::Stars;
+pub use sweep::Sweep;
 pub(crate) use trocar_scene::mesh::tet_faces::surface;
 pub use trocar_scene::mesh::{BadTets as MeshError, Defect, MeshRules, Repairs, tet_defects as defects};
 pub(crate) use trocar_scene::mesh::{mean_ratio, tet_shape as shape};
