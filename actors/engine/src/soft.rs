@@ -1,5 +1,5 @@
 //! Rapier's soft volumes: tetrahedra by its own solvers, as one more method beside those of
-//! [`trocar_simulator`], so that a scenario chooses between them by a line.
+//! `trocar-simulator`, so that a scenario chooses between them by a line.
 //!
 //! Instruments touch, press and hold them as they do every soft body; a touch is a spring of the body's
 //! `contact_stiffness`, taken implicitly within each part of a step. What holds a body is told what the stress of the
@@ -13,13 +13,13 @@ use rapier3d_f64::dynamics::{
 use rapier3d_f64::pipeline::PhysicsWorld;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::cauchy_stress;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::method::{Measures, Site};
+use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::{SoftController, SoftMethod};
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{Component, ComponentError, Snapshot, SoftAbilities};
-use trocar_simulator::controller::deformable::Deformable;
-use trocar_simulator::controller::method::{Measures, Site};
-use trocar_simulator::controller::touch::{Skin, Touch};
-use trocar_simulator::controller::{SoftController, SoftMethod};
-use trocar_simulator::elasticity::cauchy_stress;
-use trocar_simulator::tet_mesh::{MeshRules, TetMesh};
 
 use crate::conversion::{point_from_rapier, vector_from_rapier, vector_to_rapier};
 use crate::settings::LENGTH_UNIT;

@@ -4,12 +4,10 @@
 //!
 //! | Method | File |
 //! |---|---|
-//! | tetrahedral meshes: what is wrong with them, their boundary, boxes | [`tet_mesh`] |
-//! | linear quasi-static finite elements with a precomputed inverse | [`linear_fem`], [`elasticity`] |
+//! | linear quasi-static finite elements with a precomputed inverse | [`linear_fem`], [`stiffness`] |
 //! | implicit dynamic finite elements, corotational and neo-Hookean | [`dynamic_fem`] |
 //! | sparse matrices of 3×3 blocks and their Cholesky factors | [`sparse`] |
 //! | surfaces that are cut along any path, and tear | [`cutting`] |
-//! | what the jaws hold of a surface | [`picking`] |
 //! | masses and springs: thread, cloth, tube, volume, explicit and implicit | [`mass_spring`] |
 //! | position-based: distances, neo-Hookean volumes, small steps | [`xpbd`] |
 //! | Electrosurgery: enthalpy method, Pennes perfusion, Arrhenius damage | `electrosurgery/` |
@@ -18,32 +16,24 @@
 //! | needle, thread and the tissue that they go through, as one island | [`suture`] |
 //! | Liquids, smoke, bleeding, vital signs | `fluid/` |
 //! | rigid bodies: momenta, impulses | [`rigid`] |
-//! | worlds of rigid bodies and instruments, ours among them; how instruments follow hands | [`rigid_world`], [`instrument`] |
-//! | bodies of different methods and rates, joined at points | [`coupling`] |
+//! | a world of rigid bodies and instruments, computed by that | [`impulse_world`] |
 #![forbid(unsafe_code)]
 
 mod clone_in_place;
 pub mod controller;
-pub mod coupling;
 pub mod cutting;
 pub mod dynamic_fem;
 mod eight;
-pub mod elasticity;
 pub mod electrosurgery;
-pub mod faulty;
 pub mod fluid;
-pub mod instrument;
+pub mod impulse_world;
 pub mod linear_fem;
 pub mod mass_spring;
 pub mod needle;
-pub mod particles;
-pub mod picking;
 pub mod rigid;
-pub mod rigid_world;
 pub mod sparse;
 pub mod stiffness;
 pub mod suture;
-pub mod tet_mesh;
 pub mod thread;
 mod wide;
 pub mod xpbd;

@@ -1,10 +1,10 @@
 //! The stiffness and mass of linear tetrahedra as sparse matrices.
 
 use nalgebra::{Matrix3, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
-use crate::elasticity::Elastic;
 use crate::sparse::{BlockMatrix, BlockPattern};
-use crate::tet_mesh::TetMesh;
 
 /// The force on node a per displacement of node b of an element \[N/m\], from its volume and the gradients of their
 /// shape functions.

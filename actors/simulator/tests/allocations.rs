@@ -7,15 +7,15 @@ mod suture_support;
 use counting::peak_of;
 use nalgebra::{Isometry3, Point3, Vector3};
 use suture_support::{jaws, pad, pose, straight, threaded, tissue};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::dynamic_fem::{Config, Constitution, DynamicFem, Inputs};
-use trocar_simulator::elasticity::Elastic;
 use trocar_simulator::fluid::{Fluid, FluidConfig};
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
 use trocar_simulator::mass_spring::{
     self, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
 };
 use trocar_simulator::suture::{Around, Resistance};
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::thread::{self, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 use trocar_simulator::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput};
 

@@ -6,12 +6,12 @@ use std::collections::BTreeSet;
 
 use nalgebra::Vector3;
 use stage::{Stage, scene};
+use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_scene::{
     Activation, BuildContext, Burn, CollisionList, Controller, ControllerError, Doubtful, Frozen,
     InstrumentForce, InstrumentTarget, JawState, LocalContactModel, Pose, RestPositions, SurfaceMesh,
     Temperature, VertexPositions,
 };
-use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::xpbd::Matter;
 use trocar_simulator::controller::{
     CauterisedBody, DynamicFemBody, DynamicFemController, ElectrosurgeryController, InstrumentsConfig,

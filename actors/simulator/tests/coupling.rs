@@ -3,12 +3,12 @@
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::Surface;
-use trocar_simulator::coupling::{Ghosts, GhostsError, Lying, LyingRule, News};
+use trocar_dynamics::coupling::external_nodes::{Company, Guest, Press, Tie};
+use trocar_dynamics::coupling::{Ghosts, GhostsError, Lying, LyingRule, News};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::particles::State;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::dynamic_fem::{Config, DynamicFem, DynamicFemState, Inputs};
-use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::particles::State;
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
-use trocar_simulator::xpbd::company::{Company, Guest, Press, Tie};
 use trocar_simulator::xpbd::{Body, Distance, Xpbd, XpbdConfig, XpbdInput};
 
 const FAST: f64 = 1e-3;

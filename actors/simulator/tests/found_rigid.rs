@@ -9,15 +9,15 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use stage::other::Other;
 use stage::{Stage, scene_with};
 use trocar_collision::controller::{ObbTreeConfig, ObbTreeController};
+use trocar_dynamics::rigid_bodies::RigidBodiesController;
+use trocar_dynamics::rigid_world::Inertia;
+use trocar_dynamics::soft_body::contact::{ContactSums, RigidContacts, SoftContacts, WholeSums, WholeTaken};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, Frozen, Measured, Pose, Snapshot, Store,
     Tick, Velocity, VertexPositions, VertexVelocities,
 };
-use trocar_simulator::controller::{
-    ContactSums, DynamicFemController, MassSpringController, RigidBodiesController, RigidContacts,
-    SoftContacts, WholeSums, WholeTaken, XpbdController,
-};
-use trocar_simulator::rigid_world::{ImpulseWorld, Inertia, RigidSettings};
+use trocar_simulator::controller::{DynamicFemController, MassSpringController, XpbdController};
+use trocar_simulator::impulse_world::{ImpulseWorld, RigidSettings};
 
 const SOFT: u16 = 9;
 const RIGID: u16 = 10;

@@ -6,12 +6,12 @@ mod beam;
 use nalgebra::{Point3, Unit, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use trocar_simulator::elasticity::Elastic;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::linear_fem::{
     Attachment, AttachmentError, BytesError, Compliance, Hold, Limits, LinearFem, LinearFemError, Load,
     PrecomputeError, patch,
 };
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 
 fn body(cells: [usize; 3]) -> LinearFem {
     let mesh = beam::mesh(cells);

@@ -8,15 +8,15 @@ mod stage;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use stage::{Stage, context, scene};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, RestPositions, TetMesh as Tets,
     VertexPositions,
 };
 use trocar_simulator::controller::{DynamicFemController, LinearFemController, PinPlaces, RemovedElements};
-use trocar_simulator::elasticity::Elastic;
 use trocar_simulator::sparse::SparseCholesky;
 use trocar_simulator::stiffness::stiffness;
-use trocar_simulator::tet_mesh::{MeshRules, TetMesh};
 
 const HZ: f64 = 60.0;
 /// Two points that a hook holds in the midst of the bar, in its frame \[m\].

@@ -5,11 +5,11 @@ mod springs;
 
 use nalgebra::{DMatrix, DVector, Point3, SymmetricEigen, Vector3};
 use proptest::prelude::*;
+use trocar_dynamics::particles::StepError;
 use trocar_simulator::mass_spring::{
     Config, Contact, Hinge, Input, LinearSolver, MassSpring, Network, NetworkError, NodeForce, Prescribed,
     Spring, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
-use trocar_simulator::particles::StepError;
 
 use springs::*;
 

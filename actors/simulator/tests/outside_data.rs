@@ -7,18 +7,18 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
 use stage::{Stage, scene};
+use trocar_dynamics::picking::{Held, Pick, Picks};
+use trocar_dynamics::soft_body::contact::{ContactSums, HeldContact, SoftContacts, Spot};
+use trocar_dynamics::soft_body::grasp::Grips;
+use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::{
     BuildContext, Component, Controller, ControllerError, Entity, Frozen, HeatFrozen, LineMesh, SimTime,
     SurfaceMesh, TetMesh,
 };
-use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::{
-    Coagulated, CoagulatedElements, ContactSums, DynamicFemController, ElectrosurgeryController, HeldContact,
-    LinearFemController, MassSpringController, RemovedElements, SoftContacts, Spot, ThreadController,
-    VolumeCuts, XpbdController, XpbdGroups,
+    Coagulated, CoagulatedElements, DynamicFemController, ElectrosurgeryController, LinearFemController,
+    MassSpringController, RemovedElements, ThreadController, VolumeCuts, XpbdController, XpbdGroups,
 };
-use trocar_simulator::picking::{Held, Pick, Picks};
-use trocar_simulator::tet_mesh::Birth;
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 

@@ -5,11 +5,11 @@ mod suture_support;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use suture_support::*;
+use trocar_dynamics::tet_mesh::TetMesh;
 use trocar_simulator::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{
     Around, Bite, ChannelPoint, Event, Place, Resistance, Suture, SutureReport, SutureState, Tip, Tissue,
 };
-use trocar_simulator::tet_mesh::TetMesh;
 use trocar_simulator::thread::{CutAt, Load, ThreadMaterial, ThreadState};
 
 const DT: f64 = 1e-3;

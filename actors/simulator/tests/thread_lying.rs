@@ -7,17 +7,18 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use stage::{Stage, scene};
+use trocar_dynamics::coupling::external_nodes::{Guest, Path};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::coupling::{CouplingGiven, CouplingTaken};
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, Controller, ControllerError, EntitySet, Frozen, JawState,
     LineMesh, Measured, Pose, RestPositions, Snapshot, Tick, VertexPositions,
 };
 use trocar_simulator::controller::{
-    CouplingGiven, CouplingTaken, Deformable, DynamicFemController, DynamicFemMemory, KnotState,
-    ThreadController, ThreadMemory,
+    DynamicFemController, DynamicFemMemory, KnotState, ThreadController, ThreadMemory,
 };
 use trocar_simulator::thread::soft::SoftSurface;
 use trocar_simulator::thread::{Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadState};
-use trocar_simulator::xpbd::company::{Guest, Path};
 
 /// Ticks of the thread for one of the tissue.
 const RATE: u64 = 5;

@@ -3,11 +3,11 @@
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use trocar_dynamics::particles::{State, StepError};
 use trocar_simulator::mass_spring::{
     Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, NodeForce,
     Prescribed,
 };
-use trocar_simulator::particles::{State, StepError};
 use trocar_simulator::xpbd::{Body, Distance, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -297,7 +297,7 @@ fn momentum_is_kept_and_nonsense_refused() {
 
 #[test]
 fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
-    use trocar_simulator::xpbd::company::{Company, CompanyState, OF_BODY, Tie};
+    use trocar_dynamics::coupling::external_nodes::{Company, CompanyState, OF_BODY, Tie};
     use trocar_simulator::xpbd::{Member, step_together};
     // A chain of 20 masses, whole or in two bodies that share a place, hanging from its first node in a side wind.
     let chain = |from: usize, to: usize| -> Vec<Point3<f64>> {

@@ -2,11 +2,10 @@
 
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::soft_body::jaws::CLOSED;
+use trocar_dynamics::tet_mesh::Sweep;
 use trocar_scene::shapes::instrument_from_hinge;
 use trocar_scene::{Entity, Instrument, InstrumentKind, JawState, Snapshot};
-
-use super::jaws::CLOSED;
-use crate::cutting::Sweep;
 
 /// Shares of [`CLOSED`] at which each edge stops, counted from the middle: the one lies over the other, so that nothing between
 /// them stays whole, and what the one has cut the other does not cut again.

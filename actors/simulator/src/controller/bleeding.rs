@@ -6,6 +6,8 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::soft_body::frozen::{Refused, Still, freeze};
+use trocar_dynamics::soft_body::jaws::holds;
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
     EntitySet, Frozen, Instrument, JawState, LineMesh, Measured, Pose, RestPositions, Snapshot, Temperature,
@@ -15,9 +17,7 @@ use trocar_scene::{
 use super::blades::{Blades, swept};
 use super::electrosurgery::HeatState;
 use super::heat::RemovedElements;
-use super::jaws::holds;
 use super::parting::VolumeCuts;
-use super::refused::{Refused, Still, freeze};
 use super::vital_signs::PatientState;
 use crate::electrosurgery::BODY;
 use crate::fluid::bleeding::{Bleeding, BleedingState, Vessel as Pipe};

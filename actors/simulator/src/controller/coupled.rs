@@ -6,20 +6,21 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::Surface;
+use trocar_dynamics::coupling::external_nodes::{Company, CompanyMoved, Guest, GuestMoved, Press, Tie};
+use trocar_dynamics::coupling::{Lying, LyingRule, News};
+use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::coupling::components::GivenTo;
+use trocar_dynamics::soft_body::coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, Joined};
+use trocar_dynamics::soft_body::method::{Measures, Site};
 use trocar_scene::soft_body::one_of;
 use trocar_scene::{
     Access, Commands, Entity, EntitySet, Snapshot, SoftAbilities, SurfaceMesh, TetMesh, VertexPositions,
     VertexVelocities,
 };
 
-use super::coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, GivenTo, Joined};
-use super::deformable::Deformable;
 use super::grafts::{Fused, grafts};
 use super::heat::RemovedElements;
-use super::method::{Measures, Site};
-use crate::coupling::{Lying, LyingRule, News};
-use crate::particles::State;
-use crate::xpbd::company::{Company, CompanyMoved, Guest, GuestMoved, Press, Tie};
 
 /// News older than this are none: what they are of is a wall \[s\].
 const STALE: f64 = 0.5;

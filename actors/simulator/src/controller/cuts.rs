@@ -2,10 +2,11 @@
 
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::tet_mesh::Sweep;
 use trocar_scene::{Component, Snapshot};
 
 use super::blades::{Blades, swept};
-use crate::cutting::{Sheet, SheetState, Sweep};
+use crate::cutting::{Sheet, SheetState};
 
 /// Everything about the cuts of a surface that its mesh does not say.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -3,22 +3,23 @@
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::SoftController;
+use trocar_dynamics::soft_body::SoftMethod;
+use trocar_dynamics::soft_body::instrument_rods::Rod;
+use trocar_dynamics::soft_body::method::{Measures, Outlook, Reshaped, Site, Terms};
+use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Doubtful, Entity, EntitySet, Snapshot, SoftAbilities,
 };
 
-use super::deformable::Deformable;
 use super::dynamic_fem_jobs::{Built, Former};
 use super::dynamic_fem_memory::DynamicFemMemory;
 use super::heat::{Coagulated, Heated};
-use super::method::{Measures, Outlook, Reshaped, Site, SoftMethod, Terms};
 use super::parting::{Elements, Parting, Split, Weakness};
-use super::soft::SoftController;
-use super::tools::Rod;
-use super::touch::{Skin, Touch};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Report};
-use crate::elasticity::{Elastic, POISSON_MAX};
-use crate::tet_mesh::{MeshRules, TetMesh};
 
 /// Steps in a row that end out of balance, from which on a body is doubtful: a blow takes a few.
 const UNSOLVED_MAX: u32 = 20;

@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use nalgebra::Point3;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::method::Site;
 use trocar_scene::{Job, JobOutput, SimTime};
 
-use super::deformable::Deformable;
 use super::dynamic_fem::{DynamicFemBody, Solver};
 use super::dynamic_fem_memory::{LentFactor, WantedFactor};
 use super::heat::Heated;
-use super::method::Site;
 use crate::dynamic_fem::{Analysis, DynamicFem};
 
 /// What a factor takes in lock-step, however long it takes.

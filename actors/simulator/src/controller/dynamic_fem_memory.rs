@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::{Component, ComponentError, SimTime};
 
 use crate::dynamic_fem::{Coupling, DynamicFem, DynamicFemState};
-use crate::tet_mesh::Birth;
 
 /// Where the last step ended beside its positions and velocities: where the next one begins to look, and from where the
 /// factor is that it uses.

@@ -10,6 +10,9 @@ use std::sync::Arc;
 
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::frozen::{Refused, Still, freeze};
+use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::mesh::TetData;
 use trocar_scene::soft_body::one_of;
 use trocar_scene::{
@@ -19,18 +22,15 @@ use trocar_scene::{
 };
 
 use super::cauterised::{CauterisedBody, ElectrodeTip};
-use super::deformable::Deformable;
 use super::heat::{Coagulated, CoagulatedElements, RemovedElements};
 use super::heat_parted::{PartedMesh, births};
 use super::membrane::SurfaceElements;
 use super::parting::VolumeCuts;
 use super::plume::Plume;
-use super::refused::{Refused, Still, freeze};
 use super::rest_place::rest_place;
 use crate::electrosurgery::{
     Contact, Electrode, Electrosurgery, ElectrosurgeryState, LatticeConfig, Mode, Tissue, shares,
 };
-use crate::tet_mesh::Birth;
 
 /// Ticks between two states that a later life goes on from, whatever removes tissue is kept at once; and between two looks at
 /// what blades have parted, as heat goes over to another mesh then.

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::soft_body::frozen::{Still, freeze};
 use trocar_scene::{
     Access, Activation, BuildContext, Commands, Component, ComponentError, Controller, ControllerError,
     Doubtful, Entity, EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, RestPositions, Snapshot,
@@ -15,7 +16,6 @@ use trocar_scene::{
 
 use super::bleeding::{VesselState, rest_of};
 use super::irrigation::{self, Irrigator, Sucker, Suction};
-use super::refused::{Still, freeze};
 use crate::fluid::walls::{WallSample, sample};
 use crate::fluid::{Fluid, FluidConfig, FluidState, Spout};
 

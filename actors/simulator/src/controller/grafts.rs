@@ -2,13 +2,13 @@
 
 use nalgebra::Isometry3;
 use trocar_collision::primitive::closest_on_triangle;
+use trocar_dynamics::coupling::external_nodes::{OF_BODY, Tie};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::coupling::components::{Graft, JOINED_MAX};
+use trocar_dynamics::soft_body::coupling::{CoupledWith, Joined};
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::soft_body::one_of;
 use trocar_scene::{Entity, Snapshot};
-
-use super::coupling::{CoupledWith, Graft, JOINED_MAX, Joined};
-use super::deformable::Deformable;
-use crate::tet_mesh::{MeshRules, TetMesh};
-use crate::xpbd::company::{OF_BODY, Tie};
 
 /// A body of the same controller, onto which a body has grown.
 pub struct Fused {

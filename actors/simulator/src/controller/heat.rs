@@ -6,11 +6,10 @@ use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::Alteration;
 use trocar_scene::{
     Access, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
 };
-
-use crate::elasticity::Alteration;
 
 /// Elements of a body's mesh at rest that are gone: tetrahedra of a volume, triangles of a membrane.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -4,12 +4,12 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use nalgebra::Point3;
+use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::{Entity, RestPositions, Snapshot, SurfaceMesh, TetMesh};
 
 use super::membrane::SurfaceElements;
 use super::parting::VolumeCuts;
 use crate::electrosurgery::{Parted, Tissue};
-use crate::tet_mesh::Birth;
 
 /// The mesh of a body as it is now, by which heat is told.
 pub(super) struct PartedMesh {

@@ -4,11 +4,11 @@
 use std::sync::Arc;
 
 use nalgebra::Point3;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::method::{Measures, Site};
 use trocar_scene::{Commands, LineMesh, Snapshot};
 
 use super::cuts::Cuts;
-use super::deformable::Deformable;
-use super::method::{Measures, Site};
 use crate::cutting::{part_line, pieces, tear_line};
 
 /// What makes lines come apart.

@@ -14,30 +14,30 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::PinnedBody;
+use trocar_dynamics::soft_body::frozen::{Refused, Still};
+use trocar_dynamics::soft_body::grasp::Grips;
+use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
+use trocar_dynamics::soft_body::jaws::is_blade;
+use trocar_dynamics::soft_body::method::{Measures, Site, finite_vertices};
+use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, Touch, collision};
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,
     ControllerError, Detection, Doubtful, Entity, EntitySet, Frozen, Instrument, JawState, Measured, Pose,
     Primitive, SimTime, Snapshot, SoftAbilities, Tick, Velocity,
 };
 
-use super::deformable::Deformable;
-use super::grips::Grips;
-use super::jaws::is_blade;
 use super::linear_fem_altered::{Altered, AlteredAt};
 use super::linear_fem_contacts::{Answer, By, Contacts};
 use super::linear_fem_fading::Fading;
 use super::linear_fem_holding::Holding;
 use super::linear_fem_jobs::{altered_as_job, built, built_as_job};
 use super::linear_fem_pins::{PinPlaces, Pins};
-use super::method::{Measures, Site, finite_vertices};
 use super::parting::{Parting, Weakness};
-use super::pinned::PinnedBody;
-use super::refused::{Refused, Still};
-use super::tools::{Rod, rods_of_all};
-use super::touch::{COLLISIONS_MAX, Touch, collision};
-use crate::elasticity::{Elastic, POISSON_MAX};
 use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
-use crate::tet_mesh::{MeshRules, TetMesh};
 
 /// How often in a tick the surface is looked at for what is still in a rod.
 const ROUNDS_MAX: usize = 8;

@@ -5,16 +5,16 @@
 use std::collections::BTreeSet;
 
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::tet_mesh::{Birth, TetMesh};
 use trocar_scene::Tick;
 
-use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
 use super::linear_fem_fading::{Fading, catch_up};
 use super::linear_fem_jobs::{Became, built};
 use super::parting::{Elements, Split};
-use crate::elasticity::Alteration;
 use crate::linear_fem::{LinearFem, LinearFemError};
-use crate::tet_mesh::{Birth, TetMesh};
 
 /// Numbers of its factor that an inverse reads in one tick at most to follow: some 40 ms; at least one element or node goes.
 const READ_MAX: f64 = 3e8;

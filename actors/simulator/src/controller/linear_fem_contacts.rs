@@ -8,15 +8,15 @@
 use nalgebra::{Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::{closest_on_segment, closest_on_triangle};
+use trocar_dynamics::picking::Jaws;
+use trocar_dynamics::soft_body::grasp::Holder;
+use trocar_dynamics::soft_body::instrument_rods::Rod;
+use trocar_dynamics::soft_body::method::Site;
+use trocar_dynamics::soft_body::rod_contact::{Skin, Touch, touches};
 use trocar_scene::{Component, Entity};
 
-use super::grips::Holder;
 use super::linear_fem::Body;
-use super::method::Site;
-use super::tools::Rod;
-use super::touch::{Skin, Touch, touches};
 use crate::linear_fem::{Attachment, Hold, LinearFemError, patch};
-use crate::picking::Jaws;
 
 /// Distance from a rod at which the surface is watched already, so that what rests on it is not lost by rounding \[m\].
 const MARGIN: f64 = 1e-3;

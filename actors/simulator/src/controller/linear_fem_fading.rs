@@ -6,11 +6,11 @@
 //! share of what is felt. Nothing of it is in the scene: another life begins with the new inverse.
 
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::linear_fem_contacts::Answer;
 use super::linear_fem_holding::Holding;
 use crate::linear_fem::{Attachment, LinearFem, LinearFemError};
-use crate::tet_mesh::TetMesh;
 
 /// Change of what is felt in a tick, as a share of it.
 const CHANGE: f64 = 0.02;

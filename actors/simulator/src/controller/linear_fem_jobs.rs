@@ -3,11 +3,11 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use trocar_dynamics::elasticity::{Alteration, Elastic};
+use trocar_dynamics::tet_mesh::TetMesh;
 use trocar_scene::{Job, SimTime, Tick};
 
-use crate::elasticity::{Alteration, Elastic};
 use crate::linear_fem::{Cache, Limits, LinearFem, LinearFemError};
-use crate::tet_mesh::TetMesh;
 
 /// What a computation of the inverse takes in lock-step, however long it takes.
 const JOB: f64 = 0.5;

@@ -6,12 +6,12 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::closest_on_triangle;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::{PinnedBody, PinnedWith};
+use trocar_dynamics::tet_mesh::TetMesh;
 use trocar_scene::{Component, ComponentError, Entity, Snapshot};
 
-use super::deformable::Deformable;
-use super::pinned::{PinnedBody, PinnedWith};
 use crate::linear_fem::{Attachment, Hold};
-use crate::tet_mesh::TetMesh;
 
 /// How far outside of its nearest element a point may be by rounding, as a share of that.
 const OUTSIDE: f64 = 1e-9;

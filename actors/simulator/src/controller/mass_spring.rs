@@ -1,25 +1,26 @@
 //! The controller of the bodies of masses and springs.
 
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::SoftController;
+use trocar_dynamics::soft_body::SoftMethod;
+use trocar_dynamics::soft_body::method::{Measures, Reshaped, Site, Terms};
+use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::tet_mesh::Stars;
 use trocar_scene::{Access, Commands, Entity, EntitySet, LineMesh, Snapshot};
 
 use super::cauterised::CauterisedBody;
-use super::deformable::Deformable;
 use super::heat::{Coagulated, Heated};
 use super::line_cuts::{LineCuts, LineWeakness};
 use super::mass_spring_body::{MassSpringBody, Method, SolvedBy, Springs};
 use super::mass_spring_factor::{FactorKeeper, SpringFactor};
 use super::membrane::{Membrane, MembraneWeakness, Parted};
-use super::method::{Measures, Reshaped, Site, SoftMethod, Terms};
 use super::parting::{Elements, Parting, Split};
-use super::soft::SoftController;
-use super::touch::{Skin, Touch};
-use crate::elasticity::Alteration;
 use crate::mass_spring::{
     Contact, Input, LinearSolver, MassSpring, NodeForce, Patch, Prescribed, SurfaceMaterial, VolumeMaterial,
 };
-use crate::particles::State;
-use crate::tet_mesh::Stars;
 
 /// Masses and springs of one body, whose elements may go.
 struct Solver {

@@ -3,12 +3,12 @@
 use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::rod_contact::Skin;
 use trocar_scene::{Component, ComponentError, SoftAbilities};
 
-use super::deformable::Deformable;
 use super::parting::Weakness;
-use super::touch::Skin;
-use crate::elasticity::Alteration;
 use crate::mass_spring::{
     Config, Integrator, LineMaterial, LinearSolver, Network, SurfaceMaterial, TooLarge, VolumeMaterial,
 };

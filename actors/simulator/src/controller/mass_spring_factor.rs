@@ -2,9 +2,9 @@
 //! while it goes on without, and then a job makes the next one beside the ticks.
 
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::soft_body::method::Site;
 use trocar_scene::{Component, ComponentError, Entity, Job, JobOutput, SimTime};
 
-use super::method::Site;
 use crate::mass_spring::{Config, MassSpring, Network, SheetFactor};
 
 /// For so long nothing may have come apart before a factor is worth making.

@@ -6,20 +6,20 @@ use std::sync::Arc;
 
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::method::{Measures, Reshaped, Site};
+use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
 };
 
 use super::cauterised::CauterisedBody;
 use super::cuts::Cuts;
-use super::deformable::Deformable;
 use super::heat::{self, Coagulated, Heated};
-use super::method::{Measures, Reshaped, Site};
 use crate::cutting::{Sheet, TopologyChange, VertexChange};
-use crate::elasticity::Alteration;
 use crate::mass_spring::Patch;
-use crate::particles::State;
-use crate::tet_mesh::Birth;
 
 /// What the mesh of a membrane does not say about how heat has changed it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -4,30 +4,21 @@
 //! Everything that a later life needs is in the scene: shapes at rest, positions and velocities of vertices, what is held,
 //! burned or cut. What a solver refuses freezes the one body that it is about; the others go on.
 
-pub mod answering;
 pub mod blades;
 pub mod bleeding;
 pub mod cauterised;
 pub mod coupled;
-pub mod coupling;
 pub mod cuts;
-pub mod deformable;
 pub mod dynamic_fem;
 mod dynamic_fem_jobs;
 pub mod dynamic_fem_memory;
 pub mod electrosurgery;
 pub mod fluid;
-mod found;
-mod found_forces;
-mod found_movers;
-mod found_rigid;
 pub mod grafts;
-pub mod grips;
 pub mod heat;
 mod heat_parted;
 pub mod instruments;
 pub mod irrigation;
-pub mod jaws;
 pub mod knot_state;
 mod knot_watch;
 pub mod line_cuts;
@@ -42,19 +33,11 @@ pub mod mass_spring;
 pub mod mass_spring_body;
 pub mod mass_spring_factor;
 pub mod membrane;
-pub mod method;
 pub mod parting;
-pub mod pinned;
 pub mod plume;
-mod refused;
 pub mod rest_place;
-pub mod rigid_bodies;
-mod rigid_declared;
-mod rigid_geometry;
-mod rigid_given;
 mod sewing;
 pub mod smoke;
-pub mod soft;
 pub mod suture;
 pub mod suture_body;
 pub mod thread;
@@ -68,26 +51,20 @@ pub mod thread_memory;
 pub mod thread_obstacles;
 pub mod thread_tied;
 pub mod thread_told;
-pub mod tools;
-pub mod touch;
 pub mod vital_signs;
 pub mod xpbd;
 mod xpbd_island;
 
 use trocar_scene::{RegistryBuilder, RegistryError};
 
-use crate::instrument::mechanism::MechanismState;
-
 pub use bleeding::{BleedingController, Vessel, VesselState};
 pub use cauterised::{CauterisedBody, ElectrodeTip};
-pub use coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, Joined, Lies};
-pub use deformable::Deformable;
+
 pub use dynamic_fem::{DynamicFemBody, DynamicFemController};
 pub use dynamic_fem_memory::{DynamicFemMemory, LentFactor, WantedFactor};
 pub use electrosurgery::{ElectrosurgeryController, HeatState};
 pub use fluid::{FluidController, Liquid, LiquidState, LiquidWall};
-pub use found::{ContactSums, HeldContact, SoftContacts, Spot};
-pub use found_rigid::{RigidContacts, WholeSums, WholeTaken};
+
 pub use heat::{Coagulated, CoagulatedElements, RemovedElements};
 pub use instruments::{InstrumentsConfig, InstrumentsController};
 pub use irrigation::{Irrigator, Sucker};
@@ -98,13 +75,13 @@ pub use mass_spring::MassSpringController;
 pub use mass_spring_body::MassSpringBody;
 pub use mass_spring_factor::{SpringFactor, WantedSheetFactor};
 pub use membrane::SurfaceElements;
-pub use method::SoftMethod;
+
 pub use parting::VolumeCuts;
-pub use pinned::{PinnedBody, PinnedWith};
+
 pub use plume::Plume;
-pub use rigid_bodies::RigidBodiesController;
+
 pub use smoke::{SmokeCloud, SmokeCloudState, SmokeController};
-pub use soft::SoftController;
+
 pub use suture::SutureController;
 pub use suture_body::{SewnTissue, SutureMemory, SutureNeedle};
 pub use thread::ThreadController;
@@ -114,28 +91,21 @@ pub use thread_tied::{Mark, TiedBody};
 pub use vital_signs::{Patient, PatientState, VitalSignsController};
 pub use xpbd::{XpbdBody, XpbdController, XpbdGroups};
 
-/// Registers the components of this crate.
+/// Registers the components of this crate, and of those that worlds of bodies share.
 ///
 /// # Errors
 /// When a name is already taken by another type.
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
-    builder.register::<MechanismState>()?;
+    trocar_dynamics::register(builder)?;
     builder.register::<MassSpringBody>()?;
     builder.register::<SpringFactor>()?;
     builder.register::<cuts::Cuts>()?;
-    builder.register::<grips::Grips>()?;
     builder.register::<DynamicFemBody>()?;
     builder.register::<XpbdBody>()?;
     builder.register::<XpbdGroups>()?;
-    builder.register::<SoftContacts>()?;
-    builder.register::<RigidContacts>()?;
-    builder.register::<CoupledBody>()?;
-    builder.register::<CouplingGiven>()?;
-    builder.register::<CouplingTaken>()?;
     builder.register::<DynamicFemMemory>()?;
     builder.register::<LinearFemBody>()?;
     builder.register::<linear_fem_contacts::Contacts>()?;
-    builder.register::<PinnedBody>()?;
     builder.register::<PinPlaces>()?;
     builder.register::<CauterisedBody>()?;
     builder.register::<ElectrodeTip>()?;

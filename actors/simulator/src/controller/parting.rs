@@ -9,6 +9,14 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::{Alteration, cauchy_stress, small_stress};
+use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::coupling::CoupledBody;
+use trocar_dynamics::soft_body::method::{Measures, Reshaped, Site};
+use trocar_dynamics::tet_mesh::{
+    self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape,
+};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TetMesh,
     TextureCoordinates,
@@ -16,15 +24,7 @@ use trocar_scene::{
 
 use super::blades::{Blades, swept};
 use super::cauterised::CauterisedBody;
-use super::coupling::CoupledBody;
-use super::deformable::Deformable;
 use super::heat::{self, Coagulated, Heated, RemovedElements};
-use super::method::{Measures, Reshaped, Site};
-use crate::elasticity::{Alteration, cauchy_stress, small_stress};
-use crate::particles::State;
-use crate::tet_mesh::{
-    self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape,
-};
 
 /// What the mesh of a volume does not say about how it came apart.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -1,14 +1,17 @@
 //! Needle, thread and tissue of a scene: who holds them, their island's step, and what becomes of it.
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::jaws::{CLOSED, holds};
+use trocar_dynamics::soft_body::rod_contact::COLLISIONS_MAX;
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
     CollisionList, Commands, ControllerError, Doubtful, Entity, Frozen, Instrument, JawState, Measured,
     Primitive, Snapshot, Tick,
 };
 
-use super::deformable::Deformable;
-use super::jaws::{CLOSED, holds};
 use super::knot_state::KnotState;
 use super::knot_watch::KnotWatch;
 use super::suture_body::{HeldNeedle, SewnTissue, SutureMemory, SutureNeedle};
@@ -18,12 +21,9 @@ use super::thread_grips::{Leading, Pull, SPARED, pulls, update};
 use super::thread_memory::Met;
 use super::thread_obstacles::Parts;
 use super::thread_told::{Told, collision};
-use super::touch::COLLISIONS_MAX;
-use crate::elasticity::Elastic;
 use crate::linear_fem::Deformation;
 use crate::needle::NeedleState;
 use crate::suture::{Around, Grip, Suture, SutureReport, SutureState, Tissue};
-use crate::tet_mesh::{MeshRules, TetMesh};
 use crate::thread::{Obstacle, Reaction, ThreadState};
 
 /// Longest step of the island \[s\].

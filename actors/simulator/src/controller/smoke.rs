@@ -6,13 +6,13 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::soft_body::frozen::{Still, freeze};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
     EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, Snapshot, Tick,
 };
 
 use super::plume::Plume;
-use super::refused::{Still, freeze};
 use crate::fluid::smoke::{Smoke, SmokeConfig, SmokeState};
 
 /// Most smoke that a body gives off in a step \[kg\].

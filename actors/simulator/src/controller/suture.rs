@@ -6,15 +6,15 @@
 //! itself, the tissue, instruments and rigid bodies. What cannot go on stands still as a whole, as its parts are one island.
 
 use nalgebra::Vector3;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::frozen::{Refused, Still};
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Doubtful, Entity, EntitySet,
     Instrument, JawState, Measured, Pose, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
 };
 
-use super::deformable::Deformable;
 use super::knot_state::KnotState;
-use super::refused::{Refused, Still};
 use super::sewing::Sewing;
 use super::suture_body::{SewnTissue, SutureMemory, SutureNeedle};
 

@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::POISSON_MAX;
 use trocar_scene::components::Parameter;
 use trocar_scene::{Component, ComponentError, Entity};
 
@@ -10,7 +11,6 @@ use super::blades::Blades;
 use super::thread_body::{Suture, ThreadBody};
 use super::thread_grips::Grip;
 use super::thread_memory::Met;
-use crate::elasticity::POISSON_MAX;
 use crate::needle::NeedleShape;
 use crate::suture::{Resistance, SutureState};
 use crate::thread::ThreadMaterial;

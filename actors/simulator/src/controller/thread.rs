@@ -10,6 +10,10 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Vector3};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::frozen::{Refused, Still};
+use trocar_dynamics::soft_body::method::finite_vertices;
+use trocar_dynamics::soft_body::rod_contact::COLLISIONS_MAX;
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Entity, EntitySet, Frozen,
@@ -17,11 +21,8 @@ use trocar_scene::{
 };
 
 use super::coupled::Coupled;
-use super::deformable::Deformable;
 use super::knot_state::KnotState;
 use super::knot_watch::KnotWatch;
-use super::method::finite_vertices;
-use super::refused::{Refused, Still};
 use super::thread_body::ThreadBody;
 use super::thread_cuts::{follow, parted_at};
 use super::thread_edges::{EDGES_EVERY, adapt};
@@ -32,7 +33,6 @@ use super::thread_memory::{Met, ThreadMemory};
 use super::thread_obstacles::{Form, Part, Parts};
 use super::thread_tied::{Tied, TiedBody};
 use super::thread_told::Told;
-use super::touch::COLLISIONS_MAX;
 use crate::linear_fem::Cache;
 use crate::thread::{Elastic, Hold, Obstacle, Reaction, Surroundings, Thread, ThreadReport};
 

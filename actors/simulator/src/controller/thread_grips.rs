@@ -1,15 +1,15 @@
 //! What jaws hold of a thread. Jaws take what lies between them when both touch it as they close, hold its nodes where they
 //! have them in the instrument's frame, and let go when they open. Jaws that have closed on nothing are a blunt rod, as with
-//! everything else that is held ([`crate::picking`]): they take nothing until they have been opened. Between hand and thread
+//! everything else that is held ([`trocar_dynamics::picking`]): they take nothing until they have been opened. Between hand and thread
 //! is the compliance of the instrument (`coupling_stiffness`); what pulls harder than the friction of both pads slips through
 //! the jaws.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::closest_segments;
+use trocar_dynamics::soft_body::jaws::{AT_REST, CLOSED, holds, opening};
 use trocar_scene::{Entity, Instrument, Snapshot};
 
-use super::jaws::{AT_REST, CLOSED, holds, opening};
 use super::thread_obstacles::{Parts, between};
 use crate::thread::{Hold, Spared, ThreadState, TwistHold};
 

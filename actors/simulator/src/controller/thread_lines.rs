@@ -5,9 +5,9 @@ use std::fmt::Display;
 use std::sync::Arc;
 
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::soft_body::Deformable;
 use trocar_scene::{Commands, Entity, LineMesh, Snapshot, Tick};
 
-use super::deformable::Deformable;
 use super::thread_body::ThreadBody;
 use super::thread_memory::ThreadMemory;
 use crate::thread::{Parted, Thread, ThreadError, ThreadState};

@@ -2,13 +2,13 @@
 //! between bodies that are coupled ([`CouplingGiven`]).
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::coupling::{CoupledWith, CouplingGiven, Lies};
+use trocar_dynamics::soft_body::method::Site;
 use trocar_scene::soft_body::one_of;
 use trocar_scene::{Commands, Entity, Snapshot, Tick};
 
 use super::coupled::{Partner, other};
-use super::coupling::{CoupledWith, CouplingGiven, Lies};
-use super::deformable::Deformable;
-use super::method::Site;
 use super::thread_body::LiesOn;
 use super::thread_obstacles::Yielding;
 use crate::thread::ThreadState;

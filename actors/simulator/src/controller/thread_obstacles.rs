@@ -5,14 +5,14 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3};
+use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
+use trocar_dynamics::soft_body::jaws::opening;
 use trocar_scene::shapes::{Detail, instrument_from_hinge, surface_of};
 use trocar_scene::{
     Entity, Instrument, RigidBody, Shape as SceneShape, Snapshot, SurfaceMesh, VertexPositions,
 };
 
-use super::jaws::opening;
 use super::thread_memory::Met;
-use super::tools::{Rod, rods_of_all};
 use crate::thread::{ContactMemory, Obstacle, Shape};
 
 /// Where a frame was at the last tick, and where it is.

@@ -10,13 +10,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::POISSON_MAX;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{Commands, Component, ComponentError, Entity, Snapshot, Tick};
 
-use super::deformable::Deformable;
 use super::linear_fem_jobs::{built, built_as_job};
-use crate::elasticity::POISSON_MAX;
 use crate::linear_fem::{Cache, Deformation, LinearFem, Load};
-use crate::tet_mesh::{MeshRules, TetMesh};
 use crate::thread::elastic::{ElasticBody, Press};
 
 /// Ticks from one look at the inside to the next.

@@ -5,13 +5,13 @@ use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::soft_body::frozen::{Still, freeze};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
     EntitySet, Frozen, Measured, Snapshot, Tick, VitalSigns,
 };
 
 use super::bleeding::VesselState;
-use super::refused::{Still, freeze};
 use crate::fluid::vital_signs::{Circulation, CirculationState, VitalSigns as Body};
 
 /// Oxygen saturation while the heart still gives a third of what it does at rest: no lung is simulated.

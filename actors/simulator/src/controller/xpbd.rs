@@ -9,26 +9,27 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::coupling::external_nodes::CompanyState;
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::SoftController;
+use trocar_dynamics::soft_body::SoftMethod;
+use trocar_dynamics::soft_body::method::{Measures, Reshaped, Site, Step, Terms};
+use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, LineMesh, Snapshot, SoftAbilities,
 };
 
 use super::coupled::Coupled;
-use super::deformable::Deformable;
 use super::heat::Coagulated;
 use super::line_cuts::{LineCuts, LineWeakness};
 use super::membrane::{Membrane, MembraneWeakness, Parted};
-use super::method::{Measures, Reshaped, Site, SoftMethod, Step, Terms};
 use super::parting::{Elements, Parting, Split, Weakness};
-use super::soft::SoftController;
-use super::touch::{Skin, Touch};
 use super::xpbd_island::step_island;
-use crate::elasticity::Alteration;
 use crate::mass_spring::{
     Contact, LineMaterial, Network, NetworkError, NodeForce, Prescribed, SurfaceMaterial,
 };
-use crate::particles::State;
-use crate::xpbd::company::CompanyState;
 use crate::xpbd::{Body, Elasticity, Groups, SplitTets, Xpbd, XpbdConfig, distances_of};
 
 /// What a position-based body is made of, by the kind of its mesh.

@@ -1,12 +1,12 @@
 //! Bodies of positions that have grown onto each other are stepped as one problem.
 
 use nalgebra::Vector3;
+use trocar_dynamics::coupling::external_nodes::{Company, CompanyMoved, CompanyState, Guest, Press, Tie};
+use trocar_dynamics::particles::StepError;
+use trocar_dynamics::soft_body::method::Step;
 
 use super::coupled::Coupled;
-use super::method::Step;
 use super::xpbd::XpbdMethod;
-use crate::particles::StepError;
-use crate::xpbd::company::{Company, CompanyMoved, CompanyState, Guest, Press, Tie};
 use crate::xpbd::{Member, XpbdInput, step_together};
 
 /// Where what one body brought begins in the lists of all: nodes, guests, ties, presses.

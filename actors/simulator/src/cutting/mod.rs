@@ -23,6 +23,7 @@ pub use sheet::{Sheet, SheetState};
 
 use nalgebra::Point3;
 use thiserror::Error;
+use trocar_dynamics::tet_mesh::Sweep;
 
 /// Why nothing was cut.
 #[derive(Clone, Debug, Error, PartialEq)]

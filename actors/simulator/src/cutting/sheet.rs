@@ -8,9 +8,9 @@
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::faulty::Faulty;
 
 use super::change::{TopologyChange, VertexChange};
-use crate::faulty::Faulty;
 use crate::mass_spring::NetworkError;
 
 /// How flat a new triangle may be: its least height, of the least of the mesh at first.

@@ -3,9 +3,9 @@
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::primitive::{Triangle, common_segment, triangles_overlap};
+use trocar_dynamics::tet_mesh::Sweep;
 
 use super::Sheet;
-use crate::tet_mesh::Sweep;
 
 /// A line within one triangle, in the rest shape.
 #[derive(Clone, Copy, Debug)]

@@ -1,6 +1,7 @@
 //! What follows from the mesh of a body: the order and the pattern of its matrix, its elements and its masses.
 
 use nalgebra::Vector3;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::config::MassMatrix;
 use super::lbfgs::Memory;
@@ -8,7 +9,6 @@ use super::objective::{Mass, elements};
 use super::solver::DynamicFem;
 use crate::sparse::{BlockMatrix, FactorError, SparseCholesky, minimum_degree};
 use crate::stiffness::{consistent_mass, pattern};
-use crate::tet_mesh::TetMesh;
 
 impl DynamicFem {
     /// An order of the nodes that are free, the pattern in that order, and its factor, of which there are no numbers yet.

@@ -5,6 +5,7 @@
 //! Dryja and Widlund 1987). Steps end as near to balance as with a factor of their own: so nothing jumps when that is there.
 
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::tet_mesh::{Birth, TetMesh};
 
 use super::config::DynamicFemError;
 use super::near_cut::{About, NearCut};
@@ -12,7 +13,6 @@ use super::objective::{Coupling, Inputs};
 use super::solver::{DynamicFem, FactoredAt};
 use super::state::DynamicFemState;
 use crate::sparse::{BlockMatrix, FactorError, SparseCholesky};
-use crate::tet_mesh::{Birth, TetMesh};
 
 /// A factor, and of what it is.
 pub struct Analysis {

@@ -1,9 +1,9 @@
 //! Elastic energy of an element per volume at rest, its stress, and its stiffness made positive.
 
 use nalgebra::{Matrix3, Vector3};
+use trocar_dynamics::elasticity::Elastic;
 
 use super::polar::{cofactor, rotation, signed_svd};
-use crate::elasticity::Elastic;
 
 /// How an element answers to its deformation gradient F.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

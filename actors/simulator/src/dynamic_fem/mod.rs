@@ -6,7 +6,7 @@
 //! where the body has moved so far away that the iterations it costs would pay for a new one. Every iterate lowers the
 //! potential, so that no step explodes; elements that were turned inside out come back.
 //!
-//! Poisson's ratio is limited by [`Elastic`](crate::elasticity::Elastic) to where linear tetrahedra do not lock.
+//! Poisson's ratio is limited by [`Elastic`](trocar_dynamics::elasticity::Elastic) to where linear tetrahedra do not lock.
 
 #![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
 

@@ -5,10 +5,10 @@
 //! `A⁻¹ − P (PᵀAP)⁻¹ Pᵀ` takes nothing from any force, so that it may be added to any inverse.
 
 use nalgebra::{Matrix3, Point3, Vector3};
+use trocar_dynamics::tet_mesh::{gradients, shape};
 
 use super::objective::{Element, Matter};
 use crate::sparse::{BlockMatrix, BlockPattern, FactorError, SparseCholesky, minimum_degree};
-use crate::tet_mesh::{gradients, shape};
 
 /// Nodes that are near at most: what is farther moves alike in both.
 const NEAR_MAX: usize = 300;

@@ -1,11 +1,11 @@
 //! The incremental potential of a backward Euler step and its gradient.
 
 use nalgebra::{Matrix3, Point3, Vector3};
+use trocar_dynamics::tet_mesh::{TetMesh, gradients, shape};
 
 use super::material::Material;
 use super::polar::rotation;
 use crate::sparse::BlockMatrix;
-use crate::tet_mesh::{TetMesh, gradients, shape};
 
 /// A spring between a point of the body and a point in space, as a soft grasp or a thread pulls.
 #[derive(Clone, Copy, Debug, PartialEq)]

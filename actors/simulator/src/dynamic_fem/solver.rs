@@ -1,6 +1,8 @@
 //! The step.
 
 use nalgebra::{Matrix3, Point3, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::config::{Config, DynamicFemError, Energies, Report, StepError};
 use super::lbfgs::{Memory, dot};
@@ -10,9 +12,7 @@ use super::objective::{
     Coupling, Damping, Element, Inputs, Mass, Matter, add_couplings, add_hessian, add_springs, couplings,
     frames,
 };
-use crate::elasticity::Elastic;
 use crate::sparse::{BlockMatrix, FactorError, SparseCholesky};
-use crate::tet_mesh::TetMesh;
 
 /// Where the factor was computed: a restored body computes it there again, to the same bits.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -265,7 +265,7 @@ impl DynamicFem {
         }
         self.positions.clone_from(&work.now);
         for (index, element) in self.elements.iter().enumerate().filter(|(_, element)| !element.is_gone()) {
-            if crate::tet_mesh::shape(&self.positions, &element.nodes).determinant() <= 0.0 {
+            if trocar_dynamics::tet_mesh::shape(&self.positions, &element.nodes).determinant() <= 0.0 {
                 report.inverted += 1;
                 report.first_inverted.get_or_insert(index as u32);
             }

@@ -7,13 +7,13 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::tet_mesh::Birth;
 
 use super::error::ElectrosurgeryError;
 use super::material::BODY;
 use super::organ_heat::{OrganHeat, element_conduction};
 use super::tissue::{Tissue, TissueLattice};
 use super::{Electrosurgery, ElectrosurgeryState};
-use crate::tet_mesh::Birth;
 
 /// Tissue as blades have left it.
 #[derive(Clone, Copy, Debug)]

@@ -1,8 +1,7 @@
 //! What meets a vessel: blades that sweep through its line, tissue that goes beside it.
 
 use nalgebra::{Point3, Vector3};
-
-use crate::cutting::Sweep;
+use trocar_dynamics::tet_mesh::Sweep;
 
 /// Where along a line \[m from its first point\] a swept edge goes through it first; none if it does not.
 #[must_use]

@@ -2,15 +2,15 @@
 //! computed as that of any body, over the same nodes, with what touches the new surface.
 
 use nalgebra::Vector3;
+use trocar_dynamics::elasticity::{Alteration, Elastic};
+use trocar_dynamics::tet_mesh::{TetMesh, surface};
 
 use super::apart::bond;
 use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::error::LinearFemError;
 use super::removal::REMNANT;
 use super::solver::LinearFem;
-use crate::elasticity::{Alteration, Elastic};
 use crate::stiffness::Bonds;
-use crate::tet_mesh::{TetMesh, surface};
 
 impl LinearFem {
     /// Precomputes a body of which each element is as `alterations` says, one per element, and begins at rest, pulled

@@ -5,14 +5,14 @@
 //! stiffness of an element, in a corrected inverse and in a new one alike: a body without inertia cannot fall.
 
 use nalgebra::Vector3;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::attachment::{Attachment, Hold};
 use super::correction::{BATCH, Change, Correction, Serving, UNKNOWNS_MAX};
 use super::error::LinearFemError;
 use super::removal::REMNANT;
 use super::solver::{Handle, LinearFem};
-use crate::elasticity::Elastic;
-use crate::tet_mesh::TetMesh;
 
 /// Stiffness of a bond \[N/m\]: of a share of Young's modulus over an edge, which no change of the topology changes.
 pub(super) fn bond(mesh: &TetMesh, material: &Elastic) -> f64 {

@@ -13,10 +13,10 @@
 use std::io::{self, Read, Write};
 
 use thiserror::Error;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::compliance::{Boundary, Compliance, Limits, PrecomputeError};
-use crate::elasticity::Elastic;
-use crate::tet_mesh::TetMesh;
 
 const MAGIC: [u8; 8] = *b"TROCARK1";
 /// Bytes that are read or written at once.

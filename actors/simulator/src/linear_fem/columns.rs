@@ -5,12 +5,12 @@
 //! is precomputed but the factor, and all of it stays in f64.
 
 use nalgebra::{Matrix3, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::compliance::{Boundary, Limits, PrecomputeError, factor};
-use crate::elasticity::Elastic;
 use crate::sparse::SparseCholesky;
 use crate::stiffness::Bonds;
-use crate::tet_mesh::TetMesh;
 
 /// Columns of the inverse, found as they are asked for.
 pub struct Columns {

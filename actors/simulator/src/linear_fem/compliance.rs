@@ -5,12 +5,12 @@
 
 use nalgebra::Vector3;
 use thiserror::Error;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::correction::BATCH;
-use crate::elasticity::Elastic;
 use crate::sparse::{FactorError, SparseCholesky, nested_dissection};
 use crate::stiffness::{Bonds, bound_stiffness};
-use crate::tet_mesh::TetMesh;
 
 /// How much a precomputation may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

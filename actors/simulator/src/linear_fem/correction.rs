@@ -15,14 +15,14 @@
 //! what pulls on it.
 
 use nalgebra::{DVector, SMatrix, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::active::{ActiveSet, Packed};
 use super::compliance::Boundary;
 use super::removal::{RANK, REMNANT, REMOVED_MAX, root_of_stiffness};
-use crate::elasticity::Elastic;
 use crate::sparse::SparseCholesky;
 use crate::stiffness::stiffness_block;
-use crate::tet_mesh::TetMesh;
 
 /// Unknowns that an inverse is corrected by at most.
 pub(super) const UNKNOWNS_MAX: usize = RANK * REMOVED_MAX;

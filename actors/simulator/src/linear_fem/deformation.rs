@@ -1,8 +1,7 @@
 //! How far a deformation is from small: the rotation and the strain of every element.
 
 use nalgebra::{Matrix3, Vector3};
-
-use crate::tet_mesh::TetMesh;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 /// Rotation of an element beyond which linear elasticity misleads \[rad\]: 10°.
 pub const ROTATION_LIMIT: f64 = 10.0 * std::f64::consts::PI / 180.0;
@@ -155,7 +154,8 @@ mod tests {
         let rest: Vec<_> =
             (0..count).flat_map(|element| corners.map(|corner| place(element, corner))).collect();
         let tets: Vec<_> = (0..count).map(|k| [4 * k, 4 * k + 1, 4 * k + 2, 4 * k + 3]).collect();
-        let mesh = TetMesh::new(&rest, &tets, &crate::tet_mesh::MeshRules::default()).expect("a mesh");
+        let mesh =
+            TetMesh::new(&rest, &tets, &trocar_dynamics::tet_mesh::MeshRules::default()).expect("a mesh");
         for size in [1e-3, 0.05, 0.3, 2.0] {
             let moved: Vec<_> =
                 rest.iter().map(|_| Vector3::from_fn(|_, _| random.random_range(-size..size))).collect();

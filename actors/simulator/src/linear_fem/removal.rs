@@ -2,13 +2,13 @@
 //! corrected (`correction.rs`) by the six modes of each that are no motion as a whole.
 
 use nalgebra::SMatrix;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::correction::{BATCH, UNKNOWNS_MAX};
 use super::error::LinearFemError;
 use super::solver::LinearFem;
-use crate::elasticity::Elastic;
 use crate::stiffness::stiffness_block;
-use crate::tet_mesh::TetMesh;
 
 /// Elements that can be taken out until a new inverse is due.
 pub const REMOVED_MAX: usize = 64;

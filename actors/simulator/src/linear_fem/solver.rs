@@ -3,16 +3,16 @@
 use std::sync::Arc;
 
 use nalgebra::Vector3;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::active::{ActiveSet, Packed};
 use super::attachment::{Attachment, Hold, check_weights};
 use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::correction::{Correction, Through};
 use super::error::LinearFemError;
-use crate::elasticity::Elastic;
 use crate::sparse::SparseCholesky;
 use crate::stiffness::Bonds;
-use crate::tet_mesh::TetMesh;
 
 /// Directions that can be held at once: 128 grasped points.
 pub(super) const ROWS_MAX: usize = 384;

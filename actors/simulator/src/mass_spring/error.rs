@@ -1,8 +1,7 @@
 //! What can be wrong with a network of springs, and with a step of it.
 
 use thiserror::Error;
-
-use crate::faulty::Faulty;
+use trocar_dynamics::faulty::Faulty;
 
 /// Why a network of springs cannot be built.
 #[derive(Clone, Debug, Error, PartialEq)]

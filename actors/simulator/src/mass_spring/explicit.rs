@@ -1,9 +1,9 @@
 //! Symplectic Euler: velocities from the forces now, positions from the velocities then.
 
 use nalgebra::Vector3;
+use trocar_dynamics::particles::StepError;
 
 use super::{Input, MassSpring, Report, TooLarge, bound, forces};
-use crate::particles::StepError;
 
 impl MassSpring {
     pub(super) fn step_explicit(

@@ -7,11 +7,11 @@
 //! behind it the lists move as a block.
 
 use nalgebra::Point3;
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::faulty::Faulty;
 
 use super::error::NetworkError;
 use super::network::{Hinge, LEAST, LOOSE, Network, Spring};
-use crate::elasticity::Alteration;
-use crate::faulty::Faulty;
 
 /// A mesh that has changed, as whoever keeps it knows it.
 #[derive(Clone, Copy)]

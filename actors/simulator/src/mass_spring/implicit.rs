@@ -10,10 +10,10 @@ mod triangles;
 mod warped;
 
 use nalgebra::Vector3;
+use trocar_dynamics::particles::StepError;
 
 use super::matrix::StepMatrix;
 use super::{Config, Input, LinearSolver, MassSpring, Network, Report, forces};
-use crate::particles::StepError;
 use cholesky::Cholesky;
 use conjugate_gradients::ConjugateGradients;
 use node_blocks::NodeBlocks;

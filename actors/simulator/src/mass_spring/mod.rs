@@ -29,9 +29,9 @@ pub(crate) use surface::area;
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::faulty::Faulty;
+use trocar_dynamics::particles::{State, StepError};
 
-use crate::faulty::Faulty;
-use crate::particles::{State, StepError};
 use bound::Bound;
 use implicit::Implicit;
 pub use implicit::SheetFactor;

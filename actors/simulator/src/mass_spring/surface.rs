@@ -2,12 +2,12 @@
 //! way, so that a solver rebuilt from its mesh goes on with the same bits.
 
 use nalgebra::Point3;
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::faulty::Faulty;
 
 use super::error::NetworkError;
 use super::following::{Followed, OfEdge, Patch};
 use super::network::{Hinge, LEAST, LOOSE, Network, Spring, SurfaceMaterial, check_elements, parameter};
-use crate::elasticity::Alteration;
-use crate::faulty::Faulty;
 
 /// One side of a triangle, by its edge: the order in which shares are summed.
 type Side = ([u32; 2], u32);

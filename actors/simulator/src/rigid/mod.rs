@@ -17,6 +17,7 @@ mod response;
 mod row;
 
 use nalgebra::Vector3;
+use trocar_dynamics::rigid_world::Wrench;
 
 pub use body::{Integrator, RigidMass, RigidState};
 pub use contact::{ContactConfig, ContactImpulse, RigidContact};

@@ -1,6 +1,7 @@
 //! A contact during the solve: what it feels as mass, what an impulse of it does, and how far it has come.
 
 use nalgebra::{Matrix3, Vector3};
+use trocar_dynamics::rigid_world::most_across;
 
 use super::contact::RigidContact;
 use super::joint::{Arm, Turning};

@@ -7,9 +7,9 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use crate::linear_fem::Compliance;
-use crate::tet_mesh::TetMesh;
 
 /// A place on the surface of a body.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

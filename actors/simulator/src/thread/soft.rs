@@ -5,11 +5,11 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::coupling::external_nodes::{Guest, GuestMoved};
 
 use super::Trouble;
 use super::elastic::SurfacePlace;
 use super::island::companion::{Companion, Giving, Link};
-use crate::xpbd::company::{Guest, GuestMoved};
 
 /// Cosine of the angle between faces beyond which they meet in a ridge: 40°.
 const SHARP: f64 = 0.77;

@@ -2,12 +2,12 @@
 //! about them, all else stays where it is.
 
 use nalgebra::Point3;
+use trocar_dynamics::faulty::Faulty;
+use trocar_dynamics::particles::State;
 
 use super::constraint::{Bend, Distance};
 use super::{Xpbd, tets};
-use crate::faulty::Faulty;
 use crate::mass_spring::{Followed, Network, NetworkError, Patch};
-use crate::particles::State;
 
 /// Tetrahedra that have got other corners, or are new.
 #[derive(Clone, Copy)]

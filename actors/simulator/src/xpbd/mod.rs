@@ -11,7 +11,6 @@
 //! that the caller runs in: the bits are the same.
 
 mod colouring;
-pub mod company;
 mod constraint;
 mod contact;
 mod following;
@@ -26,12 +25,12 @@ pub use together::{Member, step_together};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::coupling::external_nodes::{Company, CompanyMoved, CompanyState};
+use trocar_dynamics::faulty::Faulty;
+use trocar_dynamics::particles::{State, StepError};
 
-use crate::faulty::Faulty;
 use crate::mass_spring::{Contact, NetworkError, NodeForce, Prescribed, check_contacts, check_elements};
-use crate::particles::{State, StepError};
 use colouring::Coloured;
-use company::{Company, CompanyMoved, CompanyState};
 use constraint::{Constraint, Nodes};
 use contact::Pressed;
 use tets::{Pack, Tets};

@@ -7,12 +7,12 @@
 //! converged leaves of that difference is noise and softness that no load has caused.
 
 use nalgebra::{Matrix3, Point3, Vector3};
+use trocar_dynamics::tet_mesh::Stars;
 
 use super::colouring::{Taken, groups};
 use super::constraint::{Constraint, Elasticity, Nodes};
 use super::wide::{LANES, Vectors, Wide, cross, dot, plus, sum, times};
 use crate::mass_spring::NetworkError;
-use crate::tet_mesh::Stars;
 
 /// Four tetrahedra that share no node. Those that are there to fill up push nothing, whatever their corners.
 #[derive(Clone, Debug)]

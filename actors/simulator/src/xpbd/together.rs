@@ -1,8 +1,9 @@
 //! Bodies that are stepped as one problem, and everybody who takes part in their step.
 
-use super::company::{Company, CompanyState};
+use trocar_dynamics::coupling::external_nodes::{Company, CompanyState};
+use trocar_dynamics::particles::StepError;
+
 use super::{Xpbd, XpbdConfig, XpbdInput};
-use crate::particles::StepError;
 
 /// A body that is stepped together with others.
 #[derive(Debug)]

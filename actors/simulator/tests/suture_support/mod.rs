@@ -2,10 +2,10 @@
 #![allow(dead_code)] // every test uses another part
 
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use trocar_simulator::elasticity::Elastic;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{Bite, ChannelPoint, Grip, Resistance, Suture, SutureState, Tissue};
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::thread::laid::{self, Throws};
 use trocar_simulator::thread::{ThreadMaterial, ThreadState};
 

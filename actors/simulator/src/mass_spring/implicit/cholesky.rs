@@ -11,11 +11,11 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, MatMut, Par, Side, Spec};
 use nalgebra::Vector3;
+use trocar_dynamics::particles::StepError;
 
 use super::StepMatrix;
 use crate::mass_spring::matrix::pairs;
 use crate::mass_spring::{Contact, Network};
-use crate::particles::StepError;
 use crate::sparse::nested_dissection;
 
 /// The lower triangle, by columns.

@@ -3,16 +3,17 @@
 use std::hint::black_box;
 
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
-use trocar_simulator::coupling::{Ghosts, News};
-use trocar_simulator::cutting::{Sheet, Sweep};
-use trocar_simulator::elasticity::{Alteration, Elastic};
+use trocar_dynamics::coupling::external_nodes::{Company, Tie};
+use trocar_dynamics::coupling::{Ghosts, News};
+use trocar_dynamics::elasticity::{Alteration, Elastic};
+use trocar_dynamics::particles::State;
+use trocar_dynamics::tet_mesh::Sweep;
+use trocar_simulator::cutting::Sheet;
 use trocar_simulator::fluid::smoke::{Smoke, SmokeConfig};
 use trocar_simulator::mass_spring::{Integrator, Patch, TooLarge};
 use trocar_simulator::needle::{NeedleShape, NeedleState};
-use trocar_simulator::particles::State;
 use trocar_simulator::suture::{Around, Grip, Resistance, Suture, SutureState, Tissue};
 use trocar_simulator::thread::{ThreadMaterial, ThreadState};
-use trocar_simulator::xpbd::company::{Company, Tie};
 use trocar_simulator::xpbd::{Body, Xpbd, XpbdConfig, XpbdInput};
 
 use super::bodies::{self, CLOTH, GRAVITY, block, cloth};
