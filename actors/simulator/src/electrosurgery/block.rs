@@ -1,7 +1,6 @@
 //! A block of the thermal lattice: 8 × 8 × 8 cells.
 
-use super::thermal_grid::EDGE;
-use super::tissue::{PADDED, Raster, Site};
+use super::tissue::{EDGE, PADDED, Raster, Site};
 
 /// Cells of a block.
 pub(super) const CELLS: usize = EDGE * EDGE * EDGE;

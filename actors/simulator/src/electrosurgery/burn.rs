@@ -6,8 +6,7 @@
 //! of the mesh is gone than of the lattice, and where a whole element's worth is owed and none is due, the one that has lost the largest share goes.
 
 use super::error::ElectrosurgeryError;
-use super::thermal_grid::EDGE;
-use super::tissue::{Site, Tissue};
+use super::tissue::{EDGE, Site, Tissue};
 
 /// An element is due when this share of its volume is gone.
 const GONE: f64 = 0.5;

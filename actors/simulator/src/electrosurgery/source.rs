@@ -6,7 +6,8 @@ use super::contact::{Contact, Facing};
 use super::electrode::{Electrode, Mode, REACH, profile};
 use super::error::HeatStepError;
 use super::ledger::HeatReport;
-use super::thermal_grid::{Books, EDGE, ThermalGrid};
+use super::thermal_grid::{Books, ThermalGrid};
+use super::tissue::EDGE;
 
 /// Share of the heat that vaporises a cell that it may get in one part.
 const PART: f64 = 0.05;

@@ -15,10 +15,8 @@ use super::enthalpy::{BOILING_NEARER, Enthalpy};
 use super::ledger::{HeatLedger, HeatReport};
 use super::material::ThermalMaterial;
 use super::organ_heat::OrganHeat;
-use super::tissue::{PADDED, Site, TissueLattice};
+use super::tissue::{EDGE, PADDED, Site, TissueLattice};
 
-/// Cells along an edge of a block.
-pub(super) const EDGE: usize = 8;
 /// An excess at a side with which the block beyond is taken into use \[K\].
 const ARRIVES: f64 = 1.0;
 /// The largest excess with which a block is given back \[K\].

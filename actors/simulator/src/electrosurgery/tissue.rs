@@ -7,8 +7,9 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::error::ElectrosurgeryError;
-use super::thermal_grid::EDGE;
 
+/// Cells along an edge of a block.
+pub(super) const EDGE: usize = 8;
 /// Samples of a cell along an edge: 64 in a cell, the bits of a word.
 const SAMPLES: i32 = 4;
 /// Elements that are told apart in a cell: of a fifth there is little.

@@ -6,9 +6,9 @@ use trocar_dynamics::elasticity::{Alteration, Elastic};
 use trocar_dynamics::tet_mesh::{TetMesh, surface};
 
 use super::apart::bond;
+use super::bounds::REMNANT;
 use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::error::LinearFemError;
-use super::removal::REMNANT;
 use super::solver::LinearFem;
 use crate::stiffness::Bonds;
 

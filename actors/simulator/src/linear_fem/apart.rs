@@ -8,11 +8,12 @@ use nalgebra::Vector3;
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
+use super::attachment::Handle;
 use super::attachment::{Attachment, Hold};
-use super::correction::{BATCH, Change, Correction, Serving, UNKNOWNS_MAX};
+use super::bounds::{BATCH, REMNANT, UNKNOWNS_MAX};
+use super::correction::{Change, Correction, Serving};
 use super::error::LinearFemError;
-use super::removal::REMNANT;
-use super::solver::{Handle, LinearFem};
+use super::solver::LinearFem;
 
 /// Stiffness of a bond \[N/m\]: of a share of Young's modulus over an edge, which no change of the topology changes.
 pub(super) fn bond(mesh: &TetMesh, material: &Elastic) -> f64 {

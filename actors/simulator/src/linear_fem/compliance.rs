@@ -8,7 +8,7 @@ use thiserror::Error;
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
-use super::correction::BATCH;
+use super::bounds::BATCH;
 use crate::sparse::{FactorError, SparseCholesky, nested_dissection};
 use crate::stiffness::{Bonds, bound_stiffness};
 

@@ -19,15 +19,12 @@ use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::active::{ActiveSet, Packed};
+use super::bounds::{BATCH, RANK, REMNANT, UNKNOWNS_MAX};
 use super::compliance::Boundary;
-use super::removal::{RANK, REMNANT, REMOVED_MAX, root_of_stiffness};
+use super::removal::root_of_stiffness;
 use crate::sparse::SparseCholesky;
 use crate::stiffness::stiffness_block;
 
-/// Unknowns that an inverse is corrected by at most.
-pub(super) const UNKNOWNS_MAX: usize = RANK * REMOVED_MAX;
-/// Unknowns that are added at once at most: reading the factor for many columns takes hardly longer than for one.
-pub(super) const BATCH: usize = 48;
 /// Share of its diagonal that a pivot of T has at least: below, rounding decides.
 const PIVOT_MIN: f64 = 1e-14;
 

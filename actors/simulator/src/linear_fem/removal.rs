@@ -5,18 +5,10 @@ use nalgebra::SMatrix;
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
-use super::correction::{BATCH, UNKNOWNS_MAX};
+use super::bounds::{BATCH, RANK, REMNANT, UNKNOWNS_MAX};
 use super::error::LinearFemError;
 use super::solver::LinearFem;
 use crate::stiffness::stiffness_block;
-
-/// Elements that can be taken out until a new inverse is due.
-pub const REMOVED_MAX: usize = 64;
-/// Share of its stiffness that an element leaves behind, so that nodes that lose their last element, and parts that hang
-/// by one node, stay somewhere.
-pub(super) const REMNANT: f64 = 1e-6;
-/// Rank of an element's stiffness.
-pub(super) const RANK: usize = 6;
 
 /// U of one element: its six modes that are no motion as a whole, times the roots of their stiffness.
 pub(super) fn root_of_stiffness(mesh: &TetMesh, material: &Elastic, tet: usize) -> SMatrix<f64, 12, RANK> {
@@ -62,7 +54,7 @@ impl LinearFem {
     /// makes what follows a little dearer: precompute a new body meanwhile, and swap.
     ///
     /// # Errors
-    /// Elements that there are none of or that are gone already, more than [`REMOVED_MAX`], or one without which the body
+    /// Elements that there are none of or that are gone already, more than [`REMOVED_MAX`](super::REMOVED_MAX), or one without which the body
     /// would fall apart in a way that rounding decides; those before it in the list are out then.
     pub fn remove(&mut self, tets: &[u32]) -> Result<(), LinearFemError> {
         let state = self.state();

@@ -7,19 +7,13 @@ use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::active::{ActiveSet, Packed};
-use super::attachment::{Attachment, Hold, check_weights};
+use super::attachment::{Attachment, Handle, Hold, check_weights};
+use super::bounds::ROWS_MAX;
 use super::compliance::{Boundary, Compliance, Limits, factor};
 use super::correction::{Correction, Through};
 use super::error::LinearFemError;
 use crate::sparse::SparseCholesky;
 use crate::stiffness::Bonds;
-
-/// Directions that can be held at once: 128 grasped points.
-pub(super) const ROWS_MAX: usize = 384;
-
-/// Names a constraint for as long as it is held.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Handle(pub u64);
 
 /// A force on a weighted mean of free surface nodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
