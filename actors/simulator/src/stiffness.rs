@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Vector3};
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
-use crate::sparse::{BlockMatrix, BlockPattern};
+use crate::linear_algebra::{BlockMatrix, BlockPattern};
 
 /// The force on node a per displacement of node b of an element \[N/m\], from its volume and the gradients of their
 /// shape functions.

@@ -16,7 +16,7 @@ use trocar_simulator::mass_spring::{
     self, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
 };
 use trocar_simulator::suture::{Around, Resistance};
-use trocar_simulator::thread::{self, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::{self, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 use trocar_simulator::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput};
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
@@ -117,7 +117,7 @@ fn a_thread_that_lies_on_itself_and_on_a_table_steps_without_allocating() {
     let mut thread = Thread::new(ThreadMaterial::silk_2_0(), &points).expect("a thread");
     let table = Shape::HalfSpace { normal: Vector3::z() };
     let obstacles = [Obstacle::fixed(table, Isometry3::translation(0.0, 0.0, -4e-4), 0.3)];
-    let holds = [thread::Hold::fixed(0, points[0]), thread::Hold::fixed(100, points[100])];
+    let holds = [suture_thread::Hold::fixed(0, points[0]), suture_thread::Hold::fixed(100, points[100])];
     let around =
         Surroundings { gravity: GRAVITY, holds: &holds, obstacles: &obstacles, ..Surroundings::default() };
     let mut touched = 0;

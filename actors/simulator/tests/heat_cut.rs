@@ -10,7 +10,7 @@ use stage::{Stage, scene};
 use trocar_dynamics::tet_mesh::{Birth, BoxCells, box_cells};
 use trocar_scene::{Activation, HeatFrozen, Pose, RestPositions, Temperature, TetMesh, VertexPositions};
 use trocar_simulator::controller::ElectrosurgeryController;
-use trocar_simulator::controller::parting::VolumeCuts;
+use trocar_simulator::controller::cutting::volume::VolumeCuts;
 use trocar_simulator::electrosurgery::{
     BODY, Electrode, Electrosurgery, LatticeConfig, Mode, Parted, ThermalMaterial, Tissue,
 };

@@ -12,7 +12,7 @@ use trocar_scene::{
     VertexPositions,
 };
 use trocar_simulator::controller::LinearFemController;
-use trocar_simulator::sparse::SparseCholesky;
+use trocar_simulator::linear_algebra::SparseCholesky;
 use trocar_simulator::stiffness::stiffness;
 
 const HZ: f64 = 60.0;

@@ -15,7 +15,7 @@ use trocar_scene::{
     VertexPositions,
 };
 use trocar_simulator::controller::{DynamicFemController, LinearFemController, PinPlaces, RemovedElements};
-use trocar_simulator::sparse::SparseCholesky;
+use trocar_simulator::linear_algebra::SparseCholesky;
 use trocar_simulator::stiffness::stiffness;
 
 const HZ: f64 = 60.0;

@@ -6,11 +6,11 @@ mod suture_support;
 use nalgebra::{Isometry3, Point3, Vector3};
 use suture_support::*;
 use trocar_dynamics::tet_mesh::TetMesh;
-use trocar_simulator::needle::{NeedleShape, NeedleState};
+use trocar_simulator::suture::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{
     Around, Bite, ChannelPoint, Event, Place, Resistance, Suture, SutureReport, SutureState, Tip, Tissue,
 };
-use trocar_simulator::thread::{CutAt, Load, ThreadMaterial, ThreadState};
+use trocar_simulator::suture_thread::{CutAt, Load, ThreadMaterial, ThreadState};
 
 const DT: f64 = 1e-3;
 /// Young's modulus of what two newtons do not tear \[Pa\]: skin, 0.1 to 1 MPa.

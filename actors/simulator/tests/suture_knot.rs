@@ -11,7 +11,7 @@ use stage::{Stage, scene};
 use suture_support::{stitch, wound};
 use trocar_scene::{BuildContext, ControllerError, Frozen, LineMesh, TetMesh, VertexPositions};
 use trocar_simulator::controller::{KnotState, SutureController, SutureMemory, SutureNeedle};
-use trocar_simulator::thread::{ThreadMaterial, ThreadState};
+use trocar_simulator::suture_thread::{ThreadMaterial, ThreadState};
 
 const HZ: f64 = 500.0;
 const SCENE: &str = r#"

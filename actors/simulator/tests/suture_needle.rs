@@ -5,7 +5,7 @@ mod suture_support;
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use suture_support::*;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
-use trocar_simulator::needle::NeedleShape;
+use trocar_simulator::suture::needle::NeedleShape;
 use trocar_simulator::suture::{Around, Event, Resistance, Suture, SutureReport, Tip};
 
 const DT: f64 = 1e-3;
@@ -20,7 +20,7 @@ fn motion(suture: &Suture) -> (Vector3<f64>, Vector3<f64>, f64) {
     let mut angular = needle.angular_momentum + needle.center.coords.cross(&needle.momentum);
     let mut energy = needle.kinetic_energy(suture.solid());
     if let Some(thread) = &state.thread {
-        let material = trocar_simulator::thread::ThreadMaterial::silk_2_0();
+        let material = trocar_simulator::suture_thread::ThreadMaterial::silk_2_0();
         for node in 0..thread.positions.len() {
             let before = if node > 0 { thread.rest_lengths[node - 1] } else { 0.0 };
             let after = thread.rest_lengths.get(node).copied().unwrap_or(0.0);
@@ -78,7 +78,7 @@ fn needle_and_thread_exchange_momentum_exactly_and_gain_no_energy() {
     let mut state = suture.state().clone();
     state.needle.momentum = Vector3::new(0.0, 1e-5, 1e-5);
     state.needle.angular_momentum = state.needle.inertia(suture.solid()) * Vector3::new(5.0, 0.0, 10.0);
-    let mut material = trocar_simulator::thread::ThreadMaterial::silk_2_0();
+    let mut material = trocar_simulator::suture_thread::ThreadMaterial::silk_2_0();
     // Drag would take momentum.
     material.drag = 0.0;
     suture = Suture::new(&shape, Some(material), Resistance::default(), nowhere(), state).expect("a suture");

@@ -6,8 +6,8 @@ mod suture_support;
 use nalgebra::Vector3;
 use suture_support::*;
 use trocar_simulator::suture::{Around, Suture};
-use trocar_simulator::thread::knot::throws;
-use trocar_simulator::thread::{Hold, ThreadMaterial};
+use trocar_simulator::suture_thread::knot::throws;
+use trocar_simulator::suture_thread::{Hold, ThreadMaterial};
 
 const DT: f64 = 1e-3;
 /// Steps until the knot is tied, and in all.

@@ -6,9 +6,9 @@ mod suture_support;
 use nalgebra::{Point3, Vector3};
 use suture_support::{jaws, nowhere, pose, straight};
 use trocar_collision::primitive::closest_segments;
-use trocar_simulator::needle::NeedleState;
+use trocar_simulator::suture::needle::NeedleState;
 use trocar_simulator::suture::{Around, Resistance, Suture, SutureState};
-use trocar_simulator::thread::{Hold, ThreadMaterial, ThreadState};
+use trocar_simulator::suture_thread::{Hold, ThreadMaterial, ThreadState};
 
 const DT: f64 = 5e-4;
 /// How high over the wire's axis the thread lies at first \[m\].

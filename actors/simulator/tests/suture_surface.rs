@@ -4,9 +4,9 @@ mod suture_support;
 
 use nalgebra::{Point3, Vector3};
 use suture_support::*;
-use trocar_simulator::needle::NeedleShape;
+use trocar_simulator::suture::needle::NeedleShape;
 use trocar_simulator::suture::{Around, Resistance, Suture, Tissue};
-use trocar_simulator::thread::{Hold, Load, ThreadMaterial};
+use trocar_simulator::suture_thread::{Hold, Load, ThreadMaterial};
 
 const DT: f64 = 1e-3;
 

@@ -9,8 +9,8 @@ use stage::{Stage, scene};
 use thread_support::{Bend, loose_knot};
 use trocar_scene::{BuildContext, ControllerError, Frozen, JawState, LineMesh, Pose, VertexPositions};
 use trocar_simulator::controller::{KnotState, ThreadController, ThreadMemory};
-use trocar_simulator::thread::knot::{KnotKind, identify};
-use trocar_simulator::thread::{CutAt, Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::knot::{KnotKind, identify};
+use trocar_simulator::suture_thread::{CutAt, Thread, ThreadMaterial};
 
 const HZ: f64 = 500.0;
 const OPEN: f64 = 0.6;

@@ -17,8 +17,8 @@ use trocar_scene::{
 use trocar_simulator::controller::{
     DynamicFemController, DynamicFemMemory, KnotState, ThreadController, ThreadMemory,
 };
-use trocar_simulator::thread::soft::SoftSurface;
-use trocar_simulator::thread::{Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadState};
+use trocar_simulator::suture_thread::soft_support::SoftSurface;
+use trocar_simulator::suture_thread::{Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadState};
 
 /// Ticks of the thread for one of the tissue.
 const RATE: u64 = 5;

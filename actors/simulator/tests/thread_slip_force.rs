@@ -20,7 +20,7 @@
 mod thread_support;
 
 use thread_support::{Bend, loose_knot};
-use trocar_simulator::thread::{Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::{Thread, ThreadMaterial};
 
 /// At all four ends, to tighten it \[N\].
 const TIGHT: f64 = 6.0;

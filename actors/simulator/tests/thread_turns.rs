@@ -33,7 +33,7 @@
 mod thread_support;
 
 use thread_support::{Bend, loose_knot, nearest_strands};
-use trocar_simulator::thread::{Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::{Thread, ThreadMaterial};
 
 /// Centre lines of strands never come nearer than this part of a diameter while the loop is pulled.
 const NEAREST: f64 = 0.85;

@@ -2,7 +2,7 @@
 //!
 //! | Concept | File |
 //! |---|---|
-//! | Where an instrument is, and how far its jaws are open | `opening.rs` |
+//! | Where an instrument is, and how far its jaws are open | `state.rs` |
 //! | What the hand wants: samples, gaps, the spring between hand and instrument | `target_track.rs`, `set_point.rs`, `coupling.rs` |
 //! | Its jaws, and their drive | `jaw.rs` |
 //! | When it holds something | `grasp.rs` |

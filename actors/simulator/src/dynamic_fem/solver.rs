@@ -5,14 +5,14 @@ use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::config::{Config, DynamicFemError, Energies, Report, StepError};
-use super::lbfgs::{Memory, dot};
-use super::lent::{self, Lent};
-use super::material::Material;
-use super::objective::{
+use super::constitutive::Material;
+use super::incremental_potential::{
     Coupling, Damping, Element, Inputs, Mass, Matter, add_couplings, add_hessian, add_springs, couplings,
     frames,
 };
-use crate::sparse::{BlockMatrix, FactorError, SparseCholesky};
+use super::lbfgs::{Memory, dot};
+use super::stale_factor::{self, Lent};
+use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky};
 
 /// Where the factor was computed: a restored body computes it there again, to the same bits.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -525,7 +525,7 @@ impl DynamicFem {
         let (factor, numbers, lent) = (&mut self.factor, &self.numbers, &mut self.lent);
         let (flat, held) = (&mut work.flat, &work.held);
         self.memory.apply(&mut work.direction, |vector| {
-            lent::solve(factor, numbers, lent.as_mut(), flat, vector);
+            stale_factor::solve(factor, numbers, lent.as_mut(), flat, vector);
             vector.iter_mut().zip(held).filter(|(_, held)| **held).for_each(|(own, _)| own.fill(0.0));
         });
         work.direction.iter_mut().for_each(|direction| direction.neg_mut());

@@ -6,8 +6,8 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_dynamics::rigid_world::Wrench;
 use trocar_scene::{Motion, Primitive, RigidBody, SimTime, Velocity};
 
-use super::bounds::Bounds;
-use super::parts::Part;
+use super::aabb::Bounds;
+use super::convex_parts::Part;
 use crate::rigid::{RigidMass, RigidState};
 
 /// Steps for which is known where a body was. What was found before that is forgotten.

@@ -3,7 +3,7 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use super::touch::TouchPoint;
+use super::closest_features::TouchPoint;
 
 /// An edge has to part by so much more than a face to be preferred \[m\], so that what lies flat stays on faces.
 const EDGE_HANDICAP: f64 = 1e-5;

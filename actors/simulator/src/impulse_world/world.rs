@@ -13,10 +13,10 @@ use trocar_dynamics::rigid_world::{World, check};
 use trocar_scene::{Entity, Motion, Pose, RigidBody, SimTime, Velocity};
 
 use super::bodies::{Body, Solid, Trail, state_of};
-use super::found::Found;
-use super::meetings::{Everything, Key, Meetings};
-use super::tool::Tool;
-use super::{RigidSettings, holds};
+use super::detected_contact::Found;
+use super::instrument::Tool;
+use super::narrow_phase::{Everything, Key, Meetings};
+use super::{RigidSettings, grasp_detection};
 use crate::rigid::{
     Arm, ContactImpulse, Joint, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError,
 };
@@ -222,7 +222,7 @@ impl ImpulseWorld {
                 restitution: meeting.restitution.min(1.0),
                 surface_velocity: surface.map_or_else(Vector3::zeros, |body| body.velocity_at(&point)),
             });
-            let arm = |party: &super::meetings::Party| {
+            let arm = |party: &super::narrow_phase::Party| {
                 let tool = tools.get(&party.entity).filter(|_| !meeting.by_others)?;
                 // Joints are in the order of their tools.
                 let before = tools.range(..party.entity).filter(|(_, tool)| tool.joint.is_some()).count();
@@ -268,7 +268,7 @@ impl ImpulseWorld {
             ];
             let (mass, centre) = (&self.solver.masses()[slot], self.solver.states()[slot].position);
             if let Some([on_body, on_tool]) =
-                holds::pull(tool, mass, &body.pose, &centre, velocities, step_secs)
+                grasp_detection::pull(tool, mass, &body.pose, &centre, velocities, step_secs)
             {
                 for (slot, pull) in [(slot, on_body), (tool.slot, on_tool)] {
                     wrenches[slot].force += pull.force;
@@ -317,7 +317,7 @@ impl ImpulseWorld {
         for (entity, tool) in &mut self.tools {
             let lifted =
                 |held: Entity| bodies.get(&held).filter(|body| body.is_dynamic()).map(|body| body.pose);
-            holds::update(tool, *entity, &self.meetings.all, step_secs, pads, lifted);
+            grasp_detection::update(tool, *entity, &self.meetings.all, step_secs, pads, lifted);
         }
         self.former.clear();
         self.former.extend(self.meetings.all.iter().map(|meeting| (meeting.key(), meeting.impulse)));

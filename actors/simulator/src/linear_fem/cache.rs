@@ -10,9 +10,9 @@ use std::path::{Path, PathBuf};
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
-use super::bytes::fingerprint;
 use super::compliance::{Compliance, Limits};
 use super::error::LinearFemError;
+use super::serialization::fingerprint;
 use super::solver::LinearFem;
 
 /// Where inverses are kept.

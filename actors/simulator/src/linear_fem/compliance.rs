@@ -9,7 +9,7 @@ use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::bounds::BATCH;
-use crate::sparse::{FactorError, SparseCholesky, nested_dissection};
+use crate::linear_algebra::{FactorError, SparseCholesky, nested_dissection};
 use crate::stiffness::{Bonds, bound_stiffness};
 
 /// How much a precomputation may take.
@@ -245,7 +245,12 @@ impl Compliance {
     ) -> Result<Self, PrecomputeError> {
         let boundary = Boundary::new(mesh, fixed)?;
         let factor = factor(mesh, material, &[], &Bonds::default(), &boundary, limits)?;
-        Self::from_factor(super::bytes::fingerprint(mesh, material, fixed), &boundary, &factor, progress)
+        Self::from_factor(
+            super::serialization::fingerprint(mesh, material, fixed),
+            &boundary,
+            &factor,
+            progress,
+        )
     }
 
     pub(super) fn from_factor(

@@ -17,7 +17,7 @@ use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::faulty::Faulty;
 
 use super::error::NetworkError;
-use super::following::{Followed, Patch};
+use super::remesh::{Followed, Patch};
 
 /// Holds two nodes at a distance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

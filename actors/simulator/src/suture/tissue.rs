@@ -11,7 +11,7 @@ use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::SutureError;
 use crate::linear_fem::Columns;
-use crate::thread::elastic::SurfacePlace;
+use crate::suture_thread::elastic::SurfacePlace;
 
 /// Nodes about which the tissue can be asked at most: about as many as 150 places in a channel touch.
 pub const NODES_MAX: usize = 1200;

@@ -13,14 +13,13 @@
 mod colouring;
 mod constraint;
 mod contact;
-mod following;
-mod tets;
-mod together;
-mod wide;
+pub(crate) mod island;
+pub(crate) mod remesh;
+pub(crate) mod tetrahedra;
 
 pub use constraint::{Bend, Distance, Elasticity, distances_of};
-pub use following::SplitTets;
-pub use together::{Member, step_together};
+pub use island::{Member, step_together};
+pub use remesh::SplitTets;
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -33,7 +32,7 @@ use crate::mass_spring::{Contact, NetworkError, NodeForce, Prescribed, check_con
 use colouring::Coloured;
 use constraint::{Constraint, Nodes};
 use contact::Pressed;
-use tets::{Pack, Tets};
+use tetrahedra::{Pack, Tets};
 
 /// Constraints of a group (packs of tetrahedra count as one) from which on threads are worth their while.
 const PARALLEL: usize = 512;
@@ -201,8 +200,8 @@ impl Xpbd {
                 return invalid("density", density, "above 0 and finite");
             }
             Faulty::among(body.tets.len(), |index| {
-                let volume = tets::volume_of(body.rest, &body.tets[index]);
-                volume.is_nan() || volume <= tets::LEAST
+                let volume = tetrahedra::volume_of(body.rest, &body.tets[index]);
+                volume.is_nan() || volume <= tetrahedra::LEAST
             })
             .refuse(|faulty| NetworkError::NoExtent { kind: "tetrahedron", faulty })?;
             let mut is_gone = vec![false; body.tets.len()];

@@ -4,7 +4,7 @@
 use nalgebra::Vector3;
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
-use trocar_simulator::sparse::{BlockMatrix, SparseCholesky};
+use trocar_simulator::linear_algebra::{BlockMatrix, SparseCholesky};
 use trocar_simulator::stiffness::stiffness;
 
 /// Numbers of the nodes that are not fixed.

@@ -14,9 +14,9 @@ use nalgebra::Vector3;
 use trocar_dynamics::particles::StepError;
 
 use super::StepMatrix;
+use crate::linear_algebra::nested_dissection;
 use crate::mass_spring::matrix::pairs;
 use crate::mass_spring::{Contact, Network};
-use crate::sparse::nested_dissection;
 
 /// The lower triangle, by columns.
 pub(super) struct Cholesky {

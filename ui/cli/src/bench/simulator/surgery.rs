@@ -11,9 +11,9 @@ use trocar_dynamics::tet_mesh::Sweep;
 use trocar_simulator::cutting::Sheet;
 use trocar_simulator::fluid::smoke::{Smoke, SmokeConfig};
 use trocar_simulator::mass_spring::{Integrator, Patch, TooLarge};
-use trocar_simulator::needle::{NeedleShape, NeedleState};
+use trocar_simulator::suture::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{Around, Grip, Resistance, Suture, SutureState, Tissue};
-use trocar_simulator::thread::{ThreadMaterial, ThreadState};
+use trocar_simulator::suture_thread::{ThreadMaterial, ThreadState};
 use trocar_simulator::xpbd::{Body, Xpbd, XpbdConfig, XpbdInput};
 
 use super::bodies::{self, CLOTH, GRAVITY, block, cloth};
