@@ -59,7 +59,7 @@ pub struct Jaws<'a> {
 
 /// A vertex that has to be somewhere at the end of the frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Led {
+pub struct DrivenVertex {
     /// Which vertex.
     pub vertex: u32,
     /// Where, in world \[m\].
@@ -173,11 +173,11 @@ impl Picks {
 
     /// Where the instruments have what they hold, in ascending order of vertices; `jaws` as in [`update`](Self::update).
     #[must_use]
-    pub fn led(&self, jaws: &[Jaws<'_>]) -> Vec<Led> {
+    pub fn led(&self, jaws: &[Jaws<'_>]) -> Vec<DrivenVertex> {
         let mut led = Vec::new();
         for pick in &self.picks {
             let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
-            led.extend(pick.vertices.iter().map(|held| Led {
+            led.extend(pick.vertices.iter().map(|held| DrivenVertex {
                 vertex: held.vertex,
                 position_in_world: jaw.pose_in_world * held.in_instrument,
             }));

@@ -15,7 +15,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::cauchy_stress;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::method::{Measures, Site};
+use trocar_dynamics::soft_body::method::{Measures, StepContext};
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
 use trocar_dynamics::soft_body::{SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
@@ -125,7 +125,7 @@ impl EngineSoftMethod {
     }
 
     /// Brings what jaws hold up to date.
-    fn lead(&mut self, site: &Site<'_>) -> Result<(), String> {
+    fn lead(&mut self, site: &StepContext<'_>) -> Result<(), String> {
         let wanted: Vec<u32> = site.led.iter().map(|led| led.vertex).collect();
         if wanted == self.led {
             return Ok(());
@@ -284,7 +284,7 @@ impl SoftMethod for EngineSoftMethod {
     fn step(
         &mut self,
         _body: &Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
         self.lead(site)?;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use stage::{Stage, scene};
 use trocar_dynamics::picking::{Held, Pick, Picks};
-use trocar_dynamics::soft_body::contact::{ContactSums, HeldContact, SoftContacts, Spot};
+use trocar_dynamics::soft_body::contact::{ContactSums, PersistentContact, SoftContacts, Feature};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::{
@@ -167,7 +167,7 @@ fn news_of_elements_that_there_are_not_change_nothing() {
     };
     let removed = || RemovedElements { elements: Arc::new(vec![5, 9_999, u32::MAX]) };
     let contacts = || {
-        let held = |spots| HeldContact {
+        let held = |spots| PersistentContact {
             writer: Entity::new(0, 0, 9),
             other: Entity::new(0, 0, 8),
             spots,
@@ -179,9 +179,9 @@ fn news_of_elements_that_there_are_not_change_nothing() {
             drawn: Vector3::zeros(),
         };
         let spots = [
-            [Spot::Vertex(9_999), Spot::Triangle(9_999)],
-            [Spot::Triangle(0), Spot::Vertex(9_999)],
-            [Spot::Between([0, 1, 9_999], [1.0, 0.0, 0.0]), Spot::InFrame(Point3::origin())],
+            [Feature::Vertex(9_999), Feature::Triangle(9_999)],
+            [Feature::Triangle(0), Feature::Vertex(9_999)],
+            [Feature::Between([0, 1, 9_999], [1.0, 0.0, 0.0]), Feature::InFrame(Point3::origin())],
         ];
         let sums = ContactSums { body: None, vertices: vec![3, 2, 1], sums: vec![Vector3::x()] };
         SoftContacts { contacts: spots.map(held).to_vec(), given: vec![sums], ..SoftContacts::default() }

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use suture_support::*;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
 use trocar_simulator::suture::needle::NeedleShape;
-use trocar_simulator::suture::{Around, Event, Resistance, Suture, SutureReport, Tip};
+use trocar_simulator::suture::{StepInputs, Event, Resistance, Suture, SutureReport, Tip};
 
 const DT: f64 = 1e-3;
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);
@@ -61,7 +61,7 @@ fn a_needle_in_flight_keeps_its_momenta_and_gains_no_energy() {
     let (p, l, mut energy) = motion(&suture);
     let begin = energy;
     for _ in 0..500 {
-        suture.step(DT, &Around::default()).expect("a step");
+        suture.step(DT, &StepInputs::default()).expect("a step");
         let now = motion(&suture);
         assert!((now.0 - p).norm() <= 1e-12 * p.norm() && (now.1 - l).norm() <= 1e-9 * l.norm());
         assert!(now.2 <= energy * (1.0 + 1e-9), "gains energy: {} after {energy}", now.2);
@@ -86,7 +86,7 @@ fn needle_and_thread_exchange_momentum_exactly_and_gain_no_energy() {
     let alone = suture.state().needle.momentum;
     let begin = energy;
     for step in 0..300 {
-        suture.step(DT, &Around::default()).unwrap_or_else(|why| panic!("step {step}: {why}"));
+        suture.step(DT, &StepInputs::default()).unwrap_or_else(|why| panic!("step {step}: {why}"));
         let now = motion(&suture);
         assert!((now.0 - p).norm() <= 1e-6 * p.norm(), "step {step}: {} of {}", (now.0 - p).norm(), p.norm());
         assert!(now.2 <= energy + 1e-6 * begin, "step {step}: {} after {energy} of {begin} J", now.2);
@@ -120,7 +120,7 @@ fn drive(
         let mut to = from;
         to.translation.vector += DOWN * (speed * dt * (step + 1) as f64);
         let grips = [jaws(shape, 0.5 * shape.length(), at, to)];
-        let around = Around { grips: &grips, ..Around::default() };
+        let around = StepInputs { grips: &grips, ..StepInputs::default() };
         let report = suture.step(dt, &around).unwrap_or_else(|why| panic!("step {step}: {why}"));
         // What the jaws push down with.
         see(speed * dt * (step + 1) as f64, -suture.gripped()[0].force.z, &report, suture);
@@ -291,7 +291,7 @@ fn nothing_is_missed_at_a_metre_a_second() {
             let mut to = at;
             to.translation.vector += ahead * 1e-3;
             let grips = [jaws(&shape, 0.5 * shape.length(), at, to)];
-            suture.step(DT, &Around { grips: &grips, ..Around::default() }).expect("a step");
+            suture.step(DT, &StepInputs { grips: &grips, ..StepInputs::default() }).expect("a step");
             at = to;
             for event in suture.events() {
                 if let Event::Touched(place) = event {
@@ -344,7 +344,7 @@ fn along_its_own_arc_it_hardly_moves_the_tissue_and_straight_on_it_presses_acros
     for step in 0..1300 {
         let to = turned(rate * DT * (step + 1) as f64);
         let grips = [jaws(&shape, 0.3 * shape.length(), at, to)];
-        let report = suture.step(DT, &Around { grips: &grips, ..Around::default() }).expect("a step");
+        let report = suture.step(DT, &StepInputs { grips: &grips, ..StepInputs::default() }).expect("a step");
         at = to;
         if matches!(suture.state().tip, Tip::Inside(_)) && report.length_inside > 2e-3 {
             across = across.max(report.across_max);
@@ -363,7 +363,7 @@ fn along_its_own_arc_it_hardly_moves_the_tissue_and_straight_on_it_presses_acros
         let mut to = at;
         to.translation.vector += DOWN * 5e-6;
         let grips = [jaws(&shape, 0.3 * shape.length(), at, to)];
-        let report = suture.step(DT, &Around { grips: &grips, ..Around::default() }).expect("a step");
+        let report = suture.step(DT, &StepInputs { grips: &grips, ..StepInputs::default() }).expect("a step");
         at = to;
         straight = straight.max(report.force_on_tissue.norm());
         torn = torn.max(report.across_max);
@@ -390,7 +390,7 @@ fn it_comes_out_where_its_arc_does() {
         let to = turned(DT * (step + 1) as f64);
         let grips = [jaws(&shape, 0.05 * shape.length(), at, to)];
         suture
-            .step(DT, &Around { grips: &grips, ..Around::default() })
+            .step(DT, &StepInputs { grips: &grips, ..StepInputs::default() })
             .unwrap_or_else(|why| panic!("step {step}: {why}"));
         events.extend(suture.events().iter().copied().filter(|event| !matches!(event, Event::Touched(_))));
         at = to;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use stage::{Stage, scene};
-use trocar_dynamics::coupling::external_nodes::{Guest, Path};
+use trocar_dynamics::coupling::external_nodes::{GhostNode, Path};
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::coupling::{CouplingGiven, CouplingTaken};
 use trocar_scene::{
@@ -215,13 +215,13 @@ fn a_thread_that_falls_on_free_masses_gives_them_the_momentum_that_it_loses() {
             .collect(),
     );
     let mass = 2e-6;
-    let mut guests: Vec<Guest> = nodes
+    let mut guests: Vec<GhostNode> = nodes
         .iter()
-        .map(|position| Guest {
+        .map(|position| GhostNode {
             position: *position,
             mobility: 1.0 / mass,
             path: Path { position: *position, ..Path::default() },
-            ..Guest::default()
+            ..GhostNode::default()
         })
         .collect();
     let of_thread = |state: &ThreadState| -> Vector3<f64> {

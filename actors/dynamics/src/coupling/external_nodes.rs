@@ -14,7 +14,7 @@ pub const OF_BODY: u32 = 1 << 31;
 
 /// A node of another body: a mass, held by a spring to the path that it would go if the body did to it what it is expected to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Guest {
+pub struct GhostNode {
     /// Where it is \[m\].
     pub position: Point3<f64>,
     /// How it moves \[m/s\].
@@ -43,7 +43,7 @@ pub struct Path {
     pub lasts: f64,
 }
 
-impl Guest {
+impl GhostNode {
     /// One that nothing moves.
     #[must_use]
     pub fn as_wall(self) -> Self {
@@ -122,9 +122,9 @@ pub struct Press {
 
 /// Everything of others that takes part in a step.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Company<'a> {
+pub struct ExternalNodes<'a> {
     /// Nodes of others.
-    pub guests: &'a [Guest],
+    pub guests: &'a [GhostNode],
     /// What joins the body to them.
     pub ties: &'a [Tie],
     /// Where it lies on them.
@@ -133,7 +133,7 @@ pub struct Company<'a> {
 
 /// What has become of a guest in a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct GuestMoved {
+pub struct GhostMoved {
     /// Where it is \[m\].
     pub position: Point3<f64>,
     /// How it moves \[m/s\].
@@ -148,9 +148,9 @@ pub struct GuestMoved {
 
 /// What has become of all of them.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct CompanyMoved {
+pub struct GhostImpulses {
     /// Of each guest.
-    pub guests: Vec<GuestMoved>,
+    pub guests: Vec<GhostMoved>,
     /// Of each tie.
     pub ties: Vec<Tied>,
     /// Of each press.
@@ -183,7 +183,7 @@ pub struct Pressed {
 
 /// What becomes of a company in a step, and room for it.
 #[derive(Clone, Debug, Default)]
-pub struct CompanyState {
+pub struct ExternalNodesState {
     /// Guests as nodes.
     places: Vec<[f64; 4]>,
     /// Where they were when the part began.
@@ -197,7 +197,7 @@ pub struct CompanyState {
     presses: Vec<(f64, Vector3<f64>)>,
     /// How far apart what they join is when the part begins \[m\]: ties, then presses.
     aparts: Vec<Vector3<f64>>,
-    moved: CompanyMoved,
+    moved: GhostImpulses,
 }
 
 /// All nodes that take part in a part of a step, those of one body after another's, and guests.
@@ -246,10 +246,10 @@ impl Places<'_> {
     }
 }
 
-impl CompanyState {
+impl ExternalNodesState {
     /// What has become of everybody in the last step.
     #[must_use]
-    pub fn moved(&self) -> &CompanyMoved {
+    pub fn moved(&self) -> &GhostImpulses {
         &self.moved
     }
 
@@ -268,7 +268,7 @@ impl CompanyState {
     }
 }
 
-impl Company<'_> {
+impl ExternalNodes<'_> {
     /// Looks through it, for bodies of so many nodes, a spare one of each counted.
     ///
     /// # Errors
@@ -323,7 +323,7 @@ impl Company<'_> {
     }
 
     /// At the beginning of a step.
-    pub fn prepare(&self, scratch: &mut CompanyState) {
+    pub fn prepare(&self, scratch: &mut ExternalNodesState) {
         scratch.places.clear();
         scratch.places.extend(self.guests.iter().map(|guest| {
             let [x, y, z] = guest.position.into();
@@ -331,10 +331,10 @@ impl Company<'_> {
         }));
         let moved = &mut scratch.moved;
         moved.guests.clear();
-        let still = |guest: &Guest| GuestMoved {
+        let still = |guest: &GhostNode| GhostMoved {
             velocity: guest.velocity,
             path: guest.path,
-            ..GuestMoved::default()
+            ..GhostMoved::default()
         };
         moved.guests.extend(self.guests.iter().map(still));
         moved.ties.clear();
@@ -346,8 +346,8 @@ impl Company<'_> {
     }
 
     /// At the beginning of a part of length `h` \[s\], before anything has moved.
-    pub fn begin(&self, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut CompanyState) {
-        let CompanyState { places, before, aparts, given, ties, presses, .. } = scratch;
+    pub fn begin(&self, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState) {
+        let ExternalNodesState { places, before, aparts, given, ties, presses, .. } = scratch;
         before.clone_from(places);
         let mut all = Places { bodies, guests: places, rate: 0.0 };
         aparts.clear();
@@ -361,8 +361,8 @@ impl Company<'_> {
         presses.resize(self.presses.len(), (0.0, Vector3::zeros()));
     }
 
-    /// Guests fly.
-    pub fn fly(&self, h: f64, scratch: &mut CompanyState) {
+    /// Ghost nodes go on by themselves.
+    pub fn predict(&self, h: f64, scratch: &mut ExternalNodesState) {
         let moving = self.guests.iter().zip(&mut scratch.moved.guests);
         for (place, (guest, moved)) in scratch.places.iter_mut().zip(moving) {
             let was = Vector3::new(place[0], place[1], place[2]);
@@ -373,8 +373,8 @@ impl Company<'_> {
     }
 
     /// One iteration.
-    pub fn project(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut CompanyState) {
-        let CompanyState { places, aparts, ties, presses, .. } = scratch;
+    pub fn project(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState) {
+        let ExternalNodesState { places, aparts, ties, presses, .. } = scratch;
         let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
         for ((tie, multiplier), then) in self.ties.iter().zip(ties).zip(&*aparts) {
             let (stretch, yields) = all.apart(tie.node, &tie.guests);
@@ -409,8 +409,8 @@ impl Company<'_> {
     }
 
     /// At the end of a part.
-    pub fn end(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut CompanyState, parts: f64) {
-        let CompanyState { places, before, given, ties, presses, aparts, moved, .. } = scratch;
+    pub fn end(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState, parts: f64) {
+        let ExternalNodesState { places, before, given, ties, presses, aparts, moved, .. } = scratch;
         let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
         // What the impulses did on all that they act on, with what springs keep the opposite of what is lost. By the ways that
         // the ends went: what pulls at a light node and what holds it undo each other within a part.

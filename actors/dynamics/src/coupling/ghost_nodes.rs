@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::external_nodes::{Company, Guest, GuestMoved, Path};
+use super::external_nodes::{ExternalNodes, GhostNode, GhostMoved, Path};
 
 /// Steps that are remembered at most.
 const PAST_MAX: usize = 512;
@@ -222,7 +222,7 @@ impl Ghosts {
         // What it has not taken yet happens to the ghosts once more, from where it begins.
         let since = self.steps.saturating_sub(news.steps) as usize;
         self.past.drain(..self.past.len().saturating_sub(since));
-        let mut guests: Vec<Guest> = (0..expected).map(|node| expect(news, node)).collect();
+        let mut guests: Vec<GhostNode> = (0..expected).map(|node| expect(news, node)).collect();
         for Past { dt, given } in &self.past {
             let mut given = given.iter().peekable();
             for (ghost, guest) in guests.iter_mut().enumerate() {
@@ -244,7 +244,7 @@ impl Ghosts {
 
     /// A step of the faster body is due: puts the ghosts right as far as that can be paid, and adds them to the guests. Ties
     /// and presses name ghosts by their numbers here, `nodes` are the faster body's nodes where they are \[m\].
-    pub fn meet(&mut self, company: &Company<'_>, nodes: &[Point3<f64>], guests: &mut Vec<Guest>) {
+    pub fn meet(&mut self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>], guests: &mut Vec<GhostNode>) {
         // What it holds beyond what the springs do now is no use, and not all of it was motion once: what pulls a light node
         // and what holds it undo each other in every step.
         self.paid += (self.tank() - self.stored(company, nodes)).max(0.0);
@@ -269,8 +269,8 @@ impl Ghosts {
     }
 
     /// As they are now, as guests.
-    pub fn guests(&self) -> impl Iterator<Item = Guest> {
-        (0..self.count()).map(|ghost| Guest {
+    pub fn guests(&self) -> impl Iterator<Item = GhostNode> {
+        (0..self.count()).map(|ghost| GhostNode {
             position: self.positions[ghost],
             velocity: self.velocities[ghost],
             mobility: self.masses_inverse[ghost],
@@ -281,7 +281,7 @@ impl Ghosts {
     }
 
     /// What springs hold \[J\].
-    fn stored(&self, company: &Company<'_>, nodes: &[Point3<f64>]) -> f64 {
+    fn stored(&self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>]) -> f64 {
         let over = |node: u32, of: &[(u32, f64)]| {
             of.iter().fold(nodes[node as usize].coords, |sum, &(ghost, weight)| {
                 sum - self.positions[ghost as usize].coords * weight
@@ -297,7 +297,7 @@ impl Ghosts {
     }
 
     /// What springs hold more when ghosts are put right by so much \[J\].
-    fn cost(&self, company: &Company<'_>, nodes: &[Point3<f64>], share: f64) -> f64 {
+    fn cost(&self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>], share: f64) -> f64 {
         let place = |of: &[(u32, f64)]| -> [Vector3<f64>; 2] {
             of.iter().fold([Vector3::zeros(); 2], |[at, behind], &(ghost, weight)| {
                 let ghost = ghost as usize;
@@ -320,7 +320,7 @@ impl Ghosts {
 
     /// The faster body has made its step of `dt` seconds: what became of the ghosts as guests, and what its ties and presses
     /// lost \[J\].
-    pub fn met(&mut self, dt: f64, guests: &[GuestMoved], lost: f64) {
+    pub fn met(&mut self, dt: f64, guests: &[GhostMoved], lost: f64) {
         if self.past.len() == PAST_MAX {
             self.past.pop_front();
         }
@@ -359,7 +359,7 @@ impl Ghosts {
 }
 
 /// A node as the slower body expects it to move, from the moment of which it tells.
-fn expect(news: &News<'_>, node: usize) -> Guest {
+fn expect(news: &News<'_>, node: usize) -> GhostNode {
     let (mass_inverse, velocity) = (news.masses_inverse[node], news.velocities[node]);
     let mobility = news.mobilities[node].min(mass_inverse);
     // A mass that nothing else holds goes on as it moves. One that is held is wherever the forces on it balance: it moves at
@@ -369,7 +369,7 @@ fn expect(news: &News<'_>, node: usize) -> Guest {
     let per_step = if news.step > 0.0 { news.step.recip() } else { 0.0 };
     let begin = velocity + change * (1.0 - loose);
     let held = if mobility > 0.0 { mobility.recip() - mass_inverse.recip() } else { 0.0 };
-    Guest {
+    GhostNode {
         position: news.positions[node],
         velocity: begin,
         mobility: if mobility > 0.0 { mass_inverse } else { 0.0 },

@@ -2,7 +2,7 @@
 //!
 //! The faster body is stepped with [`Ghosts`] of the slower one's nodes, mass points as heavy as those are to push in a step
 //! of theirs. What joins the two, or keeps them apart, is part of the faster one's solver
-//! ([`Company`](external_nodes::Company)). What that gives the ghosts it owes the nodes, and the slower body
+//! ([`ExternalNodes`](external_nodes::ExternalNodes)). What that gives the ghosts it owes the nodes, and the slower body
 //! takes the sum at its next step: action and reaction are the same numbers, so momentum is exchanged to rounding, whatever
 //! the rates and masses are, and whatever either body does when.
 //!

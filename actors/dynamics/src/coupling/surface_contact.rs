@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use trocar_collision::moving_surface::MovingSurface;
 use trocar_collision::{Surface, pseudonormal};
 
-use super::external_nodes::{GuestMoved, Press, Pressed};
+use super::external_nodes::{GhostMoved, Press, Pressed};
 
 /// Nodes deeper in the body than this are lost \[m\].
 const DEEP: f64 = 0.01;
@@ -121,7 +121,7 @@ impl Lying {
         &mut self,
         presses: &[Press],
         moved: &[Pressed],
-        guests: &[GuestMoved],
+        guests: &[GhostMoved],
         positions: &[Point3<f64>],
     ) {
         let mut held = Vec::with_capacity(presses.len());

@@ -157,7 +157,7 @@ impl<W: World> RigidBodiesController<W> {
         for (entity, instrument) in scene.iter::<Instrument>() {
             self.take_instrument(scene, entity, instrument)?;
         }
-        self.tell_inertia(scene, period_secs);
+        self.publish_inertia(scene, period_secs);
         self.take_contacts(scene);
         self.seen = scene.revision();
         Ok(())
@@ -312,7 +312,7 @@ impl<W: World> RigidBodiesController<W> {
                     !left.into_iter().any(|(one, other)| self.is_answered_for(scene, one, other))
                 })
                 .collect();
-            self.world.set_found(own);
+            self.world.set_detected_contacts(own);
             self.lists = known;
         }
     }
@@ -529,9 +529,9 @@ impl<W: World> Controller for RigidBodiesController<W> {
             // Half a step before the last one's end: what a step takes is rounded to whole nanoseconds.
             let until = self.world.now() + SimTime::from_secs_f64((steps - 0.5) * step_secs);
             let failed = |error: WorldError| ControllerError::Failed(error.to_string());
-            self.take_given(scene, steps * step_secs).map_err(failed)?;
+            self.apply_soft_impulses(scene, steps * step_secs).map_err(failed)?;
             self.step_to(until).map_err(failed)?;
-            self.let_go(steps * step_secs).map_err(failed)?;
+            self.clear_soft_impulses(steps * step_secs).map_err(failed)?;
         }
         self.write_frozen(scene, tick, out);
         self.write_bodies(scene, out);

@@ -15,7 +15,7 @@ use crate::soft_body::contact::tracking::answers;
 
 impl<W: World> RigidBodiesController<W> {
     /// Brings up to date how bodies give way in steps of so many seconds. From when a body has told it soft ones answer for it.
-    pub(crate) fn tell_inertia(&mut self, scene: &Snapshot, period_secs: f64) {
+    pub(crate) fn publish_inertia(&mut self, scene: &Snapshot, period_secs: f64) {
         if !self.meets_soft_bodies || period_secs <= 0.0 {
             return;
         }
@@ -55,7 +55,7 @@ impl<W: World> RigidBodiesController<W> {
     ///
     /// # Errors
     /// A push that is none.
-    pub(crate) fn take_given(&mut self, scene: &Snapshot, secs: f64) -> Result<(), WorldError> {
+    pub(crate) fn apply_soft_impulses(&mut self, scene: &Snapshot, secs: f64) -> Result<(), WorldError> {
         for (entity, known) in &mut self.bodies {
             let Some(told) = known.contacts.as_mut().filter(|told| told.gives_way()) else { continue };
             known.before =
@@ -79,7 +79,7 @@ impl<W: World> RigidBodiesController<W> {
     ///
     /// # Errors
     /// A body that is gone.
-    pub(crate) fn let_go(&mut self, secs: f64) -> Result<(), WorldError> {
+    pub(crate) fn clear_soft_impulses(&mut self, secs: f64) -> Result<(), WorldError> {
         for (entity, known) in &mut self.bodies {
             let (Some(told), Some((before, push, pose))) = (&mut known.contacts, known.before.take()) else {
                 continue;

@@ -94,7 +94,7 @@ pub trait World: Send + Sized + 'static {
         pose: &Pose,
         velocity: &Velocity,
     ) -> Result<(), WorldError>;
-    /// Adds a body that is a surface, whose contacts others find ([`World::set_found`]).
+    /// Adds a body that is a surface, whose contacts others find ([`World::set_detected_contacts`]).
     ///
     /// # Errors
     /// As [`World::insert_body`]; a dynamic body whose surface encloses nothing.
@@ -148,7 +148,7 @@ pub trait World: Send + Sized + 'static {
     /// Whether somebody else finds contacts of any of its bodies.
     fn has_surfaces(&self) -> bool;
     /// Contacts that others have found, in the place of those before.
-    fn set_found<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>);
+    fn set_detected_contacts<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>);
 
     /// Pushes a body in all steps until it is pushed otherwise: a force \[N\], and its torque about the origin of the world
     /// \[N·m\]. One that sleeps wakes.

@@ -17,16 +17,16 @@ use trocar_scene::{
 use super::Deformable;
 use super::SoftMethod;
 use super::contact::SoftContacts;
-use super::contact::penalty::{self, Own};
+use super::contact::penalty::{self, RespondingBody};
 use super::contact::tracking::{self, Shape, Surroundings};
 use super::coupling::slow_side::Answering;
-use super::frozen::{Refused, Still};
+use super::frozen::{Refused, FrozenPart};
 use super::grasp::{Grips, Holder};
 use super::instrument_rods::{Rod, rods_of_all};
 use super::jaws::is_blade;
-use super::method::{Measures, Site, Step, finite_vertices};
+use super::method::{Measures, StepContext, Step, finite_vertices};
 use super::rod_contact::{COLLISIONS_MAX, Touch, collision, touches};
-use crate::picking::{Jaws, Led, Pick};
+use crate::picking::{Jaws, DrivenVertex, Pick};
 
 struct Body<M> {
     body: Deformable,
@@ -36,7 +36,7 @@ struct Body<M> {
     /// If others are coupled with it.
     answering: Option<Answering>,
     frozen: bool,
-    meets: Meets,
+    meets: StepInputs,
     /// Of contacts that detectors have found: what is kept of them, the sum of the sizes of what they exert \[N\], and how
     /// many press.
     contacts: SoftContacts,
@@ -45,19 +45,19 @@ struct Body<M> {
 
 /// What meets a body in the present tick.
 #[derive(Default)]
-struct Meets {
+struct StepInputs {
     world_from_body: Isometry3<f64>,
     gravity: Vector3<f64>,
     rods: Vec<Rod>,
     touches: Vec<Touch>,
-    led: Vec<Led>,
+    led: Vec<DrivenVertex>,
     given: Vec<(u32, Vector3<f64>)>,
     forces: Vec<Vector3<f64>>,
 }
 
-impl Meets {
-    fn site<'a>(&'a self, scene: &'a Snapshot, tick: &'a Tick<'a>) -> Site<'a> {
-        Site {
+impl StepInputs {
+    fn site<'a>(&'a self, scene: &'a Snapshot, tick: &'a Tick<'a>) -> StepContext<'a> {
+        StepContext {
             scene,
             tick,
             world_from_body: &self.world_from_body,
@@ -90,7 +90,7 @@ impl<M: SoftMethod> SoftController<M> {
             let Some(kind) = context.scene.get::<M::Kind>(entity) else { continue };
             match Body::read(kind, entity, context.scene) {
                 Ok(body) => bodies.push(body),
-                Err(error) => refused.push(Refused::of(context, entity, Still::Body, error)?),
+                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
             }
         }
         if bodies.is_empty() && refused.is_empty() {
@@ -107,8 +107,8 @@ impl<M: SoftMethod> SoftController<M> {
         for of in self.bodies.iter_mut().filter(|of| !of.frozen) {
             let Body { body, method, meets, contacts, .. } = of;
             let Some(terms) = method.terms() else { continue };
-            let Meets { given, led, world_from_body, gravity, .. } = meets;
-            own.push(Own {
+            let StepInputs { given, led, world_from_body, gravity, .. } = meets;
+            own.push(RespondingBody {
                 entity: body.entity,
                 shape: Shape {
                     world_from_body: *world_from_body,
@@ -229,7 +229,7 @@ impl<M: SoftMethod> Body<M> {
         let answers = M::Kind::SOFT_BODY.is_some_and(|of| of.answers_couplings);
         let answering = if answers { Answering::new(&body, scene) } else { None };
         let contacts = scene.get::<SoftContacts>(entity).cloned().unwrap_or_default();
-        let (meets, pressed) = (Meets::default(), (0.0, 0));
+        let (meets, pressed) = (StepInputs::default(), (0.0, 0));
         Ok(Self { body, method, is_pinned, grips, answering, frozen, meets, contacts, pressed })
     }
 
@@ -273,7 +273,7 @@ impl<M: SoftMethod> Body<M> {
         meets.led = led;
         // What is held goes where it is led, and what is anchored stays, whatever touches it.
         let (is_pinned, cut) = (&self.is_pinned, self.method.is_cut_by_blades());
-        let Meets { rods, touches, led, .. } = &mut meets;
+        let StepInputs { rods, touches, led, .. } = &mut meets;
         touches.retain(|touch| {
             let is_led = |node: &u32| led.binary_search_by_key(node, |led| led.vertex).is_ok();
             let stays = touch.nodes.iter().all(|&node| is_pinned[node as usize]);
@@ -332,7 +332,7 @@ impl<M: SoftMethod> Body<M> {
     }
 
     /// Lets jaws take and let go, and says where they have what they hold.
-    fn hold(&mut self, site: &Site<'_>, touched: &[Touch], out: &mut Commands) -> Result<Vec<Led>, String> {
+    fn hold(&mut self, site: &StepContext<'_>, touched: &[Touch], out: &mut Commands) -> Result<Vec<DrivenVertex>, String> {
         let parts = self.body.holdable();
         if parts.is_empty() {
             return Ok(Vec::new());
@@ -360,7 +360,7 @@ fn grip(
     positions: &[Point3<f64>],
     pick: &Pick,
     pull_in_body: &Vector3<f64>,
-    site: &Site<'_>,
+    site: &StepContext<'_>,
 ) -> Option<Collision> {
     let instrument = Entity::from_bits(pick.instrument);
     let count = pick.vertices.len();

@@ -8,7 +8,7 @@ use trocar_scene::{BuildContext, Commands, ControllerError, Entity, Frozen, Heat
 
 /// What of a body stands still.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Still {
+pub enum FrozenPart {
     /// All of it.
     Body,
     /// Its heat: whoever moves it says whether it moves.
@@ -20,7 +20,7 @@ pub struct Refused {
     /// Which.
     pub entity: Entity,
     name: String,
-    still: Still,
+    still: FrozenPart,
     /// What is wrong with it, until the scene has been told.
     untold: Option<String>,
 }
@@ -33,12 +33,12 @@ impl Refused {
     pub fn of(
         context: &BuildContext<'_>,
         entity: Entity,
-        still: Still,
+        still: FrozenPart,
         error: ControllerError,
     ) -> Result<Self, ControllerError> {
         let is_known = match still {
-            Still::Body => context.scene.get::<Frozen>(entity).is_some(),
-            Still::Heat => context.scene.get::<HeatFrozen>(entity).is_some(),
+            FrozenPart::Body => context.scene.get::<Frozen>(entity).is_some(),
+            FrozenPart::Heat => context.scene.get::<HeatFrozen>(entity).is_some(),
         };
         if context.epoch <= 1 && !is_known {
             return Err(error);
@@ -53,22 +53,22 @@ impl Refused {
             freeze(self.entity, self.still, reason, tick, out);
         }
         let what = match self.still {
-            Still::Body => "frozen",
-            Still::Heat => "heat_frozen",
+            FrozenPart::Body => "frozen",
+            FrozenPart::Heat => "heat_frozen",
         };
         measured.values.insert(format!("{}.{what}", self.name), 1.0);
     }
 }
 
 /// Tells everybody that something of a body had to be stopped.
-pub fn freeze(entity: Entity, still: Still, reason: String, tick: &Tick<'_>, out: &mut Commands) {
+pub fn freeze(entity: Entity, still: FrozenPart, reason: String, tick: &Tick<'_>, out: &mut Commands) {
     let since = tick.time;
     match still {
-        Still::Body => {
+        FrozenPart::Body => {
             out.put(entity, Frozen { reason, since });
             out.event("frozen", entity, None, since.as_secs_f64());
         }
-        Still::Heat => {
+        FrozenPart::Heat => {
             out.put(entity, HeatFrozen { reason, since });
             out.event("heat_frozen", entity, None, since.as_secs_f64());
         }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, Instrument};
 
 use super::jaws::{AT_REST, holds, is_closed, opening};
-use super::method::{Reshaped, Site};
+use super::method::{Reshaped, StepContext};
 use super::rod_contact::Touch;
 use crate::picking::{Jaws, Picks};
 
@@ -44,7 +44,7 @@ impl Grips {
     pub fn follow(
         &mut self,
         reshaped: &Reshaped,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         triangles: &[[u32; 3]],
         positions: &[Point3<f64>],
     ) {
@@ -75,7 +75,7 @@ pub struct Holder {
 impl Holder {
     /// All instruments that hold, with the triangles that their jaws touch; rods as [`super::instrument_rods::rods_of_all`] lists them.
     #[must_use]
-    pub fn all(site: &Site<'_>, touches: &[Touch], triangles: &[[u32; 3]]) -> Vec<Self> {
+    pub fn all(site: &StepContext<'_>, touches: &[Touch], triangles: &[[u32; 3]]) -> Vec<Self> {
         let holders = site.scene.iter::<Instrument>().filter(|(_, instrument)| holds(instrument.kind));
         holders
             .map(|(entity, _)| {

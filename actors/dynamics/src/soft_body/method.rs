@@ -8,11 +8,11 @@ use trocar_scene::{Access, Commands, Component, Entity, Snapshot, Tick};
 use super::Deformable;
 use super::instrument_rods::Rod;
 use super::rod_contact::{Skin, Touch};
-use crate::picking::Led;
+use crate::picking::DrivenVertex;
 
 /// What meets a body in one tick; everything in the frame of the body.
 #[derive(Clone, Copy)]
-pub struct Site<'a> {
+pub struct StepContext<'a> {
     /// The scene that the tick reads.
     pub scene: &'a Snapshot,
     /// The tick.
@@ -28,10 +28,10 @@ pub struct Site<'a> {
     /// Forces on vertices that others have given the body \[N\].
     pub forces: &'a [(u32, Vector3<f64>)],
     /// Vertices that jaws hold, and where they have them at the end of the tick; ascending, none that is anchored.
-    pub led: &'a [Led],
+    pub led: &'a [DrivenVertex],
 }
 
-impl Site<'_> {
+impl StepContext<'_> {
     /// How long the step is \[s\].
     #[must_use]
     pub fn period_secs(&self) -> f64 {
@@ -74,7 +74,7 @@ pub trait SoftMethod: Send + Sized + 'static {
     fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a>;
 
     /// How it answers contacts that detectors find; one without terms does not.
-    fn terms(&self) -> Option<Terms<'_>> {
+    fn terms(&self) -> Option<ContactParams<'_>> {
         None
     }
 
@@ -91,7 +91,7 @@ pub trait SoftMethod: Send + Sized + 'static {
     fn reshape(
         &mut self,
         _body: &mut Deformable,
-        _site: &Site<'_>,
+        _site: &StepContext<'_>,
         _out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
         Ok(None)
@@ -104,7 +104,7 @@ pub trait SoftMethod: Send + Sized + 'static {
     fn step(
         &mut self,
         body: &Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String>;
 
@@ -117,13 +117,13 @@ pub trait SoftMethod: Send + Sized + 'static {
 
     /// What is to be expected of the next step, after one; `active` are the vertices that others give something or
     /// soon will.
-    fn look_ahead(&mut self, _body: &Deformable, _site: &Site<'_>, _active: &[u32], _outlook: &mut Outlook) {}
+    fn look_ahead(&mut self, _body: &Deformable, _site: &StepContext<'_>, _active: &[u32], _outlook: &mut Outlook) {}
 
     /// What the body exerts now on whoever holds these vertices \[N\]; ascending.
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64>;
 
     /// What a later life needs besides positions and velocities.
-    fn publish(&mut self, _body: &Deformable, _site: &Site<'_>, _out: &mut Commands) {}
+    fn publish(&mut self, _body: &Deformable, _site: &StepContext<'_>, _out: &mut Commands) {}
 
     /// What is worth knowing of it.
     fn measure(&self, body: &Deformable, measures: &mut Measures<'_>);
@@ -157,7 +157,7 @@ pub struct Step<'a, M> {
     /// The body.
     pub body: &'a Deformable,
     /// What meets it.
-    pub site: Site<'a>,
+    pub site: StepContext<'a>,
     /// What each touch exerts on it \[N\], to be filled.
     pub forces: Vec<Vector3<f64>>,
     /// Whether it was stepped, or why not; then it is where it was.
@@ -166,7 +166,7 @@ pub struct Step<'a, M> {
 
 /// How a body answers.
 #[derive(Clone, Copy, Debug)]
-pub struct Terms<'a> {
+pub struct ContactParams<'a> {
     /// One over the mass of each vertex, 0 where it is held \[1/kg\].
     pub masses_inverse: &'a [f64],
     /// Force per depth of each contact \[N/m\].

@@ -94,7 +94,7 @@ impl World for RigidWorld {
     fn has_surfaces(&self) -> bool {
         self.has_surfaces()
     }
-    fn set_found<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
+    fn set_detected_contacts<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
         self.set_penalties(found);
     }
     fn push(&mut self, entity: Entity, push: &Push) -> Result<(), EngineError> {

@@ -14,14 +14,14 @@ use crate::linear_algebra::{BlockMatrix, BlockPattern, FactorError, SparseCholes
 const NEAR_MAX: usize = 300;
 
 /// Shares of nodes, by their rows.
-type Home = Vec<(u32, f64)>;
+type NodeWeights = Vec<(u32, f64)>;
 
 /// The two problems.
 pub(super) struct NearCut {
     /// Nodes, by the rows of the first.
     nodes: Vec<u32>,
     /// Which rows of the second each goes with.
-    homes: Vec<Home>,
+    homes: Vec<NodeWeights>,
     apart: SparseCholesky,
     together: SparseCholesky,
     flat: [Vec<f64>; 2],
@@ -36,7 +36,7 @@ pub(super) struct About<'a> {
     pub is_fixed: &'a [bool],
     /// Nodes before any were born, and for each that was born the ones it goes with.
     pub known: usize,
-    pub parents: &'a [Home],
+    pub parents: &'a [NodeWeights],
 }
 
 impl NearCut {
@@ -51,13 +51,13 @@ impl NearCut {
             .map(|element| Near::new(element, &about.matter, positions))
             .collect();
         let own: Vec<u32> = (0..near.len() as u32).filter(|&node| near[node as usize]).collect();
-        let mut alone = vec![Home::new(); near.len()];
+        let mut alone = vec![NodeWeights::new(); near.len()];
         own.iter().zip(0_u32..).for_each(|(&node, row)| alone[node as usize].push((row, 1.0)));
         let (rows, apart) = factored(about, &elements, own.len(), &alone)?;
         let mut nodes = vec![0; own.len()];
         own.iter().zip(&rows).for_each(|(&node, &row)| nodes[row as usize] = node);
         // Those that are born have no rows of their own here.
-        let mut with = vec![Home::new(); near.len()];
+        let mut with = vec![NodeWeights::new(); near.len()];
         let former = own.iter().filter(|node| (**node as usize) < about.known);
         former.clone().zip(0_u32..).for_each(|(&node, row)| with[node as usize].push((row, 1.0)));
         let count = former.count();
@@ -147,7 +147,7 @@ fn factored(
     about: &About<'_>,
     elements: &[Near],
     count: usize,
-    homes: &[Home],
+    homes: &[NodeWeights],
 ) -> Result<(Vec<u32>, SparseCholesky), FactorError> {
     let mut pairs: Vec<(u32, u32)> = Vec::new();
     for element in elements {
@@ -161,7 +161,7 @@ fn factored(
     order.iter().zip(0_u32..).for_each(|(&at, row)| rows[at as usize] = row);
     let pairs = pairs.iter().map(|&(a, b)| (rows[a as usize], rows[b as usize]));
     let mut matrix = BlockMatrix::zeros(BlockPattern::new(count, pairs));
-    let mut add = |of: &Home, with: &Home, block: &Matrix3<f64>| {
+    let mut add = |of: &NodeWeights, with: &NodeWeights, block: &Matrix3<f64>| {
         for &(a, share) in of {
             for &(b, weight) in with {
                 let (row, column) = (rows[a as usize], rows[b as usize]);

@@ -11,7 +11,7 @@ use super::incremental_potential::{
     frames,
 };
 use super::lbfgs::{Memory, dot};
-use super::stale_factor::{self, Lent};
+use super::stale_factor::{self, StaleFactor};
 use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky};
 
 /// Where the factor was computed: a restored body computes it there again, to the same bits.
@@ -54,7 +54,7 @@ pub struct DynamicFem {
     pub(super) hessian: BlockMatrix,
     pub(super) factor: SparseCholesky,
     /// Where the factor is that of what the body was.
-    pub(super) lent: Option<Lent>,
+    pub(super) lent: Option<StaleFactor>,
     /// See [`Self::analysed`].
     pub(super) analysed: u32,
     pub(super) memory: Memory,

@@ -24,7 +24,7 @@ pub struct Analysis {
 }
 
 /// How nodes that the factor does not know go with those that it does.
-pub(super) struct Lent {
+pub(super) struct StaleFactor {
     births: Vec<Birth>,
     /// The nodes of the factor that each new node goes with, and their shares.
     parents: Vec<Vec<(u32, f64)>>,
@@ -161,7 +161,7 @@ impl DynamicFem {
         };
         let near = NearCut::new(&about, &places).or_else(|_| NearCut::new(&about, self.mesh.rest()));
         match near {
-            Ok(near) => self.lent = Some(Lent { births, parents, near }),
+            Ok(near) => self.lent = Some(StaleFactor { births, parents, near }),
             // So distorted that nothing can be lent.
             Err(_) => self.settle()?,
         }
@@ -196,7 +196,7 @@ impl DynamicFem {
 pub(super) fn solve(
     factor: &mut SparseCholesky,
     numbers: &[Option<u32>],
-    lent: Option<&mut Lent>,
+    lent: Option<&mut StaleFactor>,
     flat: &mut [f64],
     vector: &mut [Vector3<f64>],
 ) {

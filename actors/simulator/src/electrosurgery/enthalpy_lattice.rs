@@ -49,7 +49,7 @@ pub(super) struct ThermalGrid {
 }
 
 /// What a step on the lattice writes to.
-pub(super) struct Books<'a> {
+pub(super) struct LatticeOutputs<'a> {
     pub material: &'a ThermalMaterial,
     pub organ: &'a mut OrganHeat,
     pub burns: &'a mut ElementBurns,
@@ -161,7 +161,7 @@ impl ThermalGrid {
     }
 
     /// Conduction and perfusion for a time that is stable.
-    pub(super) fn diffuse(&mut self, dt: f64, books: &mut Books<'_>) {
+    pub(super) fn diffuse(&mut self, dt: f64, books: &mut LatticeOutputs<'_>) {
         let volume = self.cell_volume();
         let blood = dt * books.material.perfusion_loss();
         let mut used = 0;
@@ -277,7 +277,7 @@ impl ThermalGrid {
     }
 
     /// Boiling, damage and removal after heat has moved for `dt`; blocks that heat reaches or has left.
-    pub(super) fn settle(&mut self, dt: f64, books: &mut Books<'_>) {
+    pub(super) fn settle(&mut self, dt: f64, books: &mut LatticeOutputs<'_>) {
         for index in 0..self.blocks.len() {
             if !self.blocks[index].is_active {
                 continue;
@@ -307,7 +307,7 @@ impl ThermalGrid {
     }
 
     /// Boils what is too hot in a cell, and removes it when its time has come; its temperature \[°C\].
-    pub(super) fn settle_cell(&mut self, index: usize, cell: usize, books: &mut Books<'_>) -> f64 {
+    pub(super) fn settle_cell(&mut self, index: usize, cell: usize, books: &mut LatticeOutputs<'_>) -> f64 {
         let volume = self.cell_volume();
         let block = &mut self.blocks[index];
         let below = block.site(cell).interpolate(&books.organ.celsius);
@@ -338,7 +338,7 @@ impl ThermalGrid {
         celsius
     }
 
-    fn coagulate(&mut self, index: usize, cell: usize, books: &mut Books<'_>) {
+    fn coagulate(&mut self, index: usize, cell: usize, books: &mut LatticeOutputs<'_>) {
         let cell_volume = self.cell_volume();
         let block = &mut self.blocks[index];
         if block.flags[cell] & COAGULATED != 0 {
@@ -351,7 +351,7 @@ impl ThermalGrid {
         books.burns.book(cell_number(block.key, cell), site, volume, CellEvent::Coagulated);
     }
 
-    fn remove(&mut self, index: usize, cell: usize, books: &mut Books<'_>) {
+    fn remove(&mut self, index: usize, cell: usize, books: &mut LatticeOutputs<'_>) {
         let cell_volume = self.cell_volume();
         let block = &mut self.blocks[index];
         let volume = cell_volume * block.share(cell);
@@ -378,7 +378,7 @@ impl ThermalGrid {
     }
 
     /// Takes the blocks into use that heat reaches, gives those back that it has left.
-    fn spread(&mut self, books: &mut Books<'_>) {
+    fn spread(&mut self, books: &mut LatticeOutputs<'_>) {
         let (mut wanted, mut kept) = (std::mem::take(&mut self.wanted), std::mem::take(&mut self.kept));
         wanted.clear();
         kept.clear();

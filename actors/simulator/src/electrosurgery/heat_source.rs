@@ -4,7 +4,7 @@
 use super::electrode::{Electrode, Mode, REACH, profile};
 use super::electrode_contact::{Contact, Facing};
 use super::energy_balance::HeatReport;
-use super::enthalpy_lattice::{Books, ThermalGrid};
+use super::enthalpy_lattice::{LatticeOutputs, ThermalGrid};
 use super::error::HeatStepError;
 use super::lattice_block::CELLS;
 use super::voxelisation::EDGE;
@@ -42,7 +42,7 @@ impl Source {
         grid: &mut ThermalGrid,
         electrode: &Electrode,
         dt: f64,
-        books: &mut Books<'_>,
+        books: &mut LatticeOutputs<'_>,
     ) -> Result<f64, HeatStepError> {
         self.near.clear();
         if electrode.power == 0.0 {
@@ -163,7 +163,7 @@ impl Source {
         grid: &mut ThermalGrid,
         electrode: &Electrode,
         dt: f64,
-        books: &mut Books<'_>,
+        books: &mut LatticeOutputs<'_>,
     ) -> f64 {
         let volume = grid.cell_volume();
         let limit = PART * grid.enthalpy.vaporisation();

@@ -46,7 +46,7 @@ pub use voxelisation::Tissue;
 use bioheat_fem::OrganHeat;
 use cut_barrier::Rim;
 use damage::ElementBurns;
-use enthalpy_lattice::{Books, ThermalGrid};
+use enthalpy_lattice::{LatticeOutputs, ThermalGrid};
 use heat_source::Source;
 use lattice_block::{Block, CELLS, CHARRED};
 use voxelisation::TissueLattice;
@@ -181,7 +181,7 @@ impl Electrosurgery {
         let mut report = HeatReport { gap: f64::INFINITY, ..HeatReport::default() };
         let mut plume = Vector4::zeros();
         self.burns.gone.clear();
-        let mut books = Books {
+        let mut books = LatticeOutputs {
             material: &self.material,
             organ: &mut self.organ,
             burns: &mut self.burns,

@@ -2,10 +2,10 @@
 
 use trocar_dynamics::instrument::contact::Contact;
 
-use super::narrow_phase::Meeting;
+use super::narrow_phase::ContactPoint;
 
 /// Contacts in canonical order: those of the same two parts, which are called the same, are one.
-pub(super) fn told(meetings: &[Meeting], step_secs: f64, contacts: &mut Vec<Contact>) {
+pub(super) fn told(meetings: &[ContactPoint], step_secs: f64, contacts: &mut Vec<Contact>) {
     contacts.clear();
     for meeting in meetings.iter().filter(|meeting| !meeting.by_others) {
         let contact = contact_of(meeting, step_secs);
@@ -15,7 +15,7 @@ pub(super) fn told(meetings: &[Meeting], step_secs: f64, contacts: &mut Vec<Cont
     merge(contacts);
 }
 
-fn contact_of(meeting: &Meeting, step_secs: f64) -> Contact {
+fn contact_of(meeting: &ContactPoint, step_secs: f64) -> Contact {
     let [a, b] = &meeting.sides;
     let normal = meeting.point.normal;
     let force = meeting.impulse / step_secs;

@@ -6,7 +6,7 @@ use trocar_dynamics::rigid_world::Wrench;
 use trocar_scene::Entity;
 
 use super::instrument::Tool;
-use super::narrow_phase::Meeting;
+use super::narrow_phase::ContactPoint;
 use crate::rigid::RigidMass;
 
 /// Stiffness of the grasp constraint \[N/m\]: soft enough that two hands may hold one ring.
@@ -19,7 +19,7 @@ const ASSIST_LEVER: f64 = 0.004;
 pub(super) fn update(
     tool: &mut Tool,
     entity: Entity,
-    meetings: &[Meeting],
+    meetings: &[ContactPoint],
     step_secs: f64,
     pads: &mut Vec<PadContact>,
     body: impl Fn(Entity) -> Option<Isometry3<f64>>,

@@ -25,7 +25,7 @@ const WAKING_GAP: f64 = 2e-4;
 
 /// One of the two of a meeting.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Party {
+pub(super) struct ContactSide {
     pub entity: Entity,
     pub name: Primitive,
     pub part: usize,
@@ -41,8 +41,8 @@ pub(super) struct Party {
 
 /// A point at which two solids are near each other.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Meeting {
-    pub sides: [Party; 2],
+pub(super) struct ContactPoint {
+    pub sides: [ContactSide; 2],
     pub point: TouchPoint,
     pub friction: f64,
     pub restitution: f64,
@@ -55,23 +55,23 @@ pub(super) struct Meeting {
 /// Tells a point of contact from the others, from step to step.
 pub(super) type Key = (Entity, Entity, u64, u64, u64);
 
-impl Meeting {
+impl ContactPoint {
     pub fn key(&self) -> Key {
         let [a, b] = &self.sides;
-        let part = |side: &Party| (side.part as u64) << 40 | primitive_code(side.name);
+        let part = |side: &ContactSide| (side.part as u64) << 40 | primitive_code(side.name);
         (a.entity, b.entity, part(a), part(b), u64::from(self.point.feature) << 1 | u64::from(self.by_others))
     }
 }
 
 /// Something that may meet something else.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Thing {
+pub(super) enum Collider {
     Body(Entity),
     Tool(Entity),
 }
 
 /// All bodies and tools of a world.
-pub(super) struct Everything<'a> {
+pub(super) struct WorldView<'a> {
     pub bodies: &'a mut BTreeMap<Entity, Body>,
     pub tools: &'a BTreeMap<Entity, Tool>,
     pub found: &'a [Found],
@@ -81,44 +81,44 @@ pub(super) struct Everything<'a> {
 /// Room for a step.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Meetings {
-    pub all: Vec<Meeting>,
-    order: Vec<(f64, f64, Thing)>,
+    pub all: Vec<ContactPoint>,
+    order: Vec<(f64, f64, Collider)>,
     points: Vec<TouchPoint>,
     /// Of a pair, with the numbers of their parts.
     near: Vec<(usize, usize, TouchPoint)>,
 }
 
-impl Everything<'_> {
-    fn solid(&self, thing: Thing) -> Option<&Solid> {
+impl WorldView<'_> {
+    fn solid(&self, thing: Collider) -> Option<&Solid> {
         match thing {
-            Thing::Body(entity) => self.bodies.get(&entity).map(|body| &body.solid),
-            Thing::Tool(entity) => self.tools.get(&entity).map(|tool| &tool.solid),
+            Collider::Body(entity) => self.bodies.get(&entity).map(|body| &body.solid),
+            Collider::Tool(entity) => self.tools.get(&entity).map(|tool| &tool.solid),
         }
     }
 
     /// Whether it moves by itself now.
-    fn is_awake(&self, thing: Thing) -> bool {
+    fn is_awake(&self, thing: Collider) -> bool {
         match thing {
-            Thing::Body(entity) => self
+            Collider::Body(entity) => self
                 .bodies
                 .get(&entity)
                 .is_some_and(|body| body.travel.is_some() || body.is_dynamic() && !body.sleeps),
-            Thing::Tool(_) => true,
+            Collider::Tool(_) => true,
         }
     }
 
-    fn gives_way(&self, thing: Thing) -> bool {
+    fn gives_way(&self, thing: Collider) -> bool {
         match thing {
-            Thing::Body(entity) => self.bodies.get(&entity).is_some_and(Body::is_dynamic),
-            Thing::Tool(_) => true,
+            Collider::Body(entity) => self.bodies.get(&entity).is_some_and(Body::is_dynamic),
+            Collider::Tool(_) => true,
         }
     }
 
     /// How fast it is at most \[m/s\], roughly.
-    fn speed(&self, thing: Thing) -> f64 {
+    fn speed(&self, thing: Collider) -> f64 {
         let (velocity, size) = match thing {
-            Thing::Body(entity) => self.bodies.get(&entity).map(|body| (body.velocity, &body.solid)),
-            Thing::Tool(entity) => self.tools.get(&entity).map(|tool| (tool.state.velocity, &tool.solid)),
+            Collider::Body(entity) => self.bodies.get(&entity).map(|body| (body.velocity, &body.solid)),
+            Collider::Tool(entity) => self.tools.get(&entity).map(|tool| (tool.state.velocity, &tool.solid)),
         }
         .map_or_else(Default::default, |(velocity, solid)| (velocity, solid.all.diagonal()));
         velocity.linear.norm() + velocity.angular.norm() * size
@@ -129,14 +129,14 @@ impl Everything<'_> {
         body.or_else(|| self.tools.get(&entity).map(|tool| tool.state.tip_in_world))
     }
 
-    fn party(&self, thing: Thing, part: usize, point: &Point3<f64>) -> Option<Party> {
+    fn party(&self, thing: Collider, part: usize, point: &Point3<f64>) -> Option<ContactSide> {
         let solid = self.solid(thing)?;
         let local = solid.placed.get(part)?.inverse_transform_point(point);
         let name = *solid.names.get(part)?;
         Some(match thing {
-            Thing::Body(entity) => {
+            Collider::Body(entity) => {
                 let body = self.bodies.get(&entity)?;
-                Party {
+                ContactSide {
                     entity,
                     name,
                     part,
@@ -147,11 +147,11 @@ impl Everything<'_> {
                     restitution: body.component.restitution,
                 }
             }
-            Thing::Tool(entity) => {
+            Collider::Tool(entity) => {
                 let tool = self.tools.get(&entity)?;
                 let friction = tool.instrument.jaw_friction;
                 let friction = if tool.jaw_of[part].is_some() { friction } else { friction.min(0.2) };
-                Party {
+                ContactSide {
                     entity,
                     name,
                     part,
@@ -168,11 +168,11 @@ impl Everything<'_> {
 
 impl Meetings {
     /// Everything that is near enough to something else.
-    pub fn meet(&mut self, mut everything: Everything<'_>) {
+    pub fn meet(&mut self, mut everything: WorldView<'_>) {
         self.all.clear();
         self.order.clear();
-        let bodies = everything.bodies.iter().map(|(entity, body)| (Thing::Body(*entity), &body.solid));
-        let tools = everything.tools.iter().map(|(entity, tool)| (Thing::Tool(*entity), &tool.solid));
+        let bodies = everything.bodies.iter().map(|(entity, body)| (Collider::Body(*entity), &body.solid));
+        let tools = everything.tools.iter().map(|(entity, tool)| (Collider::Tool(*entity), &tool.solid));
         let solids = bodies.chain(tools).filter(|(_, solid)| !solid.parts.is_empty());
         self.order.extend(solids.map(|(thing, solid)| (solid.all.min.x, solid.all.max.x, thing)));
         self.order.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -199,13 +199,13 @@ impl Meetings {
             self.all.sort_by(|a, b| b.point.depth.total_cmp(&a.point.depth));
             self.all.truncate(MEETINGS_MAX);
         }
-        self.all.sort_by_key(Meeting::key);
+        self.all.sort_by_key(ContactPoint::key);
     }
 
-    fn pair(&mut self, everything: &mut Everything<'_>, first: Thing, second: Thing, margin: f64) {
+    fn pair(&mut self, everything: &mut WorldView<'_>, first: Collider, second: Collider, margin: f64) {
         // Canonical: what a thing is called does not depend on where it is.
-        let rank = |thing: Thing| match thing {
-            Thing::Body(entity) | Thing::Tool(entity) => entity,
+        let rank = |thing: Collider| match thing {
+            Collider::Body(entity) | Collider::Tool(entity) => entity,
         };
         let (first, second) = if rank(first) <= rank(second) { (first, second) } else { (second, first) };
         let (Some(a), Some(b)) = (everything.solid(first), everything.solid(second)) else { return };
@@ -230,7 +230,7 @@ impl Meetings {
             }
         }
         for &(i, j, point) in &near {
-            let is_same = |meeting: &Meeting| {
+            let is_same = |meeting: &ContactPoint| {
                 (meeting.point.points[0] - point.points[0]).norm_squared() < SAME_POINT * SAME_POINT
                     && meeting.point.normal.dot(&point.normal) > SAME_DIRECTION
             };
@@ -246,7 +246,7 @@ impl Meetings {
                 [everything.party(first, i, &point.points[0]), everything.party(second, j, &point.points[1])];
             let [Some(one), Some(other)] = sides else { continue };
             wakes |= point.depth > -WAKING_GAP;
-            self.all.push(Meeting {
+            self.all.push(ContactPoint {
                 sides: [one, other],
                 point,
                 friction: (one.friction * other.friction).sqrt(),
@@ -262,12 +262,12 @@ impl Meetings {
     }
 
     /// A body that rests until something that moves touches it gives way from then on.
-    fn wake(&mut self, everything: &mut Everything<'_>, things: [Thing; 2], begin: usize) {
+    fn wake(&mut self, everything: &mut WorldView<'_>, things: [Collider; 2], begin: usize) {
         for (side, other) in [(0, 1), (1, 0)] {
-            let Thing::Body(entity) = things[side] else { continue };
+            let Collider::Body(entity) = things[side] else { continue };
             let is_pushed = match things[other] {
-                Thing::Tool(_) => true,
-                thing @ Thing::Body(_) => everything.speed(thing) > WAKING_SPEED,
+                Collider::Tool(_) => true,
+                thing @ Collider::Body(_) => everything.speed(thing) > WAKING_SPEED,
             };
             let Some(body) = everything.bodies.get_mut(&entity) else { continue };
             if body.sleeps && is_pushed {
@@ -281,7 +281,7 @@ impl Meetings {
     }
 
     /// What others have found, where it is by now.
-    fn others(&mut self, everything: &Everything<'_>) {
+    fn others(&mut self, everything: &WorldView<'_>) {
         for (index, found) in everything.found.iter().enumerate() {
             let pose = |entity: Entity| everything.pose(entity).unwrap_or_else(Isometry3::identity);
             let (points, normal, depth) = found.now(found.entities.map(pose));
@@ -292,7 +292,7 @@ impl Meetings {
                 let entity = found.entities[side];
                 let body = everything.bodies.get(&entity);
                 let tool = everything.tools.get(&entity);
-                Party {
+                ContactSide {
                     entity,
                     name: Primitive::Shape(index as u32),
                     part: 0,
@@ -319,7 +319,7 @@ impl Meetings {
             let restitution = (sides[0].restitution * sides[1].restitution).sqrt();
             let point = TouchPoint { points, normal, depth, feature: 0 };
             let impulse = Vector3::zeros();
-            self.all.push(Meeting { sides, point, friction, restitution, by_others: true, impulse });
+            self.all.push(ContactPoint { sides, point, friction, restitution, by_others: true, impulse });
         }
     }
 }

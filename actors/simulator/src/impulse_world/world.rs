@@ -15,7 +15,7 @@ use trocar_scene::{Entity, Motion, Pose, RigidBody, SimTime, Velocity};
 use super::bodies::{Body, Solid, Trail, state_of};
 use super::detected_contact::Found;
 use super::instrument::Tool;
-use super::narrow_phase::{Everything, Key, Meetings};
+use super::narrow_phase::{WorldView, Key, Meetings};
 use super::{RigidSettings, grasp_detection};
 use crate::rigid::{
     Arm, ContactImpulse, Joint, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError,
@@ -222,7 +222,7 @@ impl ImpulseWorld {
                 restitution: meeting.restitution.min(1.0),
                 surface_velocity: surface.map_or_else(Vector3::zeros, |body| body.velocity_at(&point)),
             });
-            let arm = |party: &super::narrow_phase::Party| {
+            let arm = |party: &super::narrow_phase::ContactSide| {
                 let tool = tools.get(&party.entity).filter(|_| !meeting.by_others)?;
                 // Joints are in the order of their tools.
                 let before = tools.range(..party.entity).filter(|(_, tool)| tool.joint.is_some()).count();
@@ -393,7 +393,7 @@ impl ImpulseWorld {
     pub(super) fn step(&mut self) -> Result<(), WorldError> {
         let step_secs = self.settings.substep_secs;
         self.prepare();
-        self.meetings.meet(Everything {
+        self.meetings.meet(WorldView {
             bodies: &mut self.bodies,
             tools: &self.tools,
             found: &self.found,

@@ -205,7 +205,7 @@ impl World for ImpulseWorld {
         self.bodies.values().any(|body| body.trail.is_some())
     }
 
-    fn set_found<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
+    fn set_detected_contacts<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
         let is_surface = |entity: &Entity| self.bodies.get(entity).is_some_and(|body| body.trail.is_some());
         let mut found: Vec<&Collision> =
             found.into_iter().filter(|found| is_surface(&found.a) || is_surface(&found.b)).collect();

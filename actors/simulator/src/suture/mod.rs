@@ -61,7 +61,7 @@ use crate::suture_thread::{
     ThreadMaterial, ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
 };
 use needle::{NeedleShape, Solid};
-use needle_tissue::{Room, Sewing};
+use needle_tissue::{Workspace, Sewing};
 
 /// A step is divided into this many parts at most.
 const PARTS_MAX: u32 = 256;
@@ -100,7 +100,7 @@ pub struct Gripped {
 
 /// What acts during one step. Everything is in the world.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Around<'a> {
+pub struct StepInputs<'a> {
     /// \[m/s²\].
     pub gravity: Vector3<f64>,
     /// Jaws on the needle.
@@ -153,7 +153,7 @@ pub struct Suture {
     state: SutureState,
     trial: SutureState,
     island: Island,
-    room: Room,
+    room: Workspace,
     /// Nodes of the tissue when the step began.
     began: Vec<Point3<f64>>,
     spared: Vec<Spared>,
@@ -197,7 +197,7 @@ impl Suture {
             trial: state.clone(),
             state,
             island: Island::new(SWEEPS),
-            room: Room::default(),
+            room: Workspace::default(),
             began: Vec::new(),
             spared: Vec::new(),
             obstacles: Vec::new(),
@@ -312,7 +312,7 @@ impl Suture {
     ///
     /// # Errors
     /// Input that makes no sense, by name; or that no step could be found. The state is then what it was.
-    pub fn step(&mut self, dt: f64, around: &Around<'_>) -> Result<SutureReport, SutureError> {
+    pub fn step(&mut self, dt: f64, around: &StepInputs<'_>) -> Result<SutureReport, SutureError> {
         self.check(dt, around)?;
         self.trial.clone_from(&self.state);
         self.events.clear();
@@ -450,7 +450,7 @@ impl Suture {
     }
 
     /// Adds the forces of this part to what grips and tissue feel, by its share of the step.
-    fn feel(&mut self, fractions: [f64; 2], around: &Around<'_>) {
+    fn feel(&mut self, fractions: [f64; 2], around: &StepInputs<'_>) {
         let weight = fractions[1] - fractions[0];
         let (layout, tied) = (self.room.layout, self.island.tied());
         for (index, gripped) in self.gripped.iter_mut().enumerate() {
@@ -496,7 +496,7 @@ impl Suture {
         }
     }
 
-    fn check(&self, dt: f64, around: &Around<'_>) -> Result<(), SutureError> {
+    fn check(&self, dt: f64, around: &StepInputs<'_>) -> Result<(), SutureError> {
         let nodes = self.state.thread.as_ref().map_or(0, |thread| thread.positions.len());
         let whole = Here { around, obstacles: around.obstacles, began: &[] };
         let sound = check_step(dt).and_then(|()| whole.surroundings(&[]).check(nodes));
@@ -535,7 +535,7 @@ fn emptied<'b>(mut list: Vec<Obstacle<'_>>) -> Vec<Obstacle<'b>> {
 
 /// What is around needle and thread in a step: what was given, and the tissue as the last obstacle.
 struct Here<'a> {
-    around: &'a Around<'a>,
+    around: &'a StepInputs<'a>,
     obstacles: &'a [Obstacle<'a>],
     /// Nodes of the tissue when the step began.
     began: &'a [Point3<f64>],

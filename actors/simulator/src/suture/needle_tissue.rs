@@ -4,7 +4,7 @@
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3, Vector6};
 
-use super::Around;
+use super::StepInputs;
 use super::joints::{self, Joint, Mobility, Pair, Site};
 use super::material::Resistance;
 use super::needle::{NeedleState, Solid};
@@ -15,7 +15,7 @@ use super::tissue_surface::{self, NeedleSide};
 use crate::suture_thread::contact::{Rule, tangents};
 use crate::suture_thread::discrete_elastic_rod::Iterate;
 use crate::suture_thread::elastic::Press;
-use crate::suture_thread::island::coupled_body::{Companion, Giving, Link, Tie, Tied, Tolerance};
+use crate::suture_thread::island::coupled_body::{Companion, ComplianceRows, Link, Tie, Tied, Tolerance};
 use crate::suture_thread::{ThreadMaterial, Trouble};
 
 /// When the iterations of a part end: needle and thread exchange what they exchange to the last digit that matters.
@@ -43,7 +43,7 @@ pub(super) struct Layout {
 
 /// Room for a part of a step, and what it came to.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Room {
+pub(super) struct Workspace {
     /// At the iterate.
     pub needle: Option<NeedleState>,
     pub layout: Layout,
@@ -65,7 +65,7 @@ pub(super) struct Room {
     left: Vector6<f64>,
 }
 
-impl Room {
+impl Workspace {
     /// The force of a tie on needle or thread \[N\].
     pub fn force(&self, tied: &[Tied], tie: usize) -> Vector3<f64> {
         vector(&self.directions[tie], &tied[tie].force)
@@ -95,8 +95,8 @@ pub(super) struct Sewing<'a> {
     /// As the part begins.
     pub start: &'a SutureState,
     pub tissue: &'a mut Tissue,
-    pub room: &'a mut Room,
-    pub around: &'a Around<'a>,
+    pub room: &'a mut Workspace,
+    pub around: &'a StepInputs<'a>,
     pub dt: f64,
     pub fractions: [f64; 2],
     /// The place of the tissue's surface in the list of obstacles.
@@ -287,7 +287,7 @@ impl Sewing<'_> {
     /// How spots of the tissue move each other; only of those that are new.
     fn mutual(&mut self, links: &[Link]) -> Result<(), Trouble> {
         let count = links.len();
-        let Room { spots, mutual, joints, .. } = &mut *self.room;
+        let Workspace { spots, mutual, joints, .. } = &mut *self.room;
         let same = spots.len() == count;
         if !same {
             spots.clear();
@@ -398,11 +398,11 @@ impl Companion for Sewing<'_> {
         Ok(())
     }
 
-    fn join(&mut self, links: &[Link], giving: Giving<'_>) -> Result<(), Trouble> {
+    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
         self.mutual(links)?;
         let count = links.len();
         let rows = 3 * count;
-        let Room { joints, answers, mutual, spots, directions, mobility, .. } = &mut *self.room;
+        let Workspace { joints, answers, mutual, spots, directions, mobility, .. } = &mut *self.room;
         let Some(mobility) = mobility else { return Err(Trouble::NoInertia) };
         answers.clear();
         answers.extend(joints.iter().map(|joint| joint.needle.map(|load| mobility.answer(&load))));
@@ -440,7 +440,7 @@ impl Companion for Sewing<'_> {
     }
 
     fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble> {
-        let Room { joints, directions, spots, needle, mobility, left, forces: kept, .. } = &mut *self.room;
+        let Workspace { joints, directions, spots, needle, mobility, left, forces: kept, .. } = &mut *self.room;
         let mut load = *left;
         kept.clear();
         kept.resize(joints.len(), [0.0; 3]);
@@ -475,7 +475,7 @@ impl Companion for Sewing<'_> {
 }
 
 /// What the needle's sides came to at the end of a part.
-pub(super) fn touched(room: &Room, tied: &[Tied], contacts: &mut Vec<NeedleContact>) {
+pub(super) fn touched(room: &Workspace, tied: &[Tied], contacts: &mut Vec<NeedleContact>) {
     contacts.clear();
     for (index, side) in room.sides.iter().enumerate() {
         let tie = room.layout.sides + index;
@@ -492,7 +492,7 @@ pub(super) fn touched(room: &Room, tied: &[Tied], contacts: &mut Vec<NeedleConta
 }
 
 /// What strands on the needle came to at the end of a part.
-pub(super) fn crossed(room: &Room, tied: &[Tied], contacts: &mut Vec<StrandContact>) {
+pub(super) fn crossed(room: &Workspace, tied: &[Tied], contacts: &mut Vec<StrandContact>) {
     let first = room.layout.strands;
     let forces =
         (0..room.strands.len()).map(|index| (tied[first + index].force, room.directions[first + index]));

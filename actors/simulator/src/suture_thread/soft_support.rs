@@ -1,15 +1,15 @@
 //! A soft body that a thread lies on and that somebody else moves: the nodes of its surface as mass points that give way to
-//! the thread within the step ([`Guest`]), in one problem with it. What the thread gives them is told afterwards, so that
+//! the thread within the step ([`GhostNode`]), in one problem with it. What the thread gives them is told afterwards, so that
 //! whoever moves the body can be given the same numbers: action and reaction are the same impulses.
 
 use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
-use trocar_dynamics::coupling::external_nodes::{Guest, GuestMoved};
+use trocar_dynamics::coupling::external_nodes::{GhostNode, GhostMoved};
 
 use super::Trouble;
 use super::elastic::SurfacePlace;
-use super::island::coupled_body::{Companion, Giving, Link};
+use super::island::coupled_body::{Companion, ComplianceRows, Link};
 
 /// Cosine of the angle between faces beyond which they meet in a ridge: 40°.
 const SHARP: f64 = 0.77;
@@ -27,7 +27,7 @@ pub struct SoftSurface {
     start: Vec<Point3<f64>>,
     began: Vec<Point3<f64>>,
     /// The nodes as the part begins.
-    now: Vec<Guest>,
+    now: Vec<GhostNode>,
     /// Where they would be at the end of the part if nobody touched them \[m\], and how far they go for a force \[m/N\].
     free: Vec<Point3<f64>>,
     yields: Vec<f64>,
@@ -39,7 +39,7 @@ pub struct SoftSurface {
     drift: Vec<Vector3<f64>>,
     /// How long the part is \[s\].
     part: f64,
-    moved: Vec<GuestMoved>,
+    moved: Vec<GhostMoved>,
 }
 
 impl SoftSurface {
@@ -48,7 +48,7 @@ impl SoftSurface {
     /// be where it is, and a surface that jumped could jump past the thread.
     pub fn begin(
         &mut self,
-        guests: impl Iterator<Item = Guest>,
+        guests: impl Iterator<Item = GhostNode>,
         drift: impl Iterator<Item = Vector3<f64>>,
         triangles: &[[u32; 3]],
     ) {
@@ -62,7 +62,7 @@ impl SoftSurface {
         self.began.clone_from(&self.start);
         self.at.clone_from(&self.start);
         self.moved.clear();
-        self.moved.resize(self.now.len(), GuestMoved::default());
+        self.moved.resize(self.now.len(), GhostMoved::default());
         self.tell();
         if self.triangles != triangles {
             self.triangles.clear();
@@ -101,7 +101,7 @@ impl SoftSurface {
 
     /// What has become of the nodes in the step.
     #[must_use]
-    pub fn moved(&self) -> &[GuestMoved] {
+    pub fn moved(&self) -> &[GhostMoved] {
         &self.moved
     }
 
@@ -181,7 +181,7 @@ impl Companion for LyingOn<'_> {
     }
 
     /// Gaps were measured to the surface as it was when the step began, slides are counted from the beginning of the part.
-    fn join(&mut self, links: &[Link], giving: Giving<'_>) -> Result<(), Trouble> {
+    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
         let soft = &*self.surface;
         let rows = 3 * links.len();
         for (row, link) in links.iter().enumerate() {

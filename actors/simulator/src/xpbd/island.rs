@@ -1,6 +1,6 @@
 //! Bodies that are stepped as one problem, and everybody who takes part in their step.
 
-use trocar_dynamics::coupling::external_nodes::{Company, CompanyState};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, ExternalNodesState};
 use trocar_dynamics::particles::StepError;
 
 use super::{Xpbd, XpbdConfig, XpbdInput};
@@ -23,8 +23,8 @@ pub struct Member<'a> {
 pub fn step_together(
     dt: f64,
     members: &mut [Member<'_>],
-    company: &Company<'_>,
-    scratch: &mut CompanyState,
+    company: &ExternalNodes<'_>,
+    scratch: &mut ExternalNodesState,
 ) -> Result<(), (usize, StepError)> {
     scratch.forget();
     if !(dt > 0.0 && dt.is_finite()) {
@@ -48,8 +48,8 @@ pub fn step_together(
         if has_company {
             company.begin(all_places(members), scratch);
         }
-        members.iter_mut().for_each(|member| member.body.fly(h, &member.input));
-        company.fly(h, scratch);
+        members.iter_mut().for_each(|member| member.body.predict(h, &member.input));
+        company.predict(h, scratch);
         for _ in 0..iterations.unwrap_or(1) {
             members.iter_mut().for_each(|member| member.body.sweep(h, h * f64::from(index), &member.input));
             if has_company {

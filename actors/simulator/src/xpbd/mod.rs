@@ -24,7 +24,7 @@ pub use remesh::SplitTets;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::coupling::external_nodes::{Company, CompanyMoved, CompanyState};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostImpulses, ExternalNodesState};
 use trocar_dynamics::faulty::Faulty;
 use trocar_dynamics::particles::{State, StepError};
 
@@ -100,7 +100,7 @@ pub struct XpbdInput<'a> {
     /// Contacts.
     pub contacts: &'a [Contact],
     /// Nodes of other bodies, and what joins this one to them.
-    pub company: Company<'a>,
+    pub company: ExternalNodes<'a>,
 }
 
 /// The solver.
@@ -129,7 +129,7 @@ struct Scratch {
     forces: Vec<Vector3<f64>>,
     contacts: Vec<Pressed>,
     contact_forces: Vec<Vector3<f64>>,
-    company: CompanyState,
+    company: ExternalNodesState,
     distances: Sweep<Distance>,
     bends: Sweep<Bend>,
     tets: Sweep<Pack>,
@@ -317,7 +317,7 @@ impl Xpbd {
     }
     /// What has become in the last step of the nodes of other bodies.
     #[must_use]
-    pub fn company(&self) -> &CompanyMoved {
+    pub fn company(&self) -> &GhostImpulses {
         self.scratch.company.moved()
     }
     /// What distances, bends, tetrahedra and ties exerted on these nodes (ascending) in the last part of the last step \[N\], of
@@ -424,7 +424,7 @@ impl Xpbd {
     }
 
     /// At the beginning of a part of `h` seconds: everything flies.
-    fn fly(&mut self, h: f64, input: &XpbdInput<'_>) {
+    fn predict(&mut self, h: f64, input: &XpbdInput<'_>) {
         let scratch = &mut self.scratch;
         let velocities = &mut scratch.next.velocities;
         scratch.before.clone_from(&scratch.places);

@@ -6,19 +6,19 @@ use std::collections::BTreeMap;
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_scene::{Entity, SimTime, Snapshot, Velocity};
 
-use super::WholeSums;
-use super::penalty::Own;
-use super::rigid::Whole;
+use super::ImpulseTotals;
+use super::penalty::RespondingBody;
+use super::rigid::RigidProxy;
 use super::tracking::{Place, Shape};
 use super::{ContactSums, SoftContacts};
-use crate::picking::Led;
-use crate::soft_body::method::Terms;
+use crate::picking::DrivenVertex;
+use crate::soft_body::method::ContactParams;
 
 /// What the bodies of a controller have given others so far: who, and to whom.
-pub(crate) struct Given {
+pub(crate) struct AppliedImpulses {
     pub giver: Entity,
     pub vertices: Vec<ContactSums>,
-    pub wholes: Vec<WholeSums>,
+    pub wholes: Vec<ImpulseTotals>,
 }
 
 /// A body that contacts push: one of the controller, or one that another moves.
@@ -33,12 +33,12 @@ pub(crate) struct Mover<'a> {
 
 enum Matter<'a> {
     Vertices(Vertices<'a>),
-    Whole(Whole),
+    RigidProxy(RigidProxy),
 }
 
 /// Where a contact pushes a mover.
 #[derive(Clone, Copy)]
-pub(crate) struct Handle {
+pub(crate) struct ContactTarget {
     /// The number of the mover.
     pub mover: usize,
     /// Vertices by their places among those that are touched, and their shares.
@@ -60,8 +60,8 @@ struct Vertices<'a> {
 
 /// What moves vertices before contacts do.
 enum Before<'a> {
-    Own {
-        led: &'a [Led],
+    RespondingBody {
+        led: &'a [DrivenVertex],
         /// What gravity adds, in the body's frame \[m/s\].
         falls: Vector3<f64>,
         period: f64,
@@ -72,7 +72,7 @@ enum Before<'a> {
         entity: Entity,
         /// In world \[m/s\].
         falls: Vector3<f64>,
-        given: &'a [Given],
+        given: &'a [AppliedImpulses],
         taken: &'a [ContactSums],
     },
 }
@@ -84,7 +84,7 @@ impl Vertices<'_> {
         let mut speed = self.velocities.get(at).copied().unwrap_or_default();
         let mut mass = self.masses_inverse.get(at).copied().unwrap_or(0.0);
         match &self.before {
-            Before::Own { led, falls, period, forces } => {
+            Before::RespondingBody { led, falls, period, forces } => {
                 if led.binary_search_by_key(&node, |led| led.vertex).is_ok() {
                     mass = 0.0;
                 }
@@ -103,7 +103,7 @@ impl Vertices<'_> {
                     speed += falls;
                 }
                 // What it has been given and has not taken yet moves it already.
-                for Given { giver, vertices, .. } in given.iter() {
+                for AppliedImpulses { giver, vertices, .. } in given.iter() {
                     for sums in vertices.iter().filter(|sums| sums.body == Some(*entity)) {
                         speed += sums.of_vertex(node) * mass;
                         let known = taken.iter().filter(|taken| taken.body == Some(*giver));
@@ -128,13 +128,13 @@ impl Vertices<'_> {
 
 impl<'a> Mover<'a> {
     /// A body of the controller that answers.
-    pub fn of(body: &Own<'a>, period: f64) -> Self {
+    pub fn of(body: &RespondingBody<'a>, period: f64) -> Self {
         let mut forces = body.forces.clone();
         // Of one vertex they stay in their order.
         forces.sort_by_key(|(vertex, _)| *vertex);
-        let Terms { masses_inverse, stiffness, friction } = body.terms;
+        let ContactParams { masses_inverse, stiffness, friction } = body.terms;
         let falls = body.gravity_in_body * period;
-        let before = Before::Own { led: body.led, falls, period, forces };
+        let before = Before::RespondingBody { led: body.led, falls, period, forces };
         let matter = Matter::Vertices(Vertices::new(&body.shape, masses_inverse, before));
         Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, matter }
     }
@@ -143,7 +143,7 @@ impl<'a> Mover<'a> {
     pub fn remote(
         (scene, entity): (&'a Snapshot, Entity),
         falls: &Vector3<f64>,
-        given: &'a [Given],
+        given: &'a [AppliedImpulses],
     ) -> Option<Self> {
         let (told, shape) = (scene.get::<SoftContacts>(entity)?, Shape::of(scene, entity));
         if told.masses_inverse.len() != shape.velocities.len() {
@@ -158,40 +158,40 @@ impl<'a> Mover<'a> {
     pub fn whole(
         (scene, entity): (&Snapshot, Entity),
         when: (SimTime, f64),
-        given: &[Given],
+        given: &[AppliedImpulses],
     ) -> Option<Self> {
-        let matter = Matter::Whole(Whole::of(scene, entity, when, given)?);
+        let matter = Matter::RigidProxy(RigidProxy::of(scene, entity, when, given)?);
         // It is where what it has been given puts it, so that it answers at once.
         Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: 0.0, matter })
     }
 
     pub fn is_whole(&self) -> bool {
-        matches!(self.matter, Matter::Whole(_))
+        matches!(self.matter, Matter::RigidProxy(_))
     }
 
     /// Where one is by now that moves as a whole, `world_from_body`, and how it moves.
     pub fn whole_motion(&self) -> Option<(Isometry3<f64>, Velocity)> {
         match &self.matter {
-            Matter::Whole(whole) => Some((whole.pose, whole.of_origin())),
+            Matter::RigidProxy(whole) => Some((whole.pose, whole.of_origin())),
             Matter::Vertices(_) => None,
         }
     }
 
     /// To push it at a place; `mover` is its number. One that moves as a whole is pushed at `at_in_world`.
-    pub fn hold(&mut self, mover: usize, place: &Place, at_in_world: &Point3<f64>) -> Handle {
+    pub fn hold(&mut self, mover: usize, place: &Place, at_in_world: &Point3<f64>) -> ContactTarget {
         let mut nodes = [(0, 0.0); 3];
         if let Matter::Vertices(vertices) = &mut self.matter {
             for (node, (vertex, share)) in nodes.iter_mut().zip(joint(place)) {
                 *node = (vertices.touch(vertex), share);
             }
         }
-        Handle { mover, nodes, at_in_world: *at_in_world }
+        ContactTarget { mover, nodes, at_in_world: *at_in_world }
     }
 
     /// How much faster the place is for each impulse on it, along a direction and at most across it \[1/kg\].
-    pub fn yields(&self, handle: &Handle, normal: &Vector3<f64>) -> [f64; 2] {
+    pub fn yields(&self, handle: &ContactTarget, normal: &Vector3<f64>) -> [f64; 2] {
         match &self.matter {
-            Matter::Whole(whole) => whole.yields(&handle.at_in_world, normal),
+            Matter::RigidProxy(whole) => whole.yields(&handle.at_in_world, normal),
             Matter::Vertices(Vertices { touched, .. }) => {
                 [handle.shares().map(|(place, share)| share * share * touched[place].1).sum(); 2]
             }
@@ -199,9 +199,9 @@ impl<'a> Mover<'a> {
     }
 
     /// How the place moves \[m/s\].
-    pub fn speed(&self, handle: &Handle) -> Vector3<f64> {
+    pub fn speed(&self, handle: &ContactTarget) -> Vector3<f64> {
         match &self.matter {
-            Matter::Whole(whole) => whole.speed(&handle.at_in_world),
+            Matter::RigidProxy(whole) => whole.speed(&handle.at_in_world),
             Matter::Vertices(Vertices { touched, .. }) => {
                 handle.shares().map(|(place, share)| touched[place].0 * share).sum()
             }
@@ -209,9 +209,9 @@ impl<'a> Mover<'a> {
     }
 
     /// Gives the place an impulse \[N·s\].
-    pub fn push(&mut self, handle: &Handle, impulse: &Vector3<f64>) {
+    pub fn push(&mut self, handle: &ContactTarget, impulse: &Vector3<f64>) {
         match &mut self.matter {
-            Matter::Whole(whole) => whole.push(&handle.at_in_world, impulse),
+            Matter::RigidProxy(whole) => whole.push(&handle.at_in_world, impulse),
             Matter::Vertices(Vertices { touched, .. }) => {
                 for (place, share) in handle.shares() {
                     let (speed, mass) = &mut touched[place];
@@ -235,7 +235,7 @@ impl<'a> Vertices<'a> {
     }
 }
 
-impl Handle {
+impl ContactTarget {
     fn shares(&self) -> impl Iterator<Item = (usize, f64)> {
         self.nodes.into_iter().filter(|(_, share)| *share != 0.0)
     }

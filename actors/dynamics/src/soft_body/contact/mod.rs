@@ -5,5 +5,5 @@ pub(crate) mod penalty;
 pub(crate) mod rigid;
 pub(crate) mod tracking;
 
-pub use rigid::{RigidContacts, WholeSums, WholeTaken};
-pub use tracking::{ContactSums, HeldContact, SoftContacts, Spot};
+pub use rigid::{RigidContacts, ImpulseTotals, AppliedTotals};
+pub use tracking::{ContactSums, PersistentContact, SoftContacts, Feature};

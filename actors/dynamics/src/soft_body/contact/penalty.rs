@@ -15,12 +15,12 @@
 use nalgebra::{Isometry3, Vector3};
 use trocar_scene::{Entity, SimTime, Snapshot};
 
-use super::WholeSums;
-use super::bodies::{Given, Handle, Mover};
-use super::tracking::{FOUND_MAX, Met, Shape, Surroundings, answers, rows};
-use super::{ContactSums, HeldContact, SoftContacts};
-use crate::picking::Led;
-use crate::soft_body::method::Terms;
+use super::ImpulseTotals;
+use super::bodies::{AppliedImpulses, ContactTarget, Mover};
+use super::tracking::{FOUND_MAX, ContactPair, Shape, Surroundings, answers, rows};
+use super::{ContactSums, PersistentContact, SoftContacts};
+use crate::picking::DrivenVertex;
+use crate::soft_body::method::ContactParams;
 
 /// Times that all contacts are gone over.
 const SWEEPS: usize = 10;
@@ -30,11 +30,11 @@ const DAMPING_RATIO: f64 = 0.7;
 const LET_OUT: f64 = 0.05;
 
 /// A body of the controller that answers.
-pub(crate) struct Own<'a> {
+pub(crate) struct RespondingBody<'a> {
     pub entity: Entity,
     pub shape: Shape<'a>,
-    pub terms: Terms<'a>,
-    pub led: &'a [Led],
+    pub terms: ContactParams<'a>,
+    pub led: &'a [DrivenVertex],
     pub gravity_in_body: Vector3<f64>,
     /// What acts on it in this tick, and what its contacts add, in its frame \[N\].
     pub forces: Vec<(u32, Vector3<f64>)>,
@@ -47,7 +47,7 @@ pub(crate) struct Own<'a> {
     pub changed: bool,
 }
 
-impl Own<'_> {
+impl RespondingBody<'_> {
     /// Tells whoever answers for it how it gives way.
     fn name(&mut self, period: f64) {
         let is_known = self.memory.step == period && *self.memory.masses_inverse == self.terms.masses_inverse;
@@ -62,8 +62,8 @@ impl Own<'_> {
 struct Row {
     body: usize,
     contact: usize,
-    met: Met,
-    handles: [Option<Handle>; 2],
+    met: ContactPair,
+    handles: [Option<ContactTarget>; 2],
     stiffness: f64,
     damping: f64,
     friction: f64,
@@ -82,7 +82,7 @@ struct Row {
 
 /// Answers all contacts of a controller's bodies.
 pub(crate) fn answer<'a>(
-    own: &mut [Own<'a>],
+    own: &mut [RespondingBody<'a>],
     surroundings: &mut Surroundings,
     scene: &'a Snapshot,
     (now, period, me): (SimTime, f64, Entity),
@@ -99,12 +99,12 @@ pub(crate) fn answer<'a>(
         return;
     }
     // Taken out, so that it can be read while contacts are brought up to date.
-    let given = |body: &mut Own<'_>| Given {
+    let given = |body: &mut RespondingBody<'_>| AppliedImpulses {
         giver: body.entity,
         vertices: std::mem::take(&mut body.memory.given),
         wholes: std::mem::take(&mut body.memory.given_whole),
     };
-    let given: Vec<Given> = own.iter_mut().map(given).collect();
+    let given: Vec<AppliedImpulses> = own.iter_mut().map(given).collect();
     let mut movers: Vec<Mover<'_>> = own.iter().map(|body| Mover::of(body, period)).collect();
     let mut rows = meet(own, surroundings, scene, (now, period), &given, &mut movers);
     for _ in 0..SWEEPS {
@@ -118,7 +118,7 @@ pub(crate) fn answer<'a>(
 }
 
 /// Takes what others have given and has not been taken.
-fn take(own: &mut [Own<'_>], scene: &Snapshot, period: f64) {
+fn take(own: &mut [RespondingBody<'_>], scene: &Snapshot, period: f64) {
     let mine: Vec<Entity> = own.iter().map(|body| body.entity).collect();
     for (giver, contacts) in scene.iter::<SoftContacts>().filter(|(giver, _)| !mine.contains(giver)) {
         for given in &contacts.given {
@@ -142,7 +142,7 @@ fn take(own: &mut [Own<'_>], scene: &Snapshot, period: f64) {
 
 /// Takes over what detectors have found since they were listened to.
 fn listen(
-    own: &mut [Own<'_>],
+    own: &mut [RespondingBody<'_>],
     surroundings: &mut Surroundings,
     scene: &Snapshot,
     (now, period, me): (SimTime, f64, Entity),
@@ -189,7 +189,7 @@ fn listen(
         surroundings.look(own[body].entity, &own[body].shape.triangles);
         surroundings.look(other, &of_other.triangles);
         let stars = [surroundings.of(own[body].entity), surroundings.of(other)];
-        let found = HeldContact::new(row, side, writer, [&own[body].shape, &of_other], stars);
+        let found = PersistentContact::new(row, side, writer, [&own[body].shape, &of_other], stars);
         let Some(found) = found else { continue };
         let contacts = &mut own[body].memory.contacts;
         match contacts.iter().position(|held| held.is_of(&found)) {
@@ -203,11 +203,11 @@ fn listen(
 
 /// Finds where all contacts are now, and forgets those that are no longer.
 fn meet<'a>(
-    own: &mut [Own<'_>],
+    own: &mut [RespondingBody<'_>],
     surroundings: &mut Surroundings,
     scene: &'a Snapshot,
     (now, period): (SimTime, f64),
-    given: &'a [Given],
+    given: &'a [AppliedImpulses],
     movers: &mut Vec<Mover<'a>>,
 ) -> Vec<Row> {
     let shapes: Vec<(Entity, Shape<'_>)> = own.iter().map(|body| (body.entity, body.shape.clone())).collect();
@@ -276,7 +276,7 @@ fn add<'a>(movers: &mut Vec<Mover<'a>>, mover: Mover<'a>) -> usize {
 }
 
 /// Tells both sides what they get; `pushed` are all movers, and whether each moves as a whole.
-fn give(own: &mut [Own<'_>], rows: &[Row], pushed: &[(Entity, bool)], now: SimTime, period: f64) {
+fn give(own: &mut [RespondingBody<'_>], rows: &[Row], pushed: &[(Entity, bool)], now: SimTime, period: f64) {
     for row in rows {
         let force = row.met.normal_in_world * row.normal + row.across;
         let held = own[row.body].memory.contacts.get_mut(row.contact);
@@ -311,7 +311,7 @@ fn give(own: &mut [Own<'_>], rows: &[Row], pushed: &[(Entity, bool)], now: SimTi
                 Some(mover) if pushed[mover].1 => {
                     // Where the soft body gets it, so that of angular momentum nothing is lost either.
                     let at = row.met.places[0].at_in_world;
-                    let sums = WholeSums::of(&mut own[row.body].memory.given_whole, pushed[mover].0);
+                    let sums = ImpulseTotals::of(&mut own[row.body].memory.given_whole, pushed[mover].0);
                     sums.add(&(force * (sign * period)), &at);
                 }
                 Some(mover) => {
@@ -326,7 +326,7 @@ fn give(own: &mut [Own<'_>], rows: &[Row], pushed: &[(Entity, bool)], now: SimTi
 
 impl Row {
     /// `None` where neither side gives way.
-    fn new(met: Met, sides: [Option<usize>; 2], movers: &mut [Mover<'_>], period: f64) -> Option<Self> {
+    fn new(met: ContactPair, sides: [Option<usize>; 2], movers: &mut [Mover<'_>], period: f64) -> Option<Self> {
         let handles = [0, 1].map(|side| {
             let mover = sides[side]?;
             Some(movers[mover].hold(mover, &met.places[side], &met.places[0].at_in_world))

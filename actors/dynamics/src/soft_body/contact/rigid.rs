@@ -11,14 +11,14 @@ use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError, Entity, Frozen, SimTime, Snapshot, Velocity};
 
 use super::SoftContacts;
-use super::bodies::Given;
+use super::bodies::AppliedImpulses;
 use crate::rigid_world::Inertia;
 use crate::rigid_world::{Wrench, most_across};
 
 /// Impulses on a body that moves as a whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct WholeSums {
+pub struct ImpulseTotals {
     /// Of or to whom.
     pub body: Option<Entity>,
     /// All so far, in world \[N·s\].
@@ -30,11 +30,11 @@ pub struct WholeSums {
 /// What a rigid body has taken from one soft body.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct WholeTaken {
+pub struct AppliedTotals {
     /// What it has taken.
-    pub taken: WholeSums,
+    pub taken: ImpulseTotals,
     /// What it had been given when it looked last.
-    pub seen: WholeSums,
+    pub seen: ImpulseTotals,
     /// Over which time it is to take the rest \[s\].
     pub left: f64,
 }
@@ -55,7 +55,7 @@ pub struct RigidContacts {
     /// See above.
     pub last_pull: [Vector3<f64>; 2],
     /// What it has taken, by giver.
-    pub taken: Vec<WholeTaken>,
+    pub taken: Vec<AppliedTotals>,
 }
 
 impl Component for RigidContacts {
@@ -68,7 +68,7 @@ impl Component for RigidContacts {
     }
 }
 
-impl WholeSums {
+impl ImpulseTotals {
     /// Of one body among several; a new one if there is none.
     pub(crate) fn of(all: &mut Vec<Self>, body: Entity) -> &mut Self {
         let at = all.iter().position(|sums| sums.body == Some(body)).unwrap_or_else(|| {
@@ -120,12 +120,12 @@ impl RigidContacts {
             for given in contacts.given_whole.iter().filter(|given| given.body == Some(me)) {
                 let at = self.taken.iter().position(|known| known.taken.body == Some(giver));
                 let at = at.unwrap_or_else(|| {
-                    let none = WholeSums { body: Some(giver), ..WholeSums::default() };
-                    self.taken.push(WholeTaken { taken: none, seen: none, left: 0.0 });
+                    let none = ImpulseTotals { body: Some(giver), ..ImpulseTotals::default() };
+                    self.taken.push(AppliedTotals { taken: none, seen: none, left: 0.0 });
                     self.taken.len() - 1
                 });
                 let known = self.taken[at];
-                let WholeTaken { taken, seen, left } = &mut self.taken[at];
+                let AppliedTotals { taken, seen, left } = &mut self.taken[at];
                 if given.less(seen) != [Vector3::zeros(); 2] {
                     *left = contacts.step;
                     (seen.impulse, seen.moment) = (given.impulse, given.moment);
@@ -172,7 +172,7 @@ impl Inertia {
 }
 
 /// A rigid body that contacts push.
-pub(crate) struct Whole {
+pub(crate) struct RigidProxy {
     /// `world_from_body`, where it is by now.
     pub(crate) pose: Isometry3<f64>,
     centre: Point3<f64>,
@@ -183,14 +183,14 @@ pub(crate) struct Whole {
     inertia_inverse: Matrix3<f64>,
 }
 
-impl Whole {
+impl RigidProxy {
     /// One whose controller takes impulses, for a step of `period` seconds that ends `now`. Since it was heard of last it has gone on as it moved, and what it has been given and has not taken yet moves it
     /// already.
     pub fn of(
         scene: &Snapshot,
         entity: Entity,
         (now, period): (SimTime, f64),
-        own: &[Given],
+        own: &[AppliedImpulses],
     ) -> Option<Self> {
         let told = scene.get::<RigidContacts>(entity)?;
         if !told.gives_way() || scene.get::<Frozen>(entity).is_some() {

@@ -25,7 +25,7 @@ use trocar_scene::{
     VertexVelocities,
 };
 
-use super::{RigidContacts, WholeSums};
+use super::{RigidContacts, ImpulseTotals};
 use crate::tet_mesh::Stars;
 
 /// Contacts of a body that are answered at a time.
@@ -43,7 +43,7 @@ const ACROSS: f64 = 0.5;
 /// A place of a body in a contact.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Spot {
+pub enum Feature {
     /// A vertex.
     Vertex(u32),
     /// Wherever on a triangle, or next to it, the other side is.
@@ -57,13 +57,13 @@ pub enum Spot {
 /// A contact that is answered.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct HeldContact {
+pub struct PersistentContact {
     /// Who found it.
     pub writer: Entity,
     /// The other body, which may be the same one.
     pub other: Entity,
     /// On the body and on the other.
-    pub spots: [Spot; 2],
+    pub spots: [Feature; 2],
     /// Unit direction in which the body is pushed.
     pub normal_in_world: Vector3<f64>,
     /// When it was found last, or pressed.
@@ -95,7 +95,7 @@ pub struct ContactSums {
 #[serde(default, deny_unknown_fields)]
 pub struct SoftContacts {
     /// Those that it answers for, also for the other side.
-    pub contacts: Vec<HeldContact>,
+    pub contacts: Vec<PersistentContact>,
     /// Until when each detector has been listened to.
     pub heard: Vec<(Entity, SimTime)>,
     /// One over the mass of each vertex, 0 where it is held \[1/kg\]: for whoever answers for it.
@@ -105,7 +105,7 @@ pub struct SoftContacts {
     /// What it has given the vertices of bodies of other controllers.
     pub given: Vec<ContactSums>,
     /// What it has given bodies that move as a whole.
-    pub given_whole: Vec<WholeSums>,
+    pub given_whole: Vec<ImpulseTotals>,
     /// What of that which others have given it, it has taken.
     pub taken: Vec<ContactSums>,
     /// Of all its contacts in the last tick, on it \[N\].
@@ -228,8 +228,8 @@ impl<'a> Shape<'a> {
     }
 
     /// Unit direction across the face that a spot is fixed to.
-    fn face(&self, spot: &Spot) -> Option<Vector3<f64>> {
-        let Spot::Between(nodes, _) = spot else { return None };
+    fn face(&self, spot: &Feature) -> Option<Vector3<f64>> {
+        let Feature::Between(nodes, _) = spot else { return None };
         let [a, b, c] = nodes.map(|node| self.vertex(node));
         let (a, b, c) = (a?, b?, c?);
         (b - a).cross(&(c - a)).try_normalize(0.0)
@@ -242,9 +242,9 @@ impl<'a> Shape<'a> {
         then: &Point3<f64>,
         is_followed: bool,
         stars: Option<&Stars>,
-    ) -> Option<Spot> {
+    ) -> Option<Feature> {
         match part {
-            Primitive::Vertex(vertex) if is_followed => self.vertex(vertex).map(|_| Spot::Vertex(vertex)),
+            Primitive::Vertex(vertex) if is_followed => self.vertex(vertex).map(|_| Feature::Vertex(vertex)),
             // An edge is told by its first vertex: the place next to that one.
             Primitive::Vertex(vertex) => {
                 let about = stars.map_or(&[][..], |stars| stars.about(vertex)).iter();
@@ -255,8 +255,8 @@ impl<'a> Shape<'a> {
                     Some(((nearest.point - then).norm_squared(), nodes, nearest.weights))
                 });
                 match near.min_by(|a, b| a.0.total_cmp(&b.0)) {
-                    Some((_, nodes, weights)) => Some(Spot::Between(nodes, weights)),
-                    None => self.vertex(vertex).map(|_| Spot::Vertex(vertex)),
+                    Some((_, nodes, weights)) => Some(Feature::Between(nodes, weights)),
+                    None => self.vertex(vertex).map(|_| Feature::Vertex(vertex)),
                 }
             }
             Primitive::Triangle(triangle) => {
@@ -264,24 +264,24 @@ impl<'a> Shape<'a> {
                 let [a, b, c] = nodes.map(|node| self.vertex(node));
                 let nearest = closest_on_triangle(then, &[a?, b?, c?]);
                 Some(if is_followed {
-                    Spot::Triangle(triangle)
+                    Feature::Triangle(triangle)
                 } else {
-                    Spot::Between(nodes, nearest.weights)
+                    Feature::Between(nodes, nearest.weights)
                 })
             }
             Primitive::Segment(segment) => {
                 let [a, b] = *self.segments.get(segment as usize)?;
                 let along = closest_on_segment(then, &[self.vertex(a)?, self.vertex(b)?]);
-                Some(Spot::Between([a, b, b], [1.0 - along, along, 0.0]))
+                Some(Feature::Between([a, b, b], [1.0 - along, along, 0.0]))
             }
             // Of what moves by its vertices, the nearest one is told.
             _ if !self.velocities.is_empty() => {
                 let near = |vertex: &u32| self.vertex(*vertex).map(|point| (point - then).norm_squared());
                 let all =
                     (0..self.positions.len() as u32).filter_map(|vertex| Some((near(&vertex)?, vertex)));
-                all.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, vertex)| Spot::Vertex(vertex))
+                all.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, vertex)| Feature::Vertex(vertex))
             }
-            _ => Some(Spot::InFrame(self.world_from_body.inverse_transform_point(then))),
+            _ => Some(Feature::InFrame(self.world_from_body.inverse_transform_point(then))),
         }
     }
 }
@@ -298,14 +298,14 @@ struct Nearest {
 
 /// Two places that press or nearly do.
 #[derive(Clone, Copy)]
-pub(crate) struct Met {
+pub(crate) struct ContactPair {
     /// On the body and on the other.
     pub places: [Place; 2],
     pub normal_in_world: Vector3<f64>,
     pub depth: f64,
 }
 
-impl HeldContact {
+impl PersistentContact {
     /// A contact of a list, seen from the body on one side of it, `shapes` that body and the other one; `None` of what is
     /// not there.
     pub(crate) fn new(
@@ -348,15 +348,15 @@ impl HeldContact {
     /// Whether it is of the same vertex as another one, and of the same bodies.
     pub(crate) fn is_of(&self, other: &Self) -> bool {
         let vertex = |of: &Self| match of.spots {
-            [Spot::Vertex(vertex), Spot::Triangle(_)] => Some((0, vertex)),
-            [Spot::Triangle(_), Spot::Vertex(vertex)] => Some((1, vertex)),
+            [Feature::Vertex(vertex), Feature::Triangle(_)] => Some((0, vertex)),
+            [Feature::Triangle(_), Feature::Vertex(vertex)] => Some((1, vertex)),
             _ => None,
         };
         self.other == other.other && vertex(self).is_some() && vertex(self) == vertex(other)
     }
 
     pub(crate) fn is_followed(&self) -> bool {
-        self.spots.iter().any(|spot| matches!(spot, Spot::Triangle(_)))
+        self.spots.iter().any(|spot| matches!(spot, Feature::Triangle(_)))
     }
 
     /// Whether it is to be forgotten.
@@ -365,13 +365,13 @@ impl HeldContact {
     }
 
     /// Where it is now; a followed one follows. `None` when it is no longer there.
-    pub(crate) fn meet(&mut self, shapes: [&Shape<'_>; 2], stars: [Option<&Stars>; 2]) -> Option<Met> {
+    pub(crate) fn meet(&mut self, shapes: [&Shape<'_>; 2], stars: [Option<&Stars>; 2]) -> Option<ContactPair> {
         let (vertex, face) = match self.spots {
-            [Spot::Vertex(_), Spot::Triangle(_)] => (0, 1),
-            [Spot::Triangle(_), Spot::Vertex(_)] => (1, 0),
+            [Feature::Vertex(_), Feature::Triangle(_)] => (0, 1),
+            [Feature::Triangle(_), Feature::Vertex(_)] => (1, 0),
             _ => return self.meet_fixed(shapes),
         };
-        let (Spot::Vertex(number), Spot::Triangle(triangle)) = (self.spots[vertex], self.spots[face]) else {
+        let (Feature::Vertex(number), Feature::Triangle(triangle)) = (self.spots[vertex], self.spots[face]) else {
             return None;
         };
         let point = shapes[vertex].vertex(number)?;
@@ -403,29 +403,29 @@ impl HeldContact {
         if ((on_face - point) - normal * depth).norm() > ASIDE {
             return None;
         }
-        self.spots[face] = Spot::Triangle(candidate);
+        self.spots[face] = Feature::Triangle(candidate);
         self.normal_in_world = if vertex == 0 { normal } else { -normal };
         let on_vertex = shapes[vertex].place([number; 3], [1.0, 0.0, 0.0])?;
         let on_triangle = shapes[face].place(shapes[face].triangles[candidate as usize], weights)?;
         let places = if vertex == 0 { [on_vertex, on_triangle] } else { [on_triangle, on_vertex] };
-        Some(Met { places, normal_in_world: self.normal_in_world, depth })
+        Some(ContactPair { places, normal_in_world: self.normal_in_world, depth })
     }
 
-    fn meet_fixed(&self, shapes: [&Shape<'_>; 2]) -> Option<Met> {
+    fn meet_fixed(&self, shapes: [&Shape<'_>; 2]) -> Option<ContactPair> {
         let place = |side: usize| match self.spots[side] {
-            Spot::Vertex(vertex) => shapes[side].place([vertex; 3], [1.0, 0.0, 0.0]),
-            Spot::Between(nodes, weights) => shapes[side].place(nodes, weights),
-            Spot::InFrame(point) => {
+            Feature::Vertex(vertex) => shapes[side].place([vertex; 3], [1.0, 0.0, 0.0]),
+            Feature::Between(nodes, weights) => shapes[side].place(nodes, weights),
+            Feature::InFrame(point) => {
                 let at_in_world = shapes[side].world_from_body * point;
                 let carried = shapes[side].carried(&at_in_world.coords);
                 Some(Place { nodes: [0; 3], weights: [0.0; 3], at_in_world, carried })
             }
-            Spot::Triangle(_) => None,
+            Feature::Triangle(_) => None,
         };
         let places = [place(0)?, place(1)?];
         let normal = self.normal_in_world;
         let depth = (places[1].at_in_world - places[0].at_in_world).dot(&normal);
-        Some(Met { places, normal_in_world: normal, depth })
+        Some(ContactPair { places, normal_in_world: normal, depth })
     }
 }
 

@@ -7,7 +7,7 @@ use trocar_scene::{Access, Commands, Entity, EntitySet, Registry, Snapshot};
 use super::components::{GivenTo, TakenFrom};
 use super::{CouplingGiven, CouplingTaken};
 use crate::soft_body::Deformable;
-use crate::soft_body::method::{Outlook, Site};
+use crate::soft_body::method::{Outlook, StepContext};
 
 /// A body that others are coupled with.
 pub struct Answering {
@@ -57,7 +57,7 @@ impl Answering {
     /// before the step \[m/s\].
     pub fn take(
         &mut self,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         velocities: &[Vector3<f64>],
         forces: &mut Vec<(u32, Vector3<f64>)>,
     ) {
@@ -91,7 +91,7 @@ impl Answering {
         self.active.dedup();
     }
 
-    fn body_from_giver(&self, site: &Site<'_>, giver: Entity) -> UnitQuaternion<f64> {
+    fn body_from_giver(&self, site: &StepContext<'_>, giver: Entity) -> UnitQuaternion<f64> {
         site.world_from_body.rotation.inverse() * site.scene.world_pose(giver).rotation
     }
 
@@ -101,7 +101,7 @@ impl Answering {
     }
 
     /// Tells what the step was and what was seen ahead. Velocities are those after it \[m/s\].
-    pub fn tell(&mut self, site: &Site<'_>, stays: &[bool], velocities: &[Vector3<f64>], out: &mut Commands) {
+    pub fn tell(&mut self, site: &StepContext<'_>, stays: &[bool], velocities: &[Vector3<f64>], out: &mut Commands) {
         let Outlook { expected, yielding, masses } = &self.outlook;
         for index in 0..self.told.from.len() {
             let Some(giver) = self.told.from[index].body else { continue };

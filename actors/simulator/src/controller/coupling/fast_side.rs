@@ -6,13 +6,13 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::Surface;
-use trocar_dynamics::coupling::external_nodes::{Company, CompanyMoved, Guest, GuestMoved, Press, Tie};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostImpulses, GhostNode, GhostMoved, Press, Tie};
 use trocar_dynamics::coupling::{Lying, LyingRule, News};
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::coupling::components::GivenTo;
 use trocar_dynamics::soft_body::coupling::{CoupledBody, CoupledWith, CouplingGiven, CouplingTaken, Joined};
-use trocar_dynamics::soft_body::method::{Measures, Site};
+use trocar_dynamics::soft_body::method::{Measures, StepContext};
 use trocar_scene::soft_body::one_of;
 use trocar_scene::{
     Access, Commands, Entity, EntitySet, Snapshot, SoftAbilities, SurfaceMesh, TetMesh, VertexPositions,
@@ -41,10 +41,10 @@ pub(crate) struct Partner {
     /// By ghosts.
     ties: Vec<Tie>,
     presses: Vec<Press>,
-    guests: Vec<Guest>,
+    guests: Vec<GhostNode>,
     /// Ghosts that take part in the present step, and what became of all.
     used: Vec<u32>,
-    moved: Vec<GuestMoved>,
+    moved: Vec<GhostMoved>,
     force: [f64; 2],
 }
 
@@ -57,7 +57,7 @@ pub struct Coupled {
     /// Vertices that can lie on something, as long as its triangles are these.
     outside: Vec<u32>,
     triangles: Arc<Vec<[u32; 3]>>,
-    guests: Vec<Guest>,
+    guests: Vec<GhostNode>,
     ties: Vec<Tie>,
     presses: Vec<Press>,
 }
@@ -118,7 +118,7 @@ impl Coupled {
     ///
     /// # Errors
     /// Why it cannot go on.
-    pub fn meet(&mut self, body: &Deformable, state: &State, site: &Site<'_>) -> Result<(), String> {
+    pub fn meet(&mut self, body: &Deformable, state: &State, site: &StepContext<'_>) -> Result<(), String> {
         self.look_outside(body);
         self.guests.clear();
         self.ties.clear();
@@ -136,12 +136,12 @@ impl Coupled {
 
     /// Who takes part in the step.
     #[must_use]
-    pub fn company(&self) -> Company<'_> {
-        Company { guests: &self.guests, ties: &self.ties, presses: &self.presses }
+    pub fn company(&self) -> ExternalNodes<'_> {
+        ExternalNodes { guests: &self.guests, ties: &self.ties, presses: &self.presses }
     }
 
     /// After a step: what became of them.
-    pub fn met(&mut self, moved: &CompanyMoved, positions: &[Point3<f64>], dt: f64) {
+    pub fn met(&mut self, moved: &GhostImpulses, positions: &[Point3<f64>], dt: f64) {
         let (mut guest, mut tie, mut press) = (0, 0, 0);
         for partner in &mut self.with {
             let [guests, ties, presses] = [partner.used.len(), partner.ties.len(), partner.presses.len()];
@@ -151,8 +151,8 @@ impl Coupled {
             partner.moved.extend(partner.guests.iter().map(|guest| {
                 let mut alone = *guest;
                 alone.go(dt, &Vector3::zeros());
-                let Guest { position, velocity, path, .. } = alone;
-                GuestMoved { position, velocity, path, ..GuestMoved::default() }
+                let GhostNode { position, velocity, path, .. } = alone;
+                GhostMoved { position, velocity, path, ..GhostMoved::default() }
             }));
             for (&ghost, moved) in partner.used.iter().zip(&moved.guests[guest..guest + guests]) {
                 partner.moved[ghost as usize] = *moved;
@@ -324,7 +324,7 @@ impl Partner {
     }
 
     /// Looks whether the other body has come apart.
-    pub(crate) fn follow(&mut self, site: &Site<'_>) -> Result<(), String> {
+    pub(crate) fn follow(&mut self, site: &StepContext<'_>) -> Result<(), String> {
         let scene = site.scene;
         let (Some(volume), Some(surface)) =
             (scene.get::<TetMesh>(self.entity), scene.get::<SurfaceMesh>(self.entity))
@@ -343,7 +343,7 @@ impl Partner {
     }
 
     /// Hears what the other body tells of its last step.
-    pub(crate) fn hear(&mut self, me: Entity, site: &Site<'_>) -> Result<(), String> {
+    pub(crate) fn hear(&mut self, me: Entity, site: &StepContext<'_>) -> Result<(), String> {
         let scene = site.scene;
         self.is_wall = true;
         let Some(told) = scene.get::<CouplingTaken>(self.entity) else { return Ok(()) };
@@ -409,7 +409,7 @@ impl Partner {
             lying.find(&surface, outside, positions, velocities, dt, &mut self.presses);
         }
         self.guests.clear();
-        let company = Company { guests: &[], ties: &self.ties, presses: &self.presses };
+        let company = ExternalNodes { guests: &[], ties: &self.ties, presses: &self.presses };
         self.given.ghosts.meet(&company, positions, &mut self.guests);
         if self.is_wall {
             self.guests.iter_mut().for_each(|guest| *guest = guest.as_wall());

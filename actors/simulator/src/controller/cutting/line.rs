@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use nalgebra::Point3;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::method::{Measures, Site};
+use trocar_dynamics::soft_body::method::{Measures, StepContext};
 use trocar_scene::{Commands, LineMesh, Snapshot};
 
 use super::surface::Cuts;
@@ -52,7 +52,7 @@ impl LineCuts {
         &mut self,
         positions: &[Point3<f64>],
         body: &mut Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Option<Vec<u32>> {
         let LineWeakness { cut, tears_at } = self.weakness;

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::method::{Measures, Reshaped, Site};
+use trocar_dynamics::soft_body::method::{Measures, Reshaped, StepContext};
 use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
@@ -169,7 +169,7 @@ impl Membrane {
         &mut self,
         positions: &[Point3<f64>],
         body: &mut Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<Parted>, String> {
         let (gone, changed) = self.heated.news(site.scene, body.entity);
@@ -218,7 +218,7 @@ impl Membrane {
     }
 
     /// Cuts where blades have swept, or else tears where it is drawn too far. A tear runs on from tick to tick.
-    fn part(&mut self, positions: &[Point3<f64>], site: &Site<'_>) -> Result<TopologyChange, String> {
+    fn part(&mut self, positions: &[Point3<f64>], site: &StepContext<'_>) -> Result<TopologyChange, String> {
         let mut change = TopologyChange::default();
         if self.weakness.cut {
             let sweeps = self.cuts.sweeps(site.scene, site.world_from_body, &mut self.cuts_changed);
@@ -239,7 +239,7 @@ impl Membrane {
         change: &TopologyChange,
         stale: &[u32],
         body: &mut Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         out: &mut Commands,
     ) {
         let vertices = body.rest.len();

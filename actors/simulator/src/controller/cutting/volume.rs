@@ -13,7 +13,7 @@ use trocar_dynamics::elasticity::{Alteration, cauchy_stress, small_stress};
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::coupling::CoupledBody;
-use trocar_dynamics::soft_body::method::{Measures, Reshaped, Site};
+use trocar_dynamics::soft_body::method::{Measures, Reshaped, StepContext};
 use trocar_dynamics::tet_mesh::{
     self, Birth, FaceOf, MeshRules, Moving, Slit, Volume, VolumeChange, VolumeError, shape,
 };
@@ -160,7 +160,7 @@ impl Split<'_> {
 
 /// By what else than heat a volume comes apart.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Weakness {
+pub struct FailureCriteria {
     /// Whether blades open it.
     pub cut: bool,
     /// Whether they halve its elements where they pass; else faces between elements open.
@@ -176,7 +176,7 @@ pub struct Weakness {
 /// A volume, and how far it has come apart.
 pub struct Parting {
     volume: Volume,
-    weakness: Weakness,
+    weakness: FailureCriteria,
     /// The face that each triangle of the surface is.
     faces: Vec<FaceOf>,
     /// By elements of the first mesh.
@@ -195,7 +195,7 @@ impl Parting {
     ///
     /// # Errors
     /// What is wrong with its mesh.
-    pub fn new(body: &mut Deformable, weakness: Weakness, scene: &Snapshot) -> Result<Option<Self>, String> {
+    pub fn new(body: &mut Deformable, weakness: FailureCriteria, scene: &Snapshot) -> Result<Option<Self>, String> {
         let known = scene.get::<VolumeCuts>(body.entity).cloned();
         let burns = scene.get::<CauterisedBody>(body.entity);
         if burns.is_some_and(|burns| burns.thickness.is_some()) {
@@ -231,7 +231,7 @@ impl Parting {
         };
         // Who has grown onto its elements would not follow.
         let halves = weakness.halves && !scene.iter::<CoupledBody>().any(has_grown);
-        let weakness = Weakness { halves, ..weakness };
+        let weakness = FailureCriteria { halves, ..weakness };
         Ok(Some(Self {
             volume,
             weakness,
@@ -299,7 +299,7 @@ impl Parting {
         &mut self,
         elements: &mut dyn Elements,
         body: &mut Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
         let (gone, changed) = self.heated.news(site.scene, body.entity);
@@ -343,7 +343,7 @@ impl Parting {
     fn open(
         &mut self,
         elements: &dyn Elements,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         change: &mut VolumeChange,
     ) -> Result<Vec<FaceOf>, VolumeError> {
         let mut sweeps = Vec::new();
@@ -442,7 +442,7 @@ impl Parting {
         &mut self,
         elements: &mut dyn Elements,
         body: &mut Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         change: &VolumeChange,
         out: &mut Commands,
     ) -> Result<(), String> {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::Point3;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::method::Site;
+use trocar_dynamics::soft_body::method::StepContext;
 use trocar_scene::{Job, JobOutput, SimTime};
 
 use super::saved_state::{LentFactor, WantedFactor};
@@ -67,7 +67,7 @@ impl Solver {
     ///
     /// # Errors
     /// Why there is none.
-    pub(crate) fn take_over(&mut self, site: &Site<'_>) -> Result<(), String> {
+    pub(crate) fn take_over(&mut self, site: &StepContext<'_>) -> Result<(), String> {
         let Some(lent) = self.memory.lent.as_mut().filter(|_| self.solver.is_lent()) else { return Ok(()) };
         let Some(wanted) = &lent.wanted else { return Ok(()) };
         if let Some(output) = site.tick.jobs.take(wanted.key) {
@@ -87,7 +87,7 @@ impl Solver {
     }
 
     /// Has a factor computed of what the body is, if it goes on with another one.
-    pub(crate) fn ask(&mut self, body: &Deformable, site: &Site<'_>, heated: impl FnOnce() -> Heated) {
+    pub(crate) fn ask(&mut self, body: &Deformable, site: &StepContext<'_>, heated: impl FnOnce() -> Heated) {
         if !self.solver.is_lent() {
             (self.memory.lent, self.ready) = (None, None);
             return;

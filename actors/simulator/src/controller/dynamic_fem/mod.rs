@@ -11,14 +11,14 @@ use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::SoftController;
 use trocar_dynamics::soft_body::SoftMethod;
 use trocar_dynamics::soft_body::instrument_rods::Rod;
-use trocar_dynamics::soft_body::method::{Measures, Outlook, Reshaped, Site, Terms};
+use trocar_dynamics::soft_body::method::{Measures, Outlook, Reshaped, StepContext, ContactParams};
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Doubtful, Entity, EntitySet, Snapshot, SoftAbilities,
 };
 
-use super::cutting::volume::{Elements, Parting, Split, Weakness};
+use super::cutting::volume::{Elements, Parting, Split, FailureCriteria};
 use super::thermal_damage::{Coagulated, Heated};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Report};
 use factor_job::{Built, Former};
@@ -94,10 +94,10 @@ impl Component for DynamicFemBody {
 }
 
 impl DynamicFemBody {
-    fn weakness(&self) -> Result<Weakness, String> {
+    fn weakness(&self) -> Result<FailureCriteria, String> {
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let lame = [elastic.lambda(), elastic.mu()];
-        Ok(Weakness {
+        Ok(FailureCriteria {
             cut: self.cut,
             halves: true,
             hangs_on: false,
@@ -252,7 +252,7 @@ impl SoftMethod for DynamicFemMethod {
     fn reshape(
         &mut self,
         body: &mut Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
         let Some(parting) = &mut self.parting else { return Ok(None) };
@@ -265,12 +265,12 @@ impl SoftMethod for DynamicFemMethod {
         Ok(reshaped)
     }
 
-    fn terms(&self) -> Option<Terms<'_>> {
+    fn terms(&self) -> Option<ContactParams<'_>> {
         let DynamicFemBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
-        Some(Terms { masses_inverse: &self.mobility, stiffness, friction })
+        Some(ContactParams { masses_inverse: &self.mobility, stiffness, friction })
     }
 
-    fn publish(&mut self, body: &Deformable, site: &Site<'_>, out: &mut Commands) {
+    fn publish(&mut self, body: &Deformable, site: &StepContext<'_>, out: &mut Commands) {
         if self.unsolved[0] == UNSOLVED_MAX && site.scene.get::<Doubtful>(body.entity).is_none() {
             out.put(body.entity, Doubtful { reason: self.doubt(), since: site.tick.time });
         }
@@ -300,7 +300,7 @@ impl SoftMethod for DynamicFemMethod {
     fn step(
         &mut self,
         _body: &Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
         self.contacts.clear();
@@ -317,7 +317,7 @@ impl SoftMethod for DynamicFemMethod {
         Ok(())
     }
 
-    fn look_ahead(&mut self, _body: &Deformable, site: &Site<'_>, active: &[u32], outlook: &mut Outlook) {
+    fn look_ahead(&mut self, _body: &Deformable, site: &StepContext<'_>, active: &[u32], outlook: &mut Outlook) {
         let (solver, dt) = (&mut self.of.solver, site.period_secs());
         solver.expected(dt, &inputs(&self.contacts, &self.prescribed, site), &mut outlook.expected);
         outlook.yielding = solver.yielding(dt, active);
@@ -380,7 +380,7 @@ fn mobility(solver: &DynamicFem, body: &Deformable) -> Vec<f64> {
 /// Steps every body that carries [`DynamicFemBody`].
 pub type DynamicFemController = SoftController<DynamicFemMethod>;
 
-fn inputs<'a>(contacts: &'a [Contact], prescribed: &'a [(u32, Point3<f64>)], site: &Site<'a>) -> Inputs<'a> {
+fn inputs<'a>(contacts: &'a [Contact], prescribed: &'a [(u32, Point3<f64>)], site: &StepContext<'a>) -> Inputs<'a> {
     Inputs { acceleration: site.gravity, contacts, prescribed, forces: site.forces, ..Inputs::default() }
 }
 

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::frozen::{Refused, Still, freeze};
+use trocar_dynamics::soft_body::frozen::{Refused, FrozenPart, freeze};
 use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::mesh::TetData;
 use trocar_scene::soft_body::one_of;
@@ -351,7 +351,7 @@ impl ElectrosurgeryController {
             let mut body = match Body::read(context.scene, entity, kind) {
                 Ok(body) => body,
                 Err(error) => {
-                    refused.push(Refused::of(context, entity, Still::Heat, error)?);
+                    refused.push(Refused::of(context, entity, FrozenPart::Heat, error)?);
                     continue;
                 }
             };
@@ -471,7 +471,7 @@ impl Controller for ElectrosurgeryController {
                         body.frozen = true;
                         if body.is_moved {
                             // Whoever moves it says whether it stands still: it only heats no further.
-                            freeze(body.body.entity, Still::Heat, error, tick, out);
+                            freeze(body.body.entity, FrozenPart::Heat, error, tick, out);
                         } else {
                             body.body.freeze(&error, tick, out);
                         }

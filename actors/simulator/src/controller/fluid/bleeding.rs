@@ -6,7 +6,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::soft_body::frozen::{Refused, Still, freeze};
+use trocar_dynamics::soft_body::frozen::{Refused, FrozenPart, freeze};
 use trocar_dynamics::soft_body::jaws::holds;
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
@@ -382,7 +382,7 @@ impl BleedingController {
         for (entity, vessel) in context.scene.iter::<Vessel>() {
             match Body::read(context.scene, entity, *vessel) {
                 Ok(body) => vessels.push(body),
-                Err(error) => refused.push(Refused::of(context, entity, Still::Body, error)?),
+                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
             }
         }
         if vessels.is_empty() && refused.is_empty() {
@@ -427,7 +427,7 @@ impl Controller for BleedingController {
                     vessel.frozen = true;
                     // What stands still does not bleed: the liquid and the patient go by what it has lost.
                     vessel.state.rate = 0.0;
-                    freeze(vessel.entity, Still::Body, reason, tick, out);
+                    freeze(vessel.entity, FrozenPart::Body, reason, tick, out);
                 }
                 if was_bleeding != (vessel.state.rate > 0.0) {
                     let event = if was_bleeding { "bleeding_stopped" } else { "bleeding_began" };

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::soft_body::frozen::{Still, freeze};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, freeze};
 use trocar_scene::{
     Access, Activation, BuildContext, Commands, Component, ComponentError, Controller, ControllerError,
     Doubtful, Entity, EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, RestPositions, Snapshot,
@@ -414,7 +414,7 @@ impl Controller for FluidController {
         {
             self.frozen = true;
             self.go_back(scene);
-            freeze(self.liquid, Still::Body, reason, tick, out);
+            freeze(self.liquid, FrozenPart::Body, reason, tick, out);
         }
         if !self.frozen {
             self.doubt(tick, scene, out);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::soft_body::frozen::{Still, freeze};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, freeze};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
     EntitySet, Frozen, Measured, Particles, Pose, RecordPolicy, Snapshot, Tick,
@@ -189,7 +189,7 @@ impl Controller for SmokeController {
                 Ok(()) => self.show(tick, out),
                 Err(reason) => {
                     self.frozen = true;
-                    freeze(self.cloud, Still::Body, reason, tick, out);
+                    freeze(self.cloud, FrozenPart::Body, reason, tick, out);
                 }
             }
         }

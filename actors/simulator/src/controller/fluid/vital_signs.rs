@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::soft_body::frozen::{Still, freeze};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, freeze};
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,
     EntitySet, Frozen, Measured, Snapshot, Tick, VitalSigns,
@@ -197,7 +197,7 @@ impl Controller for VitalSignsController {
                 Ok(()) => self.show(out),
                 Err(reason) => {
                     self.frozen = true;
-                    freeze(self.patient, Still::Body, reason, tick, out);
+                    freeze(self.patient, FrozenPart::Body, reason, tick, out);
                 }
             }
         }

@@ -11,7 +11,7 @@ use trocar_collision::primitive::{closest_on_segment, closest_on_triangle};
 use trocar_dynamics::picking::Jaws;
 use trocar_dynamics::soft_body::grasp::Holder;
 use trocar_dynamics::soft_body::instrument_rods::Rod;
-use trocar_dynamics::soft_body::method::Site;
+use trocar_dynamics::soft_body::method::StepContext;
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch, touches};
 use trocar_scene::{Component, Entity};
 
@@ -84,7 +84,7 @@ pub(crate) enum By {
 
 impl Body {
     /// What holds it now, those first that stay from tick to tick: pins, jaws what they have picked, rods what they touch.
-    pub(crate) fn ask(&mut self, site: &Site<'_>) -> Result<Vec<Answer>, String> {
+    pub(crate) fn ask(&mut self, site: &StepContext<'_>) -> Result<Vec<Answer>, String> {
         let rods = site.rods;
         let triangles = self.body.triangles.clone();
         let mut touched = Vec::new();
@@ -251,7 +251,7 @@ impl Body {
 
     /// What a solver holds of a patch is the mean displacement under it, and its middle goes further: has the mean lag
     /// behind until the middle lies where the rod is. Whether anything is to move for that.
-    pub(crate) fn press_home(&mut self, answers: &mut [Answer]) -> Result<bool, LinearFemError> {
+    pub(crate) fn advance_to_rod(&mut self, answers: &mut [Answer]) -> Result<bool, LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(false) };
         let mut moves = false;
         for (index, answer) in answers.iter_mut().enumerate().filter(|(index, _)| self.holding.holds(*index))

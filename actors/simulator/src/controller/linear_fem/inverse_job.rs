@@ -46,7 +46,7 @@ pub(crate) fn built_as_job(
 }
 
 /// What has become of a body.
-pub(crate) struct Became {
+pub(crate) struct MeshChange {
     /// Of its elements.
     pub alterations: Vec<Alteration>,
     /// Which node each of its last ones was before it came apart.
@@ -59,7 +59,7 @@ pub(crate) fn altered_as_job(
     mesh: &TetMesh,
     material: [f64; 2],
     pinned: &[u32],
-    Became { alterations, parents }: Became,
+    MeshChange { alterations, parents }: MeshChange,
     progress: &Arc<AtomicU64>,
 ) -> Job {
     let (mesh, pinned) = (mesh.clone(), pinned.to_vec());

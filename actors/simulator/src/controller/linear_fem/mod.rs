@@ -24,11 +24,11 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::PinnedBody;
-use trocar_dynamics::soft_body::frozen::{Refused, Still};
+use trocar_dynamics::soft_body::frozen::{Refused, FrozenPart};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
 use trocar_dynamics::soft_body::jaws::is_blade;
-use trocar_dynamics::soft_body::method::{Measures, Site, finite_vertices};
+use trocar_dynamics::soft_body::method::{Measures, StepContext, finite_vertices};
 use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, Touch, collision};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
@@ -37,7 +37,7 @@ use trocar_scene::{
     Primitive, SimTime, Snapshot, SoftAbilities, Tick, Velocity,
 };
 
-use super::cutting::volume::{Parting, Weakness};
+use super::cutting::volume::{Parting, FailureCriteria};
 use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
 use blend::Fading;
 use contacts::{Answer, By, Contacts};
@@ -76,11 +76,11 @@ impl Default for LinearFemBody {
 }
 
 impl LinearFemBody {
-    fn weakness(&self) -> Result<Weakness, String> {
+    fn weakness(&self) -> Result<FailureCriteria, String> {
         let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
         let lame = [elastic.lambda(), elastic.mu()];
         let tears = self.strength.map(|strength| (strength, lame));
-        Ok(Weakness { cut: self.cut, halves: false, hangs_on: true, tears, is_linear: true })
+        Ok(FailureCriteria { cut: self.cut, halves: false, hangs_on: true, tears, is_linear: true })
     }
 }
 
@@ -146,7 +146,7 @@ impl LinearFemController {
             let Some(kind) = context.scene.get::<LinearFemBody>(entity).copied() else { continue };
             match Body::read(kind, entity, context.scene) {
                 Ok(body) => bodies.push(body),
-                Err(error) => refused.push(Refused::of(context, entity, Still::Body, error)?),
+                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
             }
         }
         if bodies.is_empty() && refused.is_empty() {
@@ -187,7 +187,7 @@ impl Controller for LinearFemController {
                 if body.kind.cut {
                     self.rods.retain(|rod| !is_blade(scene, rod.instrument));
                 }
-                let site = Site {
+                let site = StepContext {
                     scene,
                     tick,
                     world_from_body: &world_from_body,
@@ -279,7 +279,7 @@ impl Body {
         &mut self,
         index: usize,
         cache: Option<&Cache>,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Vec<Answer>, String> {
         let keys = [2 * index as u64, 2 * index as u64 + 1];
@@ -295,7 +295,7 @@ impl Body {
             let before = answers.len();
             self.answer(&mut answers, &mut asked).map_err(|error| error.to_string())?;
             self.ask_more(site.rods, &mut answers);
-            let moved = self.press_home(&mut answers).map_err(|error| error.to_string())?;
+            let moved = self.advance_to_rod(&mut answers).map_err(|error| error.to_string())?;
             if answers.len() == before && !moved {
                 break;
             }
@@ -312,7 +312,7 @@ impl Body {
     }
 
     /// Lets it follow what heat and blades do to its elements, and what tears.
-    fn alter(&mut self, key: u64, site: &Site<'_>, out: &mut Commands) -> Result<(), String> {
+    fn alter(&mut self, key: u64, site: &StepContext<'_>, out: &mut Commands) -> Result<(), String> {
         let Some((parting, altered)) = &mut self.parting else { return Ok(()) };
         let fading = self.fading.as_ref();
         let waits = |solver: &LinearFem| altered.waiting(fading) + altered.nodes_waiting(solver, fading);

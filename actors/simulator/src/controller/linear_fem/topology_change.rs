@@ -11,7 +11,7 @@ use trocar_dynamics::tet_mesh::{Birth, TetMesh};
 use trocar_scene::Tick;
 
 use super::blend::{Fading, catch_up};
-use super::inverse_job::{Became, built};
+use super::inverse_job::{MeshChange, built};
 use crate::controller::cutting::volume::{Elements, Split};
 use crate::controller::thermal_damage::{Coagulated, Heated};
 use crate::linear_fem::{LinearFem, LinearFemError};
@@ -76,13 +76,13 @@ impl Altered {
     }
 
     /// What the body is now, if it is not as at first.
-    pub fn became(&self) -> Option<Became> {
+    pub fn became(&self) -> Option<MeshChange> {
         let altered = self.alterations.iter().any(|of| *of != Alteration::NONE) || !self.parents.is_empty();
         altered.then(|| self.now())
     }
 
-    fn now(&self) -> Became {
-        Became { alterations: self.alterations.clone(), parents: self.parents.clone() }
+    fn now(&self) -> MeshChange {
+        MeshChange { alterations: self.alterations.clone(), parents: self.parents.clone() }
     }
 
     pub fn remove(&mut self, elements: &[u32]) {
@@ -119,7 +119,7 @@ impl Altered {
         solver: &mut Box<LinearFem>,
         fading: &mut Option<Fading>,
         tick: &Tick<'_>,
-    ) -> Result<Option<Became>, String> {
+    ) -> Result<Option<MeshChange>, String> {
         if self.submitted && self.next.is_none() {
             self.next = built(tick, key)?.map(Box::new);
         }

@@ -8,7 +8,7 @@ use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::rod_contact::Skin;
 use trocar_scene::{Component, ComponentError, SoftAbilities};
 
-use crate::controller::cutting::volume::Weakness;
+use crate::controller::cutting::volume::FailureCriteria;
 use crate::mass_spring::{
     Config, Integrator, LineMaterial, LinearSolver, Network, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
@@ -194,15 +194,15 @@ impl MassSpringBody {
     }
 
     /// By what a volume comes apart. The tension in it is that of what its springs stand for: of Poisson's ratio 1/4.
-    pub(crate) fn weakness(&self) -> Weakness {
-        let Springs::Volume { young_modulus, .. } = self.springs else { return Weakness::default() };
+    pub(crate) fn weakness(&self) -> FailureCriteria {
+        let Springs::Volume { young_modulus, .. } = self.springs else { return FailureCriteria::default() };
         let shear = 0.4 * young_modulus;
-        Weakness {
+        FailureCriteria {
             cut: true,
             // Halved elements would take shorter steps.
             halves: self.method == Method::Implicit,
             tears: self.strength.map(|strength| (strength, [shear, shear])),
-            ..Weakness::default()
+            ..FailureCriteria::default()
         }
     }
 

@@ -2,7 +2,7 @@
 //! while it goes on without, and then a job makes the next one beside the ticks.
 
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::soft_body::method::Site;
+use trocar_dynamics::soft_body::method::StepContext;
 use trocar_scene::{Component, ComponentError, Entity, Job, JobOutput, SimTime};
 
 use crate::mass_spring::{Config, MassSpring, Network, SheetFactor};
@@ -66,7 +66,7 @@ impl FactorKeeper {
     }
 
     /// Gives springs the factor that is due, or has one made.
-    pub fn serve(&mut self, springs: &mut MassSpring, entity: Entity, site: &Site<'_>) {
+    pub fn serve(&mut self, springs: &mut MassSpring, entity: Entity, site: &StepContext<'_>) {
         let Some(parted_at) = self.memory.parted_at else { return };
         let jobs = site.tick.jobs;
         if std::mem::take(&mut self.is_new) {
@@ -96,7 +96,7 @@ impl FactorKeeper {
         }
     }
 
-    fn ask(&mut self, springs: &MassSpring, entity: Entity, site: &Site<'_>) {
+    fn ask(&mut self, springs: &MassSpring, entity: Entity, site: &StepContext<'_>) {
         let (network, mobility) = (springs.network().clone(), springs.mobility().to_vec());
         let (dt, config) = (site.period_secs(), *springs.config());
         let work = move || Box::new(made(&network, &mobility, dt, &config)) as JobOutput;

@@ -9,7 +9,7 @@ use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::SoftController;
 use trocar_dynamics::soft_body::SoftMethod;
-use trocar_dynamics::soft_body::method::{Measures, Reshaped, Site, Terms};
+use trocar_dynamics::soft_body::method::{Measures, Reshaped, StepContext, ContactParams};
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
 use trocar_dynamics::tet_mesh::Stars;
 use trocar_scene::{Access, Commands, Entity, EntitySet, LineMesh, Snapshot};
@@ -199,7 +199,7 @@ impl MassSpringMethod {
     }
 
     /// Whether steps are solved with a factor; the first time the springs are told.
-    fn choose(&mut self, site: &Site<'_>) -> Result<bool, String> {
+    fn choose(&mut self, site: &StepContext<'_>) -> Result<bool, String> {
         if let Some(is_warped) = self.is_warped {
             return Ok(is_warped);
         }
@@ -216,7 +216,7 @@ impl MassSpringMethod {
     fn come_apart(
         &mut self,
         body: &mut Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
         if let Some(parting) = &mut self.parting {
@@ -321,9 +321,9 @@ impl SoftMethod for MassSpringMethod {
         self.of.kind.skin(body, self.positions())
     }
 
-    fn terms(&self) -> Option<Terms<'_>> {
+    fn terms(&self) -> Option<ContactParams<'_>> {
         let MassSpringBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
-        Some(Terms { masses_inverse: self.of.solver.mobility(), stiffness, friction })
+        Some(ContactParams { masses_inverse: self.of.solver.mobility(), stiffness, friction })
     }
 
     fn is_cut_by_blades(&self) -> bool {
@@ -333,7 +333,7 @@ impl SoftMethod for MassSpringMethod {
     fn reshape(
         &mut self,
         body: &mut Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
         let reshaped = self.come_apart(body, site, out);
@@ -347,7 +347,7 @@ impl SoftMethod for MassSpringMethod {
     fn step(
         &mut self,
         body: &Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
         if self.is_warped == Some(true) {
@@ -380,7 +380,7 @@ impl SoftMethod for MassSpringMethod {
         self.of.solver.pull_on(held)
     }
 
-    fn publish(&mut self, body: &Deformable, _site: &Site<'_>, out: &mut Commands) {
+    fn publish(&mut self, body: &Deformable, _site: &StepContext<'_>, out: &mut Commands) {
         if let Some(membrane) = &mut self.membrane {
             membrane.publish(body, out);
         }

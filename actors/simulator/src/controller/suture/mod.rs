@@ -10,7 +10,7 @@ pub(crate) mod session;
 
 use nalgebra::Vector3;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::frozen::{Refused, Still};
+use trocar_dynamics::soft_body::frozen::{Refused, FrozenPart};
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Doubtful, Entity, EntitySet,
@@ -54,7 +54,7 @@ impl SutureController {
         let sewn = match Sewing::new(gravity_in_world, [needle, tissue], scene) {
             Ok(sewing) => Sewn::Going(Box::new(sewing)),
             Err(error) => {
-                let of = |entity| Refused::of(context, entity, Still::Body, error.clone());
+                let of = |entity| Refused::of(context, entity, FrozenPart::Body, error.clone());
                 Sewn::Refused([of(needle)?, of(tissue)?])
             }
         };

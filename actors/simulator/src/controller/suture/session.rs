@@ -23,7 +23,7 @@ use crate::controller::suture_thread::remesh::{EDGES_EVERY, fineness, follow, he
 use crate::controller::suture_thread::saved_state::Met;
 use crate::linear_fem::Deformation;
 use crate::suture::needle::NeedleState;
-use crate::suture::{Around, Grip, Suture, SutureReport, SutureState, Tissue};
+use crate::suture::{StepInputs, Grip, Suture, SutureReport, SutureState, Tissue};
 use crate::suture_thread::{Obstacle, Reaction, ThreadState};
 
 /// Longest step of the island \[s\].
@@ -254,7 +254,7 @@ impl Sewing {
             self.leading.add(&self.memory.grips, &self.parts, scene, fractions[1]);
             let obstacles: Vec<Obstacle<'_>> =
                 self.parts.list.iter().map(|part| part.obstacle(fractions, None)).collect();
-            let around = Around {
+            let around = StepInputs {
                 gravity: self.gravity,
                 grips: &self.grips,
                 holds: &self.leading.holds,

@@ -24,7 +24,7 @@ use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::frozen::{Refused, Still};
+use trocar_dynamics::soft_body::frozen::{Refused, FrozenPart};
 use trocar_dynamics::soft_body::method::finite_vertices;
 use trocar_dynamics::soft_body::rod_contact::COLLISIONS_MAX;
 use trocar_scene::components::LineMesh;
@@ -114,7 +114,7 @@ impl ThreadController {
             let built = match built {
                 Ok(built) => built,
                 Err(error) => {
-                    refused.push(Refused::of(context, entity, Still::Body, error)?);
+                    refused.push(Refused::of(context, entity, FrozenPart::Body, error)?);
                     continue;
                 }
             };

@@ -4,7 +4,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::coupling::{CoupledWith, CouplingGiven, Lies};
-use trocar_dynamics::soft_body::method::Site;
+use trocar_dynamics::soft_body::method::StepContext;
 use trocar_scene::soft_body::one_of;
 use trocar_scene::{Commands, Entity, Snapshot, Tick};
 
@@ -80,7 +80,7 @@ impl LyingOn {
         scene: &Snapshot,
         tick: &Tick<'_>,
     ) -> Result<(), String> {
-        let site = Site {
+        let site = StepContext {
             scene,
             tick,
             world_from_body: world_from_thread,

@@ -1,7 +1,7 @@
 //! Bodies of positions that have grown onto each other are stepped as one problem.
 
 use nalgebra::Vector3;
-use trocar_dynamics::coupling::external_nodes::{Company, CompanyMoved, CompanyState, Guest, Press, Tie};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostImpulses, ExternalNodesState, GhostNode, Press, Tie};
 use trocar_dynamics::particles::StepError;
 use trocar_dynamics::soft_body::method::Step;
 
@@ -21,7 +21,7 @@ struct Begins {
 /// Everybody who takes part.
 #[derive(Default)]
 struct Island {
-    guests: Vec<Guest>,
+    guests: Vec<GhostNode>,
     ties: Vec<Tie>,
     presses: Vec<Press>,
     begins: Vec<Begins>,
@@ -29,7 +29,7 @@ struct Island {
 
 impl Island {
     /// Adds who comes with a body.
-    fn add(&mut self, company: &Company<'_>, node: u32) {
+    fn add(&mut self, company: &ExternalNodes<'_>, node: u32) {
         let Self { guests, ties, presses, begins } = self;
         begins.push(Begins { node, guest: guests.len(), tie: ties.len(), press: presses.len() });
         let first = guests.len() as u32;
@@ -47,8 +47,8 @@ impl Island {
         }));
     }
 
-    fn company(&self) -> Company<'_> {
-        Company { guests: &self.guests, ties: &self.ties, presses: &self.presses }
+    fn company(&self) -> ExternalNodes<'_> {
+        ExternalNodes { guests: &self.guests, ties: &self.ties, presses: &self.presses }
     }
 }
 
@@ -113,7 +113,7 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
         let all = island.ties.iter().zip(&moved.ties);
         tied.extend(all.filter_map(|(tie, moved)| Some((of_body(tie.node)?, moved.force))));
         let Some(coupled) = coupled else { continue };
-        let own = CompanyMoved {
+        let own = GhostImpulses {
             guests: moved.guests[begins.guest..ends.guest].to_vec(),
             ties: moved.ties[begins.tie..ends.tie].to_vec(),
             presses: moved.presses[begins.press..ends.press].to_vec(),
@@ -132,14 +132,14 @@ fn step_all(
     dt: f64,
     steps: &mut [&mut Step<'_, XpbdMethod>],
     island: &Island,
-    state: &mut CompanyState,
+    state: &mut ExternalNodesState,
 ) -> Result<(), (usize, StepError)> {
     let mut members: Vec<Member<'_>> = steps
         .iter_mut()
         .map(|step| {
             let XpbdMethod { of, contacts, prescribed, forces, .. } = &mut *step.method;
             let gravity: Vector3<f64> = step.site.gravity;
-            let input = XpbdInput { gravity, forces, contacts, prescribed, company: Company::default() };
+            let input = XpbdInput { gravity, forces, contacts, prescribed, company: ExternalNodes::default() };
             Member { body: &mut of.solver, input }
         })
         .collect();

@@ -11,13 +11,13 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::coupling::external_nodes::CompanyState;
+use trocar_dynamics::coupling::external_nodes::ExternalNodesState;
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::SoftController;
 use trocar_dynamics::soft_body::SoftMethod;
-use trocar_dynamics::soft_body::method::{Measures, Reshaped, Site, Step, Terms};
+use trocar_dynamics::soft_body::method::{Measures, Reshaped, StepContext, Step, ContactParams};
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, LineMesh, Snapshot, SoftAbilities,
@@ -26,7 +26,7 @@ use trocar_scene::{
 use super::coupling::fast_side::Coupled;
 use super::cutting::line::{LineCuts, LineWeakness};
 use super::cutting::membrane::{Membrane, MembraneWeakness, Parted};
-use super::cutting::volume::{Elements, Parting, Split, Weakness};
+use super::cutting::volume::{Elements, Parting, Split, FailureCriteria};
 use super::thermal_damage::Coagulated;
 use crate::mass_spring::{
     Contact, LineMaterial, Network, NetworkError, NodeForce, Prescribed, SurfaceMaterial,
@@ -143,13 +143,13 @@ impl Component for XpbdBody {
 
 impl XpbdBody {
     /// By what a volume comes apart.
-    fn weakness(&self) -> Weakness {
+    fn weakness(&self) -> FailureCriteria {
         let Matter::Volume { young_modulus, poisson_ratio, .. } = self.matter else {
-            return Weakness::default();
+            return FailureCriteria::default();
         };
         let mu = 0.5 * young_modulus / (1.0 + poisson_ratio);
         let lambda = 2.0 * mu * poisson_ratio / (1.0 - 2.0 * poisson_ratio);
-        Weakness {
+        FailureCriteria {
             cut: self.cut,
             halves: true,
             hangs_on: false,
@@ -346,12 +346,12 @@ pub struct XpbdMethod {
     pub(super) forces: Vec<NodeForce>,
     /// What ties to bodies that it is stepped together with exerted on its vertices in the last step \[N\].
     pub(super) tied: Vec<(u32, Vector3<f64>)>,
-    pub(super) island: CompanyState,
+    pub(super) island: ExternalNodesState,
 }
 
 impl XpbdMethod {
     /// Takes what meets it.
-    pub(super) fn set_up(&mut self, body: &Deformable, site: &Site<'_>) -> Result<(), String> {
+    pub(super) fn set_up(&mut self, body: &Deformable, site: &StepContext<'_>) -> Result<(), String> {
         let kind = &self.of.kind;
         self.contacts.clear();
         self.contacts.extend(site.touches.iter().map(|touch| Self::contact(kind, touch)));
@@ -426,9 +426,9 @@ impl SoftMethod for XpbdMethod {
         Coupled::access(access, bodies).writes::<XpbdGroups>(EntitySet::Of(bodies.to_vec()))
     }
 
-    fn terms(&self) -> Option<Terms<'_>> {
+    fn terms(&self) -> Option<ContactParams<'_>> {
         let XpbdBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
-        Some(Terms { masses_inverse: self.of.solver.mobility(), stiffness, friction })
+        Some(ContactParams { masses_inverse: self.of.solver.mobility(), stiffness, friction })
     }
 
     fn is_cut_by_blades(&self) -> bool {
@@ -440,7 +440,7 @@ impl SoftMethod for XpbdMethod {
     fn reshape(
         &mut self,
         body: &mut Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         out: &mut Commands,
     ) -> Result<Option<Reshaped>, String> {
         if let Some(membrane) = &mut self.membrane {
@@ -485,7 +485,7 @@ impl SoftMethod for XpbdMethod {
     fn step(
         &mut self,
         body: &Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
         let step = Step { method: self, body, site: *site, forces: std::mem::take(forces), done: Ok(()) };
@@ -516,7 +516,7 @@ impl SoftMethod for XpbdMethod {
         }
     }
 
-    fn publish(&mut self, body: &Deformable, _site: &Site<'_>, out: &mut Commands) {
+    fn publish(&mut self, body: &Deformable, _site: &StepContext<'_>, out: &mut Commands) {
         if let Some(membrane) = &mut self.membrane {
             membrane.publish(body, out);
         }

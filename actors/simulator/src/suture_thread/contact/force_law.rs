@@ -19,7 +19,7 @@ pub(crate) enum Rule {
 
 /// What a place does.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Doing {
+pub(crate) enum ContactState {
     Contact(Law),
     /// It pushes with all that it may; across, it does as a contact would.
     Gives(Law),
@@ -30,7 +30,7 @@ pub(crate) enum Doing {
     Slides(f64, [f64; 2]),
 }
 
-impl Doing {
+impl ContactState {
     /// Whether the same rows hold here as there.
     pub fn is_like(&self, other: &Self) -> bool {
         match (self, other) {
@@ -96,17 +96,17 @@ impl Rule {
     }
 
     /// Force \[N\] of a place whose sides are `apart` \[m\] and which gives way by `yields` \[m/N\], and what it does.
-    pub fn of(&self, apart: [f64; 3], yields: [f64; 3]) -> ([f64; 3], Doing) {
+    pub fn of(&self, apart: [f64; 3], yields: [f64; 3]) -> ([f64; 3], ContactState) {
         match *self {
             Self::Contact { friction } => {
                 let (force, law) = Law::of(apart, friction, yields[0]);
-                (force, Doing::Contact(law))
+                (force, ContactState::Contact(law))
             }
             Self::Skin { friction, most } => {
                 let deepest = [apart[0].max(-most * yields[0]), apart[1], apart[2]];
                 let (force, law) = Law::of(deepest, friction, yields[0]);
                 let gives = apart[0] < deepest[0];
-                (force, if gives { Doing::Gives(law) } else { Doing::Contact(law) })
+                (force, if gives { ContactState::Gives(law) } else { ContactState::Contact(law) })
             }
             Self::Within { least, most } => {
                 let mut bounds = [Bound::Free; 3];
@@ -122,61 +122,61 @@ impl Rule {
                         wanted
                     }
                 });
-                (force, Doing::Within(bounds))
+                (force, ContactState::Within(bounds))
             }
             Self::Passes { base, friction } => {
                 let wanted: [f64; 3] = std::array::from_fn(|k| -apart[k] / yields[k]);
                 let across = wanted[1].hypot(wanted[2]);
                 let most = base + friction * across;
                 if wanted[0].abs() <= most {
-                    return (wanted, Doing::Stays);
+                    return (wanted, ContactState::Stays);
                 }
                 let unit = |k: usize| if across > 0.0 { wanted[k] / across } else { 0.0 };
                 let way = wanted[0].signum();
-                ([way * most, wanted[1], wanted[2]], Doing::Slides(way, [unit(1), unit(2)]))
+                ([way * most, wanted[1], wanted[2]], ContactState::Slides(way, [unit(1), unit(2)]))
             }
         }
     }
 
     /// What a place does that holds with `force` \[N\] and whose sides are `apart` \[m\].
-    pub fn begin(&self, force: [f64; 3], apart: [f64; 3], yields: [f64; 3]) -> Doing {
+    pub fn begin(&self, force: [f64; 3], apart: [f64; 3], yields: [f64; 3]) -> ContactState {
         match *self {
             Self::Contact { friction } | Self::Skin { friction, .. } => {
-                Doing::Contact(Law::begin(force, apart, friction, yields[0]))
+                ContactState::Contact(Law::begin(force, apart, friction, yields[0]))
             }
             Self::Within { .. } => self.of(std::array::from_fn(|k| -force[k] * yields[k]), yields).1,
             Self::Passes { base, friction } => {
                 let across = force[1].hypot(force[2]);
                 let most = base + friction * across;
                 if force[0].abs() < most * (1.0 - 1e-9) || force[0] == 0.0 {
-                    Doing::Stays
+                    ContactState::Stays
                 } else {
                     let unit = |k: usize| if across > 0.0 { force[k] / across } else { 0.0 };
-                    Doing::Slides(force[0].signum(), [unit(1), unit(2)])
+                    ContactState::Slides(force[0].signum(), [unit(1), unit(2)])
                 }
             }
         }
     }
 
     /// What a place is taken to do next that was taken to do `before` and would do `found`: see [`Law::next`].
-    pub fn next(&self, before: Doing, found: Doing) -> Doing {
+    pub fn next(&self, before: ContactState, found: ContactState) -> ContactState {
         match (*self, before, found) {
-            (Self::Contact { friction }, Doing::Contact(before), Doing::Contact(found)) => {
-                Doing::Contact(before.next(found, friction))
+            (Self::Contact { friction }, ContactState::Contact(before), ContactState::Contact(found)) => {
+                ContactState::Contact(before.next(found, friction))
             }
-            (Self::Skin { friction, .. }, Doing::Gives(before), Doing::Gives(found)) => {
-                Doing::Gives(before.next(found, friction))
+            (Self::Skin { friction, .. }, ContactState::Gives(before), ContactState::Gives(found)) => {
+                ContactState::Gives(before.next(found, friction))
             }
-            (Self::Skin { friction, .. }, Doing::Contact(before), Doing::Contact(found)) => {
-                Doing::Contact(before.next(found, friction))
+            (Self::Skin { friction, .. }, ContactState::Contact(before), ContactState::Contact(found)) => {
+                ContactState::Contact(before.next(found, friction))
             }
-            (Self::Passes { .. }, Doing::Slides(before, _), Doing::Slides(way, _)) if before * way < 0.0 => {
-                Doing::Stays
+            (Self::Passes { .. }, ContactState::Slides(before, _), ContactState::Slides(way, _)) if before * way < 0.0 => {
+                ContactState::Stays
             }
             // From one bound to the other it comes by where it holds.
-            (Self::Within { .. }, Doing::Within(before), Doing::Within(found)) => {
+            (Self::Within { .. }, ContactState::Within(before), ContactState::Within(found)) => {
                 let far = |k: usize| before[k] != Bound::Free && found[k] != before[k];
-                Doing::Within(std::array::from_fn(|k| if far(k) { Bound::Free } else { found[k] }))
+                ContactState::Within(std::array::from_fn(|k| if far(k) { Bound::Free } else { found[k] }))
             }
             _ => found,
         }
@@ -186,14 +186,14 @@ impl Rule {
     /// known.
     pub fn linearise(
         &self,
-        doing: Doing,
+        doing: ContactState,
         yields: [f64; 3],
         softness: f64,
         mut equation: impl FnMut(Equation),
     ) -> [f64; 3] {
         let more = yields.map(|yields| (softness - 1.0) * yields);
         match (*self, doing) {
-            (Self::Contact { friction } | Self::Skin { friction, .. }, Doing::Contact(law)) => match law {
+            (Self::Contact { friction } | Self::Skin { friction, .. }, ContactState::Contact(law)) => match law {
                 Law::Open => {}
                 Law::Sticks => {
                     for unit in UNIT {
@@ -211,7 +211,7 @@ impl Rule {
                     }
                 }
             },
-            (Self::Skin { friction, most }, Doing::Gives(law)) => {
+            (Self::Skin { friction, most }, ContactState::Gives(law)) => {
                 let Law::Slides { along: [x, y], share } = law else {
                     for unit in [UNIT[1], UNIT[2]] {
                         equation(Equation { force: unit, along: unit, yields: more[0] });
@@ -225,7 +225,7 @@ impl Rule {
                 }
                 return [most, -friction * most * x, -friction * most * y];
             }
-            (Self::Within { least, most }, Doing::Within(bounds)) => {
+            (Self::Within { least, most }, ContactState::Within(bounds)) => {
                 let mut known = [0.0; 3];
                 for k in 0..3 {
                     match bounds[k] {
@@ -236,7 +236,7 @@ impl Rule {
                 }
                 return known;
             }
-            (Self::Passes { base, friction }, Doing::Slides(way, across)) => {
+            (Self::Passes { base, friction }, ContactState::Slides(way, across)) => {
                 for k in 1..3 {
                     let mut force = UNIT[k];
                     force[0] = way * friction * across[k - 1];
@@ -327,8 +327,8 @@ mod tests {
                 let again = rule.confined(force);
                 assert!((0..3).all(|k| (again[k] - force[k]).abs() < 1e-12), "{rule:?}: {force:?}");
                 let began = rule.begin(force, apart, yields);
-                let touches = !matches!(doing, Doing::Contact(Law::Open));
-                assert!(!touches || !matches!(began, Doing::Contact(Law::Open)), "{rule:?} {doing:?}");
+                let touches = !matches!(doing, ContactState::Contact(Law::Open));
+                assert!(!touches || !matches!(began, ContactState::Contact(Law::Open)), "{rule:?} {doing:?}");
             }
         }
     }
@@ -337,13 +337,13 @@ mod tests {
     fn from_one_bound_to_the_other_a_place_holds_in_between() {
         let rule = RULES[2];
         let [least, most] =
-            [Bound::Least, Bound::Most].map(|bound| Doing::Within([bound, Bound::Free, bound]));
-        assert_eq!(rule.next(least, most), Doing::Within([Bound::Free; 3]));
+            [Bound::Least, Bound::Most].map(|bound| ContactState::Within([bound, Bound::Free, bound]));
+        assert_eq!(rule.next(least, most), ContactState::Within([Bound::Free; 3]));
         assert!(least.is_like(&least) && !least.is_like(&most));
-        let once = Doing::Within([Bound::Most, Bound::Free, Bound::Least]);
+        let once = ContactState::Within([Bound::Most, Bound::Free, Bound::Least]);
         assert_eq!(least.exchanged(&most), once);
-        let slides = |way: f64| Doing::Slides(way, [1.0, 0.0]);
-        assert_eq!(RULES[4].next(slides(1.0), slides(-1.0)), Doing::Stays);
-        assert!(slides(1.0).is_like(&Doing::Slides(1.0, [0.0, 1.0])));
+        let slides = |way: f64| ContactState::Slides(way, [1.0, 0.0]);
+        assert_eq!(RULES[4].next(slides(1.0), slides(-1.0)), ContactState::Stays);
+        assert!(slides(1.0).is_like(&ContactState::Slides(1.0, [0.0, 1.0])));
     }
 }

@@ -1,7 +1,7 @@
 //! Forces of many places that act on each other through the bodies that they are between: Newton's method on the rules of
 //! places that give way (Alart, Curnier 1991, for Coulomb's), on the assembled compliance.
 
-use super::force_law::{Doing, Equation, Rule};
+use super::force_law::{ContactState, Equation, Rule};
 use crate::simd::dispatch::wide;
 
 /// Newton steps from where the forces of the last time are, at most.
@@ -37,7 +37,7 @@ pub(crate) struct Complementarity {
     /// `C` of each place \[m/N\].
     pub yields: Vec<[f64; 3]>,
     offset: Vec<f64>,
-    doing: Vec<Doing>,
+    doing: Vec<ContactState>,
     unknowns: Vec<Unknown>,
     known: Vec<f64>,
     /// The forces that were nearest to the law.

@@ -59,7 +59,7 @@ pub(crate) enum Link {
 
 /// How companions give way at all links together: three rows of each.
 #[derive(Debug)]
-pub(crate) struct Giving<'a> {
+pub(crate) struct ComplianceRows<'a> {
     /// Of each row, how far the surface was displaced before \[m\]: along the normal since it was at rest until the step
     /// began, across it since then until this part began. Of ties 0.
     pub base: &'a mut [f64],
@@ -103,7 +103,7 @@ pub(crate) trait Companion {
     }
 
     /// How it gives way.
-    fn join(&mut self, links: &[Link], giving: Giving<'_>) -> Result<(), Trouble>;
+    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble>;
 
     /// Moves by the forces of all links, which are on the rod \[N\]; how far anything moved \[m\].
     fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble>;
@@ -120,7 +120,7 @@ impl Companion for Alone {
         None
     }
 
-    fn join(&mut self, _links: &[Link], _giving: Giving<'_>) -> Result<(), Trouble> {
+    fn join(&mut self, _links: &[Link], _giving: ComplianceRows<'_>) -> Result<(), Trouble> {
         Ok(())
     }
 

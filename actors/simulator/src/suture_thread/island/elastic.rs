@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::primitive::{closest_on_triangle, closest_segments};
 
-use super::coupled_body::{Companion, Giving, Link};
+use super::coupled_body::{Companion, ComplianceRows, Link};
 use super::{Active, Failure, Island};
 use crate::suture_thread::contact::{Rows, Side, tangents};
 use crate::suture_thread::elastic::{ElasticBody, Press, SurfacePlace};
@@ -177,7 +177,7 @@ impl Island {
             list.clear();
             list.resize(length, 0.0);
         }
-        companion.join(links, Giving { base, compliance }).map_err(|why| Failure { node: 0, why })
+        companion.join(links, ComplianceRows { base, compliance }).map_err(|why| Failure { node: 0, why })
     }
 
     /// Adds how companions give way to the problem's compliance.
@@ -243,7 +243,7 @@ impl Companion for TiedAround<'_> {
 
     /// Gaps were measured to the surface as it was when the step began; how far the thread has slid is counted from the
     /// beginning of the part.
-    fn join(&mut self, links: &[Link], giving: Giving<'_>) -> Result<(), Trouble> {
+    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
         let rows = 3 * links.len();
         let on_surface = |link: &Link| match link {
             Link::Surface(place, directions) => Some((*place, directions.map(|of| self.in_body(&of)))),
