@@ -15,7 +15,7 @@ use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
 use trocar_simulator::mass_spring::{
     self, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
 };
-use trocar_simulator::suture::{StepInputs, Resistance};
+use trocar_simulator::suture::{Resistance, StepInputs};
 use trocar_simulator::suture_thread::{self, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 use trocar_simulator::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput};
 
@@ -138,7 +138,9 @@ fn a_needle_in_tissue_steps_without_allocating() {
         let to = at(depth);
         let grip = jaws(&shape, 0.5 * shape.length(), from, to);
         from = to;
-        suture.step(1e-3, &StepInputs { grips: &[grip], gravity: GRAVITY, ..StepInputs::default() }).expect("a step");
+        suture
+            .step(1e-3, &StepInputs { grips: &[grip], gravity: GRAVITY, ..StepInputs::default() })
+            .expect("a step");
         suture.state().channel.len()
     };
     let mut inside = 0;

@@ -11,7 +11,9 @@ use stage::{Stage, scene_with};
 use trocar_collision::controller::{ObbTreeConfig, ObbTreeController};
 use trocar_dynamics::rigid_bodies::RigidBodiesController;
 use trocar_dynamics::rigid_world::Inertia;
-use trocar_dynamics::soft_body::contact::{ContactSums, RigidContacts, SoftContacts, ImpulseTotals, AppliedTotals};
+use trocar_dynamics::soft_body::contact::{
+    AppliedTotals, ContactSums, ImpulseTotals, RigidContacts, SoftContacts,
+};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, Frozen, Measured, Pose, Snapshot, Store,
     Tick, Velocity, VertexPositions, VertexVelocities,

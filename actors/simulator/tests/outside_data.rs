@@ -8,7 +8,7 @@ use std::sync::Arc;
 use nalgebra::{Point3, Vector3};
 use stage::{Stage, scene};
 use trocar_dynamics::picking::{Held, Pick, Picks};
-use trocar_dynamics::soft_body::contact::{ContactSums, PersistentContact, SoftContacts, Feature};
+use trocar_dynamics::soft_body::contact::{ContactSums, Feature, PersistentContact, SoftContacts};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::{

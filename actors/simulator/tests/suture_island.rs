@@ -8,7 +8,7 @@ use suture_support::*;
 use trocar_dynamics::tet_mesh::TetMesh;
 use trocar_simulator::suture::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{
-    StepInputs, Bite, ChannelPoint, Event, Place, Resistance, Suture, SutureReport, SutureState, Tip, Tissue,
+    Bite, ChannelPoint, Event, Place, Resistance, StepInputs, Suture, SutureReport, SutureState, Tip, Tissue,
 };
 use trocar_simulator::suture_thread::{CutAt, Load, ThreadMaterial, ThreadState};
 
@@ -362,7 +362,10 @@ fn what_makes_no_sense_is_refused_and_changes_nothing() {
         let loads = [Load { node: 1, force: Vector3::new(force, 0.0, 0.0) }];
         assert!(suture.step(DT, &StepInputs { loads: &loads, ..StepInputs::default() }).is_err());
     }
-    assert!(suture.step(0.0, &StepInputs::default()).is_err() && suture.step(0.1, &StepInputs::default()).is_err());
+    assert!(
+        suture.step(0.0, &StepInputs::default()).is_err()
+            && suture.step(0.1, &StepInputs::default()).is_err()
+    );
     let loads = [Load { node: 5000, force: Vector3::zeros() }];
     assert!(suture.step(DT, &StepInputs { loads: &loads, ..StepInputs::default() }).is_err());
     // So hard that no step is found: all is as it was.

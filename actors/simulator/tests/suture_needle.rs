@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use suture_support::*;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
 use trocar_simulator::suture::needle::NeedleShape;
-use trocar_simulator::suture::{StepInputs, Event, Resistance, Suture, SutureReport, Tip};
+use trocar_simulator::suture::{Event, Resistance, StepInputs, Suture, SutureReport, Tip};
 
 const DT: f64 = 1e-3;
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);

@@ -7,7 +7,7 @@ use nalgebra::{Point3, Vector3};
 use suture_support::{jaws, nowhere, pose, straight};
 use trocar_collision::primitive::closest_segments;
 use trocar_simulator::suture::needle::NeedleState;
-use trocar_simulator::suture::{StepInputs, Resistance, Suture, SutureState};
+use trocar_simulator::suture::{Resistance, StepInputs, Suture, SutureState};
 use trocar_simulator::suture_thread::{Hold, ThreadMaterial, ThreadState};
 
 const DT: f64 = 5e-4;

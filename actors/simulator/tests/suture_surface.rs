@@ -5,7 +5,7 @@ mod suture_support;
 use nalgebra::{Point3, Vector3};
 use suture_support::*;
 use trocar_simulator::suture::needle::NeedleShape;
-use trocar_simulator::suture::{StepInputs, Resistance, Suture, Tissue};
+use trocar_simulator::suture::{Resistance, StepInputs, Suture, Tissue};
 use trocar_simulator::suture_thread::{Hold, Load, ThreadMaterial};
 
 const DT: f64 = 1e-3;

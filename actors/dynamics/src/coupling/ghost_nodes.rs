@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::external_nodes::{ExternalNodes, GhostNode, GhostMoved, Path};
+use super::external_nodes::{ExternalNodes, GhostMoved, GhostNode, Path};
 
 /// Steps that are remembered at most.
 const PAST_MAX: usize = 512;

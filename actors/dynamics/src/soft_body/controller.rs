@@ -20,13 +20,13 @@ use super::contact::SoftContacts;
 use super::contact::penalty::{self, RespondingBody};
 use super::contact::tracking::{self, Shape, Surroundings};
 use super::coupling::slow_side::Answering;
-use super::frozen::{Refused, FrozenPart};
+use super::frozen::{FrozenPart, Refused};
 use super::grasp::{Grips, Holder};
 use super::instrument_rods::{Rod, rods_of_all};
 use super::jaws::is_blade;
-use super::method::{Measures, StepContext, Step, finite_vertices};
+use super::method::{Measures, Step, StepContext, finite_vertices};
 use super::rod_contact::{COLLISIONS_MAX, Touch, collision, touches};
-use crate::picking::{Jaws, DrivenVertex, Pick};
+use crate::picking::{DrivenVertex, Jaws, Pick};
 
 struct Body<M> {
     body: Deformable,
@@ -332,7 +332,12 @@ impl<M: SoftMethod> Body<M> {
     }
 
     /// Lets jaws take and let go, and says where they have what they hold.
-    fn hold(&mut self, site: &StepContext<'_>, touched: &[Touch], out: &mut Commands) -> Result<Vec<DrivenVertex>, String> {
+    fn hold(
+        &mut self,
+        site: &StepContext<'_>,
+        touched: &[Touch],
+        out: &mut Commands,
+    ) -> Result<Vec<DrivenVertex>, String> {
         let parts = self.body.holdable();
         if parts.is_empty() {
             return Ok(Vec::new());

@@ -117,7 +117,14 @@ pub trait SoftMethod: Send + Sized + 'static {
 
     /// What is to be expected of the next step, after one; `active` are the vertices that others give something or
     /// soon will.
-    fn look_ahead(&mut self, _body: &Deformable, _site: &StepContext<'_>, _active: &[u32], _outlook: &mut Outlook) {}
+    fn look_ahead(
+        &mut self,
+        _body: &Deformable,
+        _site: &StepContext<'_>,
+        _active: &[u32],
+        _outlook: &mut Outlook,
+    ) {
+    }
 
     /// What the body exerts now on whoever holds these vertices \[N\]; ascending.
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64>;

@@ -15,7 +15,7 @@ use trocar_scene::{Entity, Motion, Pose, RigidBody, SimTime, Velocity};
 use super::bodies::{Body, Solid, Trail, state_of};
 use super::detected_contact::Found;
 use super::instrument::Tool;
-use super::narrow_phase::{WorldView, Key, Meetings};
+use super::narrow_phase::{Key, Meetings, WorldView};
 use super::{RigidSettings, grasp_detection};
 use crate::rigid::{
     Arm, ContactImpulse, Joint, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError,

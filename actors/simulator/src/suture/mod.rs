@@ -61,7 +61,7 @@ use crate::suture_thread::{
     ThreadMaterial, ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
 };
 use needle::{NeedleShape, Solid};
-use needle_tissue::{Workspace, Sewing};
+use needle_tissue::{Sewing, Workspace};
 
 /// A step is divided into this many parts at most.
 const PARTS_MAX: u32 = 256;

@@ -440,7 +440,8 @@ impl Companion for Sewing<'_> {
     }
 
     fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble> {
-        let Workspace { joints, directions, spots, needle, mobility, left, forces: kept, .. } = &mut *self.room;
+        let Workspace { joints, directions, spots, needle, mobility, left, forces: kept, .. } =
+            &mut *self.room;
         let mut load = *left;
         kept.clear();
         kept.resize(joints.len(), [0.0; 3]);

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
-use trocar_dynamics::coupling::external_nodes::{GhostNode, GhostMoved};
+use trocar_dynamics::coupling::external_nodes::{GhostMoved, GhostNode};
 
 use super::Trouble;
 use super::elastic::SurfacePlace;

@@ -24,7 +24,7 @@ pub use remesh::SplitTets;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostImpulses, ExternalNodesState};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, ExternalNodesState, GhostImpulses};
 use trocar_dynamics::faulty::Faulty;
 use trocar_dynamics::particles::{State, StepError};
 

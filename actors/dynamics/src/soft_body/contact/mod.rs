@@ -5,5 +5,5 @@ pub(crate) mod penalty;
 pub(crate) mod rigid;
 pub(crate) mod tracking;
 
-pub use rigid::{RigidContacts, ImpulseTotals, AppliedTotals};
-pub use tracking::{ContactSums, PersistentContact, SoftContacts, Feature};
+pub use rigid::{AppliedTotals, ImpulseTotals, RigidContacts};
+pub use tracking::{ContactSums, Feature, PersistentContact, SoftContacts};

@@ -17,7 +17,7 @@ use trocar_scene::{Entity, SimTime, Snapshot};
 
 use super::ImpulseTotals;
 use super::bodies::{AppliedImpulses, ContactTarget, Mover};
-use super::tracking::{FOUND_MAX, ContactPair, Shape, Surroundings, answers, rows};
+use super::tracking::{ContactPair, FOUND_MAX, Shape, Surroundings, answers, rows};
 use super::{ContactSums, PersistentContact, SoftContacts};
 use crate::picking::DrivenVertex;
 use crate::soft_body::method::ContactParams;
@@ -326,7 +326,12 @@ fn give(own: &mut [RespondingBody<'_>], rows: &[Row], pushed: &[(Entity, bool)],
 
 impl Row {
     /// `None` where neither side gives way.
-    fn new(met: ContactPair, sides: [Option<usize>; 2], movers: &mut [Mover<'_>], period: f64) -> Option<Self> {
+    fn new(
+        met: ContactPair,
+        sides: [Option<usize>; 2],
+        movers: &mut [Mover<'_>],
+        period: f64,
+    ) -> Option<Self> {
         let handles = [0, 1].map(|side| {
             let mover = sides[side]?;
             Some(movers[mover].hold(mover, &met.places[side], &met.places[0].at_in_world))

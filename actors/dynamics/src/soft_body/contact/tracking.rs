@@ -25,7 +25,7 @@ use trocar_scene::{
     VertexVelocities,
 };
 
-use super::{RigidContacts, ImpulseTotals};
+use super::{ImpulseTotals, RigidContacts};
 use crate::tet_mesh::Stars;
 
 /// Contacts of a body that are answered at a time.
@@ -365,13 +365,18 @@ impl PersistentContact {
     }
 
     /// Where it is now; a followed one follows. `None` when it is no longer there.
-    pub(crate) fn meet(&mut self, shapes: [&Shape<'_>; 2], stars: [Option<&Stars>; 2]) -> Option<ContactPair> {
+    pub(crate) fn meet(
+        &mut self,
+        shapes: [&Shape<'_>; 2],
+        stars: [Option<&Stars>; 2],
+    ) -> Option<ContactPair> {
         let (vertex, face) = match self.spots {
             [Feature::Vertex(_), Feature::Triangle(_)] => (0, 1),
             [Feature::Triangle(_), Feature::Vertex(_)] => (1, 0),
             _ => return self.meet_fixed(shapes),
         };
-        let (Feature::Vertex(number), Feature::Triangle(triangle)) = (self.spots[vertex], self.spots[face]) else {
+        let (Feature::Vertex(number), Feature::Triangle(triangle)) = (self.spots[vertex], self.spots[face])
+        else {
             return None;
         };
         let point = shapes[vertex].vertex(number)?;

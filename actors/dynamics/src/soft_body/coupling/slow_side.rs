@@ -101,7 +101,13 @@ impl Answering {
     }
 
     /// Tells what the step was and what was seen ahead. Velocities are those after it \[m/s\].
-    pub fn tell(&mut self, site: &StepContext<'_>, stays: &[bool], velocities: &[Vector3<f64>], out: &mut Commands) {
+    pub fn tell(
+        &mut self,
+        site: &StepContext<'_>,
+        stays: &[bool],
+        velocities: &[Vector3<f64>],
+        out: &mut Commands,
+    ) {
         let Outlook { expected, yielding, masses } = &self.outlook;
         for index in 0..self.told.from.len() {
             let Some(giver) = self.told.from[index].body else { continue };

@@ -6,7 +6,9 @@ use std::sync::Arc;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::Surface;
-use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostImpulses, GhostNode, GhostMoved, Press, Tie};
+use trocar_dynamics::coupling::external_nodes::{
+    ExternalNodes, GhostImpulses, GhostMoved, GhostNode, Press, Tie,
+};
 use trocar_dynamics::coupling::{Lying, LyingRule, News};
 use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;

@@ -195,7 +195,11 @@ impl Parting {
     ///
     /// # Errors
     /// What is wrong with its mesh.
-    pub fn new(body: &mut Deformable, weakness: FailureCriteria, scene: &Snapshot) -> Result<Option<Self>, String> {
+    pub fn new(
+        body: &mut Deformable,
+        weakness: FailureCriteria,
+        scene: &Snapshot,
+    ) -> Result<Option<Self>, String> {
         let known = scene.get::<VolumeCuts>(body.entity).cloned();
         let burns = scene.get::<CauterisedBody>(body.entity);
         if burns.is_some_and(|burns| burns.thickness.is_some()) {

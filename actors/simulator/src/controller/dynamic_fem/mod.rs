@@ -11,14 +11,14 @@ use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::SoftController;
 use trocar_dynamics::soft_body::SoftMethod;
 use trocar_dynamics::soft_body::instrument_rods::Rod;
-use trocar_dynamics::soft_body::method::{Measures, Outlook, Reshaped, StepContext, ContactParams};
+use trocar_dynamics::soft_body::method::{ContactParams, Measures, Outlook, Reshaped, StepContext};
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Doubtful, Entity, EntitySet, Snapshot, SoftAbilities,
 };
 
-use super::cutting::volume::{Elements, Parting, Split, FailureCriteria};
+use super::cutting::volume::{Elements, FailureCriteria, Parting, Split};
 use super::thermal_damage::{Coagulated, Heated};
 use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Report};
 use factor_job::{Built, Former};
@@ -317,7 +317,13 @@ impl SoftMethod for DynamicFemMethod {
         Ok(())
     }
 
-    fn look_ahead(&mut self, _body: &Deformable, site: &StepContext<'_>, active: &[u32], outlook: &mut Outlook) {
+    fn look_ahead(
+        &mut self,
+        _body: &Deformable,
+        site: &StepContext<'_>,
+        active: &[u32],
+        outlook: &mut Outlook,
+    ) {
         let (solver, dt) = (&mut self.of.solver, site.period_secs());
         solver.expected(dt, &inputs(&self.contacts, &self.prescribed, site), &mut outlook.expected);
         outlook.yielding = solver.yielding(dt, active);
@@ -380,7 +386,11 @@ fn mobility(solver: &DynamicFem, body: &Deformable) -> Vec<f64> {
 /// Steps every body that carries [`DynamicFemBody`].
 pub type DynamicFemController = SoftController<DynamicFemMethod>;
 
-fn inputs<'a>(contacts: &'a [Contact], prescribed: &'a [(u32, Point3<f64>)], site: &StepContext<'a>) -> Inputs<'a> {
+fn inputs<'a>(
+    contacts: &'a [Contact],
+    prescribed: &'a [(u32, Point3<f64>)],
+    site: &StepContext<'a>,
+) -> Inputs<'a> {
     Inputs { acceleration: site.gravity, contacts, prescribed, forces: site.forces, ..Inputs::default() }
 }
 

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::frozen::{Refused, FrozenPart, freeze};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused, freeze};
 use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::mesh::TetData;
 use trocar_scene::soft_body::one_of;

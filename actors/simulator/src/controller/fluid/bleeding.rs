@@ -6,7 +6,7 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_dynamics::soft_body::frozen::{Refused, FrozenPart, freeze};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused, freeze};
 use trocar_dynamics::soft_body::jaws::holds;
 use trocar_scene::{
     Access, BuildContext, Commands, Component, ComponentError, Controller, ControllerError, Entity,

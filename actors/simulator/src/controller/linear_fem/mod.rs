@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::PinnedBody;
-use trocar_dynamics::soft_body::frozen::{Refused, FrozenPart};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
 use trocar_dynamics::soft_body::jaws::is_blade;
@@ -37,7 +37,7 @@ use trocar_scene::{
     Primitive, SimTime, Snapshot, SoftAbilities, Tick, Velocity,
 };
 
-use super::cutting::volume::{Parting, FailureCriteria};
+use super::cutting::volume::{FailureCriteria, Parting};
 use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
 use blend::Fading;
 use contacts::{Answer, By, Contacts};

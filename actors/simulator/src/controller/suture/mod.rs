@@ -10,7 +10,7 @@ pub(crate) mod session;
 
 use nalgebra::Vector3;
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::frozen::{Refused, FrozenPart};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused};
 use trocar_scene::components::LineMesh;
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Doubtful, Entity, EntitySet,

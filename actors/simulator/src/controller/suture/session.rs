@@ -23,7 +23,7 @@ use crate::controller::suture_thread::remesh::{EDGES_EVERY, fineness, follow, he
 use crate::controller::suture_thread::saved_state::Met;
 use crate::linear_fem::Deformation;
 use crate::suture::needle::NeedleState;
-use crate::suture::{StepInputs, Grip, Suture, SutureReport, SutureState, Tissue};
+use crate::suture::{Grip, StepInputs, Suture, SutureReport, SutureState, Tissue};
 use crate::suture_thread::{Obstacle, Reaction, ThreadState};
 
 /// Longest step of the island \[s\].

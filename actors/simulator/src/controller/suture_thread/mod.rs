@@ -24,7 +24,7 @@ use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::frozen::{Refused, FrozenPart};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused};
 use trocar_dynamics::soft_body::method::finite_vertices;
 use trocar_dynamics::soft_body::rod_contact::COLLISIONS_MAX;
 use trocar_scene::components::LineMesh;

@@ -1,7 +1,9 @@
 //! Bodies of positions that have grown onto each other are stepped as one problem.
 
 use nalgebra::Vector3;
-use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostImpulses, ExternalNodesState, GhostNode, Press, Tie};
+use trocar_dynamics::coupling::external_nodes::{
+    ExternalNodes, ExternalNodesState, GhostImpulses, GhostNode, Press, Tie,
+};
 use trocar_dynamics::particles::StepError;
 use trocar_dynamics::soft_body::method::Step;
 
@@ -139,7 +141,8 @@ fn step_all(
         .map(|step| {
             let XpbdMethod { of, contacts, prescribed, forces, .. } = &mut *step.method;
             let gravity: Vector3<f64> = step.site.gravity;
-            let input = XpbdInput { gravity, forces, contacts, prescribed, company: ExternalNodes::default() };
+            let input =
+                XpbdInput { gravity, forces, contacts, prescribed, company: ExternalNodes::default() };
             Member { body: &mut of.solver, input }
         })
         .collect();

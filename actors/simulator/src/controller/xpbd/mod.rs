@@ -17,7 +17,7 @@ use trocar_dynamics::particles::State;
 use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::SoftController;
 use trocar_dynamics::soft_body::SoftMethod;
-use trocar_dynamics::soft_body::method::{Measures, Reshaped, StepContext, Step, ContactParams};
+use trocar_dynamics::soft_body::method::{ContactParams, Measures, Reshaped, Step, StepContext};
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, LineMesh, Snapshot, SoftAbilities,
@@ -26,7 +26,7 @@ use trocar_scene::{
 use super::coupling::fast_side::Coupled;
 use super::cutting::line::{LineCuts, LineWeakness};
 use super::cutting::membrane::{Membrane, MembraneWeakness, Parted};
-use super::cutting::volume::{Elements, Parting, Split, FailureCriteria};
+use super::cutting::volume::{Elements, FailureCriteria, Parting, Split};
 use super::thermal_damage::Coagulated;
 use crate::mass_spring::{
     Contact, LineMaterial, Network, NetworkError, NodeForce, Prescribed, SurfaceMaterial,

@@ -170,7 +170,9 @@ impl Rule {
             (Self::Skin { friction, .. }, ContactState::Contact(before), ContactState::Contact(found)) => {
                 ContactState::Contact(before.next(found, friction))
             }
-            (Self::Passes { .. }, ContactState::Slides(before, _), ContactState::Slides(way, _)) if before * way < 0.0 => {
+            (Self::Passes { .. }, ContactState::Slides(before, _), ContactState::Slides(way, _))
+                if before * way < 0.0 =>
+            {
                 ContactState::Stays
             }
             // From one bound to the other it comes by where it holds.
@@ -193,24 +195,26 @@ impl Rule {
     ) -> [f64; 3] {
         let more = yields.map(|yields| (softness - 1.0) * yields);
         match (*self, doing) {
-            (Self::Contact { friction } | Self::Skin { friction, .. }, ContactState::Contact(law)) => match law {
-                Law::Open => {}
-                Law::Sticks => {
-                    for unit in UNIT {
-                        equation(Equation { force: unit, along: unit, yields: more[0] });
+            (Self::Contact { friction } | Self::Skin { friction, .. }, ContactState::Contact(law)) => {
+                match law {
+                    Law::Open => {}
+                    Law::Sticks => {
+                        for unit in UNIT {
+                            equation(Equation { force: unit, along: unit, yields: more[0] });
+                        }
+                    }
+                    Law::Slides { along: [x, y], share } => {
+                        let force = [1.0, -friction * x, -friction * y];
+                        equation(Equation { force, along: UNIT[0], yields: more[0] });
+                        // Across its slide a place is held the more the less it slides.
+                        if friction > 0.0 && share > 1e-9 {
+                            let across = [0.0, -y, x];
+                            let yields = (softness / share - 1.0) * yields[0];
+                            equation(Equation { force: across, along: across, yields });
+                        }
                     }
                 }
-                Law::Slides { along: [x, y], share } => {
-                    let force = [1.0, -friction * x, -friction * y];
-                    equation(Equation { force, along: UNIT[0], yields: more[0] });
-                    // Across its slide a place is held the more the less it slides.
-                    if friction > 0.0 && share > 1e-9 {
-                        let across = [0.0, -y, x];
-                        let yields = (softness / share - 1.0) * yields[0];
-                        equation(Equation { force: across, along: across, yields });
-                    }
-                }
-            },
+            }
             (Self::Skin { friction, most }, ContactState::Gives(law)) => {
                 let Law::Slides { along: [x, y], share } = law else {
                     for unit in [UNIT[1], UNIT[2]] {

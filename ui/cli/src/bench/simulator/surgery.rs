@@ -12,7 +12,7 @@ use trocar_simulator::cutting::Sheet;
 use trocar_simulator::fluid::smoke::{Smoke, SmokeConfig};
 use trocar_simulator::mass_spring::{Integrator, Patch, TooLarge};
 use trocar_simulator::suture::needle::{NeedleShape, NeedleState};
-use trocar_simulator::suture::{StepInputs, Grip, Resistance, Suture, SutureState, Tissue};
+use trocar_simulator::suture::{Grip, Resistance, StepInputs, Suture, SutureState, Tissue};
 use trocar_simulator::suture_thread::{ThreadMaterial, ThreadState};
 use trocar_simulator::xpbd::{Body, Xpbd, XpbdConfig, XpbdInput};
 
