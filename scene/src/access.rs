@@ -43,6 +43,12 @@ impl Access {
         self.reads.push(T::NAME);
         self
     }
+    /// Also reads the components of these names.
+    #[must_use]
+    pub fn reads_named(mut self, names: impl IntoIterator<Item = &'static str>) -> Self {
+        self.reads.extend(names);
+        self
+    }
     /// Also writes `T` on these entities.
     #[must_use]
     pub fn writes<T: Component>(mut self, on: EntitySet) -> Self {

@@ -5,6 +5,7 @@ use serde::de::DeserializeOwned;
 use thiserror::Error;
 
 use crate::finite;
+use crate::soft_body::SoftAbilities;
 
 /// How the recorder treats a component.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,6 +25,10 @@ pub trait Component: Clone + Send + Sync + Serialize + DeserializeOwned + 'stati
     const NAME: &'static str;
     /// Whether changes are recorded.
     const RECORD: RecordPolicy = RecordPolicy::Full;
+    /// What a soft body can do that carries it, if it is the component by which a method moves bodies.
+    const SOFT_BODY: Option<SoftAbilities> = None;
+    /// The names of bodies of other controllers to which a body that carries it gives impulses, if it is what says so.
+    const PARTNERS: Option<fn(&Self) -> Vec<&str>> = None;
 
     /// Refuses values that must never reach a snapshot. The default walks the value and refuses numbers
     /// that are not finite; an override should call [`finite::check`] as well.

@@ -12,6 +12,7 @@ use crate::column::{Column, ErasedColumn};
 use crate::commands::{Commands, ErasedPuts, Puts};
 use crate::component::{Component, ComponentError, RecordPolicy};
 use crate::entity::Entity;
+use crate::soft_body::SoftAbilities;
 
 /// Index of a component in its registry; ordered by NAME, so never by order of registration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -27,6 +28,9 @@ type PutDocument = fn(
 /// Decodes a value from the front of some bytes and returns the rest.
 type PutPostcard = for<'a> fn(&mut Commands, Entity, &'a [u8]) -> Result<&'a [u8], ComponentError>;
 
+/// The entities that name a body as one to which they give impulses.
+type NamedBy = fn(&dyn ErasedColumn, &str) -> Vec<Entity>;
+
 /// What the registry knows of one component.
 #[derive(Clone)]
 pub struct ComponentEntry {
@@ -38,6 +42,9 @@ pub struct ComponentEntry {
     pub record: RecordPolicy,
     /// JSON schema of the value in a scenario file, when it may stand there.
     pub schema: fn() -> Option<serde_json::Value>,
+    /// What a soft body can do that carries it.
+    pub soft_body: Option<SoftAbilities>,
+    named_by: Option<NamedBy>,
     type_id: TypeId,
     type_name: &'static str,
     pub(crate) new_column: fn() -> Arc<dyn ErasedColumn>,
@@ -150,6 +157,8 @@ impl RegistryBuilder {
                 key,
                 record: T::RECORD,
                 schema: T::schema,
+                soft_body: T::SOFT_BODY,
+                named_by: T::PARTNERS.is_some().then_some(named_by::<T> as NamedBy),
                 type_id,
                 type_name: std::any::type_name::<T>(),
                 new_column: || Arc::new(Column::<T>::default()),
@@ -194,8 +203,17 @@ impl RegistryBuilder {
             entries.iter().enumerate().map(|(id, entry)| (entry.type_id, ComponentId(id as u16))).collect();
         let by_key =
             entries.iter().enumerate().map(|(id, entry)| (entry.key, ComponentId(id as u16))).collect();
-        Arc::new(Registry { entries, by_type, by_key })
+        let soft_bodies =
+            (0..).zip(&entries).filter_map(|(id, entry)| Some((ComponentId(id), entry.soft_body?)));
+        let soft_bodies = soft_bodies.collect();
+        Arc::new(Registry { entries, by_type, by_key, soft_bodies })
     }
+}
+
+fn named_by<T: Component>(column: &dyn ErasedColumn, name: &str) -> Vec<Entity> {
+    let column = column.as_any().downcast_ref::<Column<T>>();
+    let Some((column, partners)) = column.zip(T::PARTNERS) else { return Vec::new() };
+    column.iter().filter(|(_, value)| partners(value).contains(&name)).map(|(entity, _)| entity).collect()
 }
 
 fn malformed(message: &str) -> ComponentError {
@@ -207,6 +225,7 @@ pub struct Registry {
     entries: Vec<ComponentEntry>,
     by_type: HashMap<TypeId, ComponentId, BuildHasherDefault<TypeIdHasher>>,
     by_key: BTreeMap<u32, ComponentId>,
+    soft_bodies: Vec<(ComponentId, SoftAbilities)>,
 }
 
 impl Registry {
@@ -262,6 +281,23 @@ impl Registry {
     /// Every component, ordered by NAME.
     pub fn iter(&self) -> impl Iterator<Item = (ComponentId, &ComponentEntry)> {
         self.entries.iter().enumerate().map(|(id, entry)| (ComponentId(id as u16), entry))
+    }
+    /// The components by which methods move soft bodies, ordered by NAME, and what such bodies can do.
+    pub fn soft_bodies(&self) -> &[(ComponentId, SoftAbilities)] {
+        &self.soft_bodies
+    }
+    /// Names of those of which bodies can do something.
+    pub fn soft_bodies_that(&self, can: impl Fn(&SoftAbilities) -> bool) -> Vec<&'static str> {
+        let those = self.soft_bodies.iter().filter(|(_, of)| can(of));
+        those.map(|(id, _)| self.entry(*id).name).collect()
+    }
+    /// Names of the components that name bodies to which their own gives impulses.
+    pub fn components_with_partners(&self) -> Vec<&'static str> {
+        self.entries.iter().filter(|entry| entry.named_by.is_some()).map(|entry| entry.name).collect()
+    }
+    /// Which entities of a column name a body as one to which they give impulses.
+    pub(crate) fn named_by(&self, id: ComponentId, column: &dyn ErasedColumn, name: &str) -> Vec<Entity> {
+        self.entry(id).named_by.map_or_else(Vec::new, |named_by| named_by(column, name))
     }
     /// Decodes a TOML value as the named component and puts it.
     ///

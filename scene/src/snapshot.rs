@@ -10,6 +10,7 @@ use crate::components::{Name, Parent, Pose};
 use crate::entity::Entity;
 use crate::event::EventLog;
 use crate::registry::{ComponentId, Registry};
+use crate::soft_body::SoftAbilities;
 use crate::time::{Revision, SimTime};
 
 /// Longest chain of parents that is followed; a cycle ends there.
@@ -131,6 +132,26 @@ impl Snapshot {
         if any {
             *slot = Arc::new(column);
         }
+    }
+    /// The name of the component by which a method moves a soft body, and what the body can do; `None` of what no method
+    /// moves.
+    pub fn soft_body(&self, entity: Entity) -> Option<(&'static str, SoftAbilities)> {
+        let all = self.registry.soft_bodies().iter();
+        let mut carried = all.filter(|(id, _)| self.erased_column(*id).revision(entity).is_some());
+        carried.next().map(|(id, of)| (self.registry.entry(*id).name, *of))
+    }
+    /// Whether there is a soft body that can do something.
+    pub fn has_soft_body_that(&self, can: impl Fn(&SoftAbilities) -> bool) -> bool {
+        let mut those = self.registry.soft_bodies().iter().filter(|(_, of)| can(of));
+        those.any(|(id, _)| !self.erased_column(*id).is_empty())
+    }
+    /// The entities that give impulses to the body of that name, in order.
+    pub fn partners_of(&self, name: &str) -> Vec<Entity> {
+        let all = self.registry.iter();
+        let mut those: Vec<Entity> =
+            all.flat_map(|(id, _)| self.registry.named_by(id, self.erased_column(id), name)).collect();
+        those.sort_unstable();
+        those
     }
     /// All components of an entity as a JSON object, for people to read.
     pub fn entity_json(&self, entity: Entity) -> serde_json::Value {

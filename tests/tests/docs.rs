@@ -15,8 +15,6 @@ const EXAMPLES: [&str; 3] =
     ["ui/cli/examples/haste.rs", "ui/sdk/examples/slippery.rs", "ui/cli/examples/eye.rs"];
 /// Suites of `trocar bench` whose tables stand in docs/figures.md.
 const SUITES: [&str; 6] = ["kernel", "session", "viewer", "collision", "simulator", "build"];
-/// Crates whose folders the map shows as they are going to be.
-const MOVING: [&str; 2] = ["actors/simulator/", "actors/dynamics/"];
 /// What snippets of scenarios refer to.
 const NEIGHBOURS: &str = r#"
 schema = 1
@@ -164,11 +162,6 @@ fn the_figures_of_every_suite_have_one_place() {
     assert_eq!(page.matches("<!-- end -->").count(), SUITES.len());
 }
 
-/// Whether a folder is shown as it is going to be.
-fn moves(path: &str) -> bool {
-    MOVING.iter().any(|room| path.starts_with(room))
-}
-
 #[test]
 fn the_map_of_the_code_names_every_folder_and_none_that_does_not_exist() {
     let page = read("docs/architecture.md");
@@ -179,7 +172,7 @@ fn the_map_of_the_code_names_every_folder_and_none_that_does_not_exist() {
         .collect();
     let mut wrong: Vec<String> = named
         .iter()
-        .filter(|path| !moves(path) && !root().join(path).exists())
+        .filter(|path| !root().join(path).exists())
         .map(|path| format!("{path} does not exist"))
         .collect();
     let mut waiting: Vec<PathBuf> = ["scene", "devices"].map(|room| root().join(room).join("src")).into();
@@ -188,7 +181,7 @@ fn the_map_of_the_code_names_every_folder_and_none_that_does_not_exist() {
     }
     while let Some(folder) = waiting.pop() {
         let path = format!("{}/", folder.strip_prefix(root()).expect("below the root").display());
-        if !moves(&path) && !named.contains(path.as_str()) {
+        if !named.contains(path.as_str()) {
             wrong.push(format!("{path} is not on the map"));
         }
         let entries = std::fs::read_dir(&folder).unwrap_or_else(|error| panic!("{path}: {error}"));

@@ -3,9 +3,9 @@
 //! All of these tests run beside each other.
 
 mod collision_gallery;
-mod docs;
 mod detectors;
 mod determinism;
+mod docs;
 mod engine_restart;
 mod exercise;
 mod golden;

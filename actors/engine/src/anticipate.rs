@@ -10,7 +10,7 @@ use rapier3d_f64::parry::bounding_volume::BoundingVolume;
 use rapier3d_f64::parry::query::{ShapeCastOptions, contact};
 use rapier3d_f64::pipeline::{PhysicsWorld, QueryFilter};
 
-use trocar_simulator::instrument::local_model::Obstacle;
+use trocar_dynamics::instrument::local_model::Obstacle;
 
 use crate::conversion::{vector_from_rapier, vector_to_rapier};
 use crate::grasper::Grasper;

@@ -7,7 +7,7 @@ use rapier3d_f64::pipeline::PhysicsWorld;
 use trocar_scene::components::Primitive;
 use trocar_scene::entity::Entity;
 
-use trocar_simulator::instrument::contact::{Contact, primitive_code};
+use trocar_dynamics::instrument::contact::{Contact, primitive_code};
 
 use crate::conversion::{point_from_rapier, vector_from_rapier};
 

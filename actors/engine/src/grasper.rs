@@ -18,11 +18,11 @@ use trocar_scene::entity::Entity;
 use trocar_scene::shapes::working_end;
 use trocar_scene::time::SimTime;
 
-use trocar_simulator::instrument::coupling::{VirtualCoupling, Wrench};
-use trocar_simulator::instrument::grasp::Hold;
-use trocar_simulator::instrument::opening::InstrumentState;
-use trocar_simulator::instrument::set_point::SetPoint;
-use trocar_simulator::instrument::target_track::TargetTrack;
+use trocar_dynamics::instrument::coupling::{VirtualCoupling, Wrench};
+use trocar_dynamics::instrument::grasp::Hold;
+use trocar_dynamics::instrument::set_point::SetPoint;
+use trocar_dynamics::instrument::state::InstrumentState;
+use trocar_dynamics::instrument::target_track::TargetTrack;
 
 use crate::conversion::{isometry_from_rapier, isometry_to_rapier, vector_from_rapier, vector_to_rapier};
 use crate::jaws::{JAW_MASS_SHARE, Jaws, jaw_count};

@@ -16,9 +16,9 @@ use rapier3d_f64::pipeline::PhysicsWorld;
 use rapier3d_f64::prelude::MassProperties;
 use trocar_scene::components::Instrument;
 
-pub use trocar_simulator::instrument::jaw::{JAW_MASS_SHARE, SATURATION_ANGLE, jaw_count};
-use trocar_simulator::instrument::jaw::{TURNING_MOMENT, blade, drive_reference, instrument_from_jaw, side};
-use trocar_simulator::instrument::opening::JawOpening;
+pub use trocar_dynamics::instrument::jaw::{JAW_MASS_SHARE, SATURATION_ANGLE, jaw_count};
+use trocar_dynamics::instrument::jaw::{TURNING_MOMENT, blade, drive_reference, instrument_from_jaw, side};
+use trocar_dynamics::instrument::state::JawOpening;
 
 use crate::conversion::{isometry_from_rapier, isometry_to_rapier, vector_from_rapier, vector_to_rapier};
 use crate::settings::EngineSettings;

@@ -2,8 +2,8 @@
 //!
 //! [`RigidWorld`] is the plain algorithm: bodies, instruments, one [`step`](RigidWorld::step) at a time, no scene
 //! and no clock. [`EngineController`], which schedules it, is the controller of every
-//! [`World`](trocar_simulator::rigid_world::World) of rigid bodies; how instruments follow hands, and when they hold something,
-//! is in [`trocar_simulator::instrument`]. Nothing else in Trocar knows Rapier.
+//! [`World`](trocar_dynamics::rigid_world::World) of rigid bodies; how instruments follow hands, and when they hold something,
+//! is in [`trocar_dynamics::instrument`]. Nothing else in Trocar knows Rapier.
 //!
 //! | file | what it holds |
 //! |---|---|
@@ -58,10 +58,10 @@ pub mod world;
 pub use grasper::Grasper;
 pub use settings::EngineSettings;
 pub use soft::{EngineSoftBody, EngineSoftController, EngineSoftSolver};
-pub use trocar_simulator::controller::RigidBodiesController;
-pub use trocar_simulator::instrument::mechanism::MechanismState;
-pub use trocar_simulator::instrument::opening::InstrumentState as GrasperState;
-pub use trocar_simulator::rigid_world::WorldError as EngineError;
+pub use trocar_dynamics::instrument::mechanism::MechanismState;
+pub use trocar_dynamics::instrument::state::InstrumentState as GrasperState;
+pub use trocar_dynamics::rigid_bodies::RigidBodiesController;
+pub use trocar_dynamics::rigid_world::WorldError as EngineError;
 pub use world::{RigidWorld, WorldStatistics};
 
 /// Rapier as a controller of the scene: the one of all worlds of rigid bodies, with Rapier's in it.

@@ -6,7 +6,7 @@ use rapier3d_f64::math::{Pose as RapierPose, Rotation, Vector};
 use rapier3d_f64::prelude::MassProperties;
 use trocar_scene::components::Shape;
 
-use trocar_simulator::rigid_world::mesh_mass::UnitSolid;
+use trocar_dynamics::rigid_world::mass_properties::UnitSolid;
 
 use crate::conversion::matrix_to_rapier;
 

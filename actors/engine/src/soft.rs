@@ -1,5 +1,5 @@
 //! Rapier's soft volumes: tetrahedra by its own solvers, as one more method beside those of
-//! [`trocar_simulator`], so that a scenario chooses between them by a line.
+//! `trocar-simulator`, so that a scenario chooses between them by a line.
 //!
 //! Instruments touch, press and hold them as they do every soft body; a touch is a spring of the body's
 //! `contact_stiffness`, taken implicitly within each part of a step. What holds a body is told what the stress of the
@@ -13,13 +13,13 @@ use rapier3d_f64::dynamics::{
 use rapier3d_f64::pipeline::PhysicsWorld;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use trocar_scene::{Component, ComponentError, Snapshot};
-use trocar_simulator::controller::deformable::Deformable;
-use trocar_simulator::controller::soft::{Measures, Site};
-use trocar_simulator::controller::touch::{Skin, Touch};
-use trocar_simulator::controller::{SoftController, SoftMethod};
-use trocar_simulator::elasticity::cauchy_stress;
-use trocar_simulator::tet_mesh::{MeshRules, TetMesh};
+use trocar_dynamics::elasticity::cauchy_stress;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::method::{Measures, StepContext};
+use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::{SoftController, SoftMethod};
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
+use trocar_scene::{Component, ComponentError, Snapshot, SoftAbilities};
 
 use crate::conversion::{point_from_rapier, vector_from_rapier, vector_to_rapier};
 use crate::settings::LENGTH_UNIT;
@@ -78,6 +78,7 @@ impl Default for EngineSoftBody {
 
 impl Component for EngineSoftBody {
     const NAME: &'static str = "engine_soft";
+    const SOFT_BODY: Option<SoftAbilities> = Some(SoftAbilities::NONE);
     fn check(&self) -> Result<(), ComponentError> {
         trocar_scene::finite::check(self)?;
         ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
@@ -124,7 +125,7 @@ impl EngineSoftMethod {
     }
 
     /// Brings what jaws hold up to date.
-    fn lead(&mut self, site: &Site<'_>) -> Result<(), String> {
+    fn lead(&mut self, site: &StepContext<'_>) -> Result<(), String> {
         let wanted: Vec<u32> = site.led.iter().map(|led| led.vertex).collect();
         if wanted == self.led {
             return Ok(());
@@ -283,7 +284,7 @@ impl SoftMethod for EngineSoftMethod {
     fn step(
         &mut self,
         _body: &Deformable,
-        site: &Site<'_>,
+        site: &StepContext<'_>,
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String> {
         self.lead(site)?;

@@ -23,15 +23,15 @@ use trocar_scene::components::{
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
 
-use trocar_simulator::instrument::contact::Contact;
-use trocar_simulator::instrument::coupling::Wrench as WrenchOnHand;
-use trocar_simulator::instrument::grasp::{self, Hold, PadContact};
-use trocar_simulator::instrument::local_model::Obstacle;
-use trocar_simulator::instrument::opening::InstrumentState;
-use trocar_simulator::instrument::target_track::TargetTrack;
-use trocar_simulator::rigid::Wrench;
-pub use trocar_simulator::rigid_world::FLOOR;
-use trocar_simulator::rigid_world::check;
+use trocar_dynamics::instrument::contact::Contact;
+use trocar_dynamics::instrument::coupling::Wrench as WrenchOnHand;
+use trocar_dynamics::instrument::grasp::{self, Hold, PadContact};
+use trocar_dynamics::instrument::local_model::Obstacle;
+use trocar_dynamics::instrument::state::InstrumentState;
+use trocar_dynamics::instrument::target_track::TargetTrack;
+pub use trocar_dynamics::rigid_world::FLOOR;
+use trocar_dynamics::rigid_world::Wrench;
+use trocar_dynamics::rigid_world::check;
 
 use crate::EngineError;
 use crate::anticipate::first_obstacle;

@@ -4,8 +4,8 @@
 mod cases;
 
 use nalgebra::Vector3;
-use trocar_simulator::rigid_world::RigidSettings;
-use trocar_simulator::rigid_world::{ImpulseWorld as W, TOOLS_MAX};
+use trocar_simulator::impulse_world::RigidSettings;
+pub(crate) use trocar_simulator::impulse_world::{ImpulseWorld as W, TOOLS_MAX};
 
 /// Whether contacts that others have found are springs, which give way, or kept by impulses.
 const GIVES_WAY: bool = false;

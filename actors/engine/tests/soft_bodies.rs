@@ -8,7 +8,7 @@ use trocar_scene::{
     BuildContext, CollisionList, Controller, ControllerError, Frozen, JawState, Pose, Store, Velocity,
     VertexPositions,
 };
-use trocar_simulator::controller::DynamicFemController;
+use trocar_simulator::controller::{DynamicFemController, ElectrosurgeryController};
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 const SOLVERS: [&str; 2] = ["constraints", "finite_elements"];
@@ -195,4 +195,16 @@ fn what_has_no_future_is_stopped_and_what_is_no_volume_is_refused() {
         BuildContext { scene: &snapshot, time: Default::default(), name: "soft", me, epoch: 1, seed: 1 };
     let Err(error) = build(&context) else { panic!("a cloth is none of it") };
     assert!(error.to_string().contains("'cloth'") && error.to_string().contains("xpbd"), "{error}");
+}
+
+/// The engine keeps the elements that it began with: what burns would stay in its way.
+#[test]
+fn what_the_engine_moves_is_not_cauterised() {
+    let burning = format!("{}\ncauterised = {{}}\n", soft("constraints", 0.3));
+    let store = scene(&pad(&burning));
+    let context = stage::context(&store, Default::default(), 1);
+    let Err(error) = ElectrosurgeryController::new(&context) else { panic!("it burns") };
+    let error = error.to_string();
+    assert!(error.contains("'pad'") && error.contains("'engine_soft'"), "{error}");
+    assert!(error.contains("'dynamic_fem', 'linear_fem', 'mass_spring' or 'xpbd'"), "{error}");
 }

@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::dynamic_fem::{Config, Constitution, DynamicFem, Inputs};
-use trocar_simulator::elasticity::Elastic;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, Load};
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 
 fn block(cells: [usize; 3], size: [f64; 3]) -> (TetMesh, Vec<u32>) {
     let (nodes, tets) = box_cells(&BoxCells { cells, size: size.into(), origin: Point3::origin() });

@@ -4,7 +4,7 @@
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_simulator::thread::{Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::{Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 
 #[path = "../tests/support/thread.rs"]
 mod thread_support;

@@ -16,9 +16,9 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use nalgebra::{Point3, Vector3};
 use serde_json::{Value, json};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::dynamic_fem::{Config, DynamicFem, Inputs};
-use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 
 type Failure = Box<dyn Error>;
 

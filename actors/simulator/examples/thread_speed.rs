@@ -12,7 +12,9 @@
 use std::time::Instant;
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_simulator::thread::{Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadReport};
+use trocar_simulator::suture_thread::{
+    Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadReport,
+};
 
 #[path = "../tests/support/thread.rs"]
 mod thread_support;

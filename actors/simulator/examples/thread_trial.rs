@@ -4,7 +4,7 @@
 //! `cargo run --release -p trocar-simulator --example thread_trial -- "3 -3" 0.3 2.0 60 [dt] [segment/diameter] [pull]
 //! [sweeps] [GJ] [EI]`
 
-use trocar_simulator::thread::{Thread, ThreadMaterial, ThreadReport, knot};
+use trocar_simulator::suture_thread::{Thread, ThreadMaterial, ThreadReport, knot};
 
 #[path = "../tests/support/thread.rs"]
 mod thread_support;

@@ -1,46 +1,37 @@
-//! Simulators: each physical method a plain solver in a file of its own, and a thin controller beside it that applies
-//! it to the entities that carry its component. A solver takes slices and numbers, knows no scene, and steps by a
+//! Simulators: each physical method a plain solver in a folder of its own, and in `controller/` the thin controller that
+//! applies it to the entities that carry its component. A solver takes slices and numbers, knows no scene, and steps by a
 //! given time; it commits a step only if every number of it is finite. [`controller`] schedules them.
 //!
 //! | Method | File |
 //! |---|---|
-//! | tetrahedral meshes: what is wrong with them, their boundary, boxes | [`tet_mesh`] |
-//! | linear quasi-static finite elements with a precomputed inverse | [`linear_fem`], [`elasticity`] |
+//! | linear quasi-static finite elements with a precomputed inverse | [`linear_fem`], [`stiffness`] |
 //! | implicit dynamic finite elements, corotational and neo-Hookean | [`dynamic_fem`] |
-//! | sparse matrices of 3×3 blocks and their Cholesky factors | [`sparse`] |
+//! | sparse matrices of 3×3 blocks and their Cholesky factors | [`linear_algebra`] |
 //! | surfaces that are cut along any path, and tear | [`cutting`] |
-//! | what the jaws hold of a surface | [`picking`] |
 //! | masses and springs: thread, cloth, tube, volume, explicit and implicit | [`mass_spring`] |
 //! | position-based: distances, neo-Hookean volumes, small steps | [`xpbd`] |
-//! | Electrosurgery: enthalpy method, Pennes perfusion, Arrhenius damage | `electrosurgery/` |
-//! | Suture thread, knots | [`thread`] |
-//! | Suture needle | [`needle`] |
+//! | Electrosurgery: enthalpy method, Pennes perfusion, Arrhenius damage | [`electrosurgery`] |
+//! | Suture thread, knots | [`suture_thread`] |
+//! | Suture needle | [`suture::needle`] |
 //! | needle, thread and the tissue that they go through, as one island | [`suture`] |
-//! | Liquids, smoke, bleeding, vital signs | `fluid/` |
+//! | Liquids, smoke, bleeding, vital signs | [`fluid`] |
 //! | rigid bodies: momenta, impulses | [`rigid`] |
-//! | worlds of rigid bodies and instruments, ours among them; how instruments follow hands | [`rigid_world`], [`instrument`] |
-//! | bodies of different methods and rates, joined at points | [`coupling`] |
+//! | a world of rigid bodies and instruments, computed by that | [`impulse_world`] |
 #![forbid(unsafe_code)]
 
 mod clone_in_place;
 pub mod controller;
-pub mod coupling;
 pub mod cutting;
 pub mod dynamic_fem;
-mod eight;
-pub mod elasticity;
 pub mod electrosurgery;
 pub mod fluid;
-pub mod instrument;
+pub mod impulse_world;
+pub mod linear_algebra;
 pub mod linear_fem;
 pub mod mass_spring;
-pub mod needle;
-pub mod picking;
 pub mod rigid;
-pub mod rigid_world;
-pub mod sparse;
+mod simd;
+pub mod stiffness;
 pub mod suture;
-pub mod tet_mesh;
-pub mod thread;
-mod wide;
+pub mod suture_thread;
 pub mod xpbd;

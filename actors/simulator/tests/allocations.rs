@@ -2,16 +2,16 @@
 
 use crate::support::suture::{jaws, pad, pose, straight, threaded, tissue};
 use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::dynamic_fem::{Config, Constitution, DynamicFem, Inputs};
-use trocar_simulator::elasticity::Elastic;
 use trocar_simulator::fluid::{Fluid, FluidConfig};
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
 use trocar_simulator::mass_spring::{
     self, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
 };
-use trocar_simulator::suture::{Around, Resistance};
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
-use trocar_simulator::thread::{self, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
+use trocar_simulator::suture::{Resistance, StepInputs};
+use trocar_simulator::suture_thread::{self, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 use trocar_simulator::xpbd::{Body, Elasticity, Xpbd, XpbdConfig, XpbdInput};
 use trocar_test_support::allocations::peak_of;
 
@@ -113,7 +113,7 @@ fn a_thread_that_lies_on_itself_and_on_a_table_steps_without_allocating() {
     let mut thread = Thread::new(ThreadMaterial::silk_2_0(), &points).expect("a thread");
     let table = Shape::HalfSpace { normal: Vector3::z() };
     let obstacles = [Obstacle::fixed(table, Isometry3::translation(0.0, 0.0, -4e-4), 0.3)];
-    let holds = [thread::Hold::fixed(0, points[0]), thread::Hold::fixed(100, points[100])];
+    let holds = [suture_thread::Hold::fixed(0, points[0]), suture_thread::Hold::fixed(100, points[100])];
     let around =
         Surroundings { gravity: GRAVITY, holds: &holds, obstacles: &obstacles, ..Surroundings::default() };
     let mut touched = 0;
@@ -134,7 +134,9 @@ fn a_needle_in_tissue_steps_without_allocating() {
         let to = at(depth);
         let grip = jaws(&shape, 0.5 * shape.length(), from, to);
         from = to;
-        suture.step(1e-3, &Around { grips: &[grip], gravity: GRAVITY, ..Around::default() }).expect("a step");
+        suture
+            .step(1e-3, &StepInputs { grips: &[grip], gravity: GRAVITY, ..StepInputs::default() })
+            .expect("a step");
         suture.state().channel.len()
     };
     let mut inside = 0;

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{UnitQuaternion, Vector3};
+use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::{
     Access, Activation, BuildContext, Commands, Controller, ControllerError, Entity, EntityAllocator, Events,
     Frozen, JawState, Jobs, Measured, ParticleKind, Particles, Pose, RestPositions, SimTime, Store, TetMesh,
@@ -15,7 +16,6 @@ use trocar_simulator::controller::{
     BleedingController, ElectrosurgeryController, FluidController, RemovedElements, SmokeController,
     VesselState, VitalSignsController, VolumeCuts,
 };
-use trocar_simulator::tet_mesh::Birth;
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 

@@ -4,12 +4,12 @@ use std::collections::BTreeSet;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::Vector3;
+use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_scene::{
     Activation, BuildContext, Burn, CollisionList, Controller, ControllerError, Frozen, InstrumentForce,
     InstrumentTarget, JawState, LocalContactModel, OutOfValidity, Pose, RestPositions, SurfaceMesh,
     Temperature, VertexPositions,
 };
-use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::xpbd::Matter;
 use trocar_simulator::controller::{
     CauterisedBody, DynamicFemBody, DynamicFemController, ElectrosurgeryController, InstrumentsConfig,

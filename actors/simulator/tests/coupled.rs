@@ -5,13 +5,12 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::Vector3;
+use trocar_dynamics::soft_body::coupling::{CouplingGiven, CouplingTaken};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, EntitySet, Frozen, Measured, Snapshot, Tick,
     VertexPositions, VertexVelocities,
 };
-use trocar_simulator::controller::{
-    CouplingGiven, CouplingTaken, DynamicFemController, DynamicFemMemory, XpbdController,
-};
+use trocar_simulator::controller::{DynamicFemController, DynamicFemMemory, XpbdController};
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 /// Steps of the membrane for one of the organ.
@@ -37,7 +36,7 @@ impl Both {
 impl Controller for Both {
     fn access(&self) -> Access {
         let all = || EntitySet::Of(self.bodies.clone());
-        let access = trocar_simulator::controller::Deformable::access(&self.bodies);
+        let access = trocar_dynamics::soft_body::Deformable::access(&self.bodies);
         access
             .writes::<CouplingGiven>(all())
             .writes::<CouplingTaken>(all())

@@ -3,12 +3,12 @@
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::Surface;
-use trocar_simulator::coupling::{Ghosts, GhostsError, Lying, LyingRule, News};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, GhostNode, Press, Tie};
+use trocar_dynamics::coupling::{Ghosts, GhostsError, Lying, LyingRule, News};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::particles::State;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::dynamic_fem::{Config, DynamicFem, DynamicFemState, Inputs};
-use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::mass_spring::State;
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
-use trocar_simulator::xpbd::company::{Company, Guest, Press, Tie};
 use trocar_simulator::xpbd::{Body, Distance, Xpbd, XpbdConfig, XpbdInput};
 
 const FAST: f64 = 1e-3;
@@ -23,7 +23,7 @@ struct Faster {
     ghosts: Ghosts,
     ties: Vec<Tie>,
     presses: Vec<Press>,
-    guests: Vec<Guest>,
+    guests: Vec<GhostNode>,
 }
 
 impl Faster {
@@ -34,10 +34,10 @@ impl Faster {
 
     fn step(&mut self, gravity: Vector3<f64>) {
         let Self { body, ghosts, ties, presses, guests } = self;
-        let company = Company { guests: &[], ties, presses };
+        let company = ExternalNodes { guests: &[], ties, presses };
         guests.clear();
         ghosts.meet(&company, &body.state().positions, guests);
-        let company = Company { guests, ..company };
+        let company = ExternalNodes { guests, ..company };
         body.step(FAST, &XpbdInput { gravity, company, ..XpbdInput::default() }).expect("a step");
         let moved = body.company();
         let lost: f64 =

@@ -4,7 +4,8 @@ use crate::support::sheet::follow;
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use trocar_simulator::cutting::{Sheet, Sweep, TopologyChange, VertexChange};
+use trocar_dynamics::tet_mesh::Sweep;
+use trocar_simulator::cutting::{Sheet, TopologyChange, VertexChange};
 use trocar_simulator::mass_spring::{
     Config, Input, Integrator, LinearSolver, MassSpring, Network, SurfaceMaterial, TooLarge,
 };

@@ -4,11 +4,11 @@
 use crate::support::beam;
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::dynamic_fem::{
     Config, Constitution, Contact, DynamicFem, DynamicFemState, Inputs, MassMatrix, Spring, StepError,
 };
-use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 
 const BOTH: [Constitution; 2] = [Constitution::Corotational, Constitution::NeoHookean];
 

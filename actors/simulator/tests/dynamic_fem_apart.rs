@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{Birth, BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_scene::{
     BuildContext, ControllerError, Frozen, JawState, Pose, VertexPositions, VertexVelocities,
 };
 use trocar_simulator::controller::{DynamicFemController, RemovedElements};
 use trocar_simulator::dynamic_fem::{Config, DynamicFem, Inputs};
-use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::tet_mesh::{Birth, BoxCells, MeshRules, TetMesh, box_cells};
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 const DT: f64 = 1e-3;

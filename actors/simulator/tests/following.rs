@@ -6,13 +6,15 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
-use trocar_simulator::cutting::{Sheet, Sweep, TopologyChange};
-use trocar_simulator::elasticity::Alteration;
-use trocar_simulator::mass_spring::{
-    Config, Input, Integrator, MassSpring, Network, Patch, State, SurfaceMaterial, TooLarge, VolumeMaterial,
-};
-use trocar_simulator::tet_mesh::{
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::particles::State;
+use trocar_dynamics::tet_mesh::Sweep;
+use trocar_dynamics::tet_mesh::{
     Birth, BoxCells, MeshRules, Moving, Slit, Stars, TetMesh, Volume, VolumeChange, box_cells,
+};
+use trocar_simulator::cutting::{Sheet, TopologyChange};
+use trocar_simulator::mass_spring::{
+    Config, Input, Integrator, MassSpring, Network, Patch, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
 use trocar_simulator::xpbd::{Body, Elasticity, SplitTets, Xpbd, XpbdConfig, XpbdInput, distances_of};
 

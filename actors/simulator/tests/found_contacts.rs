@@ -10,13 +10,12 @@ use nalgebra::{Point3, Vector3};
 use trocar_collision::controller::{
     ContinuousConfig, ContinuousController, ObbTreeConfig, ObbTreeController,
 };
+use trocar_dynamics::soft_body::contact::{ContactSums, SoftContacts};
 use trocar_scene::{
     BuildContext, Collision, CollisionList, Commands, Controller, ControllerError, Detection, Entity,
     EntityAllocator, Frozen, Primitive, RestPositions, SimTime, Store, VertexPositions, VertexVelocities,
 };
-use trocar_simulator::controller::{
-    ContactSums, DynamicFemController, MassSpringController, SoftContacts, XpbdController,
-};
+use trocar_simulator::controller::{DynamicFemController, MassSpringController, XpbdController};
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 const DETECTOR: u16 = 9;

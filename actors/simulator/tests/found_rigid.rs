@@ -7,15 +7,17 @@ use crate::support::stage::other::Other;
 use crate::support::stage::{Stage, scene_with};
 use nalgebra::{Matrix3, Point3, Vector3};
 use trocar_collision::controller::{ObbTreeConfig, ObbTreeController};
+use trocar_dynamics::rigid_bodies::RigidBodiesController;
+use trocar_dynamics::rigid_world::Inertia;
+use trocar_dynamics::soft_body::contact::{
+    AppliedTotals, ContactSums, ImpulseTotals, RigidContacts, SoftContacts,
+};
 use trocar_scene::{
     Access, BuildContext, Commands, Controller, ControllerError, Frozen, Measured, Pose, Snapshot, Store,
     Tick, Velocity, VertexPositions, VertexVelocities,
 };
-use trocar_simulator::controller::{
-    ContactSums, DynamicFemController, MassSpringController, RigidBodiesController, RigidContacts,
-    SoftContacts, WholeSums, WholeTaken, XpbdController,
-};
-use trocar_simulator::rigid_world::{ImpulseWorld, Inertia, RigidSettings};
+use trocar_simulator::controller::{DynamicFemController, MassSpringController, XpbdController};
+use trocar_simulator::impulse_world::{ImpulseWorld, RigidSettings};
 
 const SOFT: u16 = 9;
 const RIGID: u16 = 10;
@@ -106,7 +108,7 @@ struct Moment {
     got: Vector3<f64>,
     /// The same about the origin \[N·m·s\]; of the rigid body and of what is on its way.
     of_rigid: Vector3<f64>,
-    given: WholeSums,
+    given: ImpulseTotals,
     /// Of both, what is on its way taken already \[J\].
     energy: f64,
 }
@@ -151,7 +153,7 @@ impl Pair {
         all.values[what]
     }
 
-    fn given(&self) -> [WholeSums; 2] {
+    fn given(&self) -> [ImpulseTotals; 2] {
         let of = |name: &str| Some(self.stage.entity(name));
         let given = self.stage.get::<SoftContacts>("body").given_whole;
         let given = given.into_iter().find(|sums| sums.body == of("rigid")).unwrap_or_default();
@@ -283,8 +285,8 @@ fn impulses_that_get_lost_and_masses_that_are_not_known_are_seen() {
             let [given, taken] = pair.given();
             has_been_lost |= given.impulse != taken.impulse;
             let mut told = pair.stage.get::<RigidContacts>("rigid");
-            let sums = WholeSums { body: Some(pair.stage.entity("body")), ..given };
-            told.taken = vec![WholeTaken { taken: sums, seen: sums, left: 0.0 }];
+            let sums = ImpulseTotals { body: Some(pair.stage.entity("body")), ..given };
+            told.taken = vec![AppliedTotals { taken: sums, seen: sums, left: 0.0 }];
             pair.stage.put("rigid", told);
         }
     });

@@ -6,18 +6,19 @@ use std::sync::Arc;
 use crate::support::freezing::{Build, GRAVITY, positions, two};
 use crate::support::stage::{Stage, context, scene};
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::picking::{Held, Pick, Picks};
+use trocar_dynamics::rigid_bodies::RigidBodiesController;
+use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_scene::{
     Activation, BuildContext, Burn, Controller, ControllerError, Frozen, HeatFrozen, Pose, RestPositions,
     SimTime, SurfaceMesh, Temperature, Velocity, VertexPositions, VertexVelocities,
 };
-use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::{
     DynamicFemController, ElectrosurgeryController, HeatState, LinearFemController, MassSpringController,
-    RigidBodiesController, SutureController, SutureMemory, ThreadController, XpbdController,
+    SutureController, SutureMemory, ThreadController, XpbdController,
 };
 use trocar_simulator::electrosurgery::ElectrosurgeryState;
-use trocar_simulator::picking::{Held, Pick, Picks};
-use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings};
+use trocar_simulator::impulse_world::{ImpulseWorld, RigidSettings};
 
 /// That 'bad' stands still where it is, with a reason, while 'good' moves; in this life and in the next.
 fn stands_still<C: Controller>(stage: &mut Stage<C>, build: Build<C>, says: &str) {

@@ -5,13 +5,13 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::tet_mesh::{Birth, BoxCells, box_cells};
 use trocar_scene::{Activation, HeatFrozen, Pose, RestPositions, Temperature, TetMesh, VertexPositions};
 use trocar_simulator::controller::ElectrosurgeryController;
-use trocar_simulator::controller::parting::VolumeCuts;
+use trocar_simulator::controller::cutting::volume::VolumeCuts;
 use trocar_simulator::electrosurgery::{
     BODY, Electrode, Electrosurgery, LatticeConfig, Mode, Parted, ThermalMaterial, Tissue,
 };
-use trocar_simulator::tet_mesh::{Birth, BoxCells, box_cells};
 
 type Elements<const N: usize> = Vec<[u32; N]>;
 

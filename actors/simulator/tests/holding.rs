@@ -5,11 +5,11 @@ use std::cell::Cell;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_scene::{
     BuildContext, CollisionList, Controller, ControllerError, Frozen, JawState, Pose, Primitive,
     VertexPositions,
 };
-use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::{DynamicFemController, MassSpringController, XpbdController};
 
 const ZERO: Vector3<f64> = Vector3::new(0.0, 0.0, 0.0);

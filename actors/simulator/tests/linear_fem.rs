@@ -4,12 +4,12 @@ use crate::support::beam;
 use nalgebra::{Point3, Unit, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use trocar_simulator::elasticity::Elastic;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::linear_fem::{
     Attachment, AttachmentError, BytesError, Compliance, Hold, Limits, LinearFem, LinearFemError, Load,
     PrecomputeError, patch,
 };
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 
 fn body(cells: [usize; 3]) -> LinearFem {
     let mesh = beam::mesh(cells);
@@ -117,7 +117,7 @@ fn what_is_held_stands_where_it_is_to_and_the_force_is_read_back() {
 fn ten_grasped_nodes_read_back_the_force_of_a_direct_solve() {
     // All displacements of ten neighbouring nodes: what is hardest on the rounding of the compliance. The direct solve
     // holds them too, as part of the fixed boundary, and its forces are K u.
-    use trocar_simulator::elasticity::stiffness;
+    use trocar_simulator::stiffness::stiffness;
     let mesh = beam::mesh([12, 4, 4]);
     let mut fem = body([12, 4, 4]);
     let mut tip: Vec<u32> = fem.compliance().nodes().to_vec();
@@ -153,7 +153,7 @@ fn ten_grasped_nodes_read_back_the_force_of_a_direct_solve() {
         })
         .collect();
     let inner = stiffness(&mesh, &beam::material(), &numbers, next as usize);
-    let mut factor = trocar_simulator::sparse::SparseCholesky::new(inner.pattern(), 1).expect("room");
+    let mut factor = trocar_simulator::linear_algebra::SparseCholesky::new(inner.pattern(), 1).expect("room");
     factor.factor(inner.pattern(), inner.values()).expect("definite");
     let mut u = vec![Vector3::zeros(); count];
     tip.iter().zip(&targets).for_each(|(&node, target)| u[node as usize] = *target);

@@ -4,10 +4,11 @@
 #[allow(dead_code)] // every test uses another part
 use crate::support::beam;
 use nalgebra::{Point3, Vector3};
-use trocar_simulator::elasticity::{Alteration, stiffness};
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::tet_mesh::{FaceOf, TetMesh, Volume};
+use trocar_simulator::linear_algebra::SparseCholesky;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, LinearFemError, Load, patch};
-use trocar_simulator::sparse::SparseCholesky;
-use trocar_simulator::tet_mesh::{FaceOf, TetMesh, Volume};
+use trocar_simulator::stiffness::stiffness;
 
 /// A body whose inverse is computed as that of a whole one.
 fn body(mesh: &TetMesh, fixed: &[u32]) -> LinearFem {

@@ -3,14 +3,15 @@
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, RestPositions, SurfaceMesh,
     VertexPositions,
 };
 use trocar_simulator::controller::LinearFemController;
-use trocar_simulator::elasticity::{Elastic, stiffness};
-use trocar_simulator::sparse::SparseCholesky;
-use trocar_simulator::tet_mesh::{MeshRules, TetMesh};
+use trocar_simulator::linear_algebra::SparseCholesky;
+use trocar_simulator::stiffness::stiffness;
 
 const HZ: f64 = 60.0;
 

@@ -1,9 +1,9 @@
 //! A rigid frictionless sphere on a half-space: the force of Hertz, on meshes that are refined where it touches.
 
 use nalgebra::{Point3, Vector3};
-use trocar_simulator::elasticity::Elastic;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells, refined};
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells, refined};
 
 const RADIUS: f64 = 5e-3;
 /// Half the side of the block, and its depth \[m\]: 45 times the radius of the contact, so that its walls are felt by less

@@ -6,9 +6,9 @@ use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use proptest::prelude::*;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_scene::organs::{Implicit, Part, tetrahedra};
-use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 
 /// How far the inside is from a linear field where the boundary follows it, as a share of the largest displacement; and how
 /// many nodes are inside.

@@ -4,14 +4,15 @@
 use crate::support::stage::{Stage, context, scene};
 #[allow(dead_code)] // every test uses another part
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     BuildContext, CollisionList, ControllerError, Frozen, JawState, Pose, RestPositions, TetMesh as Tets,
     VertexPositions,
 };
 use trocar_simulator::controller::{DynamicFemController, LinearFemController, PinPlaces, RemovedElements};
-use trocar_simulator::elasticity::{Elastic, stiffness};
-use trocar_simulator::sparse::SparseCholesky;
-use trocar_simulator::tet_mesh::{MeshRules, TetMesh};
+use trocar_simulator::linear_algebra::SparseCholesky;
+use trocar_simulator::stiffness::stiffness;
 
 const HZ: f64 = 60.0;
 /// Two points that a hook holds in the midst of the bar, in its frame \[m\].

@@ -6,7 +6,7 @@ use crate::support::direct::{direct, factored, numbers};
 use nalgebra::{DMatrix, SymmetricEigen, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use trocar_simulator::elasticity::{consistent_mass, stiffness};
+use trocar_simulator::stiffness::{consistent_mass, stiffness};
 
 fn deflection(cells: [usize; 3]) -> f64 {
     let mesh = beam::mesh(cells);

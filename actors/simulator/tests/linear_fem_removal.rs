@@ -3,11 +3,11 @@
 #[allow(dead_code)] // every test uses another part
 use crate::support::beam;
 use nalgebra::{Point3, Vector3};
-use trocar_simulator::elasticity::Alteration;
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::tet_mesh::{TetMesh, Volume};
 use trocar_simulator::linear_fem::{
     Attachment, Cache, Hold, Limits, LinearFem, LinearFemError, Load, Origin, REMOVED_MAX, patch,
 };
-use trocar_simulator::tet_mesh::{TetMesh, Volume};
 
 fn body(mesh: TetMesh, fixed: &[u32]) -> LinearFem {
     LinearFem::new(mesh, &beam::material(), fixed, &Limits::default(), &mut |_| true).expect("a body")

@@ -2,9 +2,10 @@
 
 use nalgebra::{DMatrix, DVector, Point3, SymmetricEigen, Vector3};
 use proptest::prelude::*;
+use trocar_dynamics::particles::StepError;
 use trocar_simulator::mass_spring::{
     Config, Contact, Hinge, Input, LinearSolver, MassSpring, Network, NetworkError, NodeForce, Prescribed,
-    Spring, StepError, SurfaceMaterial, TooLarge, VolumeMaterial,
+    Spring, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
 
 use crate::support::springs::*;

@@ -5,18 +5,18 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::picking::{Held, Pick, Picks};
+use trocar_dynamics::soft_body::contact::{ContactSums, Feature, PersistentContact, SoftContacts};
+use trocar_dynamics::soft_body::grasp::Grips;
+use trocar_dynamics::tet_mesh::Birth;
 use trocar_scene::{
     BuildContext, Component, Controller, ControllerError, Entity, Frozen, HeatFrozen, LineMesh, SimTime,
     SurfaceMesh, TetMesh,
 };
-use trocar_simulator::controller::grips::Grips;
 use trocar_simulator::controller::{
-    Coagulated, CoagulatedElements, ContactSums, DynamicFemController, ElectrosurgeryController, HeldContact,
-    LinearFemController, MassSpringController, RemovedElements, SoftContacts, Spot, ThreadController,
-    VolumeCuts, XpbdController, XpbdGroups,
+    Coagulated, CoagulatedElements, DynamicFemController, ElectrosurgeryController, LinearFemController,
+    MassSpringController, RemovedElements, ThreadController, VolumeCuts, XpbdController, XpbdGroups,
 };
-use trocar_simulator::picking::{Held, Pick, Picks};
-use trocar_simulator::tet_mesh::Birth;
 
 const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 
@@ -165,7 +165,7 @@ fn news_of_elements_that_there_are_not_change_nothing() {
     };
     let removed = || RemovedElements { elements: Arc::new(vec![5, 9_999, u32::MAX]) };
     let contacts = || {
-        let held = |spots| HeldContact {
+        let held = |spots| PersistentContact {
             writer: Entity::new(0, 0, 9),
             other: Entity::new(0, 0, 8),
             spots,
@@ -177,9 +177,9 @@ fn news_of_elements_that_there_are_not_change_nothing() {
             drawn: Vector3::zeros(),
         };
         let spots = [
-            [Spot::Vertex(9_999), Spot::Triangle(9_999)],
-            [Spot::Triangle(0), Spot::Vertex(9_999)],
-            [Spot::Between([0, 1, 9_999], [1.0, 0.0, 0.0]), Spot::InFrame(Point3::origin())],
+            [Feature::Vertex(9_999), Feature::Triangle(9_999)],
+            [Feature::Triangle(0), Feature::Vertex(9_999)],
+            [Feature::Between([0, 1, 9_999], [1.0, 0.0, 0.0]), Feature::InFrame(Point3::origin())],
         ];
         let sums = ContactSums { body: None, vertices: vec![3, 2, 1], sums: vec![Vector3::x()] };
         SoftContacts { contacts: spots.map(held).to_vec(), given: vec![sums], ..SoftContacts::default() }

@@ -2,11 +2,12 @@
 
 use crate::support::sheet::follow;
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_simulator::cutting::{Sheet, Sweep};
+use trocar_dynamics::picking::{Jaws, PickError, Picks};
+use trocar_dynamics::tet_mesh::Sweep;
+use trocar_simulator::cutting::Sheet;
 use trocar_simulator::mass_spring::{
     Config, Input, Integrator, LinearSolver, MassSpring, Network, Prescribed, SurfaceMaterial,
 };
-use trocar_simulator::picking::{Jaws, PickError, Picks};
 
 /// A strip of `n` squares of 1 cm, two triangles each: triangles 2i and 2i + 1 have the corners 2i to 2i + 3.
 fn strip(n: u32) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {

@@ -1,8 +1,9 @@
 //! Rigid bodies against closed forms: free turning, a struck rod, bouncing, rolling, rest.
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
+use trocar_dynamics::rigid_world::Wrench;
 use trocar_simulator::rigid::{
-    ContactConfig, Integrator, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError, Wrench,
+    ContactConfig, Integrator, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError,
 };
 
 const GRAVITY: f64 = 9.81;

@@ -2,10 +2,10 @@
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::Vector3;
+use trocar_dynamics::rigid_bodies::RigidBodiesController;
 use trocar_scene::{Pose, Velocity};
-use trocar_simulator::controller::RigidBodiesController;
+use trocar_simulator::impulse_world::{ImpulseWorld, RigidSettings};
 use trocar_simulator::rigid::Integrator;
-use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings};
 
 const HALF: [f64; 3] = [0.03, 0.02, 0.01];
 const MASS: f64 = 0.1;

@@ -8,7 +8,7 @@ use trocar_scene::{
     VertexPositions,
 };
 use trocar_simulator::controller::{SewnTissue, SutureController, SutureNeedle};
-use trocar_simulator::needle::Solid;
+use trocar_simulator::suture::needle::Solid;
 
 const HZ: f64 = 500.0;
 /// Turn of the needle about the centre of its arc in a tick \[rad\].

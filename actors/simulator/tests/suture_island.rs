@@ -3,12 +3,12 @@
 
 use crate::support::suture::*;
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_simulator::needle::{NeedleShape, NeedleState};
+use trocar_dynamics::tet_mesh::TetMesh;
+use trocar_simulator::suture::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{
-    Around, Bite, ChannelPoint, Event, Place, Resistance, Suture, SutureReport, SutureState, Tip, Tissue,
+    Bite, ChannelPoint, Event, Place, Resistance, StepInputs, Suture, SutureReport, SutureState, Tip, Tissue,
 };
-use trocar_simulator::tet_mesh::TetMesh;
-use trocar_simulator::thread::{CutAt, Load, ThreadMaterial, ThreadState};
+use trocar_simulator::suture_thread::{CutAt, Load, ThreadMaterial, ThreadState};
 
 const DT: f64 = 1e-3;
 /// Young's modulus of what two newtons do not tear \[Pa\]: skin, 0.1 to 1 MPa.
@@ -99,7 +99,7 @@ fn pull(suture: &mut Suture, force: f64, steps: usize) -> SutureReport {
     // The needle is let go of: nothing but the tissue holds the thread.
     for step in 0..steps {
         report = suture
-            .step(DT, &Around { loads: &loads, ..Around::default() })
+            .step(DT, &StepInputs { loads: &loads, ..StepInputs::default() })
             .unwrap_or_else(|why| panic!("step {step}: {why}"));
     }
     report
@@ -165,7 +165,7 @@ fn drawn_out(suture: &mut Suture, node: usize, force: f64) -> usize {
     let mut through = 0;
     for step in 0..200 {
         suture
-            .step(DT, &Around { loads: &loads, ..Around::default() })
+            .step(DT, &StepInputs { loads: &loads, ..StepInputs::default() })
             .unwrap_or_else(|why| panic!("step {step}: {why}"));
         through += suture.events().iter().filter(|event| matches!(event, Event::Through { .. })).count();
         if suture.state().channel.is_empty() {
@@ -198,7 +198,7 @@ fn a_thread_that_is_cut_stays_in_the_tissue_by_friction_and_is_drawn_out_to_eith
         let mut report = SutureReport::default();
         let mut begin = 0.0;
         for step in 0..600 {
-            report = suture.step(DT, &Around { loads: &loads, ..Around::default() }).expect("a step");
+            report = suture.step(DT, &StepInputs { loads: &loads, ..StepInputs::default() }).expect("a step");
             if step == 300 {
                 begin = place(&suture);
             }
@@ -281,7 +281,7 @@ fn a_thread_pulled_with_two_newtons_draws_the_wound_together() {
     for step in 0..1600 {
         let force = Vector3::new(-0.1, 0.0, 1.0).normalize() * (2.0 * ((step + 1) as f64 / 300.0).min(1.0));
         let loads = [Load { node: last, force }];
-        let around = Around { grips: &grips, loads: &loads, ..Around::default() };
+        let around = StepInputs { grips: &grips, loads: &loads, ..StepInputs::default() };
         let report = suture.step(DT, &around).unwrap_or_else(|why| panic!("step {step}: {why}"));
         taken += report.force_on_tissue * DT;
         given += (force + suture.gripped()[0].force) * DT;
@@ -332,7 +332,7 @@ fn it_goes_on_bit_for_bit_from_its_state() {
     let last = suture.state().thread.as_ref().expect("a thread").positions.len() - 1;
     let grips = held(&suture);
     let loads = [Load { node: last, force: Vector3::new(-0.1, 0.0, 0.8) }];
-    let around = Around { grips: &grips, loads: &loads, ..Around::default() };
+    let around = StepInputs { grips: &grips, loads: &loads, ..StepInputs::default() };
     for _ in 0..40 {
         suture.step(DT, &around).expect("a step");
     }
@@ -358,14 +358,17 @@ fn what_makes_no_sense_is_refused_and_changes_nothing() {
     let before = suture.state().clone();
     for force in [f64::NAN, f64::INFINITY] {
         let loads = [Load { node: 1, force: Vector3::new(force, 0.0, 0.0) }];
-        assert!(suture.step(DT, &Around { loads: &loads, ..Around::default() }).is_err());
+        assert!(suture.step(DT, &StepInputs { loads: &loads, ..StepInputs::default() }).is_err());
     }
-    assert!(suture.step(0.0, &Around::default()).is_err() && suture.step(0.1, &Around::default()).is_err());
+    assert!(
+        suture.step(0.0, &StepInputs::default()).is_err()
+            && suture.step(0.1, &StepInputs::default()).is_err()
+    );
     let loads = [Load { node: 5000, force: Vector3::zeros() }];
-    assert!(suture.step(DT, &Around { loads: &loads, ..Around::default() }).is_err());
+    assert!(suture.step(DT, &StepInputs { loads: &loads, ..StepInputs::default() }).is_err());
     // So hard that no step is found: all is as it was.
     let loads = [Load { node: 60, force: Vector3::new(0.0, 0.0, 1e9) }];
-    assert!(suture.step(DT, &Around { loads: &loads, ..Around::default() }).is_err());
+    assert!(suture.step(DT, &StepInputs { loads: &loads, ..StepInputs::default() }).is_err());
     assert_eq!(*suture.state(), before);
-    suture.step(DT, &Around::default()).expect("it goes on");
+    suture.step(DT, &StepInputs::default()).expect("it goes on");
 }

@@ -8,7 +8,7 @@ use crate::support::suture::{stitch, wound};
 use nalgebra::Vector3;
 use trocar_scene::{BuildContext, ControllerError, Frozen, LineMesh, TetMesh, VertexPositions};
 use trocar_simulator::controller::{KnotState, SutureController, SutureMemory, SutureNeedle};
-use trocar_simulator::thread::{ThreadMaterial, ThreadState};
+use trocar_simulator::suture_thread::{ThreadMaterial, ThreadState};
 
 const HZ: f64 = 500.0;
 const SCENE: &str = r#"

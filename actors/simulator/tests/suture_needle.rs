@@ -3,8 +3,8 @@
 use crate::support::suture::*;
 use nalgebra::{Isometry3, Point3, Unit, UnitQuaternion, Vector3};
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem};
-use trocar_simulator::needle::NeedleShape;
-use trocar_simulator::suture::{Around, Event, Resistance, Suture, SutureReport, Tip};
+use trocar_simulator::suture::needle::NeedleShape;
+use trocar_simulator::suture::{Event, Resistance, StepInputs, Suture, SutureReport, Tip};
 
 const DT: f64 = 1e-3;
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);
@@ -18,7 +18,7 @@ fn motion(suture: &Suture) -> (Vector3<f64>, Vector3<f64>, f64) {
     let mut angular = needle.angular_momentum + needle.center.coords.cross(&needle.momentum);
     let mut energy = needle.kinetic_energy(suture.solid());
     if let Some(thread) = &state.thread {
-        let material = trocar_simulator::thread::ThreadMaterial::silk_2_0();
+        let material = trocar_simulator::suture_thread::ThreadMaterial::silk_2_0();
         for node in 0..thread.positions.len() {
             let before = if node > 0 { thread.rest_lengths[node - 1] } else { 0.0 };
             let after = thread.rest_lengths.get(node).copied().unwrap_or(0.0);
@@ -59,7 +59,7 @@ fn a_needle_in_flight_keeps_its_momenta_and_gains_no_energy() {
     let (p, l, mut energy) = motion(&suture);
     let begin = energy;
     for _ in 0..500 {
-        suture.step(DT, &Around::default()).expect("a step");
+        suture.step(DT, &StepInputs::default()).expect("a step");
         let now = motion(&suture);
         assert!((now.0 - p).norm() <= 1e-12 * p.norm() && (now.1 - l).norm() <= 1e-9 * l.norm());
         assert!(now.2 <= energy * (1.0 + 1e-9), "gains energy: {} after {energy}", now.2);
@@ -76,7 +76,7 @@ fn needle_and_thread_exchange_momentum_exactly_and_gain_no_energy() {
     let mut state = suture.state().clone();
     state.needle.momentum = Vector3::new(0.0, 1e-5, 1e-5);
     state.needle.angular_momentum = state.needle.inertia(suture.solid()) * Vector3::new(5.0, 0.0, 10.0);
-    let mut material = trocar_simulator::thread::ThreadMaterial::silk_2_0();
+    let mut material = trocar_simulator::suture_thread::ThreadMaterial::silk_2_0();
     // Drag would take momentum.
     material.drag = 0.0;
     suture = Suture::new(&shape, Some(material), Resistance::default(), nowhere(), state).expect("a suture");
@@ -84,7 +84,7 @@ fn needle_and_thread_exchange_momentum_exactly_and_gain_no_energy() {
     let alone = suture.state().needle.momentum;
     let begin = energy;
     for step in 0..300 {
-        suture.step(DT, &Around::default()).unwrap_or_else(|why| panic!("step {step}: {why}"));
+        suture.step(DT, &StepInputs::default()).unwrap_or_else(|why| panic!("step {step}: {why}"));
         let now = motion(&suture);
         assert!((now.0 - p).norm() <= 1e-6 * p.norm(), "step {step}: {} of {}", (now.0 - p).norm(), p.norm());
         assert!(now.2 <= energy + 1e-6 * begin, "step {step}: {} after {energy} of {begin} J", now.2);
@@ -118,7 +118,7 @@ fn drive(
         let mut to = from;
         to.translation.vector += DOWN * (speed * dt * (step + 1) as f64);
         let grips = [jaws(shape, 0.5 * shape.length(), at, to)];
-        let around = Around { grips: &grips, ..Around::default() };
+        let around = StepInputs { grips: &grips, ..StepInputs::default() };
         let report = suture.step(dt, &around).unwrap_or_else(|why| panic!("step {step}: {why}"));
         // What the jaws push down with.
         see(speed * dt * (step + 1) as f64, -suture.gripped()[0].force.z, &report, suture);
@@ -289,7 +289,7 @@ fn nothing_is_missed_at_a_metre_a_second() {
             let mut to = at;
             to.translation.vector += ahead * 1e-3;
             let grips = [jaws(&shape, 0.5 * shape.length(), at, to)];
-            suture.step(DT, &Around { grips: &grips, ..Around::default() }).expect("a step");
+            suture.step(DT, &StepInputs { grips: &grips, ..StepInputs::default() }).expect("a step");
             at = to;
             for event in suture.events() {
                 if let Event::Touched(place) = event {
@@ -342,7 +342,7 @@ fn along_its_own_arc_it_hardly_moves_the_tissue_and_straight_on_it_presses_acros
     for step in 0..1300 {
         let to = turned(rate * DT * (step + 1) as f64);
         let grips = [jaws(&shape, 0.3 * shape.length(), at, to)];
-        let report = suture.step(DT, &Around { grips: &grips, ..Around::default() }).expect("a step");
+        let report = suture.step(DT, &StepInputs { grips: &grips, ..StepInputs::default() }).expect("a step");
         at = to;
         if matches!(suture.state().tip, Tip::Inside(_)) && report.length_inside > 2e-3 {
             across = across.max(report.across_max);
@@ -361,7 +361,7 @@ fn along_its_own_arc_it_hardly_moves_the_tissue_and_straight_on_it_presses_acros
         let mut to = at;
         to.translation.vector += DOWN * 5e-6;
         let grips = [jaws(&shape, 0.3 * shape.length(), at, to)];
-        let report = suture.step(DT, &Around { grips: &grips, ..Around::default() }).expect("a step");
+        let report = suture.step(DT, &StepInputs { grips: &grips, ..StepInputs::default() }).expect("a step");
         at = to;
         straight = straight.max(report.force_on_tissue.norm());
         torn = torn.max(report.across_max);
@@ -388,7 +388,7 @@ fn it_comes_out_where_its_arc_does() {
         let to = turned(DT * (step + 1) as f64);
         let grips = [jaws(&shape, 0.05 * shape.length(), at, to)];
         suture
-            .step(DT, &Around { grips: &grips, ..Around::default() })
+            .step(DT, &StepInputs { grips: &grips, ..StepInputs::default() })
             .unwrap_or_else(|why| panic!("step {step}: {why}"));
         events.extend(suture.events().iter().copied().filter(|event| !matches!(event, Event::Touched(_))));
         at = to;

@@ -3,9 +3,9 @@
 
 use crate::support::suture::*;
 use nalgebra::Vector3;
-use trocar_simulator::suture::{Around, Suture};
-use trocar_simulator::thread::knot::throws;
-use trocar_simulator::thread::{Hold, ThreadMaterial};
+use trocar_simulator::suture::{StepInputs, Suture};
+use trocar_simulator::suture_thread::knot::throws;
+use trocar_simulator::suture_thread::{Hold, ThreadMaterial};
 
 const DT: f64 = 1e-3;
 /// Steps until the knot is tied, and in all.
@@ -55,7 +55,7 @@ fn slip(half_turns: &[i32], friction: f64) -> (f64, bool) {
         let ears = [2, last].map(|node| (node, at(&suture, node).x.signum(), ear));
         let pulled = ends.into_iter().chain(ears).filter(|(.., force)| *force > 0.0);
         let holds: Vec<Hold> = pulled.map(|(node, side, force)| hand(&suture, node, side, force)).collect();
-        let around = Around { holds: &holds, ..Around::default() };
+        let around = StepInputs { holds: &holds, ..StepInputs::default() };
         let report = suture.step(DT, &around).unwrap_or_else(|why| panic!("step {step}: {why}"));
         let most = 0.1 * ThreadMaterial::silk_2_0().diameter();
         assert!(report.penetration_max < most, "step {step}: {} m deep", report.penetration_max);

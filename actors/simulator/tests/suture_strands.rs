@@ -4,9 +4,9 @@
 use crate::support::suture::{jaws, nowhere, pose, straight};
 use nalgebra::{Point3, Vector3};
 use trocar_collision::primitive::closest_segments;
-use trocar_simulator::needle::NeedleState;
-use trocar_simulator::suture::{Around, Resistance, Suture, SutureState};
-use trocar_simulator::thread::{Hold, ThreadMaterial, ThreadState};
+use trocar_simulator::suture::needle::NeedleState;
+use trocar_simulator::suture::{Resistance, StepInputs, Suture, SutureState};
+use trocar_simulator::suture_thread::{Hold, ThreadMaterial, ThreadState};
 
 const DT: f64 = 5e-4;
 /// How high over the wire's axis the thread lies at first \[m\].
@@ -82,7 +82,7 @@ fn led(down: f64) -> (Suture, [Vector3<f64>; 2]) {
             stiffness: 1000.0,
             force_max: f64::INFINITY,
         });
-        let around = Around { holds: &holds, grips: &grips, ..Around::default() };
+        let around = StepInputs { holds: &holds, grips: &grips, ..StepInputs::default() };
         suture.step(DT, &around).unwrap_or_else(|why| panic!("step {step}: {why}"));
         let apart = nearest(&suture, turn);
         assert!(apart > 0.9 * radii(), "step {step}: {apart} m");
@@ -127,7 +127,7 @@ fn a_strand_that_is_shot_at_the_wire_does_not_pass_and_gives_it_what_it_loses() 
     let before = of_thread(thread_state);
     let mut suture = suture(state);
     for step in 0..10 {
-        suture.step(DT, &Around::default()).unwrap_or_else(|why| panic!("step {step}: {why}"));
+        suture.step(DT, &StepInputs::default()).unwrap_or_else(|why| panic!("step {step}: {why}"));
         let apart = nearest(&suture, turn);
         assert!(apart > 0.85 * radii(), "step {step}: {apart} m");
     }

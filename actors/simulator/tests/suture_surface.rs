@@ -2,9 +2,9 @@
 
 use crate::support::suture::*;
 use nalgebra::{Point3, Vector3};
-use trocar_simulator::needle::NeedleShape;
-use trocar_simulator::suture::{Around, Resistance, Suture, Tissue};
-use trocar_simulator::thread::{Hold, Load, ThreadMaterial};
+use trocar_simulator::suture::needle::NeedleShape;
+use trocar_simulator::suture::{Resistance, StepInputs, Suture, Tissue};
+use trocar_simulator::suture_thread::{Hold, Load, ThreadMaterial};
 
 const DT: f64 = 1e-3;
 
@@ -50,7 +50,7 @@ fn go(
             force_max: f64::INFINITY,
         };
         let holds: Vec<Hold> = (12..=20).filter(|_| aside > 0.0).map(hand).collect();
-        let around = Around { grips: &grips, loads: &loads, holds: &holds, ..Around::default() };
+        let around = StepInputs { grips: &grips, loads: &loads, holds: &holds, ..StepInputs::default() };
         let report = suture.step(DT, &around).unwrap_or_else(|why| panic!("step {step}: {why}"));
         (force, deepest) = (report.force_on_tissue, f64::max(deepest, report.penetration_max));
     }
@@ -109,7 +109,7 @@ fn a_needle_pressed_flat_on_a_tissue_stays_out_of_it() {
         let mut to = start;
         to.translation.vector.z -= 6e-4 * (f64::from(step + 1) / 100.0).min(1.0);
         let grips = [jaws(&shape, 0.5 * shape.length(), from, to)];
-        let around = Around { grips: &grips, ..Around::default() };
+        let around = StepInputs { grips: &grips, ..StepInputs::default() };
         force = suture.step(DT, &around).unwrap_or_else(|why| panic!("step {step}: {why}")).force_on_tissue;
         felt = suture.gripped()[0].force;
         from = to;
@@ -138,7 +138,7 @@ fn a_needle_pressed_flat_on_a_tissue_stays_out_of_it() {
         let mut to = from;
         to.translation.vector.z += 1e-5;
         let grips = [jaws(&shape, 0.5 * shape.length(), from, to)];
-        suture.step(DT, &Around { grips: &grips, ..Around::default() }).expect("a step");
+        suture.step(DT, &StepInputs { grips: &grips, ..StepInputs::default() }).expect("a step");
         from = to;
     }
     assert!(suture.state().needle_contacts.is_empty() && suture.state().presses.is_empty());
@@ -166,7 +166,7 @@ fn a_needle_with_a_thread_that_falls_on_a_tissue_comes_to_rest_on_it() {
     // Flat, three millimetres over the pad.
     let start = pose(&shape, Point3::new(0.0, 8e-3, 3e-3), -Vector3::x(), Vector3::z());
     let mut suture = threaded(&shape, &start, 20, EDGE, Resistance::default(), tissue(pad()));
-    let around = Around { gravity: Vector3::new(0.0, 0.0, -9.81), ..Around::default() };
+    let around = StepInputs { gravity: Vector3::new(0.0, 0.0, -9.81), ..StepInputs::default() };
     for step in 0..600 {
         suture.step(DT, &around).unwrap_or_else(|why| panic!("step {step}: {why}"));
     }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
-use trocar_simulator::tet_mesh::{BoxCells, Defect, MeshRules, TetMesh, box_cells, defects};
+use trocar_dynamics::tet_mesh::{BoxCells, Defect, MeshRules, TetMesh, box_cells, defects};
 
 fn grid(cells: [usize; 3]) -> BoxCells {
     BoxCells { cells, size: Vector3::new(0.1, 0.02, 0.02), origin: Point3::origin() }

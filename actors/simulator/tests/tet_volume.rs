@@ -6,13 +6,13 @@ use std::collections::BTreeSet;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use trocar_simulator::cutting::Sweep;
-use trocar_simulator::mass_spring::{
-    Config, Input, Integrator, MassSpring, Network, TooLarge, VolumeMaterial,
-};
-use trocar_simulator::tet_mesh::{
+use trocar_dynamics::tet_mesh::Sweep;
+use trocar_dynamics::tet_mesh::{
     BoxCells, MeshRules, Moving, RefineError, Slit, TetMesh, Volume, VolumeChange, VolumeError, box_cells,
     refined,
+};
+use trocar_simulator::mass_spring::{
+    Config, Input, Integrator, MassSpring, Network, TooLarge, VolumeMaterial,
 };
 
 fn block(cells: [usize; 3]) -> TetMesh {
@@ -261,7 +261,7 @@ fn a_thousand_random_cuts_leave_no_sliver() {
     }
     assert!((whole / 64e-6 - 1.0).abs() < 1e-9, "{whole} m³");
     let (mesh, _) = volume.mesh().expect("something is left");
-    let flat = trocar_simulator::tet_mesh::defects(
+    let flat = trocar_dynamics::tet_mesh::defects(
         mesh.rest(),
         mesh.tets(),
         &MeshRules { mean_ratio_min: 0.02, coincident_within: None },

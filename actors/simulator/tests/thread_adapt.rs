@@ -4,8 +4,8 @@ use crate::support::thread::{Bend, loose_knot, nearest_strands};
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use trocar_simulator::thread::knot::{KnotKind, identify};
-use trocar_simulator::thread::{
+use trocar_simulator::suture_thread::knot::{KnotKind, identify};
+use trocar_simulator::suture_thread::{
     Fineness, Hold, Surroundings, Thread, ThreadError, ThreadMaterial, ThreadState,
 };
 

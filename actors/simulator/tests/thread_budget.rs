@@ -3,10 +3,9 @@
 use std::f64::consts::PI;
 
 use nalgebra::{Point3, Vector3};
-use trocar_simulator::mass_spring::{
-    Config, Input, Integrator, LineMaterial, MassSpring, Network, StepError, TooLarge,
-};
-use trocar_simulator::thread::{Hold, Load, Surroundings, Thread, ThreadMaterial, ThreadState};
+use trocar_dynamics::particles::StepError;
+use trocar_simulator::mass_spring::{Config, Input, Integrator, LineMaterial, MassSpring, Network, TooLarge};
+use trocar_simulator::suture_thread::{Hold, Load, Surroundings, Thread, ThreadMaterial, ThreadState};
 
 /// Silk that nothing brakes.
 fn free_silk() -> ThreadMaterial {

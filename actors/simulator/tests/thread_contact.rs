@@ -2,8 +2,8 @@
 
 use crate::support::thread as thread_support;
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
-use trocar_simulator::thread::knot::{KnotKind, identify};
-use trocar_simulator::thread::{
+use trocar_simulator::suture_thread::knot::{KnotKind, identify};
+use trocar_simulator::suture_thread::{
     Hold, Obstacle, Shape, Surroundings, Thread, ThreadError, ThreadMaterial, ThreadStepError,
 };
 

@@ -6,8 +6,8 @@ use crate::support::thread::{Bend, loose_knot};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use trocar_scene::{BuildContext, ControllerError, Frozen, JawState, LineMesh, Pose, VertexPositions};
 use trocar_simulator::controller::{KnotState, ThreadController, ThreadMemory};
-use trocar_simulator::thread::knot::{KnotKind, identify};
-use trocar_simulator::thread::{CutAt, Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::knot::{KnotKind, identify};
+use trocar_simulator::suture_thread::{CutAt, Thread, ThreadMaterial};
 
 const HZ: f64 = 500.0;
 const OPEN: f64 = 0.6;

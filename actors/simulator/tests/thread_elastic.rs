@@ -1,14 +1,14 @@
 //! A thread around an elastic body: both give way in one problem, so that a loop keeps what it was drawn tight with.
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_dynamics::elasticity::Elastic as Material;
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::organs;
-use trocar_simulator::elasticity::Elastic as Material;
 use trocar_simulator::linear_fem::{Compliance, Limits};
-use trocar_simulator::tet_mesh::{MeshRules, TetMesh};
-use trocar_simulator::thread::elastic::ElasticBody;
-use trocar_simulator::thread::knot::{KnotKind, identify};
-use trocar_simulator::thread::laid::{Throws, throws};
-use trocar_simulator::thread::{
+use trocar_simulator::suture_thread::elastic::ElasticBody;
+use trocar_simulator::suture_thread::initial_shape::{Throws, throws};
+use trocar_simulator::suture_thread::knot::{KnotKind, identify};
+use trocar_simulator::suture_thread::{
     Elastic, Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadReport, ThreadState,
 };
 

@@ -17,8 +17,8 @@
 //! `examples/thread_trial.rs`.
 
 use crate::support::thread::{Bend, loose_knot, nearest_strands};
-use trocar_simulator::thread::knot::{KnotKind, identify};
-use trocar_simulator::thread::{Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::knot::{KnotKind, identify};
+use trocar_simulator::suture_thread::{Thread, ThreadMaterial};
 
 /// Centre lines of strands never come nearer than this part of a diameter.
 const NEAREST: f64 = 0.85;

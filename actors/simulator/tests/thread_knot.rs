@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Point3, Rotation3, Vector3};
-use trocar_simulator::thread::knot::{
+use trocar_simulator::suture_thread::knot::{
     Hand, KnotError, KnotKind, Throw, identify, identify_closed, notation, throws,
 };
 

@@ -5,17 +5,18 @@ use std::sync::Arc;
 
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use trocar_dynamics::coupling::external_nodes::{GhostNode, Path};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::coupling::{CouplingGiven, CouplingTaken};
 use trocar_scene::{
     Access, BuildContext, CollisionList, Commands, Controller, ControllerError, EntitySet, Frozen, JawState,
     LineMesh, Measured, Pose, RestPositions, Snapshot, Tick, VertexPositions,
 };
 use trocar_simulator::controller::{
-    CouplingGiven, CouplingTaken, Deformable, DynamicFemController, DynamicFemMemory, KnotState,
-    ThreadController, ThreadMemory,
+    DynamicFemController, DynamicFemMemory, KnotState, ThreadController, ThreadMemory,
 };
-use trocar_simulator::thread::soft::SoftSurface;
-use trocar_simulator::thread::{Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadState};
-use trocar_simulator::xpbd::company::{Guest, Path};
+use trocar_simulator::suture_thread::soft_support::SoftSurface;
+use trocar_simulator::suture_thread::{Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadState};
 
 /// Ticks of the thread for one of the tissue.
 const RATE: u64 = 5;
@@ -212,13 +213,13 @@ fn a_thread_that_falls_on_free_masses_gives_them_the_momentum_that_it_loses() {
             .collect(),
     );
     let mass = 2e-6;
-    let mut guests: Vec<Guest> = nodes
+    let mut guests: Vec<GhostNode> = nodes
         .iter()
-        .map(|position| Guest {
+        .map(|position| GhostNode {
             position: *position,
             mobility: 1.0 / mass,
             path: Path { position: *position, ..Path::default() },
-            ..Guest::default()
+            ..GhostNode::default()
         })
         .collect();
     let of_thread = |state: &ThreadState| -> Vector3<f64> {

@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use trocar_simulator::thread::{
+use trocar_simulator::suture_thread::{
     Hold, Load, Obstacle, Shape, Surroundings, Thread, ThreadMaterial, ThreadState, TwistHold,
 };
 

@@ -3,8 +3,8 @@
 
 use crate::support::thread::loose_knot;
 use nalgebra::{Point3, Vector3};
-use trocar_simulator::thread::knot::{KnotKind, identify_joined};
-use trocar_simulator::thread::{
+use trocar_simulator::suture_thread::knot::{KnotKind, identify_joined};
+use trocar_simulator::suture_thread::{
     Fineness, Hold, Surroundings, Thread, ThreadError, ThreadMaterial, ThreadState, ThreadStepError,
     TwistHold, nearest_edges,
 };
@@ -76,7 +76,7 @@ fn two_threads_tied_together_bear_two_newtons_by_friction_and_come_apart_without
         let (one, other) = thread.positions().split_at(first + 1);
         assert_eq!(identify_joined(&[one, other]).expect("a knot").kind, KnotKind::Square);
         let first = first as u32;
-        let between = |key: &trocar_simulator::thread::ContactKey| {
+        let between = |key: &trocar_simulator::suture_thread::ContactKey| {
             key.with == 0 && key.edge < first && key.feature > first
         };
         let touching = thread.state().contacts.iter().filter(|contact| between(&contact.key)).count();

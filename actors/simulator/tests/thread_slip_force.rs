@@ -18,7 +18,7 @@
 //! opens its knot, and either kind slips at some 0.2 N.
 
 use crate::support::thread::{Bend, loose_knot};
-use trocar_simulator::thread::{Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::{Thread, ThreadMaterial};
 
 /// At all four ends, to tighten it \[N\].
 const TIGHT: f64 = 6.0;

@@ -31,7 +31,7 @@
 //! to 0.007 mm in all of these minutes.
 
 use crate::support::thread::{Bend, loose_knot, nearest_strands};
-use trocar_simulator::thread::{Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::{Thread, ThreadMaterial};
 use trocar_test_support::thorough;
 
 /// Centre lines of strands never come nearer than this part of a diameter while the loop is pulled.

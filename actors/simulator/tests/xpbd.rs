@@ -3,9 +3,10 @@
 use nalgebra::{Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
+use trocar_dynamics::particles::{State, StepError};
 use trocar_simulator::mass_spring::{
     Config, Contact, Input, Integrator, LineMaterial, LinearSolver, MassSpring, Network, NodeForce,
-    Prescribed, State, StepError,
+    Prescribed,
 };
 use trocar_simulator::xpbd::{Body, Distance, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
@@ -296,7 +297,7 @@ fn momentum_is_kept_and_nonsense_refused() {
 
 #[test]
 fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
-    use trocar_simulator::xpbd::company::{Company, CompanyState, OF_BODY, Tie};
+    use trocar_dynamics::coupling::external_nodes::{ExternalNodes, ExternalNodesState, OF_BODY, Tie};
     use trocar_simulator::xpbd::{Member, step_together};
     // A chain of 20 masses, whole or in two bodies that share a place, hanging from its first node in a side wind.
     let chain = |from: usize, to: usize| -> Vec<Point3<f64>> {
@@ -322,8 +323,8 @@ fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
     let of_second = |node: u32| OF_BODY + 11 + 1 + node;
     let guests = [(of_second(0), 1.0), (of_second(1), 0.0), (of_second(2), 0.0), (of_second(3), 0.0)];
     let ties = [Tie { node: 10, guests, stiffness: 1e5, damping: 0.0 }];
-    let company = Company { ties: &ties, ..Company::default() };
-    let mut state = CompanyState::default();
+    let company = ExternalNodes { ties: &ties, ..ExternalNodes::default() };
+    let mut state = ExternalNodesState::default();
     for _ in 0..600 {
         whole.step(0.01, &input).expect("a step");
         let mut members = [Member { body: &mut first, input }, Member { body: &mut second, input }];
@@ -360,7 +361,7 @@ fn two_halves_that_have_grown_together_bend_as_one_and_keep_their_momentum() {
     assert!(state_of(&first).velocities[10].norm() > 0.01, "the one draws the other along");
     // A tie to a node that there is not is refused, and nothing has moved.
     let wrong = [Tie { guests: [(OF_BODY + 99, 1.0); 4], ..ties[0] }];
-    let company = Company { ties: &wrong, ..Company::default() };
+    let company = ExternalNodes { ties: &wrong, ..ExternalNodes::default() };
     let before = (state_of(&first), state_of(&second));
     let mut members = [Member { body: &mut first, input: still }, Member { body: &mut second, input: still }];
     assert!(step_together(0.01, &mut members, &company, &mut state).is_err());

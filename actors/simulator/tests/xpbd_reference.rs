@@ -2,8 +2,8 @@
 //! momentum and energy.
 
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::tet_mesh::{BoxCells, box_cells};
 use trocar_simulator::mass_spring::{LineMaterial, Network};
-use trocar_simulator::tet_mesh::{BoxCells, box_cells};
 use trocar_simulator::xpbd::{Body, Distance, Elasticity, Xpbd, XpbdConfig, XpbdInput, distances_of};
 
 const DOWN: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);

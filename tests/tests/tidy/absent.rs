@@ -3,8 +3,15 @@
 use super::{production, production_sources, refuse, root, sources};
 
 /// Crates that are pure: no clock, no thread, no socket of their own.
-const PURE: [&str; 6] =
-    ["scene", "actors/engine", "actors/collision", "actors/simulator", "actors/haptics", "actors/tasks"];
+const PURE: [&str; 7] = [
+    "scene",
+    "actors/dynamics",
+    "actors/engine",
+    "actors/collision",
+    "actors/simulator",
+    "actors/haptics",
+    "actors/tasks",
+];
 /// Modules with a hash map that is only looked up in, never walked.
 const LOOKUPS: [&str; 4] = [
     "scene/src/registry.rs",

@@ -7,13 +7,14 @@ use cargo_metadata::{DependencyKind, Metadata, MetadataCommand};
 use super::{ROOMS, refuse, root};
 
 /// Whom each crate may know of its neighbours. What is not listed is not allowed.
-const ARROWS: [(&str, &[&str]); 14] = [
+const ARROWS: [(&str, &[&str]); 15] = [
     ("trocar-scene", &[]),
     ("trocar-devices", &[]),
     ("trocar-kernel", &["trocar-scene"]),
-    ("trocar-engine", &["trocar-scene", "trocar-simulator"]),
+    ("trocar-engine", &["trocar-scene", "trocar-dynamics"]),
     ("trocar-collision", &["trocar-scene"]),
-    ("trocar-simulator", &["trocar-scene", "trocar-collision"]),
+    ("trocar-dynamics", &["trocar-scene", "trocar-collision"]),
+    ("trocar-simulator", &["trocar-scene", "trocar-collision", "trocar-dynamics"]),
     ("trocar-tasks", &["trocar-scene"]),
     ("trocar-haptics", &["trocar-scene", "trocar-devices"]),
     ("trocar-input", &["trocar-scene", "trocar-devices"]),
@@ -25,6 +26,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
             "trocar-kernel",
             "trocar-engine",
             "trocar-collision",
+            "trocar-dynamics",
             "trocar-simulator",
             "trocar-haptics",
             "trocar-input",
@@ -41,6 +43,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
             "trocar-devices",
             "trocar-kernel",
             "trocar-collision",
+            "trocar-dynamics",
             "trocar-simulator",
         ],
     ),

@@ -13,12 +13,13 @@ mod size;
 use std::path::{Path, PathBuf};
 
 /// Rooms of the house: crate → folder.
-pub(super) const ROOMS: [(&str, &str); 14] = [
+pub(super) const ROOMS: [(&str, &str); 15] = [
     ("trocar-scene", "scene"),
     ("trocar-devices", "devices"),
     ("trocar-kernel", "actors/kernel"),
     ("trocar-engine", "actors/engine"),
     ("trocar-collision", "actors/collision"),
+    ("trocar-dynamics", "actors/dynamics"),
     ("trocar-simulator", "actors/simulator"),
     ("trocar-haptics", "actors/haptics"),
     ("trocar-input", "actors/input"),

@@ -50,7 +50,8 @@ fn the_readme_shows_the_rooms_that_exist() {
     // Nothing is shown that does not exist.
     for line in tree.lines() {
         if let Some(folder) = line.split_whitespace().next().and_then(|word| word.strip_suffix('/')) {
-            let exists = ["", "actors/", "ui/", "tests/"].iter().any(|above| root().join(above).join(folder).is_dir());
+            let exists =
+                ["", "actors/", "ui/", "tests/"].iter().any(|above| root().join(above).join(folder).is_dir());
             assert!(exists, "the README shows {folder}/, which does not exist");
         }
     }

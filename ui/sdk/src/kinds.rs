@@ -12,6 +12,7 @@ use trocar_collision::controller::{
     FingerProxyController, ObbTreeConfig, ObbTreeController, ProximityConfig, ProximityController,
     SphericalHashConfig, SphericalHashController, ZBufferConfig, ZBufferController,
 };
+use trocar_dynamics::rigid_bodies::RigidBodiesController;
 use trocar_engine::{EngineController, EngineSettings, EngineSoftController};
 use trocar_haptics::renderer::RendererConfig;
 use trocar_haptics::{HapticsConfig, HapticsController};
@@ -25,10 +26,10 @@ use trocar_scene::scenario::{Params, ScenarioError};
 use trocar_scene::{BuildContext, Controller, ControllerError};
 use trocar_simulator::controller::{
     BleedingController, DynamicFemController, ElectrosurgeryController, FluidController, InstrumentsConfig,
-    InstrumentsController, LinearFemController, MassSpringController, RigidBodiesController, SmokeController,
-    SutureController, ThreadController, VitalSignsController, XpbdController,
+    InstrumentsController, LinearFemController, MassSpringController, SmokeController, SutureController,
+    ThreadController, VitalSignsController, XpbdController,
 };
-use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings};
+use trocar_simulator::impulse_world::{ImpulseWorld, RigidSettings};
 use trocar_tasks::peg_transfer_controller::mirrored_start;
 use trocar_tasks::{OutcomeConfig, OutcomeController, PegTransferConfig, PegTransferController};
 

@@ -1,19 +1,19 @@
 //! Rapier's world as the controller of rigid bodies schedules it.
 
 use nalgebra::Point3;
+use trocar_dynamics::instrument::contact::Contact;
+use trocar_dynamics::instrument::coupling::Wrench;
+use trocar_dynamics::instrument::grasp::Hold;
+use trocar_dynamics::instrument::local_model::Obstacle;
+use trocar_dynamics::instrument::state::InstrumentState;
+use trocar_dynamics::instrument::target_track::TargetTrack;
+use trocar_dynamics::rigid_world::Wrench as Push;
+use trocar_dynamics::rigid_world::{Inertia, Scheduling, ToolView, World};
 use trocar_scene::components::{
     Collision, Detection, Instrument, InstrumentTarget, Pose, RigidBody, Shape, Velocity,
 };
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
-use trocar_simulator::instrument::contact::Contact;
-use trocar_simulator::instrument::coupling::Wrench;
-use trocar_simulator::instrument::grasp::Hold;
-use trocar_simulator::instrument::local_model::Obstacle;
-use trocar_simulator::instrument::opening::InstrumentState;
-use trocar_simulator::instrument::target_track::TargetTrack;
-use trocar_simulator::rigid;
-use trocar_simulator::rigid_world::{Inertia, Scheduling, ToolView, World};
 
 use super::RigidWorld;
 use crate::{EngineError, EngineSettings};
@@ -94,10 +94,10 @@ impl World for RigidWorld {
     fn has_surfaces(&self) -> bool {
         self.has_surfaces()
     }
-    fn set_found<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
+    fn set_detected_contacts<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
         self.set_penalties(found);
     }
-    fn push(&mut self, entity: Entity, push: &rigid::Wrench) -> Result<(), EngineError> {
+    fn push(&mut self, entity: Entity, push: &Push) -> Result<(), EngineError> {
         self.push(entity, push)
     }
     fn inertia(&self, entity: Entity) -> Option<Inertia> {

@@ -7,8 +7,8 @@ use rapier3d_f64::dynamics::RigidBodyHandle;
 use trocar_scene::components::{Collision, Motion, Pose, RigidBody, Velocity};
 use trocar_scene::entity::Entity;
 
-use trocar_simulator::rigid::Wrench;
-use trocar_simulator::rigid_world::{Inertia, mesh_mass};
+use trocar_dynamics::rigid_world::Wrench;
+use trocar_dynamics::rigid_world::{Inertia, mass_properties};
 
 use super::{Body, RigidWorld};
 use crate::EngineError;
@@ -31,7 +31,7 @@ impl RigidWorld {
         pose: &Pose,
         velocity: &Velocity,
     ) -> Result<(), EngineError> {
-        let solid = match (mesh_mass::enclosed(vertices, triangles), body.motion) {
+        let solid = match (mass_properties::enclosed(vertices, triangles), body.motion) {
             (Some(solid), _) => shapes::solid_properties(&solid, body.mass),
             (None, Motion::Dynamic) => return Err(EngineError::NoVolume { entity }),
             (None, _) => Default::default(),

@@ -2,13 +2,13 @@
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
+use trocar_dynamics::instrument::state::InstrumentState;
+use trocar_dynamics::rigid_world::{World, WorldError};
 use trocar_scene::components::{
     Instrument, InstrumentKind, InstrumentTarget, Motion, Pose, RigidBody, Shape, Velocity,
 };
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
-use trocar_simulator::instrument::opening::InstrumentState;
-use trocar_simulator::rigid_world::{World, WorldError};
 
 use super::common::*;
 use super::{TOOLS_MAX, W, settings};

@@ -2,11 +2,11 @@
 #![allow(dead_code)]
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use trocar_dynamics::instrument::state::InstrumentState;
+use trocar_dynamics::rigid_world::World;
 use trocar_scene::components::{Instrument, InstrumentTarget, Motion, Pose, RigidBody, Shape, Velocity};
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
-use trocar_simulator::instrument::opening::InstrumentState;
-use trocar_simulator::rigid_world::World;
 
 use super::{W, settings};
 

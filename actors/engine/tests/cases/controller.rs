@@ -7,6 +7,8 @@ use super::common::{
     LEFT, RIGHT, RING_MASS, RING_RADIUS, TUBE_RADIUS, minimum_jerk, pointing_down, ring_body, ring_shape,
 };
 use nalgebra::Vector3;
+use trocar_dynamics::rigid_bodies::RigidBodiesController;
+use trocar_dynamics::rigid_world::World;
 use trocar_scene::components::{
     CollisionList, Frozen, Grasp, Instrument, InstrumentForce, InstrumentTarget, JawState, LocalContactModel,
     Pose, RigidBody, SurfaceMesh, Velocity, VertexPositions,
@@ -15,8 +17,6 @@ use trocar_scene::{
     BuildContext, Commands, Component, Controller, Entity, EntityAllocator, Events, Jobs, Registry,
     RegistryBuilder, SimTime, Snapshot, Store, Tick, WriterRules,
 };
-use trocar_simulator::controller::RigidBodiesController;
-use trocar_simulator::rigid_world::World;
 
 use super::W;
 

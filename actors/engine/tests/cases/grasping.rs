@@ -3,9 +3,9 @@
 use super::W;
 use super::common::*;
 use nalgebra::{Isometry3, Vector3};
+use trocar_dynamics::rigid_world::World;
 use trocar_scene::components::{Instrument, Pose};
 use trocar_scene::entity::Entity;
-use trocar_simulator::rigid_world::World;
 
 const WEIGHT: f64 = RING_MASS * 9.81;
 

@@ -2,11 +2,11 @@
 //! pushed by the bend, the hook or the prongs that are there; and jaws take hold, of whatever kind they are.
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_dynamics::instrument::state::InstrumentState;
+use trocar_dynamics::rigid_world::World;
 use trocar_scene::components::{Instrument, InstrumentKind, Motion, Pose, RigidBody, Shape, Velocity};
 use trocar_scene::entity::Entity;
 use trocar_scene::shapes::working_end;
-use trocar_simulator::instrument::opening::InstrumentState;
-use trocar_simulator::rigid_world::World;
 
 use super::W;
 use super::common::*;

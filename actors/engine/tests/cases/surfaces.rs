@@ -1,11 +1,11 @@
 //! Bodies that are surfaces: they fall like what they enclose, and answer to contacts that others find.
 
 use nalgebra::{Isometry3, Matrix3, Point3, UnitQuaternion, Vector3};
+use trocar_dynamics::rigid_world::Wrench;
+use trocar_dynamics::rigid_world::{World, WorldError};
 use trocar_scene::components::{Collision, Detection, Motion, Pose, Primitive, RigidBody, Shape, Velocity};
 use trocar_scene::entity::Entity;
 use trocar_scene::time::SimTime;
-use trocar_simulator::rigid::Wrench;
-use trocar_simulator::rigid_world::{World, WorldError};
 
 use super::{GIVES_WAY, W, settings};
 
@@ -64,7 +64,7 @@ fn detect(world: &mut W, steps: usize) {
         let read = (world.pose(BLOCK).expect("a block"), world.now());
         world.step().expect("a step");
         if step % 10 == 0 {
-            world.set_found(&corners_below(&read.0, read.1));
+            world.set_detected_contacts(&corners_below(&read.0, read.1));
         }
     }
 }
@@ -96,7 +96,7 @@ fn contacts_that_come_late_at_100_hz_carry_a_block_to_rest() {
     let slow = if GIVES_WAY { 1e-4 } else { 0.02 };
     assert!(speed.linear.norm() < slow && speed.angular.norm() < 1e-2, "{speed:?}");
     // Once nothing is found any more, nothing carries it.
-    world.set_found(&[]);
+    world.set_detected_contacts(&[]);
     (0..100).for_each(|_| world.step().expect("a step"));
     let fallen = rest.translation.z - world.pose(BLOCK).expect("a pose").translation.z;
     assert!((fallen - 0.5 * 9.81 * 0.01).abs() < 1e-3, "{fallen}");
@@ -149,7 +149,7 @@ fn two_surfaces_that_meet_keep_their_momentum() {
             method: Detection::Custom,
             detected_at: at,
         };
-        world.set_found(&[contact]);
+        world.set_detected_contacts(&[contact]);
     }
     let after = momentum(&world);
     assert!((before[0] + before[1] - after[0] - after[1]).norm() < 1e-9 * MASS);
@@ -173,7 +173,7 @@ fn what_was_found_too_long_ago_or_concerns_nobody_is_forgotten() {
     insert(&mut world, BLOCK, 0.5, Pose::at(0.0, 0.0, 0.0), Velocity::default());
     (0..400).for_each(|_| world.step().expect("a step"));
     // 400 steps ago it lay deep in the table.
-    world.set_found(&corners_below(&Pose::default(), SimTime::ZERO));
+    world.set_detected_contacts(&corners_below(&Pose::default(), SimTime::ZERO));
     let before = world.velocity(BLOCK).expect("a velocity").linear.z;
     world.step().expect("a step");
     let after = world.velocity(BLOCK).expect("a velocity").linear.z;
@@ -181,10 +181,10 @@ fn what_was_found_too_long_ago_or_concerns_nobody_is_forgotten() {
     // A body that is gone takes its contacts with it.
     let found = corners_below(&world.pose(BLOCK).expect("a pose"), world.now());
     assert!(!found.is_empty());
-    world.set_found(&found);
+    world.set_detected_contacts(&found);
     assert!(world.remove(BLOCK));
     world.step().expect("a step");
-    world.set_found(&found);
+    world.set_detected_contacts(&found);
     world.step().expect("a step");
 }
 

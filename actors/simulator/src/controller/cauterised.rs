@@ -79,7 +79,7 @@ impl Component for CauterisedBody {
 }
 
 impl CauterisedBody {
-    pub(super) fn material(&self) -> ThermalMaterial {
+    pub(crate) fn material(&self) -> ThermalMaterial {
         let liver = ThermalMaterial::default();
         ThermalMaterial {
             has_latent_heat: self.latent_heat,

@@ -4,8 +4,7 @@
 
 use nalgebra::Point3;
 use trocar_collision::primitive::Triangle;
-
-use super::Sweep;
+use trocar_dynamics::tet_mesh::Sweep;
 
 /// A line that has come apart.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -10,20 +10,20 @@
 //!
 //! Each call tells what it did as a [`TopologyChange`].
 
-mod change;
+pub(crate) mod cuttable_surface;
+pub(crate) mod edge_path;
 mod line;
-mod sheet;
-mod sweep;
+pub(crate) mod swept_path;
 mod tearing;
-mod walk;
+pub(crate) mod topology_change;
 
-pub use change::{TopologyChange, VertexChange};
+pub use cuttable_surface::{Sheet, SheetState};
 pub use line::{PartedLine, crossed, part_line, pieces, tear_line};
-pub use sheet::{Sheet, SheetState};
-pub use sweep::Sweep;
+pub use topology_change::{TopologyChange, VertexChange};
 
 use nalgebra::Point3;
 use thiserror::Error;
+use trocar_dynamics::tet_mesh::Sweep;
 
 /// Why nothing was cut.
 #[derive(Clone, Debug, Error, PartialEq)]
@@ -77,7 +77,7 @@ impl Sheet {
         let mut all = TopologyChange::default();
         let mut positions = positions.to_vec();
         for sweep in sweeps {
-            for path in sweep::paths(self, &positions, sweep) {
+            for path in swept_path::paths(self, &positions, sweep) {
                 self.follow(path);
                 let change = self.take_change();
                 change.carry(&mut positions, |a, b, share| a + (b - a) * share);

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Point3, Vector2};
 
-use super::sweep::Path;
+use super::swept_path::Path;
 use super::{CutError, Sheet, TopologyChange};
 
 impl Sheet {

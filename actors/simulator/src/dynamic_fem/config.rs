@@ -2,8 +2,8 @@
 
 use thiserror::Error;
 
-use super::material::Constitution;
-use crate::sparse::FactorError;
+use super::constitutive::Constitution;
+use crate::linear_algebra::FactorError;
 
 /// How masses are spread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -6,26 +6,26 @@
 //! where the body has moved so far away that the iterations it costs would pay for a new one. Every iterate lowers the
 //! potential, so that no step explodes; elements that were turned inside out come back.
 //!
-//! Poisson's ratio is limited by [`Elastic`](crate::elasticity::Elastic) to where linear tetrahedra do not lock.
+//! Poisson's ratio is limited by [`Elastic`](trocar_dynamics::elasticity::Elastic) to where linear tetrahedra do not lock.
 
 #![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
 
-mod change;
+pub(crate) mod assembly;
 mod config;
-mod derived;
+pub(crate) mod constitutive;
+pub(crate) mod element_damage;
+pub(crate) mod incremental_potential;
 mod lbfgs;
-mod lent;
-mod material;
-mod near_cut;
-mod objective;
-mod outlook;
+pub(crate) mod local_correction;
 mod polar;
+pub(crate) mod prediction;
 mod solver;
+pub(crate) mod stale_factor;
 mod state;
 
 pub use config::{Config, DynamicFemError, Energies, MassMatrix, Report, StepError};
-pub use lent::Analysis;
-pub use material::{Constitution, JACOBIAN_MIN};
-pub use objective::{Contact, Coupling, Inputs, Spring};
+pub use constitutive::{Constitution, JACOBIAN_MIN};
+pub use incremental_potential::{Contact, Coupling, Inputs, Spring};
 pub use solver::DynamicFem;
+pub use stale_factor::Analysis;
 pub use state::DynamicFemState;

@@ -1,18 +1,18 @@
 //! The step.
 
 use nalgebra::{Matrix3, Point3, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::config::{Config, DynamicFemError, Energies, Report, StepError};
-use super::lbfgs::{Memory, dot};
-use super::lent::{self, Lent};
-use super::material::Material;
-use super::objective::{
+use super::constitutive::Material;
+use super::incremental_potential::{
     Coupling, Damping, Element, Inputs, Mass, Matter, add_couplings, add_hessian, add_springs, couplings,
     frames,
 };
-use crate::elasticity::Elastic;
-use crate::sparse::{BlockMatrix, FactorError, SparseCholesky};
-use crate::tet_mesh::TetMesh;
+use super::lbfgs::{Memory, dot};
+use super::stale_factor::{self, StaleFactor};
+use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky};
 
 /// Where the factor was computed: a restored body computes it there again, to the same bits.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -54,7 +54,7 @@ pub struct DynamicFem {
     pub(super) hessian: BlockMatrix,
     pub(super) factor: SparseCholesky,
     /// Where the factor is that of what the body was.
-    pub(super) lent: Option<Lent>,
+    pub(super) lent: Option<StaleFactor>,
     /// See [`Self::analysed`].
     pub(super) analysed: u32,
     pub(super) memory: Memory,
@@ -265,7 +265,7 @@ impl DynamicFem {
         }
         self.positions.clone_from(&work.now);
         for (index, element) in self.elements.iter().enumerate().filter(|(_, element)| !element.is_gone()) {
-            if crate::tet_mesh::shape(&self.positions, &element.nodes).determinant() <= 0.0 {
+            if trocar_dynamics::tet_mesh::shape(&self.positions, &element.nodes).determinant() <= 0.0 {
                 report.inverted += 1;
                 report.first_inverted.get_or_insert(index as u32);
             }
@@ -525,7 +525,7 @@ impl DynamicFem {
         let (factor, numbers, lent) = (&mut self.factor, &self.numbers, &mut self.lent);
         let (flat, held) = (&mut work.flat, &work.held);
         self.memory.apply(&mut work.direction, |vector| {
-            lent::solve(factor, numbers, lent.as_mut(), flat, vector);
+            stale_factor::solve(factor, numbers, lent.as_mut(), flat, vector);
             vector.iter_mut().zip(held).filter(|(_, held)| **held).for_each(|(own, _)| own.fill(0.0));
         });
         work.direction.iter_mut().for_each(|direction| direction.neg_mut());

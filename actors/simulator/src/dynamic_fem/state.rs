@@ -4,7 +4,7 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::config::DynamicFemError;
-use super::objective::{Coupling, Inputs};
+use super::incremental_potential::{Coupling, Inputs};
 use super::solver::{DynamicFem, FactoredAt};
 
 /// State between two steps.

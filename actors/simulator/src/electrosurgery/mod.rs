@@ -2,54 +2,54 @@
 //!
 //! | Concept | File |
 //! |---|---|
-//! | The tissue at rest, and which cells lie in it | `tissue.rs` |
+//! | The tissue at rest, and which cells lie in it | `voxelisation.rs` |
 //! | Its properties | `material.rs` |
 //! | Boiling: the enthalpy method | `enthalpy.rs` |
 //! | Damage | `arrhenius.rs` |
-//! | The electrode, how it lies to tissue, and how it heats cells | `electrode.rs`, `contact.rs`, `source.rs` |
-//! | Heat on the lattice at the tip | `thermal_grid.rs`, `block.rs` |
-//! | Heat in the organ's mesh | `organ_heat.rs` |
-//! | What became of the elements | `burn.rs` |
-//! | Tissue that blades have parted | `parting.rs` |
-//! | Where the heat went | `ledger.rs` |
+//! | The electrode, how it lies to tissue, and how it heats cells | `electrode.rs`, `electrode_contact.rs`, `heat_source.rs` |
+//! | Heat on the lattice at the tip | `enthalpy_lattice.rs`, `lattice_block.rs` |
+//! | Heat in the organ's mesh | `bioheat_fem.rs` |
+//! | What became of the elements | `damage.rs` |
+//! | Tissue that blades have parted | `cut_barrier.rs` |
+//! | Where the heat went | `energy_balance.rs` |
 
 pub mod arrhenius;
-mod block;
-mod burn;
-mod contact;
+pub(crate) mod bioheat_fem;
+pub(crate) mod cut_barrier;
+pub(crate) mod damage;
 mod electrode;
+pub(crate) mod electrode_contact;
+pub(crate) mod energy_balance;
 mod enthalpy;
+pub(crate) mod enthalpy_lattice;
 mod error;
-mod ledger;
+pub(crate) mod heat_source;
+pub(crate) mod lattice_block;
 mod material;
-mod organ_heat;
-mod parting;
-mod source;
 mod state;
 #[cfg(test)]
 pub(crate) mod testing;
-mod thermal_grid;
-mod tissue;
+pub(crate) mod voxelisation;
 
 use nalgebra::{Point3, Vector4};
 
 pub use arrhenius::Arrhenius;
-pub use contact::{Contact, shares};
+pub use cut_barrier::Parted;
 pub use electrode::{Electrode, Mode};
+pub use electrode_contact::{Contact, shares};
+pub use energy_balance::{HeatLedger, HeatReport};
 pub use error::{ElectrosurgeryError, HeatStepError};
-pub use ledger::{HeatLedger, HeatReport};
 pub use material::{BODY, ThermalMaterial};
-pub use parting::Parted;
 pub use state::{BlockState, ElectrosurgeryState};
-pub use tissue::Tissue;
+pub use voxelisation::Tissue;
 
-use block::{Block, CELLS, CHARRED};
-use burn::ElementBurns;
-use organ_heat::OrganHeat;
-use parting::Rim;
-use source::Source;
-use thermal_grid::{Books, ThermalGrid};
-use tissue::TissueLattice;
+use bioheat_fem::OrganHeat;
+use cut_barrier::Rim;
+use damage::ElementBurns;
+use enthalpy_lattice::{LatticeOutputs, ThermalGrid};
+use heat_source::Source;
+use lattice_block::{Block, CELLS, CHARRED};
+use voxelisation::TissueLattice;
 
 /// Electrodes at a time.
 const ELECTRODES_MAX: usize = 16;
@@ -146,7 +146,7 @@ impl Electrosurgery {
                 let mut corners = [0; 4];
                 let found = tissue.corners(element);
                 corners[..found.len()].copy_from_slice(found);
-                (corners, organ_heat::element_conduction(tissue, element, material.conductivity))
+                (corners, bioheat_fem::element_conduction(tissue, element, material.conductivity))
             })
             .collect();
         let cells = TissueLattice::new(tissue, lattice.spacing)?;
@@ -181,7 +181,7 @@ impl Electrosurgery {
         let mut report = HeatReport { gap: f64::INFINITY, ..HeatReport::default() };
         let mut plume = Vector4::zeros();
         self.burns.gone.clear();
-        let mut books = Books {
+        let mut books = LatticeOutputs {
             material: &self.material,
             organ: &mut self.organ,
             burns: &mut self.burns,
@@ -316,15 +316,17 @@ impl Electrosurgery {
     /// The cells of the lattice that were taken into use, tissue and what was removed.
     pub fn cells(&self) -> impl Iterator<Item = HeatCell> + '_ {
         self.grid.blocks.iter().flat_map(move |block| {
-            (0..CELLS).filter(|cell| block.flags[*cell] & block::TISSUE != 0).map(move |cell| HeatCell {
-                middle_in_rest: self.grid.centre(block, cell),
-                volume: self.grid.cell_volume() * block.share(cell),
-                celsius: self.grid.celsius(block, cell, &self.organ),
-                damage: block.damage[cell],
-                water: block.water[cell],
-                is_charred: block.flags[cell] & CHARRED != 0,
-                is_removed: !block.is_tissue(cell),
-                element: block.site(cell).element,
+            (0..CELLS).filter(|cell| block.flags[*cell] & lattice_block::TISSUE != 0).map(move |cell| {
+                HeatCell {
+                    middle_in_rest: self.grid.centre(block, cell),
+                    volume: self.grid.cell_volume() * block.share(cell),
+                    celsius: self.grid.celsius(block, cell, &self.organ),
+                    damage: block.damage[cell],
+                    water: block.water[cell],
+                    is_charred: block.flags[cell] & CHARRED != 0,
+                    is_removed: !block.is_tissue(cell),
+                    element: block.site(cell).element,
+                }
             })
         })
     }

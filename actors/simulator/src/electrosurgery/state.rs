@@ -4,10 +4,10 @@ use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
 
-use super::block::{Block, CELLS};
-use super::burn::ElementBurns;
+use super::damage::ElementBurns;
+use super::energy_balance::HeatLedger;
 use super::error::ElectrosurgeryError;
-use super::ledger::HeatLedger;
+use super::lattice_block::{Block, CELLS};
 use super::{Electrosurgery, LatticeConfig, Parted, ThermalMaterial, Tissue};
 
 /// A block of the lattice; cells in the order x, y, z, x fastest.
@@ -235,7 +235,7 @@ impl Electrosurgery {
             // What is tissue the mesh tells.
             for (kept, flag) in kept.flags.iter_mut().zip(&block.flags) {
                 if *kept != 0 {
-                    *kept = *flag | super::block::TISSUE;
+                    *kept = *flag | super::lattice_block::TISSUE;
                 }
             }
             (kept.is_active, kept.peak) = (block.is_active, block.peak);

@@ -1,6 +1,6 @@
 //! The cubic spline of smoothed particles (Monaghan, *Smoothed particle hydrodynamics*, 1992), with support h.
 
-use crate::eight::Eight;
+use crate::simd::f32x8::Eight;
 
 /// The kernel for one support radius.
 #[derive(Clone, Copy, Debug)]
@@ -63,7 +63,7 @@ impl Kernel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::eight::{ForEight, LANES, OneByOne, with_eight};
+    use crate::simd::f32x8::{ForEight, LANES, OneByOne, with_eight};
 
     struct Both {
         kernel: Kernel,

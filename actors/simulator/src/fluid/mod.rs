@@ -3,37 +3,37 @@
 //!
 //! | Concept | File |
 //! |---|---|
-//! | Liquid: smoothed particles that keep their volume | `sph.rs`, `rows.rs`, `links.rs`, `near.rs`, `pressure.rs`, `kernel.rs`, `neighbours.rs` |
+//! | Liquid: smoothed particles that keep their volume | `sph.rs`, `neighbour_lists.rs`, `neighbour_clusters.rs`, `neighbour_search.rs`, `pressure.rs`, `kernel.rs`, `cell_grid.rs` |
 //! | Smoke: puffs that rise and stray | `smoke.rs` |
 //! | A vessel that bleeds | `bleeding.rs` |
-//! | What jaws close of a vessel, what cuts it | `clamp.rs`, `sever.rs` |
-//! | What comes out of a hole, as particles | `spout.rs` |
-//! | Surfaces as walls of a liquid | `walls.rs` |
+//! | What jaws close of a vessel, what cuts it | `clamp.rs`, `vessel_cut.rs` |
+//! | What comes out of a hole, as particles | `emitter.rs` |
+//! | Surfaces as walls of a liquid | `boundary_samples.rs` |
 //! | Pressure and heart rate | `vital_signs.rs` |
 
 pub mod bleeding;
+pub mod boundary_samples;
+pub(crate) mod cell_grid;
 pub mod clamp;
 mod config;
+pub(crate) mod emitter;
 mod error;
 mod kernel;
-mod links;
-mod near;
-mod neighbours;
+pub(crate) mod neighbour_clusters;
+pub(crate) mod neighbour_lists;
+pub(crate) mod neighbour_search;
 mod pressure;
-mod rows;
-pub mod sever;
 pub mod smoke;
 mod sph;
-mod spout;
+pub mod vessel_cut;
 pub mod vital_signs;
-pub mod walls;
 
 use nalgebra::Vector3;
 
 pub use config::{FluidConfig, FluidReport, FluidState};
+pub use emitter::{Hole, Spout};
 pub use error::{FluidError, FluidStepError};
 pub use sph::Fluid;
-pub use spout::{Hole, Spout};
 
 /// Two unit directions across a unit direction, and across each other.
 fn across(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {

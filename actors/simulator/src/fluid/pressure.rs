@@ -5,9 +5,9 @@
 
 use nalgebra::Vector3;
 
-use super::near::LANES;
-use super::rows::Rows;
-use crate::eight::{Eight, ForEight, with_eight};
+use super::neighbour_lists::Rows;
+use super::neighbour_search::LANES;
+use crate::simd::f32x8::{Eight, ForEight, with_eight};
 
 /// Iterations after which the slope is computed from the beginning, if rows were held at their bounds since.
 const RENEWAL: u32 = 10;
@@ -308,10 +308,10 @@ impl ForEight for Turn<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fluid::cell_grid::{CellGrid, CellStarts};
     use crate::fluid::kernel::Kernel;
-    use crate::fluid::links::Push;
-    use crate::fluid::neighbours::{CellGrid, CellStarts};
-    use crate::fluid::rows::Walls;
+    use crate::fluid::neighbour_clusters::Push;
+    use crate::fluid::neighbour_lists::Walls;
     use nalgebra::{DMatrix, DVector, Point3};
     use rand::{Rng, SeedableRng};
 

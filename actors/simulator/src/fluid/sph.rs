@@ -15,13 +15,13 @@
 
 use nalgebra::{Point3, Vector3};
 
+use super::cell_grid::{CellGrid, CellStarts};
 use super::config::{FluidConfig, FluidReport, FluidState};
 use super::error::{FluidError, FluidStepError, parameter};
 use super::kernel::Kernel;
-use super::links::{Drag, Push};
-use super::neighbours::{CellGrid, CellStarts};
+use super::neighbour_clusters::{Drag, Push};
+use super::neighbour_lists::{Rows, WallLink, Walls};
 use super::pressure::Solver;
-use super::rows::{Rows, WallLink, Walls};
 
 /// Support of the kernel in spacings of particles.
 const SUPPORT: f64 = 2.0;

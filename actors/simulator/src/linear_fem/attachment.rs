@@ -3,6 +3,10 @@
 use nalgebra::{Unit, Vector3};
 use thiserror::Error;
 
+/// Names a constraint for as long as it is held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Handle(pub u64);
+
 /// Most nodes that one attachment is spread over.
 pub const WEIGHTS_MAX: usize = 512;
 

@@ -7,13 +7,13 @@
 use std::fs::{self, File};
 use std::io::{self, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
-use super::bytes::fingerprint;
 use super::compliance::{Compliance, Limits};
 use super::error::LinearFemError;
+use super::serialization::fingerprint;
 use super::solver::LinearFem;
-use crate::elasticity::Elastic;
-use crate::tet_mesh::TetMesh;
 
 /// Where inverses are kept.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -5,11 +5,12 @@
 
 use nalgebra::Vector3;
 use thiserror::Error;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
-use super::correction::BATCH;
-use crate::elasticity::{Bonds, Elastic, bound_stiffness};
-use crate::sparse::{FactorError, SparseCholesky, nested_dissection};
-use crate::tet_mesh::TetMesh;
+use super::bounds::BATCH;
+use crate::linear_algebra::{FactorError, SparseCholesky, nested_dissection};
+use crate::stiffness::{Bonds, bound_stiffness};
 
 /// How much a precomputation may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -244,7 +245,12 @@ impl Compliance {
     ) -> Result<Self, PrecomputeError> {
         let boundary = Boundary::new(mesh, fixed)?;
         let factor = factor(mesh, material, &[], &Bonds::default(), &boundary, limits)?;
-        Self::from_factor(super::bytes::fingerprint(mesh, material, fixed), &boundary, &factor, progress)
+        Self::from_factor(
+            super::serialization::fingerprint(mesh, material, fixed),
+            &boundary,
+            &factor,
+            progress,
+        )
     }
 
     pub(super) fn from_factor(

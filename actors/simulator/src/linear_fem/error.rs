@@ -3,9 +3,9 @@
 use thiserror::Error;
 
 use super::attachment::AttachmentError;
+use super::attachment::Handle;
+use super::bounds::{REMOVED_MAX, ROWS_MAX};
 use super::compliance::PrecomputeError;
-use super::removal::REMOVED_MAX;
-use super::solver::{Handle, ROWS_MAX};
 
 /// Why something was not done; what was before, still is.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]

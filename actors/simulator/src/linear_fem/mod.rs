@@ -12,32 +12,33 @@
 
 #![expect(clippy::neg_cmp_op_on_partial_ord, reason = "what is not a number passes no test")]
 
-mod active;
-mod altered;
-mod apart;
+pub(crate) mod active_set;
+pub(crate) mod altered_mesh;
 mod attachment;
-mod bytes;
+mod bounds;
 mod cache;
-mod columns;
 mod compliance;
-mod correction;
-mod deformation;
+pub(crate) mod compliance_columns;
+pub(crate) mod contact_patch;
+pub(crate) mod displacements;
+pub(crate) mod element_removal;
 mod error;
-mod patch;
-mod readout;
-mod removal;
+pub(crate) mod low_rank_update;
+pub(crate) mod node_split;
+pub(crate) mod serialization;
 mod solver;
 mod state;
+pub(crate) mod strain_check;
 
-pub use attachment::{Attachment, AttachmentError, Hold};
-pub use bytes::BytesError;
+pub use attachment::{Attachment, AttachmentError, Handle, Hold};
+pub use bounds::REMOVED_MAX;
 pub use cache::{Cache, Origin};
-pub use columns::Columns;
 pub use compliance::{Boundary, Compliance, Limits, PrecomputeError};
-pub use correction::Change;
-pub use deformation::{Deformation, ROTATION_LIMIT, STRAIN_LIMIT};
+pub use compliance_columns::Columns;
+pub use contact_patch::{PatchError, patch};
 pub use error::LinearFemError;
-pub use patch::{PatchError, patch};
-pub use removal::REMOVED_MAX;
-pub use solver::{Handle, Held, LinearFem, Load, Reaction, Solution};
+pub use low_rank_update::Change;
+pub use serialization::BytesError;
+pub use solver::{Held, LinearFem, Load, Reaction, Solution};
 pub use state::LinearFemState;
+pub use strain_check::{Deformation, ROTATION_LIMIT, STRAIN_LIMIT};

@@ -3,22 +3,17 @@
 use std::sync::Arc;
 
 use nalgebra::Vector3;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
-use super::active::{ActiveSet, Packed};
-use super::attachment::{Attachment, Hold, check_weights};
+use super::active_set::{ActiveSet, Packed};
+use super::attachment::{Attachment, Handle, Hold, check_weights};
+use super::bounds::ROWS_MAX;
 use super::compliance::{Boundary, Compliance, Limits, factor};
-use super::correction::{Correction, Through};
 use super::error::LinearFemError;
-use crate::elasticity::{Bonds, Elastic};
-use crate::sparse::SparseCholesky;
-use crate::tet_mesh::TetMesh;
-
-/// Directions that can be held at once: 128 grasped points.
-pub(super) const ROWS_MAX: usize = 384;
-
-/// Names a constraint for as long as it is held.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Handle(pub u64);
+use super::low_rank_update::{Correction, Through};
+use crate::linear_algebra::SparseCholesky;
+use crate::stiffness::Bonds;
 
 /// A force on a weighted mean of free surface nodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -127,7 +122,7 @@ impl LinearFem {
     ) -> Result<Self, LinearFemError> {
         let boundary = Boundary::new(&mesh, fixed)?;
         let factor = factor(&mesh, material, &[], &Bonds::default(), &boundary, limits)?;
-        let fingerprint = super::bytes::fingerprint(&mesh, material, fixed);
+        let fingerprint = super::serialization::fingerprint(&mesh, material, fixed);
         let compliance = Compliance::from_factor(fingerprint, &boundary, &factor, progress)?;
         Ok(Self::assembled(mesh, *material, boundary, factor, compliance))
     }
@@ -143,7 +138,7 @@ impl LinearFem {
         limits: &Limits,
         compliance: Compliance,
     ) -> Result<Self, LinearFemError> {
-        if compliance.fingerprint != super::bytes::fingerprint(&mesh, material, fixed) {
+        if compliance.fingerprint != super::serialization::fingerprint(&mesh, material, fixed) {
             return Err(LinearFemError::OtherCompliance);
         }
         let boundary = Boundary::new(&mesh, fixed)?;

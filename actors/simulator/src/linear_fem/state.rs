@@ -2,9 +2,9 @@
 
 use nalgebra::Vector3;
 
-use super::active::Packed;
-use super::correction::Change;
+use super::active_set::Packed;
 use super::error::LinearFemError;
+use super::low_rank_update::Change;
 use super::solver::{Held, LinearFem};
 
 /// Everything that changes; the rest follows from the mesh, the material and the boundary.

@@ -2,8 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
-
-use super::error::StepError;
+use trocar_dynamics::particles::StepError;
 
 /// One contact of the network with something else, as found at the positions at the beginning of the step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,8 +1,9 @@
 //! Symplectic Euler: velocities from the forces now, positions from the velocities then.
 
 use nalgebra::Vector3;
+use trocar_dynamics::particles::StepError;
 
-use super::{Input, MassSpring, Report, StepError, TooLarge, bound, forces};
+use super::{Input, MassSpring, Report, TooLarge, forces, stability};
 
 impl MassSpring {
     pub(super) fn step_explicit(
@@ -12,10 +13,10 @@ impl MassSpring {
         too_large: TooLarge,
     ) -> Result<Report, StepError> {
         let (mobility, meeting) = (&self.scratch.mobility, &mut self.scratch.meeting);
-        let (stiff, damped) = bound::of_contacts(input.contacts, mobility, meeting);
+        let (stiff, damped) = stability::of_contacts(input.contacts, mobility, meeting);
         let eigenvalue = self.bound.largest();
         let damping = self.config.damping + self.config.lag * eigenvalue + damped;
-        let safe = bound::safe_step(eigenvalue + stiff, damping);
+        let safe = stability::safe_step(eigenvalue + stiff, damping);
         let parts = match too_large {
             _ if dt <= safe => 1,
             TooLarge::Accept => 1,

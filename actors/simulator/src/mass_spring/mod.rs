@@ -6,33 +6,35 @@
 //! the other side to bear. The explicit method knows the largest step that is safe in any shape and refuses larger ones
 //! or takes them in parts; the implicit one takes any step, and its numerical damping grows with it.
 
-mod bound;
 mod contact;
 mod error;
 mod explicit;
-mod following;
 mod forces;
 mod implicit;
 mod matrix;
 mod network;
-mod surface;
+pub(crate) mod remesh;
+pub(crate) mod stability;
+pub(crate) mod surface_network;
 
 pub use contact::Contact;
-pub use error::{Faulty, NetworkError, StepError};
-pub use following::{Edits, Followed, Patch};
+pub use error::NetworkError;
 pub use network::{Hinge, LineMaterial, Network, Spring, SurfaceMaterial, VolumeMaterial};
+pub use remesh::{Edits, Followed, Patch};
 
 pub(crate) use contact::check as check_contacts;
 pub(crate) use forces::NEARLY_FLAT;
 pub(crate) use network::check_elements;
-pub(crate) use surface::area;
+pub(crate) use surface_network::area;
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::faulty::Faulty;
+use trocar_dynamics::particles::{State, StepError};
 
-use bound::Bound;
 use implicit::Implicit;
 pub use implicit::SheetFactor;
+use stability::Bound;
 
 /// What to do with a step that is larger than is safe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -111,15 +113,6 @@ impl Default for Config {
         let too_large = TooLarge::Divide { most: 100 };
         Self { integrator: Integrator::Explicit { too_large }, lag: 0.0, damping: 0.0, speed_max: 100.0 }
     }
-}
-
-/// Where every node is, and how it moves: all that a solver needs to continue.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct State {
-    /// One per node \[m\].
-    pub positions: Vec<Point3<f64>>,
-    /// One per node \[m/s\].
-    pub velocities: Vec<Vector3<f64>>,
 }
 
 /// A force on a node for one step.
@@ -410,7 +403,7 @@ impl MassSpring {
     #[must_use]
     pub fn safe_step(&self) -> f64 {
         let eigenvalue = self.bound.largest();
-        bound::safe_step(eigenvalue, self.config.damping + self.config.lag * eigenvalue)
+        stability::safe_step(eigenvalue, self.config.damping + self.config.lag * eigenvalue)
     }
     /// Where every node is, and how it moves.
     #[must_use]

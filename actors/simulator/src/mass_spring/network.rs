@@ -13,10 +13,11 @@
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::faulty::Faulty;
 
-use super::error::{Faulty, NetworkError};
-use super::following::{Followed, Patch};
-use crate::elasticity::Alteration;
+use super::error::NetworkError;
+use super::remesh::{Followed, Patch};
 
 /// Holds two nodes at a distance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -2,8 +2,9 @@
 
 use nalgebra::Vector3;
 use thiserror::Error;
+use trocar_dynamics::rigid_world::Wrench;
 
-use super::{Arm, ContactConfig, Joint, RigidContact, RigidMass, RigidState, Wrench};
+use super::{Arm, ContactConfig, Joint, RigidContact, RigidMass, RigidState};
 
 /// Most bodies, and most contacts of a step.
 const COUNT_MAX: usize = 1_000_000;

@@ -5,35 +5,26 @@
 //! |---|---|
 //! | A body and its integrators | `body.rs` |
 //! | Contacts | `contact.rs` |
-//! | Jaws of instruments and their drives | `joint.rs` |
-//! | Impulses: all of a step, one contact, and which have to do with each other | `response.rs`, `row.rs`, `islands.rs` |
+//! | Jaws of instruments and their drives | `jaw_joint.rs` |
+//! | Impulses: all of a step, one contact, and which have to do with each other | `sequential_impulses.rs`, `contact_constraint.rs`, `islands.rs` |
 
 mod body;
 mod contact;
+pub(crate) mod contact_constraint;
 mod error;
 mod islands;
-mod joint;
-mod response;
-mod row;
+pub(crate) mod jaw_joint;
+pub(crate) mod sequential_impulses;
 
 use nalgebra::Vector3;
+use trocar_dynamics::rigid_world::Wrench;
 
 pub use body::{Integrator, RigidMass, RigidState};
 pub use contact::{ContactConfig, ContactImpulse, RigidContact};
 pub use error::{RigidError, RigidStepError};
-pub use joint::{Arm, Joint};
+pub use jaw_joint::{Arm, Joint};
 
-use response::Response;
-pub(crate) use row::most_across;
-
-/// What pushes a body from outside during a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Wrench {
-    /// Force at the centre of mass, in world \[N\].
-    pub force: Vector3<f64>,
-    /// Torque about the centre of mass, in world axes \[N·m\].
-    pub torque: Vector3<f64>,
-}
+use sequential_impulses::Response;
 
 /// Bodies that move and collide.
 #[derive(Clone, Debug)]

@@ -2,8 +2,8 @@
 //! alone, and slides out when it is drawn; the needle keeps what is swaged to it.
 
 use super::state::SutureState;
-use super::{Suture, SutureError, surface};
-use crate::thread::{CutAt, Parted, ThreadState};
+use super::{Suture, SutureError, tissue_surface};
+use crate::suture_thread::{CutAt, Parted, ThreadState};
 
 impl Suture {
     /// Cuts the thread. `None` where it is in the tissue or at a hole, is cut already, or less than two diameters would be left
@@ -13,7 +13,7 @@ impl Suture {
     /// It would have more nodes than a thread may have. It is then what it was.
     pub fn cut_thread(&mut self, at: CutAt) -> Result<Option<Parted>, SutureError> {
         let (length, radius) = (self.solid.shape().length(), self.thread_radius());
-        if surface::is_in_tissue(&self.state, length, &self.resistance, at.edge) {
+        if tissue_surface::is_in_tissue(&self.state, length, &self.resistance, at.edge) {
             return Ok(None);
         }
         let Some(thread) = &mut self.state.thread else { return Ok(None) };

@@ -2,9 +2,9 @@
 
 use thiserror::Error;
 
+use super::needle::NeedleError;
 use crate::linear_fem::PrecomputeError;
-use crate::needle::NeedleError;
-use crate::thread::{ThreadError, Trouble};
+use crate::suture_thread::{ThreadError, Trouble};
 
 /// Why there is no suture, or why a step was not made; what was before, still is.
 #[derive(Clone, Debug, Error, PartialEq)]

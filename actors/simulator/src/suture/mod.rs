@@ -4,17 +4,17 @@
 //! |---|---|
 //! | Tissue that answers inside, and the way through its elements | `tissue.rs` |
 //! | Forces of going in, through and out | `material.rs` |
-//! | What holds, presses and rubs, as rows | `rows.rs` |
-//! | Needle and tissue as companions in the thread's island | `sewing.rs` |
-//! | The needle's side and the thread on the surface | `surface.rs` |
-//! | Strands of the thread on the needle | `strands.rs` |
-//! | The tip at and in the tissue: in, on, out, back | `tip.rs` |
+//! | What holds, presses and rubs, as rows | `joints.rs` |
+//! | Needle and tissue as companions in the thread's island | `needle_tissue.rs` |
+//! | The needle's side and the thread on the surface | `tissue_surface.rs` |
+//! | Strands of the thread on the needle | `needle_thread_contact.rs` |
+//! | The tip at and in the tissue: in, on, out, back | `puncture.rs` |
 //! | A thread that is cut between needle and tissue, or breaks | `cut.rs` |
 //! | What is kept from step to step | `state.rs` |
 //!
 //! # Method
 //! The tissue is linear and quasi-static ([`Columns`](crate::linear_fem::Columns)); the needle is rigid and implicit; the
-//! thread is the implicit elastic rod of [`thread`](crate::thread). Where the tip has cut its way, material points of the
+//! thread is the implicit elastic rod of [`thread`](crate::suture_thread). Where the tip has cut its way, material points of the
 //! tissue are kept, a spacing apart; what lies there, first needle, then thread, is held across the channel and rubs
 //! along it: Coulomb's law with a grip per length besides what presses, and what sticks sticks to a place, so that it does
 //! not creep. All of it is one problem of bounded forces through the compliance of all three bodies.
@@ -22,7 +22,7 @@
 //! Elements are larger than a wire is thick: what a line gives way about itself within one of them
 //! ([`Tissue::gives_way_about`]) is added to what the elements show, else places in one element pinch the needle.
 //!
-//! Needle and tissue are companions of the thread in its island ([`thread`](crate::thread)): what holds all three together is
+//! Needle and tissue are companions of the thread in its island ([`thread`](crate::suture_thread)): what holds all three together is
 //! solved for in the problem of the thread's own contacts. So a sewn thread touches itself, the surface of the tissue and what
 //! is around it as any thread does, and is tied as one. The needle's side stays out of the surface as well, and strands of its
 //! thread out of the needle.
@@ -35,14 +35,15 @@
 
 mod cut;
 mod error;
+pub(crate) mod joints;
 mod material;
-mod rows;
-mod sewing;
+pub mod needle;
+pub(crate) mod needle_thread_contact;
+pub(crate) mod needle_tissue;
+pub(crate) mod puncture;
 mod state;
-mod strands;
-mod surface;
-mod tip;
 mod tissue;
+pub(crate) mod tissue_surface;
 
 pub use error::SutureError;
 pub use material::Resistance;
@@ -53,14 +54,14 @@ pub use tissue::{NODES_MAX, Place, Tissue, Way};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 
-use crate::needle::{NeedleShape, Solid};
-use crate::thread::island::Island;
-use crate::thread::island::companion::Tied;
-use crate::thread::{
+use crate::suture_thread::island::Island;
+use crate::suture_thread::island::coupled_body::Tied;
+use crate::suture_thread::{
     ContactMemory, Fineness, Hold, Load, Obstacle, Reaction, Renumbered, SWEEPS, Shape, Spared, Surroundings,
     ThreadMaterial, ThreadReport, ThreadState, ThreadStepError, TwistHold, check_step,
 };
-use sewing::{Room, Sewing};
+use needle::{NeedleShape, Solid};
+use needle_tissue::{Sewing, Workspace};
 
 /// A step is divided into this many parts at most.
 const PARTS_MAX: u32 = 256;
@@ -99,7 +100,7 @@ pub struct Gripped {
 
 /// What acts during one step. Everything is in the world.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Around<'a> {
+pub struct StepInputs<'a> {
     /// \[m/s²\].
     pub gravity: Vector3<f64>,
     /// Jaws on the needle.
@@ -152,7 +153,7 @@ pub struct Suture {
     state: SutureState,
     trial: SutureState,
     island: Island,
-    room: Room,
+    room: Workspace,
     /// Nodes of the tissue when the step began.
     began: Vec<Point3<f64>>,
     spared: Vec<Spared>,
@@ -196,7 +197,7 @@ impl Suture {
             trial: state.clone(),
             state,
             island: Island::new(SWEEPS),
-            room: Room::default(),
+            room: Workspace::default(),
             began: Vec::new(),
             spared: Vec::new(),
             obstacles: Vec::new(),
@@ -212,8 +213,9 @@ impl Suture {
         if let Some(thread) = &self.state.thread {
             let axis = (thread.positions[1] - thread.positions[0]).normalize();
             let pose = self.state.needle.pose();
-            let across = crate::thread::frame::perpendicular(&(pose * Vector3::z()), &axis);
-            self.state.swage_turn = crate::thread::frame::angle_about(&across, &thread.directors[0], &axis);
+            let across = crate::suture_thread::bishop_frame::perpendicular(&(pose * Vector3::z()), &axis);
+            self.state.swage_turn =
+                crate::suture_thread::bishop_frame::angle_about(&across, &thread.directors[0], &axis);
         }
     }
 
@@ -241,7 +243,7 @@ impl Suture {
     ) -> Result<Option<Renumbered>, SutureError> {
         keep.push(1);
         let length = self.solid.shape().length();
-        surface::nodes_in_tissue(&self.state, length, &self.resistance, &mut keep);
+        tissue_surface::nodes_in_tissue(&self.state, length, &self.resistance, &mut keep);
         let radius = self.thread_radius();
         let SutureState { thread, strand_contacts, .. } = &mut self.state;
         let Some(thread) = thread else { return Ok(None) };
@@ -310,7 +312,7 @@ impl Suture {
     ///
     /// # Errors
     /// Input that makes no sense, by name; or that no step could be found. The state is then what it was.
-    pub fn step(&mut self, dt: f64, around: &Around<'_>) -> Result<SutureReport, SutureError> {
+    pub fn step(&mut self, dt: f64, around: &StepInputs<'_>) -> Result<SutureReport, SutureError> {
         self.check(dt, around)?;
         self.trial.clone_from(&self.state);
         self.events.clear();
@@ -401,7 +403,7 @@ impl Suture {
         self.spared.clear();
         self.spared.extend_from_slice(here.around.spared);
         let length = self.solid.shape().length();
-        surface::in_tissue(&self.trial, length, &self.resistance, surface, &mut self.spared);
+        tissue_surface::in_tissue(&self.trial, length, &self.resistance, surface, &mut self.spared);
         let spared = std::mem::take(&mut self.spared);
         let surroundings = here.surroundings(&spared);
         let material = self.material.unwrap_or(ThreadMaterial::silk_2_0());
@@ -448,7 +450,7 @@ impl Suture {
     }
 
     /// Adds the forces of this part to what grips and tissue feel, by its share of the step.
-    fn feel(&mut self, fractions: [f64; 2], around: &Around<'_>) {
+    fn feel(&mut self, fractions: [f64; 2], around: &StepInputs<'_>) {
         let weight = fractions[1] - fractions[0];
         let (layout, tied) = (self.room.layout, self.island.tied());
         for (index, gripped) in self.gripped.iter_mut().enumerate() {
@@ -482,7 +484,7 @@ impl Suture {
         report.tip_force = self.state.tip_force.norm();
         let (state, length) = (&self.state, self.solid.shape().length());
         for (index, point) in state.channel.iter().enumerate() {
-            let share = sewing::share_of_channel(state, index, length);
+            let share = needle_tissue::share_of_channel(state, index, length);
             report.length_inside += share;
             let Some(site) = self.room.sites.get(index) else { continue };
             let along = point.force.dot(&site.tangent);
@@ -494,7 +496,7 @@ impl Suture {
         }
     }
 
-    fn check(&self, dt: f64, around: &Around<'_>) -> Result<(), SutureError> {
+    fn check(&self, dt: f64, around: &StepInputs<'_>) -> Result<(), SutureError> {
         let nodes = self.state.thread.as_ref().map_or(0, |thread| thread.positions.len());
         let whole = Here { around, obstacles: around.obstacles, began: &[] };
         let sound = check_step(dt).and_then(|()| whole.surroundings(&[]).check(nodes));
@@ -533,7 +535,7 @@ fn emptied<'b>(mut list: Vec<Obstacle<'_>>) -> Vec<Obstacle<'b>> {
 
 /// What is around needle and thread in a step: what was given, and the tissue as the last obstacle.
 struct Here<'a> {
-    around: &'a Around<'a>,
+    around: &'a StepInputs<'a>,
     obstacles: &'a [Obstacle<'a>],
     /// Nodes of the tissue when the step began.
     began: &'a [Point3<f64>],

@@ -5,13 +5,13 @@ use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::SutureError;
-use super::strands::STRANDS_MAX;
-use super::surface::SAMPLES_MAX;
+use super::needle::NeedleState;
+use super::needle_thread_contact::STRANDS_MAX;
 use super::tissue::{Place, Spot, Tissue};
+use super::tissue_surface::SAMPLES_MAX;
 use crate::clone_in_place::clones_in_place;
-use crate::needle::NeedleState;
-use crate::thread::elastic::Press;
-use crate::thread::{NODES_MAX, ThreadState};
+use crate::suture_thread::elastic::Press;
+use crate::suture_thread::{NODES_MAX, ThreadState};
 
 /// Places of all channels together that are followed at most.
 pub const CHANNEL_MAX: usize = 120;

@@ -6,12 +6,12 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
 
 use super::SutureError;
-use crate::elasticity::Elastic;
 use crate::linear_fem::Columns;
-use crate::tet_mesh::TetMesh;
-use crate::thread::elastic::SurfacePlace;
+use crate::suture_thread::elastic::SurfacePlace;
 
 /// Nodes about which the tissue can be asked at most: about as many as 150 places in a channel touch.
 pub const NODES_MAX: usize = 1200;

@@ -5,8 +5,10 @@
 //! take the first group that is free about them and leave all others where they are; and whoever goes on from there has
 //! to be told the groups.
 
+use trocar_dynamics::faulty::Faulty;
+
 use super::constraint::Constraint;
-use crate::mass_spring::{Edits, Faulty, NetworkError};
+use crate::mass_spring::{Edits, NetworkError};
 
 /// The group of what is no constraint.
 pub(super) const NONE: u16 = u16::MAX;

@@ -11,30 +11,28 @@
 //! that the caller runs in: the bits are the same.
 
 mod colouring;
-pub mod company;
 mod constraint;
 mod contact;
-mod following;
-mod tets;
-mod together;
-mod wide;
+pub(crate) mod island;
+pub(crate) mod remesh;
+pub(crate) mod tetrahedra;
 
 pub use constraint::{Bend, Distance, Elasticity, distances_of};
-pub use following::SplitTets;
-pub use together::{Member, step_together};
+pub use island::{Member, step_together};
+pub use remesh::SplitTets;
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, ExternalNodesState, GhostImpulses};
+use trocar_dynamics::faulty::Faulty;
+use trocar_dynamics::particles::{State, StepError};
 
-use crate::mass_spring::{
-    Contact, Faulty, NetworkError, NodeForce, Prescribed, State, StepError, check_contacts, check_elements,
-};
+use crate::mass_spring::{Contact, NetworkError, NodeForce, Prescribed, check_contacts, check_elements};
 use colouring::Coloured;
-use company::{Company, CompanyMoved, CompanyState};
 use constraint::{Constraint, Nodes};
 use contact::Pressed;
-use tets::{Pack, Tets};
+use tetrahedra::{Pack, Tets};
 
 /// Constraints of a group (packs of tetrahedra count as one) from which on threads are worth their while.
 const PARALLEL: usize = 512;
@@ -102,7 +100,7 @@ pub struct XpbdInput<'a> {
     /// Contacts.
     pub contacts: &'a [Contact],
     /// Nodes of other bodies, and what joins this one to them.
-    pub company: Company<'a>,
+    pub company: ExternalNodes<'a>,
 }
 
 /// The solver.
@@ -131,7 +129,7 @@ struct Scratch {
     forces: Vec<Vector3<f64>>,
     contacts: Vec<Pressed>,
     contact_forces: Vec<Vector3<f64>>,
-    company: CompanyState,
+    company: ExternalNodesState,
     distances: Sweep<Distance>,
     bends: Sweep<Bend>,
     tets: Sweep<Pack>,
@@ -202,8 +200,8 @@ impl Xpbd {
                 return invalid("density", density, "above 0 and finite");
             }
             Faulty::among(body.tets.len(), |index| {
-                let volume = tets::volume_of(body.rest, &body.tets[index]);
-                volume.is_nan() || volume <= tets::LEAST
+                let volume = tetrahedra::volume_of(body.rest, &body.tets[index]);
+                volume.is_nan() || volume <= tetrahedra::LEAST
             })
             .refuse(|faulty| NetworkError::NoExtent { kind: "tetrahedron", faulty })?;
             let mut is_gone = vec![false; body.tets.len()];
@@ -319,7 +317,7 @@ impl Xpbd {
     }
     /// What has become in the last step of the nodes of other bodies.
     #[must_use]
-    pub fn company(&self) -> &CompanyMoved {
+    pub fn company(&self) -> &GhostImpulses {
         self.scratch.company.moved()
     }
     /// What distances, bends, tetrahedra and ties exerted on these nodes (ascending) in the last part of the last step \[N\], of
@@ -426,7 +424,7 @@ impl Xpbd {
     }
 
     /// At the beginning of a part of `h` seconds: everything flies.
-    fn fly(&mut self, h: f64, input: &XpbdInput<'_>) {
+    fn predict(&mut self, h: f64, input: &XpbdInput<'_>) {
         let scratch = &mut self.scratch;
         let velocities = &mut scratch.next.velocities;
         scratch.before.clone_from(&scratch.places);

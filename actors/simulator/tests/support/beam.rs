@@ -2,8 +2,8 @@
 //! spread evenly over its end.
 
 use nalgebra::{Point3, Vector3};
-use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 
 /// Length and width \[m\].
 pub const SIZE: [f64; 3] = [0.1, 0.02, 0.02];

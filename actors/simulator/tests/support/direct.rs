@@ -2,9 +2,10 @@
 #![allow(dead_code)] // every test uses another part
 
 use nalgebra::Vector3;
-use trocar_simulator::elasticity::{Elastic, stiffness};
-use trocar_simulator::sparse::{BlockMatrix, SparseCholesky};
-use trocar_simulator::tet_mesh::TetMesh;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
+use trocar_simulator::linear_algebra::{BlockMatrix, SparseCholesky};
+use trocar_simulator::stiffness::stiffness;
 
 /// Numbers of the nodes that are not fixed.
 pub fn numbers(mesh: &TetMesh, fixed: &[u32]) -> (Vec<Option<u32>>, usize) {

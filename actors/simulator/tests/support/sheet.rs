@@ -1,8 +1,9 @@
 //! Springs that follow a sheet.
 
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::particles::State;
 use trocar_simulator::cutting::{Sheet, TopologyChange};
-use trocar_simulator::elasticity::Alteration;
-use trocar_simulator::mass_spring::{Followed, MassSpring, Patch, State, SurfaceMaterial};
+use trocar_simulator::mass_spring::{Followed, MassSpring, Patch, SurfaceMaterial};
 
 /// Brings a solver of springs up to date with the sheet that it moves.
 pub fn follow(

@@ -2,12 +2,12 @@
 #![allow(dead_code)] // every test uses another part
 
 use nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
-use trocar_simulator::elasticity::Elastic;
-use trocar_simulator::needle::{NeedleShape, NeedleState};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
+use trocar_simulator::suture::needle::{NeedleShape, NeedleState};
 use trocar_simulator::suture::{Bite, ChannelPoint, Grip, Resistance, Suture, SutureState, Tissue};
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
-use trocar_simulator::thread::laid::{self, Throws};
-use trocar_simulator::thread::{ThreadMaterial, ThreadState};
+use trocar_simulator::suture_thread::initial_shape::{self, Throws};
+use trocar_simulator::suture_thread::{ThreadMaterial, ThreadState};
 
 /// Young's modulus \[Pa\] of the blocks: soft tissue.
 pub const YOUNG: f64 = 3e4;
@@ -141,7 +141,7 @@ pub fn stitch(half_turns: &[i32], friction: f64) -> Suture {
     let height = 6e-3;
     let around = [[-HOLE, 0.0], [-HOLE + 1.5e-3, -DEEP], [HOLE - 1.5e-3, -DEEP], [HOLE, 0.0]]
         .map(|[x, z]| Point3::new(x, 0.3e-3, z - height));
-    let nodes: Vec<_> = laid::throws(&Throws {
+    let nodes: Vec<_> = initial_shape::throws(&Throws {
         half_turns,
         around: &around,
         radius: material.radius,

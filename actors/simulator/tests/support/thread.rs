@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 
 use nalgebra::{Point3, Vector3};
 use trocar_collision::primitive::closest_segments;
-use trocar_simulator::thread::{Hold, Surroundings, Thread, ThreadReport};
+use trocar_simulator::suture_thread::{Hold, Surroundings, Thread, ThreadReport};
 
 /// Between the knot and where its loop is pulled \[m\].
 const ARM: f64 = 6e-3;

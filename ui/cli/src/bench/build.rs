@@ -91,7 +91,8 @@ mod tests {
     #[test]
     fn the_time_of_children_is_counted() {
         let Some(before) = children_cpu_secs() else { return };
-        let busy = Command::new("sh").args(["-c", "i=0; while [ $i -lt 300000 ]; do i=$((i+1)); done"]).status();
+        let busy =
+            Command::new("sh").args(["-c", "i=0; while [ $i -lt 300000 ]; do i=$((i+1)); done"]).status();
         assert!(busy.expect("a shell").success());
         assert!(children_cpu_secs().expect("as before") > before);
     }

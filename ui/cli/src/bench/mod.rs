@@ -42,7 +42,10 @@ pub const SUITES: [(&str, &str); 7] = [
         "finite elements beside MuJoCo, position-based bodies beside pypbd, a rod beside PyElastica, a sheet beside Bullet (--peers), cloth, thread, heat, liquid, growth",
     ),
     ("memory", "what sessions hold over an hour of simulated time; takes about ten minutes"),
-    ("build", "a cold build of the program from its sources, its size and the disk that it takes; takes about ten minutes"),
+    (
+        "build",
+        "a cold build of the program from its sources, its size and the disk that it takes; takes about ten minutes",
+    ),
 ];
 
 /// Suites that look at how costs grow, and with the number of what.

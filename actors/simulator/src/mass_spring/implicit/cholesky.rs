@@ -11,11 +11,12 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, MatMut, Par, Side, Spec};
 use nalgebra::Vector3;
+use trocar_dynamics::particles::StepError;
 
 use super::StepMatrix;
+use crate::linear_algebra::nested_dissection;
 use crate::mass_spring::matrix::pairs;
-use crate::mass_spring::{Contact, Network, StepError};
-use crate::sparse::nested_dissection;
+use crate::mass_spring::{Contact, Network};
 
 /// The lower triangle, by columns.
 pub(super) struct Cholesky {

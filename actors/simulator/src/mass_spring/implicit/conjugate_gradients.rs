@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use super::operator::Operator;
-use super::quad::{Quad, dot};
-use crate::wide::wide;
+use crate::simd::dispatch::wide;
+use crate::simd::f64x4::{Quad, dot};
 
 /// Something near the inverse of the matrix: symmetric and definite on the nodes that are free, nothing on those held.
 pub(super) trait Preconditioner {

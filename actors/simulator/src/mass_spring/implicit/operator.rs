@@ -5,9 +5,9 @@
 //! and definite, and pushes both ends alike.
 
 use super::StepMatrix;
-use super::quad::Quad;
 use crate::mass_spring::matrix::Block;
 use crate::mass_spring::{Contact, Network};
+use crate::simd::f64x4::Quad;
 
 /// A spring: `all·I + u uᵀ` between two nodes.
 #[derive(Clone, Copy, Debug)]

@@ -10,9 +10,9 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::StepMatrix;
 use super::conjugate_gradients::Preconditioner;
-use super::quad::Quad;
-use super::triangles::Triangles;
+use crate::linear_algebra::supernodal_bf16::Triangles;
 use crate::mass_spring::Network;
+use crate::simd::f64x4::Quad;
 
 /// Share of two unknowns' own stiffness below which what couples them is left out.
 const NEGLIGIBLE: f64 = 5e-3;

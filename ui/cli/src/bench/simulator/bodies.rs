@@ -1,11 +1,11 @@
 //! What is simulated: beams of six-tetrahedra cells, square cloths, coils of thread, membranes, basins of liquid.
 
 use nalgebra::{Point3, Vector3};
+use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
 use trocar_simulator::electrosurgery::{Electrosurgery, LatticeConfig, ThermalMaterial, Tissue};
 use trocar_simulator::fluid::{Fluid, FluidConfig};
 use trocar_simulator::mass_spring::{Config, Integrator, MassSpring, Network, SurfaceMaterial};
-use trocar_simulator::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
-use trocar_simulator::thread::{Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::{Thread, ThreadMaterial};
 use trocar_simulator::xpbd::{Body, Elasticity, Xpbd, XpbdConfig};
 
 use crate::failure::Failure;

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use nalgebra::Vector3;
 use trocar::summary::{BenchResult, Better};
+use trocar_dynamics::elasticity::Elastic;
 use trocar_kernel::bench::median_and_spread;
 use trocar_simulator::dynamic_fem::{Config, Constitution, DynamicFem, Inputs};
-use trocar_simulator::elasticity::Elastic;
 use trocar_simulator::linear_fem::{Attachment, Hold, Limits, LinearFem, Load};
 
 use super::bodies::{GRAVITY, block};

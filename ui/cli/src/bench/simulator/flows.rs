@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use trocar::summary::{BenchResult, Better};
 use trocar_kernel::bench::median_and_spread;
 use trocar_simulator::electrosurgery::{Electrode, Electrosurgery, Mode};
-use trocar_simulator::thread::{Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
+use trocar_simulator::suture_thread::{Hold, Obstacle, Shape, Surroundings, Thread, ThreadMaterial};
 
 use super::bodies::{GRAVITY, basin, coil, membrane};
 use super::peers::{ElasticaRod, SaggingRod};

@@ -1,8 +1,9 @@
 //! Rigid bodies of our own.
 
 use trocar::summary::BenchResult;
+use trocar_dynamics::rigid_world::World;
 use trocar_scene::{Entity, Motion, Pose, RigidBody, Shape, SimTime, Velocity};
-use trocar_simulator::rigid_world::{ImpulseWorld, RigidSettings, World};
+use trocar_simulator::impulse_world::{ImpulseWorld, RigidSettings};
 
 use super::per_run;
 use super::roofline::{Work, share};

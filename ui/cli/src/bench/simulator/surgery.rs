@@ -3,15 +3,17 @@
 use std::hint::black_box;
 
 use nalgebra::{Isometry3, Point3, Rotation3, UnitQuaternion, Vector3};
-use trocar_simulator::coupling::{Ghosts, News};
-use trocar_simulator::cutting::{Sheet, Sweep};
-use trocar_simulator::elasticity::{Alteration, Elastic};
+use trocar_dynamics::coupling::external_nodes::{ExternalNodes, Tie};
+use trocar_dynamics::coupling::{Ghosts, News};
+use trocar_dynamics::elasticity::{Alteration, Elastic};
+use trocar_dynamics::particles::State;
+use trocar_dynamics::tet_mesh::Sweep;
+use trocar_simulator::cutting::Sheet;
 use trocar_simulator::fluid::smoke::{Smoke, SmokeConfig};
-use trocar_simulator::mass_spring::{Integrator, Patch, State, TooLarge};
-use trocar_simulator::needle::{NeedleShape, NeedleState};
-use trocar_simulator::suture::{Around, Grip, Resistance, Suture, SutureState, Tissue};
-use trocar_simulator::thread::{ThreadMaterial, ThreadState};
-use trocar_simulator::xpbd::company::{Company, Tie};
+use trocar_simulator::mass_spring::{Integrator, Patch, TooLarge};
+use trocar_simulator::suture::needle::{NeedleShape, NeedleState};
+use trocar_simulator::suture::{Grip, Resistance, StepInputs, Suture, SutureState, Tissue};
+use trocar_simulator::suture_thread::{ThreadMaterial, ThreadState};
 use trocar_simulator::xpbd::{Body, Xpbd, XpbdConfig, XpbdInput};
 
 use super::bodies::{self, CLOTH, GRAVITY, block, cloth};
@@ -110,7 +112,7 @@ pub fn sew_secs(cells: [usize; 3]) -> Result<(Sewn, (f64, f64)), Failure> {
             force_max: f64::INFINITY,
             torque_max: f64::INFINITY,
         };
-        let around = Around { gravity: GRAVITY, grips: &[grip], ..Around::default() };
+        let around = StepInputs { gravity: GRAVITY, grips: &[grip], ..StepInputs::default() };
         if let Err(error) = suture.step(1e-3, black_box(&around)) {
             failed = Some(error);
         }
@@ -163,10 +165,10 @@ pub fn couple_secs(nodes: u32) -> Result<(f64, f64), Failure> {
             failed = ghosts.hear(&news).map_err(Failure::internal).err();
         }
         steps += 1;
-        let company = Company { guests: &[], ties: &ties, presses: &[] };
+        let company = ExternalNodes { guests: &[], ties: &ties, presses: &[] };
         guests.clear();
         ghosts.meet(&company, &body.state().positions, &mut guests);
-        let company = Company { guests: &guests, ..company };
+        let company = ExternalNodes { guests: &guests, ..company };
         if let Err(error) = body.step(1e-3, &XpbdInput { gravity: GRAVITY, company, ..XpbdInput::default() })
         {
             failed = Some(Failure::internal(error));

@@ -1,0 +1,453 @@
+//! Nodes of other bodies that take part in a step: what is joined to them, what they keep out.
+//!
+//! A guest is a mass point that somebody else moves between steps. Within one it flies by itself, and answers to what the
+//! body does to it with a mobility of its own; the impulses that it was given are told afterwards, so that whoever moves it
+//! can be given the same numbers.
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::particles::StepError;
+
+/// Where ties name guests, numbers from here on name nodes of the bodies that are stepped together instead.
+pub const OF_BODY: u32 = 1 << 31;
+
+/// A node of another body: a mass, held by a spring to the path that it would go if the body did to it what it is expected to.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GhostNode {
+    /// Where it is \[m\].
+    pub position: Point3<f64>,
+    /// How it moves \[m/s\].
+    pub velocity: Vector3<f64>,
+    /// One over its mass \[1/kg\]; 0 where nothing moves it.
+    pub mobility: f64,
+    /// What pulls at it \[N\], besides what moves it along its path.
+    pub pull: Vector3<f64>,
+    /// Its path.
+    pub path: Path,
+    /// Of the spring to the path \[N/m\].
+    pub stiffness: f64,
+}
+
+/// A motion that is evenly accelerated for a while, and then even.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Path {
+    /// Where it is now \[m\].
+    pub position: Point3<f64>,
+    /// How it moves now \[m/s\].
+    pub velocity: Vector3<f64>,
+    /// How that changes \[m/s²\].
+    pub acceleration: Vector3<f64>,
+    /// For how long \[s\].
+    pub lasts: f64,
+}
+
+impl GhostNode {
+    /// One that nothing moves.
+    #[must_use]
+    pub fn as_wall(self) -> Self {
+        let path = Path { position: self.position, ..Path::default() };
+        Self {
+            velocity: Vector3::zeros(),
+            mobility: 0.0,
+            pull: Vector3::zeros(),
+            path,
+            stiffness: 0.0,
+            ..self
+        }
+    }
+
+    /// Goes on for `h` seconds, in which it is given an impulse \[N·s\].
+    pub fn go(&mut self, h: f64, impulse: &Vector3<f64>) {
+        let mut path = self.path;
+        let (velocity, mobility) = self.flies(h, self.position.coords, self.velocity, &mut path);
+        self.velocity = velocity + impulse * mobility;
+        self.position += self.velocity * h;
+        self.path = path;
+    }
+
+    /// Its velocity after a part of a step in which nobody touches it, and how it follows who does \[1/kg\]. The spring to its
+    /// path, which goes on by the part, is as the end of the part has it.
+    fn flies(&self, h: f64, was: Vector3<f64>, moved: Vector3<f64>, path: &mut Path) -> (Vector3<f64>, f64) {
+        let velocity = moved + path.go(h) + self.pull * (self.mobility * h);
+        let loose = 1.0 / (1.0 + h * h * self.stiffness * self.mobility);
+        let now = path.position.coords.lerp(&(was + velocity * h), loose);
+        ((now - was) / h, self.mobility * loose)
+    }
+}
+
+impl Path {
+    /// Goes on by `h` seconds; how much faster it is then.
+    pub fn go(&mut self, h: f64) -> Vector3<f64> {
+        let change = self.acceleration * h.min(self.lasts);
+        self.lasts -= h.min(self.lasts);
+        self.velocity += change;
+        self.position += self.velocity * h;
+        change
+    }
+}
+
+/// A spring and a damper of no length between a node of the body and a place among guests.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tie {
+    /// Which node.
+    pub node: u32,
+    /// Which guests, or nodes from [`OF_BODY`] on, and the weight of each; their sum is 1.
+    pub guests: [(u32, f64); 4],
+    /// Force per stretch \[N/m\], above 0.
+    pub stiffness: f64,
+    /// Force per velocity of stretching \[N·s/m\].
+    pub damping: f64,
+}
+
+/// Keeps a node of the body on one side of a triangle of guests, by a spring that pushes and friction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Press {
+    /// Which node.
+    pub node: u32,
+    /// Which guests, and the weight of each; their sum is 1.
+    pub guests: [(u32, f64); 3],
+    /// The place that friction holds it to.
+    pub anchor: [(u32, f64); 3],
+    /// To which side, unit.
+    pub normal: Vector3<f64>,
+    /// How far from the triangle it is kept \[m\].
+    pub thickness: f64,
+    /// Force per depth \[N/m\], above 0.
+    pub stiffness: f64,
+    /// Coulomb's coefficient.
+    pub friction: f64,
+}
+
+/// Everything of others that takes part in a step.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ExternalNodes<'a> {
+    /// Nodes of others.
+    pub guests: &'a [GhostNode],
+    /// What joins the body to them.
+    pub ties: &'a [Tie],
+    /// Where it lies on them.
+    pub presses: &'a [Press],
+}
+
+/// What has become of a guest in a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct GhostMoved {
+    /// Where it is \[m\].
+    pub position: Point3<f64>,
+    /// How it moves \[m/s\].
+    pub velocity: Vector3<f64>,
+    /// How far along its path it is.
+    pub path: Path,
+    /// What ties and presses gave it \[N·s\].
+    pub impulse: Vector3<f64>,
+    /// What work that was \[J\].
+    pub work: f64,
+}
+
+/// What has become of all of them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GhostImpulses {
+    /// Of each guest.
+    pub guests: Vec<GhostMoved>,
+    /// Of each tie.
+    pub ties: Vec<Tied>,
+    /// Of each press.
+    pub presses: Vec<Pressed>,
+}
+
+/// What became of a tie.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Tied {
+    /// Force on the body, averaged over the step \[N\].
+    pub force: Vector3<f64>,
+    /// What it took from all motion and did not keep \[J\]: by damping, by implicit steps.
+    pub lost: f64,
+}
+
+/// What became of a press.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pressed {
+    /// Force on the body, averaged over the step \[N\].
+    pub force: Vector3<f64>,
+    /// Whether it pressed at the end.
+    pub holds: bool,
+    /// Whether it slid then.
+    pub slides: bool,
+    /// How far ahead of the node friction draws it then \[m\].
+    pub drawn: Vector3<f64>,
+    /// What it took from all motion and did not keep \[J\]: by friction, by implicit steps.
+    pub lost: f64,
+}
+
+/// What becomes of a company in a step, and room for it.
+#[derive(Clone, Debug, Default)]
+pub struct ExternalNodesState {
+    /// Guests as nodes.
+    places: Vec<[f64; 4]>,
+    /// Where they were when the part began.
+    before: Vec<[f64; 4]>,
+    /// Which node each tie holds.
+    tied: Vec<u32>,
+    /// What ties and presses gave them in the part \[N·s\].
+    given: Vec<Vector3<f64>>,
+    /// Multipliers of the part \[N·s²\]: of ties, of presses along the normal and across it.
+    ties: Vec<Vector3<f64>>,
+    presses: Vec<(f64, Vector3<f64>)>,
+    /// How far apart what they join is when the part begins \[m\]: ties, then presses.
+    aparts: Vec<Vector3<f64>>,
+    moved: GhostImpulses,
+}
+
+/// All nodes that take part in a part of a step, those of one body after another's, and guests.
+pub(crate) struct Places<'a> {
+    pub bodies: Vec<&'a mut [[f64; 4]]>,
+    pub guests: &'a mut [[f64; 4]],
+    /// One over the squared part \[1/s²\].
+    pub rate: f64,
+}
+
+impl Places<'_> {
+    fn body(&mut self, node: u32) -> &mut [f64; 4] {
+        let mut node = node as usize;
+        for body in &mut self.bodies {
+            if node < body.len() {
+                return &mut body[node];
+            }
+            node -= body.len();
+        }
+        unreachable!("ties are checked before a step")
+    }
+
+    fn at(&mut self, number: u32) -> &mut [f64; 4] {
+        if number < OF_BODY { &mut self.guests[number as usize] } else { self.body(number - OF_BODY) }
+    }
+
+    /// How far a node is from a place among guests, and how the two yield to what pulls at them \[1/kg\].
+    fn apart<const N: usize>(&mut self, node: u32, guests: &[(u32, f64); N]) -> (Vector3<f64>, f64) {
+        let [x, y, z, mut yields] = *self.body(node);
+        let mut apart = Vector3::new(x, y, z);
+        for &(guest, weight) in guests {
+            let [x, y, z, mobility] = *self.at(guest);
+            apart -= Vector3::new(x, y, z) * weight;
+            yields += mobility * weight * weight;
+        }
+        (apart, yields)
+    }
+
+    fn push<const N: usize>(&mut self, node: u32, guests: &[(u32, f64); N], by: &Vector3<f64>) {
+        let shift = |place: &mut [f64; 4], share: f64| {
+            let mobility = place[3];
+            (0..3).for_each(|axis| place[axis] += by[axis] * share * mobility);
+        };
+        shift(self.body(node), 1.0);
+        guests.iter().for_each(|&(guest, weight)| shift(self.at(guest), -weight));
+    }
+}
+
+impl ExternalNodesState {
+    /// What has become of everybody in the last step.
+    #[must_use]
+    pub fn moved(&self) -> &GhostImpulses {
+        &self.moved
+    }
+
+    /// Before a step of which nobody knows yet whether it can be made.
+    pub fn forget(&mut self) {
+        self.moved.guests.clear();
+        self.moved.ties.clear();
+        self.moved.presses.clear();
+    }
+
+    /// What ties exerted on these nodes (ascending) in the last step \[N\].
+    pub fn pull_on(&self, nodes: &[u32]) -> Vector3<f64> {
+        let held =
+            self.tied.iter().zip(&self.moved.ties).filter(|(node, _)| nodes.binary_search(node).is_ok());
+        held.map(|(_, tied)| tied.force).sum()
+    }
+}
+
+impl ExternalNodes<'_> {
+    /// Looks through it, for bodies of so many nodes, a spare one of each counted.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn check(&self, nodes: usize) -> Result<(), StepError> {
+        let wrong = |what, index, problem| Err(StepError::Input { what, index, problem });
+        let guests = self.guests.len();
+        for (index, guest) in self.guests.iter().enumerate() {
+            let path = guest.path.velocity.iter().chain(&guest.path.acceleration).chain([&guest.path.lasts]);
+            let vectors = guest.velocity.iter().chain(&guest.pull).chain(path);
+            let places = guest.position.iter().chain(guest.path.position.iter());
+            let numbers = [guest.mobility, guest.stiffness];
+            let is_number = |value: &f64| value.is_finite();
+            if !(vectors.chain(places).chain(&numbers).all(is_number) && numbers.iter().all(|of| *of >= 0.0))
+            {
+                return wrong(
+                    "guest",
+                    index,
+                    "has a number that is not finite, or a mass or stiffness below 0",
+                );
+            }
+        }
+        let is_known = |number: u32| match number.checked_sub(OF_BODY) {
+            Some(node) => (node as usize) < nodes,
+            None => (number as usize) < guests,
+        };
+        let known = |of: &[(u32, f64)]| of.iter().all(|(guest, w)| is_known(*guest) && w.is_finite());
+        for (index, tie) in self.ties.iter().enumerate() {
+            let soft = [tie.stiffness, tie.damping].iter().all(|value| *value >= 0.0 && value.is_finite());
+            if tie.node as usize >= nodes || !known(&tie.guests) {
+                return wrong("tie", index, "names a node or a guest that does not exist");
+            } else if !(soft && tie.stiffness > 0.0) {
+                return wrong("tie", index, "has a stiffness that is not above 0, or damping below 0");
+            }
+        }
+        for (index, press) in self.presses.iter().enumerate() {
+            let finite =
+                [press.thickness, press.friction].iter().all(|value| *value >= 0.0 && value.is_finite());
+            let unit = (press.normal.norm_squared() - 1.0).abs() < 1e-6;
+            let of_guests = press.guests.iter().chain(&press.anchor).all(|(guest, _)| *guest < OF_BODY);
+            if press.node as usize >= nodes || !of_guests || !known(&press.guests) || !known(&press.anchor) {
+                return wrong("press", index, "names a node or a guest that does not exist");
+            } else if !(finite && unit && press.stiffness > 0.0 && press.stiffness.is_finite()) {
+                return wrong(
+                    "press",
+                    index,
+                    "has a stiffness that is not above 0, or a normal that is not unit",
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// At the beginning of a step.
+    pub fn prepare(&self, scratch: &mut ExternalNodesState) {
+        scratch.places.clear();
+        scratch.places.extend(self.guests.iter().map(|guest| {
+            let [x, y, z] = guest.position.into();
+            [x, y, z, guest.mobility]
+        }));
+        let moved = &mut scratch.moved;
+        moved.guests.clear();
+        let still = |guest: &GhostNode| GhostMoved {
+            velocity: guest.velocity,
+            path: guest.path,
+            ..GhostMoved::default()
+        };
+        moved.guests.extend(self.guests.iter().map(still));
+        moved.ties.clear();
+        moved.ties.resize(self.ties.len(), Tied::default());
+        moved.presses.clear();
+        moved.presses.resize(self.presses.len(), Pressed::default());
+        scratch.tied.clear();
+        scratch.tied.extend(self.ties.iter().map(|tie| tie.node));
+    }
+
+    /// At the beginning of a part of length `h` \[s\], before anything has moved.
+    pub fn begin(&self, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState) {
+        let ExternalNodesState { places, before, aparts, given, ties, presses, .. } = scratch;
+        before.clone_from(places);
+        let mut all = Places { bodies, guests: places, rate: 0.0 };
+        aparts.clear();
+        aparts.extend(self.ties.iter().map(|tie| all.apart(tie.node, &tie.guests).0));
+        aparts.extend(self.presses.iter().map(|press| all.apart(press.node, &press.guests).0));
+        given.clear();
+        given.resize(self.guests.len(), Vector3::zeros());
+        ties.clear();
+        ties.resize(self.ties.len(), Vector3::zeros());
+        presses.clear();
+        presses.resize(self.presses.len(), (0.0, Vector3::zeros()));
+    }
+
+    /// Ghost nodes go on by themselves.
+    pub fn predict(&self, h: f64, scratch: &mut ExternalNodesState) {
+        let moving = self.guests.iter().zip(&mut scratch.moved.guests);
+        for (place, (guest, moved)) in scratch.places.iter_mut().zip(moving) {
+            let was = Vector3::new(place[0], place[1], place[2]);
+            let (velocity, mobility) = guest.flies(h, was, moved.velocity, &mut moved.path);
+            let now = was + velocity * h;
+            *place = [now.x, now.y, now.z, mobility];
+        }
+    }
+
+    /// One iteration.
+    pub fn project(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState) {
+        let ExternalNodesState { places, aparts, ties, presses, .. } = scratch;
+        let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
+        for ((tie, multiplier), then) in self.ties.iter().zip(ties).zip(&*aparts) {
+            let (stretch, yields) = all.apart(tie.node, &tie.guests);
+            if yields == 0.0 {
+                continue;
+            }
+            let soft = all.rate / tie.stiffness;
+            let drag = tie.damping / (tie.stiffness * h);
+            let slip = stretch - then;
+            let change = (-stretch - *multiplier * soft - slip * drag) / ((1.0 + drag) * yields + soft);
+            all.push(tie.node, &tie.guests, &change);
+            *multiplier += change;
+        }
+        for (press, (along, across)) in self.presses.iter().zip(presses) {
+            let (over, yields) = all.apart(press.node, &press.guests);
+            if yields == 0.0 {
+                continue;
+            }
+            let soft = all.rate / press.stiffness;
+            let gap = press.normal.dot(&over) - press.thickness;
+            let pressed = (*along - (gap + soft * *along) / (yields + soft)).max(0.0);
+            all.push(press.node, &press.guests, &(press.normal * (pressed - *along)));
+            *along = pressed;
+            let (slip, yields) = all.apart(press.node, &press.anchor);
+            let slip = slip - press.normal * press.normal.dot(&slip);
+            let wanted = *across - (slip + *across * soft) / (yields + soft);
+            let (size, most) = (wanted.norm(), press.friction * pressed);
+            let held = if size > most { wanted * (most / size) } else { wanted };
+            all.push(press.node, &press.anchor, &(held - *across));
+            *across = held;
+        }
+    }
+
+    /// At the end of a part.
+    pub fn end(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState, parts: f64) {
+        let ExternalNodesState { places, before, given, ties, presses, aparts, moved, .. } = scratch;
+        let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
+        // What the impulses did on all that they act on, with what springs keep the opposite of what is lost. By the ways that
+        // the ends went: what pulls at a light node and what holds it undo each other within a part.
+        let taken =
+            |impulse: &Vector3<f64>, then: &Vector3<f64>, now: &Vector3<f64>| impulse.dot(&(now - then)) / h;
+        for (index, (tie, multiplier)) in self.ties.iter().zip(&*ties).enumerate() {
+            let impulse = multiplier / h;
+            for &(guest, weight) in tie.guests.iter().filter(|(guest, _)| *guest < OF_BODY) {
+                given[guest as usize] -= impulse * weight;
+            }
+            let tied = &mut moved.ties[index];
+            tied.force += impulse / (h * parts);
+            let now = all.apart(tie.node, &tie.guests).0;
+            let kept = 0.5 * tie.stiffness * (now.norm_squared() - aparts[index].norm_squared());
+            tied.lost -= taken(&impulse, &aparts[index], &now) + kept;
+        }
+        for (index, (press, (along, across))) in self.presses.iter().zip(&*presses).enumerate() {
+            let (pushing, holding) = (press.normal * (along / h), across / h);
+            press.guests.iter().for_each(|&(guest, weight)| given[guest as usize] -= pushing * weight);
+            press.anchor.iter().for_each(|&(guest, weight)| given[guest as usize] -= holding * weight);
+            let pressed = &mut moved.presses[index];
+            pressed.force += (pushing + holding) / (h * parts);
+            pressed.holds = *along > 0.0;
+            pressed.slides = across.norm() >= press.friction * along * (1.0 - 1e-9);
+            pressed.drawn = across * (all.rate / press.stiffness);
+            let now = all.apart(press.node, &press.guests).0;
+            let then = &aparts[self.ties.len() + index];
+            let depth = |apart: &Vector3<f64>| (press.thickness - press.normal.dot(apart)).max(0.0);
+            let kept = 0.5 * press.stiffness * (depth(&now).powi(2) - depth(then).powi(2));
+            pressed.lost -= taken(&(pushing + holding), then, &now) + kept;
+        }
+        let places = all.guests.iter().zip(before);
+        for ((guest, impulse), (place, was)) in moved.guests.iter_mut().zip(given).zip(places) {
+            guest.velocity = Vector3::from_fn(|axis, _| (place[axis] - was[axis]) / h);
+            guest.position = Point3::new(place[0], place[1], place[2]);
+            guest.impulse += *impulse;
+            guest.work += impulse.dot(&guest.velocity);
+        }
+    }
+}

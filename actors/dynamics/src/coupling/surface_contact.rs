@@ -1,0 +1,162 @@
+//! Where nodes of a faster body lie on the surface of a slower one.
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+use trocar_collision::moving_surface::MovingSurface;
+use trocar_collision::{Surface, pseudonormal};
+
+use super::external_nodes::{GhostMoved, Press, Pressed};
+
+/// Nodes deeper in the body than this are lost \[m\].
+const DEEP: f64 = 0.01;
+/// Nodes nearer than this are listed before they press: who moves the surface is told in time what is to be expected \[m\].
+const NEAR: f64 = 0.003;
+
+/// How the one lies on the other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LyingRule {
+    /// How far nodes stay from the surface \[m\].
+    pub thickness: f64,
+    /// Force per depth of a node \[N/m\].
+    pub stiffness: f64,
+    /// Coulomb's coefficient.
+    pub friction: f64,
+}
+
+/// Where a node holds on to the surface as long as friction lasts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Anchor {
+    /// Of the faster body.
+    pub node: u32,
+    /// Vertices of the surface, and their weights.
+    pub at: [(u32, f64); 3],
+}
+
+/// Nodes on a surface that somebody else moves.
+#[derive(Clone, Debug)]
+pub struct Lying {
+    rule: LyingRule,
+    surface: MovingSurface,
+    /// Ascending.
+    anchors: Vec<Anchor>,
+}
+
+impl Lying {
+    /// On a surface that bounds a volume, its triangles turned outwards.
+    #[must_use]
+    pub fn new(rule: LyingRule, surface: &Surface<'_>) -> Self {
+        Self { rule, surface: MovingSurface::new(surface), anchors: Vec::new() }
+    }
+
+    /// Where nodes hold on, to continue from.
+    #[must_use]
+    pub fn anchors(&self) -> &[Anchor] {
+        &self.anchors
+    }
+
+    /// Continues from there.
+    pub fn hold(&mut self, anchors: &[Anchor]) {
+        self.anchors.clear();
+        let known = self.surface.surface().vertices().len();
+        let sound = |anchor: &&Anchor| {
+            anchor.at.iter().all(|(vertex, weight)| (*vertex as usize) < known && weight.is_finite())
+        };
+        self.anchors.extend(anchors.iter().filter(sound));
+        self.anchors.sort_unstable_by_key(|anchor| anchor.node);
+    }
+
+    /// Lists what presses in a step of `dt` seconds: the surface as it is now, the faster body's nodes that can lie on it,
+    /// where they are \[m\], and how they move \[m/s\].
+    pub fn find(
+        &mut self,
+        surface: &Surface<'_>,
+        nodes: &[u32],
+        positions: &[Point3<f64>],
+        velocities: &[Vector3<f64>],
+        dt: f64,
+        presses: &mut Vec<Press>,
+    ) {
+        presses.clear();
+        self.surface.follow(surface);
+        let LyingRule { thickness, stiffness, friction } = self.rule;
+        let surface = self.surface.surface();
+        let Some(bounds) = self.surface.tree().bounds() else { return };
+        for &node in nodes {
+            let (at, velocity) = (positions[node as usize], velocities[node as usize]);
+            let reach = thickness + NEAR + 2.0 * dt * velocity.norm();
+            let far = reach.max(DEEP);
+            let outside = (0..3).any(|k| at[k] < bounds.min[k] - far || at[k] > bounds.max[k] + far);
+            if outside {
+                continue;
+            }
+            let found = self.surface.tree().nearest_to_point(&surface, &at, far);
+            let Ok(Some(nearest)) = found else { continue };
+            let weights = nearest.nearest.weights;
+            let Some(outwards) = pseudonormal(&surface, self.surface.topology(), nearest.triangle, &weights)
+            else {
+                continue;
+            };
+            let away = at.coords - nearest.nearest.point.coords;
+            let below = away.dot(&outwards) < 0.0;
+            let gap = if below { -nearest.distance } else { nearest.distance };
+            if gap > reach {
+                continue;
+            }
+            let away = if below { -away } else { away };
+            let Some(normal) = away.try_normalize(1e-9).or_else(|| outwards.try_normalize(1e-12)) else {
+                continue;
+            };
+            let corners = surface.triangles()[nearest.triangle as usize];
+            let guests = [0, 1, 2].map(|k| (corners[k], weights[k]));
+            let held = self.anchors.binary_search_by_key(&node, |anchor| anchor.node);
+            let anchor = held.map_or(guests, |at| self.anchors[at].at);
+            presses.push(Press { node, guests, anchor, normal, thickness, stiffness, friction });
+        }
+    }
+
+    /// After the step: who was pressed holds on to where it is, or as far ahead of where it slid to as friction draws it.
+    /// Presses as they were found, guests in the order of the surface's vertices, the faster body's nodes \[m\].
+    pub fn met(
+        &mut self,
+        presses: &[Press],
+        moved: &[Pressed],
+        guests: &[GhostMoved],
+        positions: &[Point3<f64>],
+    ) {
+        let mut held = Vec::with_capacity(presses.len());
+        for (press, pressed) in presses.iter().zip(moved) {
+            if !pressed.holds {
+                continue;
+            }
+            if !pressed.slides {
+                held.push(Anchor { node: press.node, at: press.anchor });
+                continue;
+            }
+            let place = |(guest, weight): (u32, f64)| guests[guest as usize].position.coords * weight;
+            let foot = press.guests.into_iter().map(place).sum::<Vector3<f64>>();
+            let over = positions[press.node as usize].coords - foot;
+            let ahead = foot + (over - press.normal * press.normal.dot(&over)) + pressed.drawn;
+            // In the plane of the triangle that it lies on: a little beyond its rim is still the same place.
+            let [a, b, c] = press.guests.map(|(guest, _)| guests[guest as usize].position.coords);
+            if let Some(at) = weights_in_plane(&[a, b, c], &ahead) {
+                let at = [0, 1, 2].map(|k| (press.guests[k].0, at[k]));
+                held.push(Anchor { node: press.node, at });
+            }
+        }
+        self.anchors = held;
+    }
+}
+
+/// Weights of three corners whose mean is a place, or what is nearest to it in their plane.
+fn weights_in_plane([a, b, c]: &[Vector3<f64>; 3], place: &Vector3<f64>) -> Option<[f64; 3]> {
+    let (u, v, w) = (b - a, c - a, place - a);
+    let (uu, uv, vv) = (u.norm_squared(), u.dot(&v), v.norm_squared());
+    let (wu, wv) = (w.dot(&u), w.dot(&v));
+    let determinant = uu * vv - uv * uv;
+    if determinant.is_nan() || determinant <= 1e-12 * uu * vv {
+        return None;
+    }
+    let (second, third) = ((vv * wu - uv * wv) / determinant, (uu * wv - uv * wu) / determinant);
+    Some([1.0 - second - third, second, third])
+}

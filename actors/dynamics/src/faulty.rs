@@ -1,0 +1,44 @@
+//! Which elements of a list are wrong, for messages.
+
+/// Bad elements that a message names; the others are counted.
+const NAMED: usize = 16;
+
+/// Indices that share a fault: the first few by name, and how many there are.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Faulty {
+    /// The first 16, in ascending order.
+    pub first: Vec<u32>,
+    /// All of them.
+    pub count: usize,
+}
+
+impl Faulty {
+    /// Gathers those indices for which `bad` holds.
+    pub fn among(count: usize, mut bad: impl FnMut(usize) -> bool) -> Self {
+        let mut faulty = Self::default();
+        for index in (0..count).filter(|&index| bad(index)) {
+            if faulty.first.len() < NAMED {
+                faulty.first.push(index as u32);
+            }
+            faulty.count += 1;
+        }
+        faulty
+    }
+    /// An error where there are any.
+    pub fn refuse<E>(self, error: impl FnOnce(Self) -> E) -> Result<(), E> {
+        if self.count == 0 { Ok(()) } else { Err(error(self)) }
+    }
+}
+
+impl std::fmt::Display for Faulty {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        for (place, index) in self.first.iter().enumerate() {
+            let comma = if place == 0 { "" } else { ", " };
+            write!(formatter, "{comma}{index}")?;
+        }
+        match self.count.saturating_sub(self.first.len()) {
+            0 => Ok(()),
+            more => write!(formatter, " and {more} more"),
+        }
+    }
+}

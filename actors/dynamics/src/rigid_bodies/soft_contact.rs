@@ -1,0 +1,108 @@
+//! What rigid bodies are given by soft ones that touch them ([`crate::soft_body::contact::rigid`]): they tell how they give way, and take it.
+
+use trocar_scene::commands::Commands;
+use trocar_scene::components::Motion;
+use trocar_scene::entity::Entity;
+use trocar_scene::snapshot::Snapshot;
+use trocar_scene::time::SimTime;
+
+use super::RigidBodiesController;
+use crate::rigid_world::Wrench;
+use crate::rigid_world::{World, WorldError};
+use crate::soft_body::contact::RigidContacts;
+use crate::soft_body::contact::rigid::motion;
+use crate::soft_body::contact::tracking::answers;
+
+impl<W: World> RigidBodiesController<W> {
+    /// Brings up to date how bodies give way in steps of so many seconds. From when a body has told it soft ones answer for it.
+    pub(crate) fn publish_inertia(&mut self, scene: &Snapshot, period_secs: f64) {
+        if !self.meets_soft_bodies || period_secs <= 0.0 {
+            return;
+        }
+        let is_any_soft = scene.has_soft_body_that(|of| of.responds_to_contacts);
+        for (entity, known) in &mut self.bodies {
+            if known.contacts.is_none() && !is_any_soft {
+                continue;
+            }
+            let may_tell = self.declared.as_ref().is_none_or(|rows| rows.binary_search(entity).is_ok());
+            let gives_way = may_tell && !known.frozen && known.body.motion == Motion::Dynamic;
+            let inertia = gives_way.then(|| self.world.inertia(*entity)).flatten();
+            if known.contacts.is_none() && inertia.is_none() {
+                continue;
+            }
+            let (told, inertia) =
+                (known.contacts.get_or_insert_with(Default::default), inertia.unwrap_or_default());
+            if told.inertia == inertia && told.step == period_secs {
+                continue;
+            }
+            let before = told.gives_way();
+            (told.inertia, told.step) = (inertia, period_secs);
+            known.is_told = false;
+            if told.gives_way() != before {
+                // Another one answers its contacts.
+                self.lists.clear();
+            }
+        }
+    }
+
+    /// Whether a soft body answers for both when it touches that one.
+    pub(crate) fn is_answered_for(&self, scene: &Snapshot, one: Entity, other: Entity) -> bool {
+        let contacts = self.bodies.get(&one).and_then(|known| known.contacts.as_ref());
+        contacts.is_some_and(RigidContacts::gives_way) && answers(scene, other)
+    }
+
+    /// Lets soft bodies push in the steps of the next so many seconds.
+    ///
+    /// # Errors
+    /// A push that is none.
+    pub(crate) fn apply_soft_impulses(&mut self, scene: &Snapshot, secs: f64) -> Result<(), WorldError> {
+        for (entity, known) in &mut self.bodies {
+            let Some(told) = known.contacts.as_mut().filter(|told| told.gives_way()) else { continue };
+            known.before =
+                self.world.velocity(*entity).zip(self.world.pose(*entity)).map(|(velocity, pose)| {
+                    (motion(&told.inertia, &pose.isometry(), &velocity), Wrench::default(), pose)
+                });
+            let Some(push) = told.take(*entity, scene, secs) else { continue };
+            known.is_told = false;
+            if push != Wrench::default() {
+                self.world.push(*entity, &push)?;
+                if let Some((_, pushed, _)) = &mut known.before {
+                    *pushed = push;
+                }
+                self.pushed.push(*entity);
+            }
+        }
+        Ok(())
+    }
+
+    /// Nobody pushes any longer, after so many seconds; what else has moved them is looked at.
+    ///
+    /// # Errors
+    /// A body that is gone.
+    pub(crate) fn clear_soft_impulses(&mut self, secs: f64) -> Result<(), WorldError> {
+        for (entity, known) in &mut self.bodies {
+            let (Some(told), Some((before, push, pose))) = (&mut known.contacts, known.before.take()) else {
+                continue;
+            };
+            let Some((velocity, now)) = self.world.velocity(*entity).zip(self.world.pose(*entity)) else {
+                continue;
+            };
+            let after = motion(&told.inertia, &now.isometry(), &velocity);
+            let by_push = told.inertia.change(&pose.isometry(), [push.force, push.torque]);
+            let pull = [0, 1].map(|side| (after[side] - before[side]) / secs - by_push[side]);
+            known.is_told &= !told.learn(pull);
+        }
+        self.pushed.drain(..).try_for_each(|entity| self.world.push(entity, &Wrench::default()))
+    }
+
+    /// Tells soft bodies what has changed.
+    pub(crate) fn write_given(&mut self, now: SimTime, out: &mut Commands) {
+        for (entity, known) in &mut self.bodies {
+            if let Some(contacts) = known.contacts.as_mut().filter(|_| !known.is_told) {
+                contacts.time = now;
+                out.put(*entity, contacts.clone());
+                known.is_told = true;
+            }
+        }
+    }
+}

@@ -1,0 +1,251 @@
+//! What contacts push. For the time of a step vertices are taken as free; of each body only those are looked at that touch.
+//! Rigid bodies move as a whole.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use trocar_scene::{Entity, SimTime, Snapshot, Velocity};
+
+use super::ImpulseTotals;
+use super::penalty::RespondingBody;
+use super::rigid::RigidProxy;
+use super::tracking::{Place, Shape};
+use super::{ContactSums, SoftContacts};
+use crate::picking::DrivenVertex;
+use crate::soft_body::method::ContactParams;
+
+/// What the bodies of a controller have given others so far: who, and to whom.
+pub(crate) struct AppliedImpulses {
+    pub giver: Entity,
+    pub vertices: Vec<ContactSums>,
+    pub wholes: Vec<ImpulseTotals>,
+}
+
+/// A body that contacts push: one of the controller, or one that another moves.
+pub(crate) struct Mover<'a> {
+    pub entity: Entity,
+    pub friction: Option<f64>,
+    pub stiffness: f64,
+    /// Until what it is given takes effect \[s\].
+    pub step: f64,
+    matter: Matter<'a>,
+}
+
+enum Matter<'a> {
+    Vertices(Vertices<'a>),
+    RigidProxy(RigidProxy),
+}
+
+/// Where a contact pushes a mover.
+#[derive(Clone, Copy)]
+pub(crate) struct ContactTarget {
+    /// The number of the mover.
+    pub mover: usize,
+    /// Vertices by their places among those that are touched, and their shares.
+    nodes: [(usize, f64); 3],
+    /// Of one that moves as a whole.
+    at_in_world: Point3<f64>,
+}
+
+/// How the vertices of a body would move if nothing held them together.
+struct Vertices<'a> {
+    rotation: UnitQuaternion<f64>,
+    velocities: &'a [Vector3<f64>],
+    masses_inverse: &'a [f64],
+    before: Before<'a>,
+    places: BTreeMap<u32, usize>,
+    /// In world \[m/s\], and one over their masses \[1/kg\].
+    touched: Vec<(Vector3<f64>, f64)>,
+}
+
+/// What moves vertices before contacts do.
+enum Before<'a> {
+    RespondingBody {
+        led: &'a [DrivenVertex],
+        /// What gravity adds, in the body's frame \[m/s\].
+        falls: Vector3<f64>,
+        period: f64,
+        /// In the body's frame \[N\], by vertex.
+        forces: Vec<(u32, Vector3<f64>)>,
+    },
+    Remote {
+        entity: Entity,
+        /// In world \[m/s\].
+        falls: Vector3<f64>,
+        given: &'a [AppliedImpulses],
+        taken: &'a [ContactSums],
+    },
+}
+
+impl Vertices<'_> {
+    /// How a vertex moves before contacts do \[m/s\], and one over its mass \[1/kg\].
+    fn begin(&self, node: u32) -> (Vector3<f64>, f64) {
+        let at = node as usize;
+        let mut speed = self.velocities.get(at).copied().unwrap_or_default();
+        let mut mass = self.masses_inverse.get(at).copied().unwrap_or(0.0);
+        match &self.before {
+            Before::RespondingBody { led, falls, period, forces } => {
+                if led.binary_search_by_key(&node, |led| led.vertex).is_ok() {
+                    mass = 0.0;
+                }
+                if mass > 0.0 {
+                    speed += falls;
+                }
+                let first = forces.partition_point(|(vertex, _)| *vertex < node);
+                for (_, force) in forces[first..].iter().take_while(|(vertex, _)| *vertex == node) {
+                    speed += force * (mass * period);
+                }
+                (self.rotation * speed, mass)
+            }
+            Before::Remote { entity, falls, given, taken } => {
+                let mut speed = self.rotation * speed;
+                if mass > 0.0 {
+                    speed += falls;
+                }
+                // What it has been given and has not taken yet moves it already.
+                for AppliedImpulses { giver, vertices, .. } in given.iter() {
+                    for sums in vertices.iter().filter(|sums| sums.body == Some(*entity)) {
+                        speed += sums.of_vertex(node) * mass;
+                        let known = taken.iter().filter(|taken| taken.body == Some(*giver));
+                        known.for_each(|taken| speed -= taken.of_vertex(node) * mass);
+                    }
+                }
+                (speed, mass)
+            }
+        }
+    }
+
+    fn touch(&mut self, node: u32) -> usize {
+        if let Some(place) = self.places.get(&node) {
+            return *place;
+        }
+        let begun = self.begin(node);
+        self.touched.push(begun);
+        self.places.insert(node, self.touched.len() - 1);
+        self.touched.len() - 1
+    }
+}
+
+impl<'a> Mover<'a> {
+    /// A body of the controller that answers.
+    pub fn of(body: &RespondingBody<'a>, period: f64) -> Self {
+        let mut forces = body.forces.clone();
+        // Of one vertex they stay in their order.
+        forces.sort_by_key(|(vertex, _)| *vertex);
+        let ContactParams { masses_inverse, stiffness, friction } = body.terms;
+        let falls = body.gravity_in_body * period;
+        let before = Before::RespondingBody { led: body.led, falls, period, forces };
+        let matter = Matter::Vertices(Vertices::new(&body.shape, masses_inverse, before));
+        Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, matter }
+    }
+
+    /// A body of vertices that another controller moves, which has told its masses.
+    pub fn remote(
+        (scene, entity): (&'a Snapshot, Entity),
+        falls: &Vector3<f64>,
+        given: &'a [AppliedImpulses],
+    ) -> Option<Self> {
+        let (told, shape) = (scene.get::<SoftContacts>(entity)?, Shape::of(scene, entity));
+        if told.masses_inverse.len() != shape.velocities.len() {
+            return None;
+        }
+        let before = Before::Remote { entity, falls: *falls, given, taken: &told.taken };
+        let matter = Matter::Vertices(Vertices::new(&shape, &told.masses_inverse, before));
+        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: told.step, matter })
+    }
+
+    /// A rigid body whose controller takes impulses.
+    pub fn whole(
+        (scene, entity): (&Snapshot, Entity),
+        when: (SimTime, f64),
+        given: &[AppliedImpulses],
+    ) -> Option<Self> {
+        let matter = Matter::RigidProxy(RigidProxy::of(scene, entity, when, given)?);
+        // It is where what it has been given puts it, so that it answers at once.
+        Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: 0.0, matter })
+    }
+
+    pub fn is_whole(&self) -> bool {
+        matches!(self.matter, Matter::RigidProxy(_))
+    }
+
+    /// Where one is by now that moves as a whole, `world_from_body`, and how it moves.
+    pub fn whole_motion(&self) -> Option<(Isometry3<f64>, Velocity)> {
+        match &self.matter {
+            Matter::RigidProxy(whole) => Some((whole.pose, whole.of_origin())),
+            Matter::Vertices(_) => None,
+        }
+    }
+
+    /// To push it at a place; `mover` is its number. One that moves as a whole is pushed at `at_in_world`.
+    pub fn hold(&mut self, mover: usize, place: &Place, at_in_world: &Point3<f64>) -> ContactTarget {
+        let mut nodes = [(0, 0.0); 3];
+        if let Matter::Vertices(vertices) = &mut self.matter {
+            for (node, (vertex, share)) in nodes.iter_mut().zip(joint(place)) {
+                *node = (vertices.touch(vertex), share);
+            }
+        }
+        ContactTarget { mover, nodes, at_in_world: *at_in_world }
+    }
+
+    /// How much faster the place is for each impulse on it, along a direction and at most across it \[1/kg\].
+    pub fn yields(&self, handle: &ContactTarget, normal: &Vector3<f64>) -> [f64; 2] {
+        match &self.matter {
+            Matter::RigidProxy(whole) => whole.yields(&handle.at_in_world, normal),
+            Matter::Vertices(Vertices { touched, .. }) => {
+                [handle.shares().map(|(place, share)| share * share * touched[place].1).sum(); 2]
+            }
+        }
+    }
+
+    /// How the place moves \[m/s\].
+    pub fn speed(&self, handle: &ContactTarget) -> Vector3<f64> {
+        match &self.matter {
+            Matter::RigidProxy(whole) => whole.speed(&handle.at_in_world),
+            Matter::Vertices(Vertices { touched, .. }) => {
+                handle.shares().map(|(place, share)| touched[place].0 * share).sum()
+            }
+        }
+    }
+
+    /// Gives the place an impulse \[N·s\].
+    pub fn push(&mut self, handle: &ContactTarget, impulse: &Vector3<f64>) {
+        match &mut self.matter {
+            Matter::RigidProxy(whole) => whole.push(&handle.at_in_world, impulse),
+            Matter::Vertices(Vertices { touched, .. }) => {
+                for (place, share) in handle.shares() {
+                    let (speed, mass) = &mut touched[place];
+                    *speed += impulse * (share * *mass);
+                }
+            }
+        }
+    }
+}
+
+impl<'a> Vertices<'a> {
+    fn new(shape: &Shape<'a>, masses_inverse: &'a [f64], before: Before<'a>) -> Self {
+        Self {
+            rotation: shape.world_from_body.rotation,
+            velocities: shape.velocities,
+            masses_inverse,
+            before,
+            places: BTreeMap::new(),
+            touched: Vec::new(),
+        }
+    }
+}
+
+impl ContactTarget {
+    fn shares(&self) -> impl Iterator<Item = (usize, f64)> {
+        self.nodes.into_iter().filter(|(_, share)| *share != 0.0)
+    }
+}
+
+/// The vertices of a place, each once.
+fn joint(place: &Place) -> impl Iterator<Item = (u32, f64)> {
+    let ([a, b, c], [u, v, w]) = (place.nodes, place.weights);
+    let first = u + if b == a { v } else { 0.0 } + if c == a { w } else { 0.0 };
+    let second = if b == a { 0.0 } else { v + if c == b { w } else { 0.0 } };
+    let third = if c == a || c == b { 0.0 } else { w };
+    [(a, first), (b, second), (c, third)].into_iter().filter(|(_, share)| *share != 0.0)
+}

@@ -1,0 +1,400 @@
+//! The frame of every controller of soft bodies: whichever method moves a body, instruments touch, hold and cut it in the
+//! same way, what it exerts on them is told in the same list, and what its solver refuses stops that body alone.
+//!
+//! A method is a [`SoftMethod`]: how it is built from the scene, how it steps, what it measures. [`SoftController`] is the
+//! rest. In each tick and for each body: blades cut it, rods touch it, jaws take and let go, what detectors have found is
+//! answered, it steps, the scene is told.
+
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_scene::{
+    Access, BuildContext, Collision, CollisionList, Commands, Component, Controller, ControllerError,
+    Detection, Entity, EntitySet, Frozen, Instrument, JawState, Measured, Pose, Primitive, Registry,
+    Snapshot, Tick, Velocity,
+};
+
+use super::Deformable;
+use super::SoftMethod;
+use super::contact::SoftContacts;
+use super::contact::penalty::{self, RespondingBody};
+use super::contact::tracking::{self, Shape, Surroundings};
+use super::coupling::slow_side::Answering;
+use super::frozen::{FrozenPart, Refused};
+use super::grasp::{Grips, Holder};
+use super::instrument_rods::{Rod, rods_of_all};
+use super::jaws::is_blade;
+use super::method::{Measures, Step, StepContext, finite_vertices};
+use super::rod_contact::{COLLISIONS_MAX, Touch, collision, touches};
+use crate::picking::{DrivenVertex, Jaws, Pick};
+
+struct Body<M> {
+    body: Deformable,
+    method: M,
+    is_pinned: Vec<bool>,
+    grips: Grips,
+    /// If others are coupled with it.
+    answering: Option<Answering>,
+    frozen: bool,
+    meets: StepInputs,
+    /// Of contacts that detectors have found: what is kept of them, the sum of the sizes of what they exert \[N\], and how
+    /// many press.
+    contacts: SoftContacts,
+    pressed: (f64, usize),
+}
+
+/// What meets a body in the present tick.
+#[derive(Default)]
+struct StepInputs {
+    world_from_body: Isometry3<f64>,
+    gravity: Vector3<f64>,
+    rods: Vec<Rod>,
+    touches: Vec<Touch>,
+    led: Vec<DrivenVertex>,
+    given: Vec<(u32, Vector3<f64>)>,
+    forces: Vec<Vector3<f64>>,
+}
+
+impl StepInputs {
+    fn site<'a>(&'a self, scene: &'a Snapshot, tick: &'a Tick<'a>) -> StepContext<'a> {
+        StepContext {
+            scene,
+            tick,
+            world_from_body: &self.world_from_body,
+            gravity: self.gravity,
+            rods: &self.rods,
+            touches: &self.touches,
+            forces: &self.given,
+            led: &self.led,
+        }
+    }
+}
+
+/// Steps every body that carries the component of a method.
+pub struct SoftController<M> {
+    gravity_in_world: Vector3<f64>,
+    bodies: Vec<Body<M>>,
+    refused: Vec<Refused>,
+    surroundings: Surroundings,
+    registry: Arc<Registry>,
+}
+
+impl<M: SoftMethod> SoftController<M> {
+    /// Reads the bodies, and goes on from where an earlier life left them.
+    ///
+    /// # Errors
+    /// Names the body, and what is wrong with it.
+    pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let (mut bodies, mut refused) = (Vec::new(), Vec::new());
+        for entity in Deformable::carriers::<M::Kind>(context.scene) {
+            let Some(kind) = context.scene.get::<M::Kind>(entity) else { continue };
+            match Body::read(kind, entity, context.scene) {
+                Ok(body) => bodies.push(body),
+                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
+            }
+        }
+        if bodies.is_empty() && refused.is_empty() {
+            let (controller, kind) = (M::CONTROLLER, M::Kind::NAME);
+            return Err(ControllerError::Scene(format!("{controller}: no entity has a '{kind}'")));
+        }
+        let (surroundings, registry) = (Surroundings::default(), context.scene.registry().clone());
+        Ok(Self { gravity_in_world, bodies, refused, surroundings, registry })
+    }
+
+    /// Answers what detectors have found of its bodies.
+    fn answer_found(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) {
+        let mut own = Vec::new();
+        for of in self.bodies.iter_mut().filter(|of| !of.frozen) {
+            let Body { body, method, meets, contacts, .. } = of;
+            let Some(terms) = method.terms() else { continue };
+            let StepInputs { given, led, world_from_body, gravity, .. } = meets;
+            own.push(RespondingBody {
+                entity: body.entity,
+                shape: Shape {
+                    world_from_body: *world_from_body,
+                    positions: method.positions(),
+                    velocities: method.velocities(),
+                    triangles: body.triangles.clone(),
+                    segments: body.segments.clone(),
+                    motion: Velocity::default(),
+                },
+                terms,
+                led,
+                gravity_in_body: *gravity,
+                forces: std::mem::take(given),
+                memory: std::mem::take(contacts),
+                pressed: (0.0, 0),
+                taken: Vector3::zeros(),
+                changed: false,
+            });
+        }
+        let when = (tick.time, tick.period.as_secs_f64(), tick.me);
+        penalty::answer(&mut own, &mut self.surroundings, scene, when);
+        let answered: Vec<_> =
+            own.into_iter().map(|own| (own.forces, own.memory, own.pressed, own.changed)).collect();
+        let bodies = self.bodies.iter_mut().filter(|of| !of.frozen && of.method.terms().is_some());
+        for (of, (forces, memory, pressed, changed)) in bodies.zip(answered) {
+            if changed {
+                out.put(of.body.entity, memory.clone());
+            }
+            (of.meets.given, of.contacts, of.pressed) = (forces, memory, pressed);
+        }
+    }
+}
+
+impl<M: SoftMethod> Controller for SoftController<M> {
+    fn access(&self) -> Access {
+        let refused = self.refused.iter().map(|body| body.entity);
+        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
+        let access = Deformable::access(&bodies)
+            .reads::<M::Kind>()
+            .reads::<Pose>()
+            .reads::<Velocity>()
+            .reads::<Instrument>()
+            .reads::<JawState>()
+            .writes::<Grips>(EntitySet::Of(bodies.clone()))
+            .writes::<Measured>(EntitySet::Own)
+            .contributes::<CollisionList>();
+        let access = Answering::access(access, &self.registry, &bodies);
+        M::access(tracking::access(access, &self.registry, &bodies), &bodies)
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        for body in self.bodies.iter_mut().filter(|body| !body.frozen) {
+            if let Err(reason) = body.begin(&self.gravity_in_world, scene, tick, out) {
+                body.freeze(&reason, tick, out);
+            }
+        }
+        self.answer_found(scene, tick, out);
+        let ready = self.bodies.iter_mut().filter(|body| !body.frozen);
+        let mut steps: Vec<Step<'_, M>> = ready.map(|body| body.ready(scene, tick)).collect();
+        M::step_all(&mut steps);
+        let done: Vec<_> = steps.into_iter().map(|step| (step.done, step.forces)).collect();
+        for (body, (done, forces)) in self.bodies.iter_mut().filter(|body| !body.frozen).zip(done) {
+            body.meets.forces = forces;
+            if let Err(reason) = done.and_then(|()| body.is_finite()) {
+                body.freeze(&reason, tick, out);
+            }
+        }
+        let mut found = Found::default();
+        let mut measured = Measured::default();
+        for body in &mut self.bodies {
+            found.pushed = 0.0;
+            found.pulled = 0.0;
+            if !body.frozen {
+                body.end(scene, tick, &mut found, out);
+            }
+            let mut measures = Measures::new(&body.body.name, &mut measured.values);
+            measures.put("contact_force_n", found.pushed);
+            if body.method.terms().is_some() {
+                measures.put("found_force_n", if body.frozen { 0.0 } else { body.pressed.0 });
+                measures.put("found_contacts", if body.frozen { 0.0 } else { body.pressed.1 as f64 });
+            }
+            measures.put("held_force_n", found.pulled);
+            measures.put("held_vertices", body.grips.vertices() as f64);
+            measures.put("frozen", f64::from(u8::from(body.frozen)));
+            body.method.measure(&body.body, &mut measures);
+        }
+        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
+        found.collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+        found.collisions.truncate(COLLISIONS_MAX);
+        out.contribute(CollisionList { collisions: found.collisions, penetration_max: found.depth_max });
+        out.put(tick.me, measured);
+        Ok(())
+    }
+}
+
+/// What a tick found out about contacts.
+#[derive(Default)]
+struct Found {
+    collisions: Vec<Collision>,
+    /// Deepest touch \[m\].
+    depth_max: f64,
+    /// Sums of the sizes of forces on the present body, of touches and of grips \[N\].
+    pushed: f64,
+    pulled: f64,
+}
+
+impl<M: SoftMethod> Body<M> {
+    fn read(kind: &M::Kind, entity: Entity, scene: &Snapshot) -> Result<Self, ControllerError> {
+        let mut body = Deformable::read(scene, entity)?;
+        let method = M::build(kind, &mut body, scene)
+            .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
+        let is_pinned = body.stays();
+        let grips = scene.get::<Grips>(entity).cloned().unwrap_or_default();
+        grips
+            .fit(body.rest.len(), body.holdable().len())
+            .map_err(|why| ControllerError::Scene(format!("'{}': {why}", body.name)))?;
+        let frozen = scene.get::<Frozen>(entity).is_some();
+        let answers = M::Kind::SOFT_BODY.is_some_and(|of| of.answers_couplings);
+        let answering = if answers { Answering::new(&body, scene) } else { None };
+        let contacts = scene.get::<SoftContacts>(entity).cloned().unwrap_or_default();
+        let (meets, pressed) = (StepInputs::default(), (0.0, 0));
+        Ok(Self { body, method, is_pinned, grips, answering, frozen, meets, contacts, pressed })
+    }
+
+    /// Whether all that others will read of it are numbers, whatever its solver looked at: one of them that is none would
+    /// have everything refused that this controller says.
+    fn is_finite(&self) -> Result<(), String> {
+        finite_vertices(self.method.positions(), self.method.velocities())?;
+        let touches = self.meets.touches.iter().zip(&self.meets.forces);
+        let bad = touches.into_iter().find(|(_, force)| !force.iter().all(|x| x.is_finite()));
+        bad.map_or(Ok(()), |(touch, _)| {
+            Err(format!("the force of the contact at vertex {} is no finite number", touch.nodes[0]))
+        })
+    }
+
+    /// Changes its shape, and finds out what meets it.
+    fn begin(
+        &mut self,
+        gravity_in_world: &Vector3<f64>,
+        scene: &Snapshot,
+        tick: &Tick<'_>,
+        out: &mut Commands,
+    ) -> Result<(), String> {
+        let entity = self.body.entity;
+        let mut meets = std::mem::take(&mut self.meets);
+        meets.world_from_body = scene.world_pose(entity);
+        meets.gravity = Deformable::gravity(gravity_in_world, &meets.world_from_body);
+        meets.touches.clear();
+        meets.led.clear();
+        meets.given.clear();
+        rods_of_all(scene, &meets.world_from_body, &mut meets.rods);
+        let reshaped = self.method.reshape(&mut self.body, &meets.site(scene, tick), out)?;
+        if let Some(reshaped) = reshaped {
+            self.is_pinned = self.body.stays();
+            let (site, positions) = (meets.site(scene, tick), self.method.positions());
+            self.grips.follow(&reshaped, &site, &self.body.holdable(), positions);
+            out.put(entity, self.grips.clone());
+        }
+        let period = tick.period.as_secs_f64();
+        touches(&meets.rods, &self.method.skin(&self.body), period, &mut meets.touches);
+        let led = self.hold(&meets.site(scene, tick), &meets.touches, out)?;
+        meets.led = led;
+        // What is held goes where it is led, and what is anchored stays, whatever touches it.
+        let (is_pinned, cut) = (&self.is_pinned, self.method.is_cut_by_blades());
+        let StepInputs { rods, touches, led, .. } = &mut meets;
+        touches.retain(|touch| {
+            let is_led = |node: &u32| led.binary_search_by_key(node, |led| led.vertex).is_ok();
+            let stays = touch.nodes.iter().all(|&node| is_pinned[node as usize]);
+            let is_cut = cut && is_blade(scene, rods[touch.rod].instrument);
+            !(stays || is_cut || touch.nodes.iter().any(is_led))
+        });
+        if let Some(answering) = &mut self.answering {
+            let mut given = std::mem::take(&mut meets.given);
+            answering.take(&meets.site(scene, tick), self.method.velocities(), &mut given);
+            meets.given = given;
+        }
+        self.meets = meets;
+        Ok(())
+    }
+
+    fn ready<'a>(&'a mut self, scene: &'a Snapshot, tick: &'a Tick<'a>) -> Step<'a, M> {
+        let mut forces = std::mem::take(&mut self.meets.forces);
+        forces.clear();
+        let Self { body, method, meets, .. } = self;
+        Step { method, body, site: meets.site(scene, tick), forces, done: Ok(()) }
+    }
+
+    fn freeze(&mut self, reason: &str, tick: &Tick<'_>, out: &mut Commands) {
+        self.frozen = true;
+        self.body.freeze(&reason, tick, out);
+    }
+
+    /// Tells everybody where it is after a step, and what it exerts.
+    fn end(&mut self, scene: &Snapshot, tick: &Tick<'_>, found: &mut Found, out: &mut Commands) {
+        let entity = self.body.entity;
+        self.body.write(self.method.positions(), self.method.velocities(), out);
+        let site = self.meets.site(scene, tick);
+        self.method.publish(&self.body, &site, out);
+        for (touch, force) in site.touches.iter().zip(&self.meets.forces) {
+            // What it was near to, and did not come to.
+            if touch.depth <= 0.0 && *force == Vector3::zeros() {
+                continue;
+            }
+            found.depth_max = found.depth_max.max(touch.depth);
+            found.pushed += force.norm();
+            let rod = &site.rods[touch.rod];
+            let told = collision(touch, rod, entity, force, site.world_from_body, tick.time);
+            found.collisions.push(told);
+        }
+        for pick in &self.grips.picks.picks {
+            let held: Vec<u32> = pick.vertices.iter().map(|held| held.vertex).collect();
+            let pull = self.method.pull_by(&held);
+            found.pulled += pull.norm();
+            found.collisions.extend(grip(&self.body, self.method.positions(), pick, &pull, &site));
+        }
+        if let Some(answering) = &mut self.answering {
+            let (body, method) = (&self.body, &mut self.method);
+            answering.look(|active, outlook| method.look_ahead(body, &site, active, outlook));
+            answering.tell(&site, &self.is_pinned, method.velocities(), out);
+        }
+    }
+
+    /// Lets jaws take and let go, and says where they have what they hold.
+    fn hold(
+        &mut self,
+        site: &StepContext<'_>,
+        touched: &[Touch],
+        out: &mut Commands,
+    ) -> Result<Vec<DrivenVertex>, String> {
+        let parts = self.body.holdable();
+        if parts.is_empty() {
+            return Ok(Vec::new());
+        }
+        let holders = Holder::all(site, touched, &parts);
+        let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
+        let before = self.grips.picks.picks.len();
+        let held_by =
+            |grips: &Grips| -> Vec<u64> { grips.picks.picks.iter().map(|p| p.instrument).collect() };
+        let before_by = held_by(&self.grips);
+        self.grips.picks.update(&parts, self.method.positions(), &jaws).map_err(|error| error.to_string())?;
+        if before != self.grips.picks.picks.len() || before_by != held_by(&self.grips) {
+            out.put(self.body.entity, self.grips.clone());
+        }
+        let mut led = self.grips.picks.led(&jaws);
+        led.retain(|led| !self.is_pinned[led.vertex as usize]);
+        Ok(led)
+    }
+}
+
+/// A grip as everybody sees it. Its depth is how far the jaws have drawn what they hold from where it is at rest, so that
+/// force over depth is how stiff it feels.
+fn grip(
+    body: &Deformable,
+    positions: &[Point3<f64>],
+    pick: &Pick,
+    pull_in_body: &Vector3<f64>,
+    site: &StepContext<'_>,
+) -> Option<Collision> {
+    let instrument = Entity::from_bits(pick.instrument);
+    let count = pick.vertices.len();
+    let first = *pick.triangles.first()?;
+    if count == 0 {
+        return None;
+    }
+    let mean = |points: &[Point3<f64>]| {
+        let sum: Vector3<f64> = pick.vertices.iter().map(|held| points[held.vertex as usize].coords).sum();
+        sum / count as f64
+    };
+    let (now, rest) = (mean(positions), mean(&body.rest));
+    let place = site.world_from_body * Point3::from(now);
+    let force_on_body = site.world_from_body.rotation * -pull_in_body;
+    Some(Collision {
+        a: instrument,
+        primitive_a: Primitive::Shaft,
+        b: body.entity,
+        primitive_b: if body.triangles.is_empty() {
+            Primitive::Segment(first)
+        } else {
+            Primitive::Triangle(first)
+        },
+        points_in_world: [place; 2],
+        normal_in_world: force_on_body.try_normalize(1e-12).unwrap_or_else(Vector3::z),
+        depth: (now - rest).norm(),
+        force_in_world: force_on_body,
+        velocity_constraint: 0.0,
+        method: Detection::Simulator,
+        detected_at: site.tick.time,
+    })
+}

@@ -1,0 +1,139 @@
+//! The slower side of a coupling: a body takes what others have given its vertices, and tells them what that was to it and
+//! what it is about to do.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use trocar_scene::{Access, Commands, Entity, EntitySet, Registry, Snapshot};
+
+use super::components::{GivenTo, TakenFrom};
+use super::{CouplingGiven, CouplingTaken};
+use crate::soft_body::Deformable;
+use crate::soft_body::method::{Outlook, StepContext};
+
+/// A body that others are coupled with.
+pub struct Answering {
+    me: Entity,
+    told: CouplingTaken,
+    /// Vertices that are given something or soon will be, ascending.
+    active: Vec<u32>,
+    /// For each giver, how its vertices moved before the step.
+    before: Vec<Vec<Vector3<f64>>>,
+    outlook: Outlook,
+}
+
+impl Answering {
+    /// Of a body as the scene has it; of one that nobody is coupled with nothing.
+    #[must_use]
+    pub fn new(body: &Deformable, scene: &Snapshot) -> Option<Self> {
+        let givers = scene.partners_of(&body.name);
+        if givers.is_empty() {
+            return None;
+        }
+        let mut told = scene.get::<CouplingTaken>(body.entity).cloned().unwrap_or_default();
+        let known = std::mem::take(&mut told.from);
+        told.from = givers
+            .iter()
+            .map(|giver| {
+                let of = known.iter().find(|from| from.body == Some(*giver));
+                of.cloned().unwrap_or_else(|| TakenFrom { body: Some(*giver), ..TakenFrom::default() })
+            })
+            .collect();
+        let before = vec![Vec::new(); givers.len()];
+        Some(Self { me: body.entity, told, active: Vec::new(), before, outlook: Outlook::default() })
+    }
+
+    /// What controllers of such bodies read and write for it.
+    pub fn access(access: Access, registry: &Registry, bodies: &[Entity]) -> Access {
+        access
+            .reads_named(registry.components_with_partners())
+            .reads::<CouplingGiven>()
+            .writes::<CouplingTaken>(EntitySet::Of(bodies.to_vec()))
+    }
+
+    fn given<'a>(&self, scene: &'a Snapshot, giver: Entity) -> Option<&'a GivenTo> {
+        scene.get::<CouplingGiven>(giver)?.to.iter().find(|to| to.body == Some(self.me))
+    }
+
+    /// Takes what there is to take: adds forces on vertices over the step, in the body's frame \[N\]. Velocities are those
+    /// before the step \[m/s\].
+    pub fn take(
+        &mut self,
+        site: &StepContext<'_>,
+        velocities: &[Vector3<f64>],
+        forces: &mut Vec<(u32, Vector3<f64>)>,
+    ) {
+        self.active.clear();
+        for index in 0..self.told.from.len() {
+            let Some(giver) = self.told.from[index].body else { continue };
+            let Some(to) = self.given(site.scene, giver) else { continue };
+            let body_from_giver = self.body_from_giver(site, giver);
+            let (from, before) = (&mut self.told.from[index], &mut self.before[index]);
+            before.clear();
+            let given = to.ghosts.given();
+            from.taken.resize(given.len(), Vector3::zeros());
+            from.last.resize(given.len(), Vector3::zeros());
+            let sums = from.taken.iter_mut().zip(&mut from.last);
+            for ((&vertex, given), (taken, last)) in to.vertices.iter().zip(given).zip(sums) {
+                *last = given - *taken;
+                *taken = *given;
+                let known = velocities.get(vertex as usize);
+                before.push(known.copied().unwrap_or_default());
+                if *last != Vector3::zeros() && known.is_some() {
+                    forces.push((vertex, body_from_giver * *last / site.period_secs()));
+                    self.active.push(vertex);
+                }
+            }
+            let near = to.near.iter().filter_map(|&ghost| to.vertices.get(ghost as usize));
+            self.active.extend(near);
+            from.given_work = to.ghosts.work();
+            from.steps = to.ghosts.steps();
+        }
+        self.active.sort_unstable();
+        self.active.dedup();
+    }
+
+    fn body_from_giver(&self, site: &StepContext<'_>, giver: Entity) -> UnitQuaternion<f64> {
+        site.world_from_body.rotation.inverse() * site.scene.world_pose(giver).rotation
+    }
+
+    /// Looks ahead after a step, for the vertices that are given something or soon will be.
+    pub fn look(&mut self, look: impl FnOnce(&[u32], &mut Outlook)) {
+        look(&self.active, &mut self.outlook);
+    }
+
+    /// Tells what the step was and what was seen ahead. Velocities are those after it \[m/s\].
+    pub fn tell(
+        &mut self,
+        site: &StepContext<'_>,
+        stays: &[bool],
+        velocities: &[Vector3<f64>],
+        out: &mut Commands,
+    ) {
+        let Outlook { expected, yielding, masses } = &self.outlook;
+        for index in 0..self.told.from.len() {
+            let Some(giver) = self.told.from[index].body else { continue };
+            let Some(to) = self.given(site.scene, giver) else { continue };
+            let body_from_giver = self.body_from_giver(site, giver);
+            let (from, before) = (&mut self.told.from[index], &self.before[index]);
+            from.expected.clear();
+            from.mobilities.clear();
+            from.masses_inverse.clear();
+            for ((&vertex, last), before) in to.vertices.iter().zip(&from.last).zip(before) {
+                let at = vertex as usize;
+                let now = velocities.get(at).copied().unwrap_or_default();
+                from.received += (body_from_giver * last).dot(&(0.5 * (before + now)));
+                from.expected.push(expected.get(at).copied().unwrap_or(now));
+                let is_led = site.led.binary_search_by_key(&vertex, |led| led.vertex).is_ok();
+                let holds = is_led || stays.get(at).copied().unwrap_or(true);
+                let mass = masses.get(at).copied().filter(|mass| *mass > 0.0 && !holds);
+                let alone = mass.map_or(0.0, f64::recip);
+                let yields = self.active.binary_search(&vertex).ok().and_then(|at| yielding.get(at)).copied();
+                from.masses_inverse.push(alone);
+                from.mobilities.push(if holds { 0.0 } else { yields.unwrap_or(alone) });
+            }
+        }
+        self.told.number += 1;
+        self.told.time = site.tick.time;
+        self.told.step = site.period_secs();
+        out.put(self.me, self.told.clone());
+    }
+}

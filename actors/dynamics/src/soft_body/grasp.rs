@@ -1,0 +1,128 @@
+//! What jaws hold of soft bodies, whichever method moves them.
+
+use nalgebra::{Isometry3, Point3};
+use serde::{Deserialize, Serialize};
+use trocar_scene::{Component, Instrument};
+
+use super::jaws::{AT_REST, holds, is_closed, opening};
+use super::method::{Reshaped, StepContext};
+use super::rod_contact::Touch;
+use crate::picking::{Jaws, Picks};
+
+/// What instruments hold of a body: another life of whoever moves it goes on holding it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Grips {
+    /// By instrument.
+    pub picks: Picks,
+}
+impl Component for Grips {
+    const NAME: &'static str = "grips";
+}
+
+impl Grips {
+    /// Whether they can be of a body of so many vertices and parts that can be held.
+    ///
+    /// # Errors
+    /// What is held that there is not.
+    pub(crate) fn fit(&self, vertices: usize, parts: usize) -> Result<(), String> {
+        for pick in &self.picks.picks {
+            let vertex =
+                pick.vertices.iter().map(|held| held.vertex).find(|&vertex| vertex as usize >= vertices);
+            let part = pick.triangles.iter().copied().find(|&part| part as usize >= parts);
+            let (what, which, there) = match (vertex, part) {
+                (Some(vertex), _) => ("vertex", vertex, vertices),
+                (None, Some(part)) => ("triangle or segment", part, parts),
+                (None, None) => continue,
+            };
+            return Err(format!("its 'grips' hold {what} {which}, and it has {there}"));
+        }
+        Ok(())
+    }
+
+    /// Follows a body that has another shape now.
+    pub fn follow(
+        &mut self,
+        reshaped: &Reshaped,
+        site: &StepContext<'_>,
+        triangles: &[[u32; 3]],
+        positions: &[Point3<f64>],
+    ) {
+        if let Some(kept) = &reshaped.kept {
+            self.picks.renumber(kept);
+        }
+        let holders = Holder::all(site, &[], triangles);
+        let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
+        self.picks.follow(&reshaped.parents, triangles, positions, &jaws);
+    }
+
+    /// How many vertices are held.
+    #[must_use]
+    pub fn vertices(&self) -> usize {
+        self.picks.picks.iter().map(|pick| pick.vertices.len()).sum()
+    }
+}
+
+/// An instrument that holds: its number, its pose in the frame of a body, whether it is closed, what each jaw touches.
+pub struct Holder {
+    instrument: u64,
+    body_from_instrument: Isometry3<f64>,
+    closed: bool,
+    closing: bool,
+    touched: [Vec<u32>; 2],
+}
+
+impl Holder {
+    /// All instruments that hold, with the triangles that their jaws touch; rods as [`super::instrument_rods::rods_of_all`] lists them.
+    #[must_use]
+    pub fn all(site: &StepContext<'_>, touches: &[Touch], triangles: &[[u32; 3]]) -> Vec<Self> {
+        let holders = site.scene.iter::<Instrument>().filter(|(_, instrument)| holds(instrument.kind));
+        holders
+            .map(|(entity, _)| {
+                let closed = is_closed(site.scene, entity);
+                // The first rod of an instrument is its shaft.
+                let first = site.rods.iter().position(|rod| rod.instrument == entity);
+                let by_jaw = |side: usize| {
+                    let rod = first.map(|first| first + 1 + side).filter(|_| closed);
+                    touched(touches.iter().filter(|touch| Some(touch.rod) == rod), triangles)
+                };
+                Self {
+                    instrument: entity.to_bits(),
+                    body_from_instrument: site.world_from_body.inverse() * site.scene.world_pose(entity),
+                    closed,
+                    closing: opening(site.scene, entity)[1] < -AT_REST,
+                    touched: [by_jaw(0), by_jaw(1)],
+                }
+            })
+            .collect()
+    }
+
+    /// As [`Picks`] wants it; "world" is the frame of the body.
+    #[must_use]
+    pub fn jaws(&self) -> Jaws<'_> {
+        Jaws {
+            instrument: self.instrument,
+            pose_in_world: self.body_from_instrument,
+            closed: self.closed,
+            closing: self.closing,
+            touched: [&self.touched[0], &self.touched[1]],
+        }
+    }
+}
+
+/// The triangles that touches are on, and those about the vertices that they are on.
+fn touched<'a>(touches: impl Iterator<Item = &'a Touch>, triangles: &[[u32; 3]]) -> Vec<u32> {
+    let (mut touched, mut vertices) = (Vec::new(), Vec::new());
+    for touch in touches {
+        match touch.element {
+            Some(triangle) => touched.push(triangle),
+            None => vertices.push(touch.nodes[0]),
+        }
+    }
+    if !vertices.is_empty() {
+        vertices.sort_unstable();
+        let about = |corners: &[u32; 3]| corners.iter().any(|corner| vertices.binary_search(corner).is_ok());
+        touched.extend((0..triangles.len() as u32).filter(|&triangle| about(&triangles[triangle as usize])));
+    }
+    touched
+}

@@ -1,0 +1,453 @@
+//! Where rods touch a deforming body: every vertex within a rod, and for each rod the deepest place on the surface or the
+//! line, so that thin jaws between coarse vertices are felt as well. What has got deeper into a volume than its own radius
+//! is found there, and pushed back the way that is shortest. A rod whose axis goes through a sheet has been pressed farther
+//! into it than it is thick: the sheet belongs before its tip, wherever it has no hole. Open jaws go to either side of a sheet
+//! that they are to take, and are neither waited for nor pushed out.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_collision::primitive::{
+    closest_on_segment, closest_on_triangle, closest_segment_triangle, closest_segments,
+};
+use trocar_scene::{Collision, Detection, Entity, Primitive, SimTime};
+
+use super::instrument_rods::Rod;
+
+/// Most contacts that a controller tells the collision list; the deepest ones stay.
+pub const COLLISIONS_MAX: usize = 64;
+
+/// One place where a rod touches.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Touch {
+    /// Which rod of the list.
+    pub rod: usize,
+    /// Corners of what is touched; one vertex three times for a vertex, the last twice for a segment.
+    pub nodes: [u32; 3],
+    /// Where on it: each in \[0, 1\], their sum 1.
+    pub weights: [f64; 3],
+    /// Unit direction from the rod to the body.
+    pub normal: Vector3<f64>,
+    /// How deep \[m\]; negative of what is near to a rod that it may come to within a tick.
+    pub depth: f64,
+    /// Velocity of the rod there \[m/s\].
+    pub velocity: Vector3<f64>,
+    /// Nearest place on the rod's axis \[m\].
+    pub on_axis: Point3<f64>,
+    /// Index of the triangle or segment; of a vertex there is none.
+    pub element: Option<u32>,
+}
+
+/// What may be touched.
+#[derive(Clone, Copy, Debug)]
+pub struct Skin<'a> {
+    /// Vertices \[m\].
+    pub positions: &'a [Point3<f64>],
+    /// Surface.
+    pub triangles: &'a [[u32; 3]],
+    /// Line.
+    pub segments: &'a [[u32; 2]],
+    /// How far its surface is from what the vertices tell \[m\]: half the thickness of a cloth, the radius of a thread.
+    pub thickness: f64,
+    /// Whether its triangles enclose a volume, from which everything is to be kept out.
+    pub closed: bool,
+}
+
+/// Places along a rod that are looked for within a volume.
+const SAMPLES: u32 = 5;
+/// A sheet or a line that is nearer to a rod than this share of its radius counts as touched: what springs back to the rod
+/// within a tick would be found behind its surface, be thrown off, and so on in every other tick. So does what the rod comes
+/// to within the tick, which it would have passed before the next.
+const AHEAD: f64 = 1.0;
+/// What is nearer to the axis of a rod than this is on it \[m\].
+const ON: f64 = 1e-12;
+/// How far the tip of a rod is followed that is through a sheet, besides how far it has come in this tick \[m\].
+const THROUGH: f64 = 0.01;
+
+/// Fills `touches` with every touch in a tick of `period` \[s\], by rod; each rod's vertices first.
+pub fn touches(rods: &[Rod], skin: &Skin<'_>, period: f64, touches: &mut Vec<Touch>) {
+    touches.clear();
+    for (index, rod) in rods.iter().enumerate() {
+        touch_vertices(index, rod, skin, period, touches);
+        let deepest = deepest_element(index, rod, skin, period);
+        let known = touches.iter().filter(|touch| touch.rod == index).map(|touch| touch.depth);
+        let deeper = known.fold(f64::NEG_INFINITY, f64::max);
+        let found = deepest.is_some() || deeper > f64::NEG_INFINITY;
+        touches.extend(deepest.filter(|touch| touch.depth > deeper));
+        if skin.closed && !found {
+            touches.extend(deepest_within(index, rod, skin).or_else(|| on_surface(index, rod, skin)));
+        }
+    }
+}
+
+/// Where a rod is deepest within a volume that it does not touch from outside.
+fn deepest_within(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
+    let mut positions = skin.positions.iter();
+    let first = *positions.next()?;
+    let (low, high) = positions.fold((first, first), |(low, high), point| (low.inf(point), high.sup(point)));
+    let samples = (0..SAMPLES).map(|sample| f64::from(sample) / f64::from(SAMPLES - 1));
+    let within = samples.filter_map(|along| {
+        let on_axis = rod.ends[0].lerp(&rod.ends[1], along);
+        let boxed = (0..3).all(|k| on_axis[k] >= low[k] && on_axis[k] <= high[k]);
+        if !boxed || !is_within(&on_axis, skin) {
+            return None;
+        }
+        let nearest = skin.triangles.iter().enumerate().map(|(element, nodes)| {
+            let corners = nodes.map(|node| skin.positions[node as usize]);
+            let nearest = closest_on_triangle(&on_axis, &corners);
+            (element, nearest.weights, on_axis - nearest.point)
+        });
+        let (element, weights, inwards) =
+            nearest.min_by(|a, b| a.2.norm_squared().total_cmp(&b.2.norm_squared()))?;
+        let normal = inwards.try_normalize(1e-12)?;
+        let depth = rod.radius + skin.thickness + inwards.norm();
+        let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
+        let nodes = skin.triangles[element];
+        let element = Some(element as u32);
+        Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
+    });
+    within.max_by(|a, b| a.depth.total_cmp(&b.depth))
+}
+
+/// Where the axis of a rod meets the surface of a volume that it is not within: it ends on it, lies in it, or cuts a corner
+/// off. Such a place is no way from the axis, and which way it is pushed only the surface tells.
+fn on_surface(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
+    let room = [rod.ends[0].inf(&rod.ends[1]), rod.ends[0].sup(&rod.ends[1])];
+    skin.triangles.iter().enumerate().find_map(|(element, &nodes)| {
+        let corners = nodes.map(|node| skin.positions[node as usize]);
+        if is_apart(&corners, &room) {
+            return None;
+        }
+        let nearest = closest_segment_triangle(&rod.ends, &corners);
+        if nearest.distance_squared > ON * ON {
+            return None;
+        }
+        let [a, b, c] = corners;
+        let normal = (c - a).cross(&(b - a)).try_normalize(1e-18)?;
+        let on_axis = rod.ends[0].lerp(&rod.ends[1], nearest.along);
+        let velocity = rod.velocities[0].lerp(&rod.velocities[1], nearest.along);
+        let (depth, weights) = (rod.radius + skin.thickness, nearest.weights);
+        let element = Some(element as u32);
+        Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
+    })
+}
+
+/// Whether a point is inside, by the solid angle that the surface fills about it (van Oosterom and Strackee 1983).
+fn is_within(point: &Point3<f64>, skin: &Skin<'_>) -> bool {
+    let angle: f64 = skin
+        .triangles
+        .iter()
+        .map(|nodes| {
+            let [a, b, c] = nodes.map(|node| skin.positions[node as usize] - point);
+            let [la, lb, lc] = [a.norm(), b.norm(), c.norm()];
+            let below = la * lb * lc + a.dot(&b) * lc + b.dot(&c) * la + c.dot(&a) * lb;
+            2.0 * a.dot(&b.cross(&c)).atan2(below)
+        })
+        .sum();
+    angle > 2.0 * std::f64::consts::PI
+}
+
+/// Whether what a rod comes to is met before it is in it, and what it has gone through is held back.
+fn looks_ahead(rod: &Rod, skin: &Skin<'_>) -> bool {
+    !(skin.closed || rod.is_open_jaw)
+}
+
+/// How far from the axis of a rod something is that touches it, or may within a tick.
+fn reach(rod: &Rod, skin: &Skin<'_>) -> f64 {
+    let ahead = if looks_ahead(rod, skin) { AHEAD * rod.radius } else { 0.0 };
+    rod.radius + skin.thickness + ahead
+}
+
+/// The box of what may touch a rod, with the way that it goes in the tick.
+fn room(rod: &Rod, skin: &Skin<'_>, period: f64) -> [Point3<f64>; 2] {
+    let period = if looks_ahead(rod, skin) { period } else { 0.0 };
+    let [a, b] = rod.ends;
+    let [c, d] = [a + rod.velocities[0] * period, b + rod.velocities[1] * period];
+    let reach = Vector3::repeat(reach(rod, skin));
+    [a.inf(&b).inf(&c).inf(&d) - reach, a.sup(&b).sup(&c).sup(&d) + reach]
+}
+
+/// Whether a triangle is on one side of a box.
+fn is_apart(corners: &[Point3<f64>; 3], [low, high]: &[Point3<f64>; 2]) -> bool {
+    (0..3).any(|k| {
+        corners.iter().all(|corner| corner[k] < low[k]) || corners.iter().all(|corner| corner[k] > high[k])
+    })
+}
+
+/// The touch of a rod by what is nearest to its axis, if it is within reach, or if the rod comes there within the tick: `passes`
+/// says of the way of the place on the axis how near it leads to the other.
+fn touch(
+    rod: (usize, &Rod),
+    skin: &Skin<'_>,
+    (along, on_body): (f64, Point3<f64>),
+    period: f64,
+    passes: impl Fn(&[Point3<f64>; 2]) -> f64,
+) -> Option<Touch> {
+    let (index, rod) = rod;
+    let on_axis = rod.ends[0].lerp(&rod.ends[1], along);
+    let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
+    let away = on_body - on_axis;
+    let distance = away.norm();
+    let depth = rod.radius + skin.thickness - distance;
+    let is_reached = || {
+        let way = velocity * period;
+        looks_ahead(rod, skin)
+            && way.dot(&away) > 0.0
+            && passes(&[on_axis, on_axis + way]) < rod.radius + skin.thickness
+    };
+    if distance < ON || (distance >= reach(rod, skin) && !is_reached()) {
+        return None;
+    }
+    let normal = away / distance;
+    let (nodes, weights) = ([0; 3], [1.0, 0.0, 0.0]);
+    Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element: None })
+}
+
+/// The touch of a rod whose axis goes through a sheet, so far from its end towards the handle: the sheet is to go on to its
+/// tip.
+fn through(rod: (usize, &Rod), skin: &Skin<'_>, along: f64, period: f64) -> Option<Touch> {
+    let (index, rod) = rod;
+    let ahead = rod.ends[1] - rod.ends[0];
+    let beyond = (1.0 - along) * ahead.norm();
+    let velocity = rod.velocities[1];
+    if !looks_ahead(rod, skin) || beyond > THROUGH + velocity.norm() * period {
+        return None;
+    }
+    let normal = ahead.try_normalize(1e-12)?;
+    let depth = rod.radius + skin.thickness + beyond;
+    let (nodes, weights) = ([0; 3], [1.0, 0.0, 0.0]);
+    Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis: rod.ends[1], element: None })
+}
+
+fn touch_vertices(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64, touches: &mut Vec<Touch>) {
+    let [low, high] = room(rod, skin, period);
+    for (vertex, position) in skin.positions.iter().enumerate() {
+        if !(0..3).all(|k| position[k] >= low[k] && position[k] <= high[k]) {
+            continue;
+        }
+        let along = closest_on_segment(position, &rod.ends);
+        let passes = |way: &[Point3<f64>; 2]| {
+            (position - way[0].lerp(&way[1], closest_on_segment(position, way))).norm()
+        };
+        if let Some(touch) = touch((index, rod), skin, (along, *position), period, passes) {
+            touches.push(Touch { nodes: [vertex as u32; 3], ..touch });
+        }
+    }
+}
+
+fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Option<Touch> {
+    let room = room(rod, skin, period);
+    let mut deepest: Option<Touch> = None;
+    let mut keep = |touch: Touch| {
+        if deepest.is_none_or(|deepest| touch.depth > deepest.depth) {
+            deepest = Some(touch);
+        }
+    };
+    for (element, nodes) in skin.triangles.iter().enumerate() {
+        let corners = nodes.map(|node| skin.positions[node as usize]);
+        if is_apart(&corners, &room) {
+            continue;
+        }
+        let nearest = closest_segment_triangle(&rod.ends, &corners);
+        let touched = if nearest.distance_squared > 0.0 {
+            let passes =
+                |way: &[Point3<f64>; 2]| closest_segment_triangle(way, &corners).distance_squared.sqrt();
+            touch((index, rod), skin, (nearest.along, nearest.on_triangle), period, passes)
+        } else {
+            through((index, rod), skin, nearest.along, period)
+        };
+        if let Some(touch) = touched {
+            keep(Touch { nodes: *nodes, weights: nearest.weights, element: Some(element as u32), ..touch });
+        }
+    }
+    for (element, &[a, b]) in skin.segments.iter().enumerate() {
+        let ends = [a, b].map(|node| skin.positions[node as usize]);
+        let nearest = closest_segments(&rod.ends, &ends);
+        let [along, share] = nearest.along;
+        let on_body = ends[0].lerp(&ends[1], share);
+        let passes = |way: &[Point3<f64>; 2]| closest_segments(way, &ends).distance_squared.sqrt();
+        if let Some(touch) = touch((index, rod), skin, (along, on_body), period, passes) {
+            let weights = [1.0 - share, share, 0.0];
+            keep(Touch { nodes: [a, b, b], weights, element: Some(element as u32), ..touch });
+        }
+    }
+    deepest
+}
+
+/// A touch as everybody sees it: `a` is the instrument, `b` the body.
+pub fn collision(
+    touch: &Touch,
+    rod: &Rod,
+    body: Entity,
+    force_on_body: &Vector3<f64>,
+    world_from_body: &Isometry3<f64>,
+    at: SimTime,
+) -> Collision {
+    let on_rod = touch.on_axis + touch.normal * rod.radius;
+    let on_body = on_rod - touch.normal * touch.depth;
+    Collision {
+        a: rod.instrument,
+        primitive_a: Primitive::Shaft,
+        b: body,
+        primitive_b: match touch.element {
+            Some(element) if touch.nodes[1] == touch.nodes[2] => Primitive::Segment(element),
+            Some(element) => Primitive::Triangle(element),
+            None => Primitive::Vertex(touch.nodes[0]),
+        },
+        points_in_world: [world_from_body * on_rod, world_from_body * on_body],
+        normal_in_world: world_from_body.rotation * touch.normal,
+        depth: touch.depth,
+        force_in_world: world_from_body.rotation * force_on_body,
+        velocity_constraint: 0.0,
+        method: Detection::Simulator,
+        detected_at: at,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: f64 = 1e-3;
+
+    /// Of one triangle, without thickness.
+    fn sheet(positions: &[Point3<f64>]) -> Skin<'_> {
+        Skin { positions, triangles: &[[0, 1, 2]], segments: &[], thickness: 0.0, closed: false }
+    }
+
+    fn rod(from: [f64; 3], to: [f64; 3]) -> Rod {
+        Rod {
+            instrument: Entity::new(0, 1, 1),
+            ends: [from.into(), to.into()],
+            radius: 0.002,
+            velocities: [Vector3::x(), Vector3::y()],
+            is_open_jaw: false,
+        }
+    }
+
+    #[test]
+    fn a_rod_between_coarse_vertices_touches_the_triangle() {
+        let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
+        let skin = Skin { thickness: 0.0005, ..sheet(&positions) };
+        let mut found = Vec::new();
+        touches(&[rod([0.02, 0.03, 0.001], [0.02, 0.03, 0.1])], &skin, PERIOD, &mut found);
+        assert_eq!(found.len(), 1);
+        let touch = found[0];
+        assert!((touch.depth - 0.0015).abs() < 1e-12 && (touch.normal + Vector3::z()).norm() < 1e-12);
+        let at =
+            touch.nodes.iter().zip(touch.weights).fold(Vector3::zeros(), |sum, (&node, weight)| {
+                sum + positions[node as usize].coords * weight
+            });
+        assert!((at - Vector3::new(0.02, 0.03, 0.0)).norm() < 1e-12);
+        assert_eq!((touch.element, touch.velocity), (Some(0), Vector3::x()));
+    }
+
+    #[test]
+    fn vertices_within_a_rod_are_touched_each() {
+        let positions: Vec<Point3<f64>> =
+            (0..20).map(|k| Point3::new(0.001 * f64::from(k), 0.0015, 0.0)).collect();
+        let skin =
+            Skin { positions: &positions, triangles: &[], segments: &[], thickness: 0.0, closed: false };
+        let mut found = Vec::new();
+        touches(&[rod([0.0, 0.0, 0.0], [0.01, 0.0, 0.0])], &skin, PERIOD, &mut found);
+        // Eleven beside it, and one beyond its round end.
+        let (inside, near): (Vec<Touch>, Vec<Touch>) = found.iter().partition(|touch| touch.depth > 0.0);
+        assert_eq!((inside.len(), near.len()), (12, 2));
+        assert!(found.iter().all(|touch| touch.depth > -0.002 && touch.element.is_none()));
+    }
+
+    #[test]
+    fn a_rod_that_goes_through_a_sheet_is_pushed_out_along_itself_and_one_that_is_far_through_is_not() {
+        let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
+        let skin = sheet(&positions);
+        let mut found = Vec::new();
+        let pressed =
+            |tip: f64| Rod { velocities: [Vector3::z(); 2], ..rod([0.02, 0.03, -0.05], [0.02, 0.03, tip]) };
+        for (tip, depth) in [(-1e-9, 0.002), (1e-9, 0.002), (0.003, 0.005), (0.0105, 0.0125)] {
+            touches(&[pressed(tip)], &skin, PERIOD, &mut found);
+            assert_eq!(found.len(), 1, "{tip}");
+            let touch = found[0];
+            assert!(
+                (touch.depth - depth).abs() < 1e-8 && (touch.normal - Vector3::z()).norm() < 1e-9,
+                "{touch:?}"
+            );
+            assert_eq!((touch.element, touch.velocity), (Some(0), Vector3::z()));
+        }
+        touches(&[pressed(0.0115)], &skin, PERIOD, &mut found);
+        assert!(found.is_empty());
+        touches(&[Rod { is_open_jaw: true, ..pressed(0.003) }], &skin, PERIOD, &mut found);
+        assert!(found.is_empty(), "an open jaw goes to the other side");
+        // Nothing goes through where there is nothing.
+        touches(&[rod([0.07, 0.07, -0.05], [0.07, 0.07, 0.01])], &skin, PERIOD, &mut found);
+        assert!(found.is_empty());
+    }
+
+    #[test]
+    fn what_a_rod_comes_to_within_the_tick_is_touched_and_what_it_passes_beside_is_not() {
+        let positions = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]].map(Point3::from);
+        let skin = sheet(&positions);
+        let mut found = Vec::new();
+        let mut count = |height: f64, y: f64, velocity: Vector3<f64>| {
+            let fast = Rod { velocities: [velocity; 2], ..rod([0.02, y, height], [0.04, y, height]) };
+            touches(&[fast], &skin, 0.01, &mut found);
+            (found.len(), found.first().map_or(0.0, |touch| touch.depth))
+        };
+        // A centimetre in the tick: to where it is 2 mm off, and from where it would be past it.
+        assert_eq!(count(0.013, 0.02, Vector3::z() * -1.0), (0, 0.0));
+        let (hits, depth) = count(0.011, 0.02, Vector3::z() * -1.0);
+        assert!(hits == 1 && (depth + 0.009).abs() < 1e-12, "{hits} {depth}");
+        assert_eq!(count(0.005, 0.02, Vector3::z() * -1.0).0, 1);
+        assert_eq!(count(0.005, 0.02, Vector3::z()).0, 0, "it goes away");
+        assert_eq!(count(0.005, 0.12, Vector3::z() * -1.0).0, 0, "beside the triangle");
+        assert_eq!(count(0.005, 0.02, Vector3::y()).0, 0, "over it");
+    }
+
+    #[test]
+    fn a_thin_rod_deep_in_a_volume_is_found_and_one_beside_it_is_not() {
+        let corners = |bits: u32| [0, 1, 2].map(|k| 0.02 * (f64::from(bits >> k & 1) - 0.5));
+        let positions: Vec<Point3<f64>> = (0..8).map(|bits| Point3::from(corners(bits))).collect();
+        let quads = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        let triangles: Vec<[u32; 3]> =
+            quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        let skin = Skin {
+            positions: &positions,
+            triangles: &triangles,
+            segments: &[],
+            thickness: 0.0,
+            closed: true,
+        };
+        let mut found = Vec::new();
+        let thin = |from: [f64; 3], to: [f64; 3]| Rod { radius: 0.0005, ..rod(from, to) };
+        // All of it is inside, its lower end the deepest: 4 mm below the top, 0.5 mm more with its radius.
+        touches(&[thin([0.001, 0.002, 0.007], [0.001, 0.002, 0.006])], &skin, PERIOD, &mut found);
+        assert_eq!(found.len(), 1);
+        assert!((found[0].depth - 0.0045).abs() < 1e-12 && (found[0].normal + Vector3::z()).norm() < 1e-9);
+        assert_eq!(found[0].velocity, Vector3::y());
+        touches(&[thin([0.001, 0.002, 0.03], [0.001, 0.002, 0.012])], &skin, PERIOD, &mut found);
+        assert!(found.is_empty());
+        // One whose axis ends on the surface is pushed out by its radius: on a face, an edge, a vertex; or lies in it.
+        for (x, y, from) in
+            [(0.001, 0.002, 0.03), (0.01, 0.002, 0.03), (0.01, 0.01, 0.03), (0.01, 0.01, 0.010)]
+        {
+            touches(&[thin([x, y, from], [x, y, 0.01])], &skin, PERIOD, &mut found);
+            let touch = found.last().unwrap_or_else(|| panic!("at {x} {y} nothing is touched"));
+            assert!((touch.depth - 0.0005).abs() < 1e-9, "at {x} {y}: {touch:?}");
+            let inwards = touch.normal.dot(&(Point3::origin() - touch.on_axis));
+            assert!(inwards > 0.0, "at {x} {y}: {touch:?}");
+        }
+    }
+
+    #[test]
+    fn a_thread_is_touched_by_its_segment() {
+        let positions = [[-0.05, 0.001, 0.0], [0.05, 0.001, 0.0]].map(Point3::from);
+        let skin = Skin {
+            positions: &positions,
+            triangles: &[],
+            segments: &[[0, 1]],
+            thickness: 0.0002,
+            closed: false,
+        };
+        let mut found = Vec::new();
+        touches(&[rod([0.01, 0.0, -0.01], [0.01, 0.0, 0.01])], &skin, PERIOD, &mut found);
+        assert_eq!(found.len(), 1);
+        assert!((found[0].weights[1] - 0.6).abs() < 1e-12 && (found[0].depth - 0.0012).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,95 @@
+//! Lines that blades cut, or that tear where they are drawn too far: their segments come apart at a node, of which there are two
+//! from then on.
+
+use std::sync::Arc;
+
+use nalgebra::Point3;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::method::{Measures, StepContext};
+use trocar_scene::{Commands, LineMesh, Snapshot};
+
+use super::surface::Cuts;
+use crate::cutting::{part_line, pieces, tear_line};
+
+/// What makes lines come apart.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LineWeakness {
+    /// Whether blades cut them.
+    pub cut: bool,
+    /// Length over length at rest of a segment that tears; none does without.
+    pub tears_at: Option<f64>,
+}
+
+/// What has been cut of a line, and where the blades were.
+pub struct LineCuts {
+    weakness: LineWeakness,
+    cuts: Cuts,
+    changed: bool,
+    pieces: usize,
+}
+
+impl LineCuts {
+    /// Of a body as the scene has it.
+    pub fn new(body: &Deformable, weakness: LineWeakness, scene: &Snapshot) -> Self {
+        let known = scene.get::<Cuts>(body.entity);
+        Self {
+            weakness,
+            cuts: known.cloned().unwrap_or_default(),
+            changed: known.is_none(),
+            pieces: pieces(body.rest.len(), &body.segments),
+        }
+    }
+
+    /// Whether blades cut it.
+    #[must_use]
+    pub fn is_cut(&self) -> bool {
+        self.weakness.cut
+    }
+
+    /// Lets it come apart where blades have swept since the last time, or where it is drawn too far; the body follows. Of which
+    /// nodes the new ones are copies.
+    pub fn reshape(
+        &mut self,
+        positions: &[Point3<f64>],
+        body: &mut Deformable,
+        site: &StepContext<'_>,
+        out: &mut Commands,
+    ) -> Option<Vec<u32>> {
+        let LineWeakness { cut, tears_at } = self.weakness;
+        let cut = cut.then(|| self.cuts.sweeps(site.scene, site.world_from_body, &mut self.changed));
+        let cut = cut.filter(|sweeps| !sweeps.is_empty());
+        let parted = cut.and_then(|sweeps| part_line(positions, &body.segments, &sweeps));
+        let torn = || tear_line([&body.rest, positions], &body.segments, tears_at?);
+        let parted = parted.or_else(torn)?;
+        body.segments = Arc::new(parted.segments);
+        out.put(body.entity, LineMesh { segments: body.segments.clone(), radius: body.radius });
+        copy(&mut body.rest, &parted.copies);
+        copy(&mut body.positions, &parted.copies);
+        copy(&mut body.velocities, &parted.copies);
+        body.anchor();
+        body.changed_topology();
+        self.pieces = pieces(body.rest.len(), &body.segments);
+        self.changed = true;
+        Some(parted.copies)
+    }
+
+    /// Tells what a later life needs.
+    pub fn publish(&mut self, body: &Deformable, out: &mut Commands) {
+        if std::mem::take(&mut self.changed) {
+            out.put(body.entity, self.cuts.clone());
+        }
+    }
+
+    /// Tells how far it has come apart.
+    pub fn measure(&self, measures: &mut Measures<'_>) {
+        measures.put("pieces", self.pieces as f64);
+    }
+}
+
+/// Appends what some have.
+fn copy<T: Copy>(list: &mut Arc<Vec<T>>, of: &[u32]) {
+    let list = Arc::make_mut(list);
+    for &one in of {
+        list.push(list[one as usize]);
+    }
+}

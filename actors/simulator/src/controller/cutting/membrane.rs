@@ -1,0 +1,313 @@
+//! Membranes that come apart in a scene, by whichever method they move: triangles that heat takes away, stiffens and shrinks,
+//! paths that blades cut, and tears.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::method::{Measures, Reshaped, StepContext};
+use trocar_dynamics::tet_mesh::Birth;
+use trocar_scene::{
+    Access, Commands, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
+};
+
+use super::surface::Cuts;
+use crate::controller::cauterised::CauterisedBody;
+use crate::controller::thermal_damage::{self, Coagulated, Heated};
+use crate::cutting::{Sheet, TopologyChange, VertexChange};
+use crate::mass_spring::Patch;
+
+/// What the mesh of a membrane does not say about how heat has changed it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SurfaceElements {
+    /// Of each triangle, which of the first mesh it is a part of.
+    pub elements: Arc<Vec<u32>>,
+    /// Where the vertices come from that the first mesh did not have, in order.
+    pub births: Arc<Vec<Birth>>,
+    /// Of the elements that heat has removed, how many have been taken out.
+    pub taken: u32,
+}
+impl Component for SurfaceElements {
+    const NAME: &'static str = "surface_elements";
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)
+    }
+}
+
+/// By what else than heat a membrane comes apart.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct MembraneWeakness {
+    /// Whether blades cut it.
+    pub cut: bool,
+    /// How far it is drawn, as length over length at rest, where it tears.
+    pub tears_at: Option<f64>,
+}
+
+/// A membrane, and how far it has come apart.
+pub struct Membrane {
+    sheet: Sheet,
+    cuts: Cuts,
+    of: SurfaceElements,
+    heated: Heated,
+    weakness: MembraneWeakness,
+    /// Whether heat changes it.
+    burns: bool,
+    /// Areas of its pieces, the largest first \[m²\].
+    areas: Vec<f64>,
+    cuts_changed: bool,
+}
+
+impl Parted {
+    /// Gives new vertices a state.
+    pub fn carry(&self, state: &mut State) {
+        self.change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
+        self.change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
+    }
+}
+
+/// What has become of a membrane in one tick.
+pub struct Parted {
+    /// What was cut or torn.
+    pub change: TopologyChange,
+    /// Corners of triangles that are others than they were, are altered, new or gone; ascending.
+    pub stale: Vec<u32>,
+    /// What became of the triangles, if they are not all what they were.
+    pub reshaped: Option<Reshaped>,
+}
+
+impl Membrane {
+    /// Of a body as the scene has it, if it can come apart at all; tells the body which of its vertices are of nothing.
+    ///
+    /// # Errors
+    /// It burns as a volume, or has a mesh that cannot be cut.
+    pub fn new(
+        body: &mut Deformable,
+        weakness: MembraneWeakness,
+        scene: &Snapshot,
+    ) -> Result<Option<Self>, String> {
+        let burns = scene.get::<CauterisedBody>(body.entity);
+        if burns.is_some_and(|burns| burns.thickness.is_none()) {
+            return Err("it moves as a surface: give 'cauterised' its 'thickness'".into());
+        }
+        let burns = burns.is_some();
+        let known = scene.get::<Cuts>(body.entity);
+        let of = scene.get::<SurfaceElements>(body.entity);
+        if !(burns || weakness.cut || weakness.tears_at.is_some() || known.is_some() || of.is_some()) {
+            return Ok(None);
+        }
+        let of = of.filter(|of| of.elements.len() == body.triangles.len()).cloned();
+        let of = of.unwrap_or_else(|| {
+            let elements = (0..body.triangles.len() as u32).collect();
+            SurfaceElements { elements: Arc::new(elements), ..SurfaceElements::default() }
+        });
+        let (rest, triangles) = (body.rest.to_vec(), body.triangles.to_vec());
+        let sheet = match known {
+            Some(known) => known.sheet(rest, triangles),
+            None => Sheet::new(rest, triangles),
+        };
+        let sheet = sheet.map_err(|error| error.to_string())?;
+        let mut cuts = known.cloned().unwrap_or_default();
+        cuts.take(sheet.state());
+        body.loose = unused(body);
+        let heated = Heated::known(scene, body.entity, of.taken as usize);
+        let (areas, cuts_changed) = (areas(&sheet), known.is_none());
+        Ok(Some(Self { sheet, cuts, of, heated, weakness, burns, areas, cuts_changed }))
+    }
+
+    /// What a controller of membranes that come apart reads and writes.
+    pub fn access(access: Access, bodies: &[Entity]) -> Access {
+        let all = || EntitySet::Of(bodies.to_vec());
+        thermal_damage::access(access, bodies).writes::<SurfaceElements>(all()).writes::<Cuts>(all())
+    }
+
+    /// Whether blades cut it.
+    #[must_use]
+    pub fn is_cut(&self) -> bool {
+        self.weakness.cut
+    }
+
+    /// The mesh.
+    #[must_use]
+    pub fn sheet(&self) -> &Sheet {
+        &self.sheet
+    }
+
+    /// What heat has made of each triangle that is there.
+    #[must_use]
+    pub fn alterations(&self) -> Vec<Alteration> {
+        if self.heated.coagulated.is_empty() {
+            return Vec::new();
+        }
+        self.of.elements.iter().map(|&element| self.heated.alteration(element)).collect()
+    }
+
+    /// What solvers have to follow.
+    pub fn follow<R>(&self, parted: &Parted, follow: impl FnOnce(&Patch<'_, 3>) -> R) -> R {
+        let altered = |triangle: u32| {
+            let element = self.of.elements.get(triangle as usize);
+            element.map_or(Alteration::NONE, |&element| self.heated.alteration(element))
+        };
+        follow(&Patch {
+            rest: self.sheet.rest(),
+            elements: self.sheet.triangles(),
+            altered: &altered,
+            about: &|vertex| self.sheet.about(vertex),
+            stale: &parted.stale,
+        })
+    }
+
+    /// Lets it come apart as far as it does now; the body follows.
+    ///
+    /// # Errors
+    /// Why it cannot go on.
+    pub fn reshape(
+        &mut self,
+        positions: &[Point3<f64>],
+        body: &mut Deformable,
+        site: &StepContext<'_>,
+        out: &mut Commands,
+    ) -> Result<Option<Parted>, String> {
+        let (gone, changed) = self.heated.news(site.scene, body.entity);
+        let mut stale = Vec::new();
+        let kept = (!gone.is_empty()).then(|| self.take_out(&gone, &mut stale));
+        let change = self.part(positions, site)?;
+        if kept.is_none() && change.is_empty() && changed.is_empty() {
+            return Ok(None);
+        }
+        stale.extend(&change.stale);
+        self.altered(&changed, &mut stale);
+        stale.sort_unstable();
+        stale.dedup();
+        if kept.is_none() && change.is_empty() {
+            return Ok(Some(Parted { change, stale, reshaped: None }));
+        }
+        self.areas = areas(&self.sheet);
+        self.cuts.take(self.sheet.state());
+        self.cuts_changed = true;
+        body.triangles = Arc::new(self.sheet.triangles().to_vec());
+        out.put(body.entity, SurfaceMesh { triangles: body.triangles.clone() });
+        if !change.is_empty() {
+            self.grow(&change, &stale, body, site, out);
+        }
+        for &vertex in &stale {
+            body.is_loose(vertex, self.sheet.about(vertex).is_empty());
+        }
+        if self.burns {
+            self.of.taken = self.heated.removed.len() as u32;
+            out.put(body.entity, self.of.clone());
+        }
+        let reshaped = Some(Reshaped { kept, parents: change.triangles.clone() });
+        Ok(Some(Parted { change, stale, reshaped }))
+    }
+
+    /// Adds the corners of triangles that are parts of these elements.
+    fn altered(&self, changed: &[Coagulated], stale: &mut Vec<u32>) {
+        if changed.is_empty() {
+            return;
+        }
+        for (corners, element) in self.sheet.triangles().iter().zip(self.of.elements.iter()) {
+            if changed.binary_search_by_key(element, |of| of.element).is_ok() {
+                stale.extend(corners);
+            }
+        }
+    }
+
+    /// Cuts where blades have swept, or else tears where it is drawn too far. A tear runs on from tick to tick.
+    fn part(&mut self, positions: &[Point3<f64>], site: &StepContext<'_>) -> Result<TopologyChange, String> {
+        let mut change = TopologyChange::default();
+        if self.weakness.cut {
+            let sweeps = self.cuts.sweeps(site.scene, site.world_from_body, &mut self.cuts_changed);
+            if !sweeps.is_empty() {
+                change = self.sheet.cut(positions, &sweeps).map_err(|error| error.to_string())?;
+            }
+        }
+        if let Some(stretch) = self.weakness.tears_at.filter(|_| change.is_empty()) {
+            change = self.sheet.tear(positions, stretch).map_err(|error| error.to_string())?;
+        }
+        self.cuts.length += change.length;
+        Ok(change)
+    }
+
+    /// New vertices and halves of triangles.
+    fn grow(
+        &mut self,
+        change: &TopologyChange,
+        stale: &[u32],
+        body: &mut Deformable,
+        site: &StepContext<'_>,
+        out: &mut Commands,
+    ) {
+        let vertices = body.rest.len();
+        change.carry(Arc::make_mut(&mut body.positions), |a, b, share| a + (b - a) * share);
+        change.carry(Arc::make_mut(&mut body.velocities), |a, b, share| a + (b - a) * share);
+        change.carry_triangles(Arc::make_mut(&mut self.of.elements));
+        Arc::make_mut(&mut self.of.births).extend(change.vertices.iter().filter_map(|what| match *what {
+            VertexChange::Between { edge, share } => Some(Birth { of: edge, share }),
+            VertexChange::Copy { of } => Some(Birth { of: [of; 2], share: 0.0 }),
+            VertexChange::Moved { .. } => None,
+        }));
+        body.rest = Arc::new(self.sheet.rest().to_vec());
+        // Whoever reads the scene anew finds the same ones.
+        body.anchor_again(stale);
+        body.changed_topology();
+        if let Some(texture) = site.scene.get::<TextureCoordinates>(body.entity) {
+            let mut uv = texture.uv.to_vec();
+            if uv.len() == vertices {
+                change.carry(&mut uv, |a, b, share| a + (b - a) * share);
+            }
+            out.put(body.entity, TextureCoordinates { uv: Arc::new(uv) });
+        }
+    }
+
+    /// The new number of each triangle, where it is still there; adds the corners of the others.
+    fn take_out(&mut self, gone: &[u32], stale: &mut Vec<u32>) -> Vec<Option<u32>> {
+        let gone: BTreeSet<u32> = gone.iter().copied().collect();
+        for (corners, element) in self.sheet.triangles().iter().zip(self.of.elements.iter()) {
+            if gone.contains(element) {
+                stale.extend(corners);
+            }
+        }
+        let elements = self.of.elements.clone();
+        let kept = self.sheet.take_out(|triangle| gone.contains(&elements[triangle as usize]));
+        self.of.elements = Arc::new(elements.iter().copied().filter(|of| !gone.contains(of)).collect());
+        kept
+    }
+
+    /// Tells what a later life needs.
+    pub fn publish(&mut self, body: &Deformable, out: &mut Commands) {
+        if std::mem::take(&mut self.cuts_changed) && (self.weakness.cut || self.weakness.tears_at.is_some()) {
+            out.put(body.entity, self.cuts.clone());
+        }
+    }
+
+    /// Tells how far it has come apart.
+    pub fn measure(&self, measures: &mut Measures<'_>) {
+        measures.put("pieces", self.areas.len() as f64);
+        measures.put("cut_area_m2", self.areas.get(1).copied().unwrap_or(0.0));
+        measures.put("cut_length_m", self.cuts.length);
+    }
+}
+
+/// Areas of the pieces of a sheet, the largest first \[m²\].
+fn areas(sheet: &Sheet) -> Vec<f64> {
+    let mut areas: BTreeMap<u32, f64> = BTreeMap::new();
+    for (piece, corners) in sheet.pieces().iter().zip(sheet.triangles()) {
+        let [a, b, c] = corners.map(|vertex| sheet.rest()[vertex as usize]);
+        *areas.entry(*piece).or_default() += 0.5 * (b - a).cross(&(c - a)).norm();
+    }
+    let mut areas: Vec<f64> = areas.into_values().collect();
+    areas.sort_by(|a, b| b.total_cmp(a));
+    areas
+}
+
+/// Vertices that are of no triangle, ascending.
+fn unused(body: &Deformable) -> Vec<u32> {
+    let mut used = vec![false; body.rest.len()];
+    body.triangles.iter().flatten().for_each(|&node| used[node as usize] = true);
+    (0..used.len() as u32).filter(|&node| !used[node as usize]).collect()
+}

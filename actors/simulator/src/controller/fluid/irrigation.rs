@@ -1,0 +1,129 @@
+//! Tubes in the field: an irrigator brings liquid, a sucker takes it away, while they are switched on.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_scene::{Activation, Component, ComponentError, ControllerError, Entity, Snapshot};
+
+use crate::fluid::{Fluid, Hole, Spout};
+
+/// A tube out of which the scene's liquid comes while it is switched on: at an instrument, along its axis.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Irrigator {
+    /// What comes at full level \[m³/s\].
+    pub rate: f64,
+    /// Area of its opening \[m²\].
+    pub area: f64,
+}
+
+impl Default for Irrigator {
+    /// A litre in two minutes out of 5 mm.
+    fn default() -> Self {
+        Self { rate: 8e-6, area: 2e-5 }
+    }
+}
+
+impl Component for Irrigator {
+    const NAME: &'static str = "irrigator";
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("rate", self.rate, 0.0..=1e-3, "0 to 1e-3 m³/s")?;
+        ComponentError::range("area", self.area, 1e-8..=1e-2, "1e-8 to 1e-2 m²")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+/// A tube that takes the scene's liquid away while it is switched on: at an instrument, what is near its tip.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Sucker {
+    /// What it takes at full level \[m³/s\], if there is so much.
+    pub rate: f64,
+    /// How far from its tip it reaches \[m\].
+    pub reach: f64,
+}
+
+impl Default for Sucker {
+    /// Two litres in a minute.
+    fn default() -> Self {
+        Self { rate: 3.3e-5, reach: 0.008 }
+    }
+}
+
+impl Component for Sucker {
+    const NAME: &'static str = "sucker";
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("rate", self.rate, 0.0..=1e-2, "0 to 1e-2 m³/s")?;
+        ComponentError::range("reach", self.reach, 1e-4..=0.1, "1e-4 to 0.1 m")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+/// What a sucker has taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Suction {
+    /// Particles taken.
+    pub taken: u64,
+    /// What it could have taken and has not yet \[m³\]; less than a particle where there is liquid.
+    pub waiting: f64,
+}
+
+/// Refuses a tube that is both.
+pub(crate) fn check(scene: &Snapshot) -> Result<(), ControllerError> {
+    match scene.iter::<Irrigator>().find(|(entity, _)| scene.get::<Sucker>(*entity).is_some()) {
+        Some((both, _)) => Err(ControllerError::Scene(format!(
+            "'{}': it is an 'irrigator' and a 'sucker', and one switch says which: either is valid",
+            scene.name(both)
+        ))),
+        None => Ok(()),
+    }
+}
+
+fn level(scene: &Snapshot, entity: Entity) -> f64 {
+    scene.get::<Activation>(entity).map_or(0.0, |activation| activation.level)
+}
+
+impl Irrigator {
+    /// What comes out of it in `dt` seconds.
+    pub(crate) fn pour(
+        &self,
+        (scene, entity): (&Snapshot, Entity),
+        liquid_from_world: &Isometry3<f64>,
+        dt: f64,
+        spout: &mut Spout,
+        fluid: &mut Fluid,
+    ) {
+        let liquid_from_tip = liquid_from_world * scene.world_pose(entity);
+        let place = liquid_from_tip * Point3::origin();
+        let hole = Hole { place, outwards: liquid_from_tip * Vector3::z(), area: self.area };
+        let given = spout.given + self.rate * level(scene, entity) * dt;
+        spout.pour(given, dt, &hole, fluid);
+    }
+}
+
+impl Sucker {
+    /// What it takes in `dt` seconds: what is nearest first.
+    pub(crate) fn suck(
+        &self,
+        (scene, entity): (&Snapshot, Entity),
+        liquid_from_world: &Isometry3<f64>,
+        dt: f64,
+        suction: &mut Suction,
+        fluid: &mut Fluid,
+    ) {
+        let (particle, now) = (fluid.particle_volume(), self.rate * level(scene, entity) * dt);
+        // What it could not take, for want of liquid, it does not catch up with.
+        suction.waiting = if now > 0.0 { suction.waiting.min(particle) + now } else { 0.0 };
+        let tip = liquid_from_world * scene.world_pose(entity) * Point3::origin();
+        let taken = fluid.suck(&tip, self.reach, (suction.waiting / particle).floor() as u64);
+        suction.taken += taken;
+        suction.waiting -= taken as f64 * particle;
+    }
+}

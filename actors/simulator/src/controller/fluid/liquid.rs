@@ -1,0 +1,437 @@
+//! The controller of a liquid: out of every vessel and irrigator, between the surfaces that it does not pass, until a sucker
+//! takes it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_dynamics::soft_body::frozen::{FrozenPart, freeze};
+use trocar_scene::{
+    Access, Activation, BuildContext, Commands, Component, ComponentError, Controller, ControllerError,
+    Entity, EntitySet, Frozen, Measured, OutOfValidity, Particles, Pose, RecordPolicy, RestPositions,
+    Snapshot, SurfaceMesh, Tick, VertexPositions,
+};
+
+use super::bleeding::{VesselState, rest_of};
+use super::irrigation::{self, Irrigator, Sucker, Suction};
+use crate::fluid::boundary_samples::{WallSample, sample};
+use crate::fluid::{Fluid, FluidConfig, FluidState, Spout};
+
+/// Most samples of one wall.
+const SAMPLES_MAX: usize = 200_000;
+
+/// Farther off there is no wall \[m\].
+const FAR: f64 = 1e3;
+
+/// A liquid; its drops are the entity's particles, which say how they look. A particle lives in the entity's box.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Liquid {
+    /// Distance of particles at rest \[m\].
+    pub spacing: f64,
+    /// Density at rest \[kg/m³\].
+    pub density: f64,
+    /// Kinematic viscosity \[m²/s\].
+    pub viscosity: f64,
+    /// Box in which it is, in the entity's frame \[m\]; what leaves it is absorbed.
+    #[schemars(with = "[f64; 3]")]
+    pub min: Point3<f64>,
+    /// The other end of the box \[m\].
+    #[schemars(with = "[f64; 3]")]
+    pub max: Point3<f64>,
+    /// Most particles; when there are more, the oldest are absorbed.
+    pub particles_max: u32,
+}
+
+impl Default for Liquid {
+    /// Blood.
+    fn default() -> Self {
+        let blood = FluidConfig::default();
+        Self {
+            spacing: blood.spacing,
+            density: blood.density,
+            viscosity: blood.viscosity,
+            min: blood.min,
+            max: blood.max,
+            particles_max: 4_000,
+        }
+    }
+}
+
+impl Component for Liquid {
+    const NAME: &'static str = "liquid";
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("spacing", self.spacing, 1e-4..=0.1, "1e-4 to 0.1 m")?;
+        ComponentError::range("density", self.density, 1.0..=1e5, "1 to 1e5 kg/m³")?;
+        ComponentError::range("viscosity", self.viscosity, 0.0..=1.0, "0 to 1 m²/s")?;
+        for axis in 0..3 {
+            let size = self.max[axis] - self.min[axis];
+            ComponentError::range("max", size, self.spacing..=1e3, "beyond min, within 1000 m")?;
+        }
+        let room = trocar_scene::PARTICLES_MAX as f64 / 2.0;
+        ComponentError::range("particles_max", f64::from(self.particles_max), 1.0..=room, "1 to 32768")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+/// A surface that liquids do not pass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LiquidWall {
+    /// Whether liquids slide along it freely. Otherwise it drags them, by bumps of half a particle.
+    pub smooth: bool,
+}
+
+impl Component for LiquidWall {
+    const NAME: &'static str = "liquid_wall";
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+/// What a later life goes on from.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct LiquidState {
+    /// The particles.
+    pub fluid: Arc<FluidState>,
+    /// How much came out of each vessel and irrigator.
+    pub spouts: Vec<(Entity, Spout)>,
+    /// How much each sucker took.
+    #[serde(default)]
+    pub suctions: Vec<(Entity, Suction)>,
+}
+impl Component for LiquidState {
+    const NAME: &'static str = "liquid_state";
+    /// Too large to be recorded; what comes of it is.
+    const RECORD: RecordPolicy = RecordPolicy::Derived;
+}
+
+/// A wall as it was when it was sampled last, and where its samples are.
+struct Wall {
+    entity: Entity,
+    triangles: Arc<Vec<[u32; 3]>>,
+    samples: Vec<WallSample>,
+    positions: Arc<Vec<Point3<f64>>>,
+    liquid_from_wall: Isometry3<f64>,
+}
+
+/// Moves the liquid of the scene.
+pub struct FluidController {
+    liquid: Entity,
+    name: String,
+    look: Particles,
+    fluid: Fluid,
+    gravity_in_world: Vector3<f64>,
+    spouts: BTreeMap<Entity, Spout>,
+    suctions: BTreeMap<Entity, Suction>,
+    walls: Vec<Wall>,
+    places: Vec<Point3<f64>>,
+    speeds: Vec<Vector3<f64>>,
+    normals: Vec<Vector3<f64>>,
+    order: Vec<(u64, u32)>,
+    walls_move: bool,
+    /// Walls that are taken where they were last, because where the scene has them nothing can be.
+    held: Vec<Entity>,
+    frozen: bool,
+}
+
+impl FluidController {
+    /// Reads the liquid, and goes on where an earlier life left it.
+    ///
+    /// # Errors
+    /// There is none, or more than one; a parameter or a state that does not fit it.
+    pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let scene = context.scene;
+        let mut liquids = scene.iter::<Liquid>();
+        let (Some((liquid, kind)), None) = (liquids.next(), liquids.next()) else {
+            return Err(ControllerError::Scene("fluid: one entity has to be a 'liquid'".into()));
+        };
+        let name = scene.name(liquid);
+        let wrong = |what: String| ControllerError::Scene(format!("'{name}': {what}"));
+        let config = FluidConfig {
+            spacing: kind.spacing,
+            density: kind.density,
+            viscosity: kind.viscosity,
+            gravity: scene.world_pose(liquid).rotation.inverse() * gravity_in_world,
+            min: kind.min,
+            max: kind.max,
+            particles_max: kind.particles_max as usize,
+            ..FluidConfig::default()
+        };
+        let mut fluid = Fluid::new(config).map_err(|error| wrong(error.to_string()))?;
+        irrigation::check(scene)?;
+        let (mut spouts, mut suctions) = (BTreeMap::new(), BTreeMap::new());
+        if let Some(known) = scene.get::<LiquidState>(liquid) {
+            fluid.restore(&known.fluid).map_err(|error| wrong(error.to_string()))?;
+            for (entity, spout) in &known.spouts {
+                spout.check().map_err(|error| wrong(error.to_string()))?;
+                spouts.insert(*entity, *spout);
+            }
+            suctions.extend(known.suctions.iter().copied());
+        }
+        let look = scene.get::<Particles>(liquid).cloned().unwrap_or_default();
+        Ok(Self {
+            liquid,
+            look,
+            fluid,
+            gravity_in_world,
+            spouts,
+            suctions,
+            walls: Vec::new(),
+            places: Vec::new(),
+            speeds: Vec::new(),
+            normals: Vec::new(),
+            order: Vec::new(),
+            walls_move: false,
+            held: Vec::new(),
+            frozen: scene.get::<Frozen>(liquid).is_some(),
+            name: name.clone(),
+        })
+    }
+
+    /// Where the walls are now; told to the liquid only where one of them has moved.
+    fn follow_walls(&mut self, dt: f64, scene: &Snapshot) -> Result<(), String> {
+        let liquid_from_world = scene.world_pose(self.liquid).inverse();
+        let mut walls = std::mem::take(&mut self.walls);
+        let mut known = walls.drain(..).peekable();
+        let (mut moved, mut now) = (false, Vec::new());
+        let mut carriers: Vec<Entity> = scene.iter::<LiquidWall>().map(|(entity, _)| entity).collect();
+        carriers.sort_unstable();
+        self.places.clear();
+        self.speeds.clear();
+        self.held.clear();
+        for entity in carriers {
+            let (Some(surface), Some(vertices)) =
+                (scene.get::<SurfaceMesh>(entity), scene.get::<VertexPositions>(entity))
+            else {
+                continue;
+            };
+            let liquid_from_wall = liquid_from_world * scene.world_pose(entity);
+            let before = known.next_if(|wall| wall.entity == entity);
+            let (triangles, positions) = (surface.triangles.clone(), vertices.positions.clone());
+            let same = |wall: &Wall| {
+                Arc::ptr_eq(&wall.triangles, &triangles) && wall.positions.len() == positions.len()
+            };
+            if !is_somewhere(&liquid_from_wall, &positions, &triangles) {
+                self.held.push(entity);
+                if let Some(wall) = before {
+                    let places = wall.samples.iter();
+                    let places = places.map(|of| wall.liquid_from_wall * of.place(&wall.positions));
+                    self.places.extend(places);
+                    self.speeds.resize(self.places.len(), Vector3::zeros());
+                    now.push(wall);
+                }
+                continue;
+            }
+            let wall = match before.filter(same) {
+                Some(mut wall) => {
+                    let still =
+                        Arc::ptr_eq(&wall.positions, &positions) && wall.liquid_from_wall == liquid_from_wall;
+                    moved |= !still;
+                    for sample in &wall.samples {
+                        let place = liquid_from_wall * sample.place(&positions);
+                        let before = wall.liquid_from_wall * sample.place(&wall.positions);
+                        self.places.push(place);
+                        self.speeds.push(if still { Vector3::zeros() } else { (place - before) / dt });
+                    }
+                    (wall.positions, wall.liquid_from_wall) = (positions, liquid_from_wall);
+                    wall
+                }
+                None => {
+                    moved = true;
+                    // At rest, so that another life finds the same ones.
+                    let rest = rest_of(scene, entity).filter(|rest| rest.len() == positions.len());
+                    let samples = sample(
+                        rest.unwrap_or(&positions),
+                        &triangles,
+                        self.fluid.config().spacing,
+                        SAMPLES_MAX,
+                    );
+                    let places = samples.iter().map(|sample| liquid_from_wall * sample.place(&positions));
+                    self.places.extend(places);
+                    self.speeds.resize(self.places.len(), Vector3::zeros());
+                    Wall { entity, triangles, samples, positions, liquid_from_wall }
+                }
+            };
+            now.push(wall);
+        }
+        moved |= known.next().is_some();
+        drop(known);
+        self.walls = now;
+        // Once more when they have come to rest.
+        if moved || self.walls_move {
+            self.normals.clear();
+            for wall in &self.walls {
+                let is_smooth = scene.get::<LiquidWall>(wall.entity).is_some_and(|kind| kind.smooth);
+                let normal = |sample: &WallSample| {
+                    if is_smooth {
+                        wall.liquid_from_wall * sample.across(&wall.positions)
+                    } else {
+                        Vector3::zeros()
+                    }
+                };
+                self.normals.extend(wall.samples.iter().map(normal));
+            }
+            self.fluid
+                .set_walls(&self.places, &self.speeds)
+                .and_then(|()| self.fluid.set_wall_normals(&self.normals))
+                .map_err(|error| format!("its walls: {error}"))?;
+        }
+        self.walls_move = moved;
+        Ok(())
+    }
+
+    /// One step; where it cannot be, the liquid is where it was.
+    fn step(&mut self, dt: f64, scene: &Snapshot) -> Result<(), String> {
+        let world_from_liquid = scene.world_pose(self.liquid);
+        self.fluid.set_gravity(world_from_liquid.rotation.inverse() * self.gravity_in_world);
+        self.follow_walls(dt, scene)?;
+        for (entity, vessel) in scene.iter::<VesselState>() {
+            let liquid_from_vessel = world_from_liquid.inverse() * scene.world_pose(entity);
+            let hole = vessel.hole_in(&liquid_from_vessel);
+            self.spouts.entry(entity).or_default().pour(vessel.bleeding.lost, dt, &hole, &mut self.fluid);
+        }
+        let liquid_from_world = world_from_liquid.inverse();
+        for (entity, irrigator) in scene.iter::<Irrigator>() {
+            let spout = self.spouts.entry(entity).or_default();
+            irrigator.pour((scene, entity), &liquid_from_world, dt, spout, &mut self.fluid);
+        }
+        for (entity, sucker) in scene.iter::<Sucker>() {
+            let suction = self.suctions.entry(entity).or_default();
+            sucker.suck((scene, entity), &liquid_from_world, dt, suction, &mut self.fluid);
+        }
+        self.fluid.step(dt).map(drop).map_err(|error| error.to_string())
+    }
+
+    /// To where the scene has it: what was poured for a step that could not be has not come.
+    fn go_back(&mut self, scene: &Snapshot) {
+        let Some(known) = scene.get::<LiquidState>(self.liquid) else { return };
+        if self.fluid.restore(&known.fluid).is_ok() {
+            self.spouts = known.spouts.iter().copied().collect();
+            self.suctions = known.suctions.iter().copied().collect();
+        }
+    }
+
+    /// Says once that a wall is not where the scene has it.
+    fn doubt(&self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
+        let Some(wall) = self.held.first().filter(|_| scene.get::<OutOfValidity>(self.liquid).is_none())
+        else {
+            return;
+        };
+        let reason = format!(
+            "its wall '{}' is taken where it was last: a vertex is farther than {FAR} m away or a triangle names one \
+             that there is none of",
+            scene.name(*wall)
+        );
+        out.put(self.liquid, OutOfValidity { reason, since: tick.time });
+        out.event("wall_held", *wall, None, tick.time.as_secs_f64());
+    }
+
+    /// Drops in the order of their numbers; where one is gone in between, there is one that is not seen.
+    fn show(&mut self) {
+        let state = self.fluid.state();
+        self.order.clear();
+        self.order.extend(state.numbers.iter().zip(0..).map(|(number, index)| (*number, index)));
+        self.order.sort_unstable();
+        // Those that stayed behind long ago do not keep room for all that came and went since.
+        let room = trocar_scene::PARTICLES_MAX as u64;
+        let first =
+            state.next.saturating_sub(room).max(self.order.first().map_or(state.next, |first| first.0));
+        let (mut positions, mut densities) = (Vec::new(), Vec::new());
+        for (number, index) in self.order.iter().filter(|(number, _)| *number >= first) {
+            let place = state.positions[*index as usize];
+            let at = (number - first) as usize;
+            positions.resize(at, place);
+            densities.resize(at, 0.0);
+            positions.push(place);
+            densities.push(1.0);
+        }
+        self.look.first = first;
+        self.look.positions = Arc::new(positions);
+        self.look.densities = Arc::new(densities);
+    }
+
+    fn measure(&self, values: &mut BTreeMap<String, f64>) {
+        let mut put = |what: &str, value: f64| values.insert(format!("{}.{what}", self.name), value);
+        let volume = self.fluid.particle_volume();
+        let state = self.fluid.state();
+        let emitted: u64 = self.spouts.values().map(|spout| spout.emitted).sum();
+        let given: f64 = self.spouts.values().map(|spout| spout.given).sum();
+        put("volume_m3", state.numbers.len() as f64 * volume);
+        put("particles", state.numbers.len() as f64);
+        put("frozen", f64::from(u8::from(self.frozen)));
+        put("held_walls", self.held.len() as f64);
+        put("emitted_m3", emitted as f64 * volume);
+        let sucked: u64 = self.suctions.values().map(|suction| suction.taken).sum();
+        put("sucked_m3", sucked as f64 * volume);
+        put("absorbed_m3", state.absorbed as f64 * volume);
+        // Less than a particle of each is still to come.
+        put("emitted_share", if given > 0.0 { emitted as f64 * volume / given } else { 1.0 });
+    }
+}
+
+/// Whether a wall is where one can be.
+fn is_somewhere(
+    liquid_from_wall: &Isometry3<f64>,
+    positions: &[Point3<f64>],
+    triangles: &[[u32; 3]],
+) -> bool {
+    let near = |place: &Point3<f64>| (liquid_from_wall * place).iter().all(|x| x.abs() <= FAR);
+    positions.iter().all(near) && triangles.iter().flatten().all(|&at| (at as usize) < positions.len())
+}
+
+impl Controller for FluidController {
+    fn access(&self) -> Access {
+        let liquid = || EntitySet::Of(vec![self.liquid]);
+        Access::new()
+            .reads::<Liquid>()
+            .reads::<LiquidWall>()
+            .reads::<SurfaceMesh>()
+            .reads::<VertexPositions>()
+            .reads::<RestPositions>()
+            .reads::<VesselState>()
+            .reads::<Irrigator>()
+            .reads::<Sucker>()
+            .reads::<Activation>()
+            .reads::<Pose>()
+            .writes::<Particles>(liquid())
+            .writes::<LiquidState>(liquid())
+            .reads::<Frozen>()
+            .reads::<OutOfValidity>()
+            .writes::<Frozen>(liquid())
+            .writes::<OutOfValidity>(liquid())
+            .writes::<Measured>(EntitySet::Own)
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let dt = tick.period.as_secs_f64();
+        if !self.frozen
+            && let Err(reason) = self.step(dt, scene)
+        {
+            self.frozen = true;
+            self.go_back(scene);
+            freeze(self.liquid, FrozenPart::Body, reason, tick, out);
+        }
+        if !self.frozen {
+            self.doubt(tick, scene, out);
+            let was_empty = self.look.positions.is_empty();
+            self.show();
+            if !(was_empty && self.look.positions.is_empty()) || tick.number == 1 {
+                out.put(self.liquid, self.look.clone());
+                let spouts = self.spouts.iter().map(|(entity, spout)| (*entity, *spout)).collect();
+                let suctions = self.suctions.iter().map(|(entity, suction)| (*entity, *suction)).collect();
+                let fluid = Arc::new(self.fluid.state().clone());
+                out.put(self.liquid, LiquidState { fluid, spouts, suctions });
+            }
+        }
+        let mut measured = Measured::default();
+        self.measure(&mut measured.values);
+        out.put(tick.me, measured);
+        Ok(())
+    }
+}

@@ -1,0 +1,279 @@
+//! What holds a linear organ: what has been driven into it, jaws what they have picked, rods the patches that they press on.
+//!
+//! A load on a single vertex feels stiffer the coarser the mesh is, so that each place that a rod touches stands for a patch
+//! about it. Where that is, and which way it is pressed, is found on the shape at rest, for the rod as it is seen from
+//! there: brought back by what the place has moved. On the deformed surface, which is coarse, the nearest place to a rod
+//! jumps to and fro while it is pressed in, and so would the force.
+
+use nalgebra::{Point3, Unit, Vector3};
+use serde::{Deserialize, Serialize};
+use trocar_collision::primitive::{closest_on_segment, closest_on_triangle};
+use trocar_dynamics::picking::Jaws;
+use trocar_dynamics::soft_body::grasp::Holder;
+use trocar_dynamics::soft_body::instrument_rods::Rod;
+use trocar_dynamics::soft_body::method::StepContext;
+use trocar_dynamics::soft_body::rod_contact::{Skin, Touch, touches};
+use trocar_scene::{Component, Entity};
+
+use super::Body;
+use crate::linear_fem::{Attachment, Hold, LinearFemError, patch};
+
+/// Distance from a rod at which the surface is watched already, so that what rests on it is not lost by rounding \[m\].
+const MARGIN: f64 = 1e-3;
+/// Most places that are kept out of rods at once; the deepest ones.
+const CONTACTS_MAX: usize = 96;
+/// How far in a rod the surface may be left \[m\].
+const PENETRATION_MAX: f64 = 1e-5;
+/// Patches of one rod are apart by this share of their radius at least.
+const PATCHES_APART: f64 = 1.0;
+/// A place on the surface that an instrument pressed on.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Place {
+    /// Which instrument.
+    pub instrument: u64,
+    /// Corners of the triangle; one vertex three times for a vertex.
+    pub nodes: [u32; 3],
+    /// Where on it: each in \[0, 1\], their sum 1.
+    pub weights: [f64; 3],
+}
+
+/// Where rods pressed on a body in the last tick: another life goes on pressing there.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Contacts {
+    /// In the order in which they were found.
+    pub places: Vec<Place>,
+}
+impl Component for Contacts {
+    const NAME: &'static str = "linear_fem_contacts";
+}
+
+impl Contacts {
+    /// Remembers the middles of patches that bear something.
+    pub(crate) fn keep(&mut self, answers: &[Answer], rods: &[Rod], contact_radius: f64) {
+        self.places.clear();
+        let borne = answers.iter().filter(|answer| contact_radius > 0.0 && answer.force != Vector3::zeros());
+        self.places.extend(borne.filter_map(|answer| {
+            let By::Touch(touch) = &answer.by else { return None };
+            let instrument = rods[touch.rod].instrument.to_bits();
+            Some(Place { instrument, nodes: touch.nodes, weights: touch.weights })
+        }));
+    }
+}
+
+/// One thing that holds the surface, and what it takes to hold it.
+pub(crate) struct Answer {
+    pub attachment: Attachment,
+    /// Where its mean is to be, from rest \[m\].
+    pub target: Vector3<f64>,
+    /// Of a patch: how far the mean under it is to lag behind its middle, which is what touches \[m\].
+    pub lag: f64,
+    pub by: By,
+    /// On the body \[N\].
+    pub force: Vector3<f64>,
+}
+
+pub(crate) enum By {
+    /// A rod that touches.
+    Touch(Touch),
+    /// The jaws of an instrument, at a vertex.
+    Jaws(Entity, u32),
+    /// What has been driven into it, at the point of that number.
+    Pin(usize),
+}
+
+impl Body {
+    /// What holds it now, those first that stay from tick to tick: pins, jaws what they have picked, rods what they touch.
+    pub(crate) fn ask(&mut self, site: &StepContext<'_>) -> Result<Vec<Answer>, String> {
+        let rods = site.rods;
+        let triangles = self.body.triangles.clone();
+        let mut touched = Vec::new();
+        let skin = Skin {
+            positions: &self.positions,
+            triangles: &triangles,
+            segments: &[],
+            thickness: MARGIN,
+            closed: true,
+        };
+        touches(rods, &skin, 0.0, &mut touched);
+        let holders = Holder::all(site, &touched, &triangles);
+        let jaws: Vec<Jaws<'_>> = holders.iter().map(Holder::jaws).collect();
+        self.grips.picks.update(&triangles, &self.positions, &jaws).map_err(|error| error.to_string())?;
+        let mut answers = Vec::new();
+        self.pins.drive_in(site.scene, site.world_from_body);
+        let altered = self.parting.as_ref().map(|(_, altered)| altered);
+        let is_gone = |tet| altered.is_some_and(|altered| altered.is_gone(tet));
+        let led = self.pins.led(site.scene, site.world_from_body, &self.mesh, is_gone);
+        answers.extend(led.map(|(number, attachment, target)| Answer {
+            attachment,
+            target,
+            lag: 0.0,
+            by: By::Pin(number),
+            force: Vector3::zeros(),
+        }));
+        for pick in &self.grips.picks.picks {
+            let Some(jaw) = jaws.iter().find(|jaw| jaw.instrument == pick.instrument) else { continue };
+            for held in pick.vertices.iter().filter(|held| !self.is_pinned[held.vertex as usize]) {
+                let target = jaw.pose_in_world * held.in_instrument - self.body.rest[held.vertex as usize];
+                answers.push(Answer {
+                    attachment: Attachment::node(held.vertex, Hold::Point),
+                    target,
+                    lag: 0.0,
+                    by: By::Jaws(Entity::from_bits(pick.instrument), held.vertex),
+                    force: Vector3::zeros(),
+                });
+            }
+        }
+        touched.retain(|touch| self.can_be_pushed(touch, rods));
+        touched.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+        touched.truncate(CONTACTS_MAX);
+        self.go_on_pressing(rods, &mut answers);
+        self.keep_out(&touched, rods, &mut answers);
+        Ok(answers)
+    }
+
+    /// Adds what has come into a rod elsewhere.
+    pub(crate) fn ask_more(&self, rods: &[Rod], answers: &mut Vec<Answer>) {
+        let mut touched = Vec::new();
+        let triangles = &self.body.triangles;
+        touches(
+            rods,
+            &Skin { positions: &self.positions, triangles, segments: &[], thickness: 0.0, closed: true },
+            0.0,
+            &mut touched,
+        );
+        touched.retain(|touch| touch.depth > PENETRATION_MAX && self.can_be_pushed(touch, rods));
+        touched.truncate(CONTACTS_MAX.saturating_sub(answers.len()));
+        self.keep_out(&touched, rods, answers);
+    }
+
+    /// What holds does not push as well, and what is held anyway cannot be pushed.
+    fn can_be_pushed(&self, touch: &Touch, rods: &[Rod]) -> bool {
+        let holds = self.grips.picks.of(rods[touch.rod].instrument.to_bits()).is_some();
+        !holds && touch.nodes.iter().any(|&node| !self.is_pinned[node as usize])
+    }
+
+    /// Where a place of the surface is at rest, and where now \[m\].
+    fn place(&self, nodes: &[u32; 3], weights: &[f64; 3]) -> [Point3<f64>; 2] {
+        [&self.body.rest[..], &self.positions].map(|points| {
+            let corners =
+                nodes.iter().zip(weights).map(|(&node, weight)| points[node as usize].coords * *weight);
+            Point3::from(corners.sum::<Vector3<f64>>())
+        })
+    }
+
+    /// Rods that pressed on something go on doing so, where they have moved to meanwhile.
+    fn go_on_pressing(&self, rods: &[Rod], answers: &mut Vec<Answer>) {
+        for known in &self.contacts.places {
+            let now = self.place(&known.nodes, &known.weights)[1];
+            let own = rods.iter().enumerate().filter(|(_, rod)| rod.instrument.to_bits() == known.instrument);
+            let away = |rod: &Rod| {
+                let along = closest_on_segment(&now, &rod.ends);
+                (rod.ends[0].lerp(&rod.ends[1], along) - now).norm() - rod.radius
+            };
+            let Some((rod, _)) = own.min_by(|a, b| away(a.1).total_cmp(&away(b.1))) else { continue };
+            let Some(touch) = self.pressed(rod, rods, &known.nodes, &known.weights) else { continue };
+            if touch.depth > -MARGIN && self.can_be_pushed(&touch, rods) && !self.is_covered(&touch, answers)
+            {
+                answers.push(self.kept_out(touch, rods));
+            }
+        }
+    }
+
+    /// Which place a rod presses on that was last seen pressing on, or near, another, and which way: seen from the shape at
+    /// rest.
+    fn pressed(&self, index: usize, rods: &[Rod], nodes: &[u32; 3], weights: &[f64; 3]) -> Option<Touch> {
+        let rod = &rods[index];
+        let [rest, now] = self.place(nodes, weights);
+        let along = closest_on_segment(&now, &rod.ends);
+        let on_axis = rod.ends[0].lerp(&rod.ends[1], along);
+        let from_rest = on_axis - (now - rest);
+        let nearest = self.body.triangles.iter().enumerate().map(|(element, nodes)| {
+            let nearest = closest_on_triangle(&from_rest, &nodes.map(|node| self.body.rest[node as usize]));
+            (element, nearest.weights, from_rest - nearest.point)
+        });
+        let nearest = nearest.min_by(|a, b| a.2.norm_squared().total_cmp(&b.2.norm_squared()));
+        let (element, weights, away) = nearest?;
+        let nodes = self.body.triangles[element];
+        let [a, b, c] = nodes.map(|node| self.body.rest[node as usize]);
+        let outward = (b - a).cross(&(c - a)).try_normalize(0.0)?;
+        let distance = away.norm() * if away.dot(&outward) < 0.0 { -1.0 } else { 1.0 };
+        let outward = if distance.abs() > 1e-6 { away / distance } else { outward };
+        let velocity = rod.velocities[0].lerp(&rod.velocities[1], along);
+        let (normal, depth, element) = (-outward, rod.radius - distance, Some(element as u32));
+        Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
+    }
+
+    /// Whether another patch of the same rod is about this place.
+    fn is_covered(&self, touch: &Touch, answers: &[Answer]) -> bool {
+        let [place, _] = self.place(&touch.nodes, &touch.weights);
+        answers.iter().any(|answer| match &answer.by {
+            By::Touch(other) => {
+                let apart = (self.place(&other.nodes, &other.weights)[0] - place).norm();
+                other.rod == touch.rod && apart < PATCHES_APART * self.kind.contact_radius
+            }
+            By::Jaws(..) | By::Pin(_) => false,
+        })
+    }
+
+    /// Places of the surface are to stay on their side of rods: each of them, or those that patches of the others leave.
+    fn keep_out(&self, touched: &[Touch], rods: &[Rod], answers: &mut Vec<Answer>) {
+        for touch in touched {
+            // Most are about a place that is there already: only the others are looked at closely.
+            if self.is_covered(touch, answers) {
+                continue;
+            }
+            let seen = || self.pressed(touch.rod, rods, &touch.nodes, &touch.weights);
+            let touch = if self.kind.contact_radius > 0.0 { seen().unwrap_or(*touch) } else { *touch };
+            if !self.is_covered(&touch, answers) {
+                answers.push(self.kept_out(touch, rods));
+            }
+        }
+    }
+
+    /// A place of the surface is to stay on its side of a rod, which presses on the patch about it.
+    fn kept_out(&self, touch: Touch, rods: &[Rod]) -> Answer {
+        let [place, _] = self.place(&touch.nodes, &touch.weights);
+        let ([a, b, c], [u, v, w]) = (touch.nodes, touch.weights);
+        let patch = patch(&self.body.rest, &self.body.triangles, &place, self.kind.contact_radius);
+        // Where there is no such patch, as inside or at a radius of 0, the place alone.
+        let weights =
+            patch.unwrap_or_else(|_| if a == b { vec![(a, 1.0)] } else { vec![(a, u), (b, v), (c, w)] });
+        let on_rod = touch.on_axis.coords + touch.normal * rods[touch.rod].radius;
+        Answer {
+            target: on_rod - place.coords,
+            lag: 0.0,
+            attachment: Attachment { weights, hold: Hold::AtLeast(Unit::new_unchecked(touch.normal)) },
+            by: By::Touch(touch),
+            force: Vector3::zeros(),
+        }
+    }
+
+    /// What a solver holds of a patch is the mean displacement under it, and its middle goes further: has the mean lag
+    /// behind until the middle lies where the rod is. Whether anything is to move for that.
+    pub(crate) fn advance_to_rod(&mut self, answers: &mut [Answer]) -> Result<bool, LinearFemError> {
+        let Some(solver) = &mut self.solver else { return Ok(false) };
+        let mut moves = false;
+        for (index, answer) in answers.iter_mut().enumerate().filter(|(index, _)| self.holding.holds(*index))
+        {
+            let By::Touch(touch) = &answer.by else { continue };
+            if answer.attachment.weights.len() <= 3 || answer.force.dot(&touch.normal) <= 0.0 {
+                continue;
+            }
+            let moved = touch.nodes.iter().zip(touch.weights).map(|(&node, weight)| {
+                (self.positions[node as usize] - self.body.rest[node as usize]) * weight
+            });
+            let beyond = (moved.sum::<Vector3<f64>>() - answer.target).dot(&touch.normal);
+            if beyond.abs() > PENETRATION_MAX {
+                answer.lag += beyond;
+                let target = answer.target - touch.normal * answer.lag;
+                self.holding.set_target(solver, index, target)?;
+                if let Some(fading) = &mut self.fading {
+                    fading.set_target(index, target)?;
+                }
+                moves = true;
+            }
+        }
+        Ok(moves)
+    }
+}

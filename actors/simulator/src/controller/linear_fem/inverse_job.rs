@@ -1,0 +1,91 @@
+//! Jobs that compute the inverse of a linear organ, beside its controller.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use trocar_dynamics::elasticity::{Alteration, Elastic};
+use trocar_dynamics::tet_mesh::TetMesh;
+use trocar_scene::{Job, SimTime, Tick};
+
+use crate::linear_fem::{Cache, Limits, LinearFem, LinearFemError};
+
+/// What a computation of the inverse takes in lock-step, however long it takes.
+const JOB: f64 = 0.5;
+
+/// What a job delivers.
+type Built = Result<LinearFem, String>;
+
+/// What the job of that number has delivered, if it has.
+///
+/// # Errors
+/// Why it could not.
+pub(crate) fn built(tick: &Tick<'_>, key: u64) -> Result<Option<LinearFem>, String> {
+    let Some(output) = tick.jobs.take(key) else { return Ok(None) };
+    let built = output.downcast::<Built>().map_err(|_| "its job delivered something else".to_owned())?;
+    built.map(Some)
+}
+
+/// The job of that number: to read the inverse of a body from the cache or to compute it. Young's modulus \[Pa\], Poisson's
+/// ratio; `progress` is told the share that is done, as the bits of an f64.
+pub(crate) fn built_as_job(
+    key: u64,
+    mesh: &TetMesh,
+    material: [f64; 2],
+    pinned: &[u32],
+    cache: Option<Cache>,
+    progress: &Arc<AtomicU64>,
+) -> Job {
+    let (mesh, pinned) = (mesh.clone(), pinned.to_vec());
+    job(key, material, progress, move |material, tell| {
+        let limits = Limits::default();
+        match &cache {
+            Some(cache) => cache.body(mesh, material, &pinned, &limits, tell).map(|(body, _)| body),
+            None => LinearFem::new(mesh, material, &pinned, &limits, tell),
+        }
+    })
+}
+
+/// What has become of a body.
+pub(crate) struct MeshChange {
+    /// Of its elements.
+    pub alterations: Vec<Alteration>,
+    /// Which node each of its last ones was before it came apart.
+    pub parents: Vec<u32>,
+}
+
+/// The job of that number: to compute the inverse of a body of which that has become.
+pub(crate) fn altered_as_job(
+    key: u64,
+    mesh: &TetMesh,
+    material: [f64; 2],
+    pinned: &[u32],
+    MeshChange { alterations, parents }: MeshChange,
+    progress: &Arc<AtomicU64>,
+) -> Job {
+    let (mesh, pinned) = (mesh.clone(), pinned.to_vec());
+    job(key, material, progress, move |material, tell| {
+        LinearFem::parted(mesh, material, &alterations, &parents, &pinned, &Limits::default(), tell)
+    })
+}
+
+fn job(
+    key: u64,
+    [young_modulus, poisson_ratio]: [f64; 2],
+    progress: &Arc<AtomicU64>,
+    build: impl FnOnce(&Elastic, &mut dyn FnMut(f64) -> bool) -> Result<LinearFem, LinearFemError>
+    + Send
+    + 'static,
+) -> Job {
+    let progress = progress.clone();
+    let work = move || {
+        let mut tell = |share: f64| {
+            progress.store(share.to_bits(), Ordering::Relaxed);
+            true
+        };
+        let material = Elastic::new(young_modulus, poisson_ratio).map_err(|error| error.to_string());
+        let built: Built =
+            material.and_then(|material| build(&material, &mut tell).map_err(|error| error.to_string()));
+        Box::new(built) as trocar_scene::JobOutput
+    };
+    Job { key, takes: SimTime::from_secs_f64(JOB), work: Box::new(work) }
+}

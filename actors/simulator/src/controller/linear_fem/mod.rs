@@ -1,0 +1,529 @@
+//! The controller of linear organs: quasi-static finite elements with a precomputed inverse. What touches or holds the
+//! surface sets its displacements, and is told the forces that this takes.
+//!
+//! The inverse is read from a cache or computed as a job; until then the organ stands still. The rest shape is the one
+//! under its own weight. All that goes on from tick to tick are the positions of the surface and what jaws hold, both in
+//! the scene: contacts are found anew about where the surface is, and solved for from nothing, so that another life finds
+//! the same; of what is held in both directions the rows stay, which does not change a bit of it.
+
+pub(crate) mod blend;
+pub(crate) mod contacts;
+pub(crate) mod embedded_points;
+pub(crate) mod inverse_job;
+pub(crate) mod topology_change;
+pub(crate) mod warm_start;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::PinnedBody;
+use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused};
+use trocar_dynamics::soft_body::grasp::Grips;
+use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
+use trocar_dynamics::soft_body::jaws::is_blade;
+use trocar_dynamics::soft_body::method::{Measures, StepContext, finite_vertices};
+use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, Touch, collision};
+use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
+use trocar_scene::{
+    Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,
+    ControllerError, Detection, Entity, EntitySet, Frozen, Instrument, JawState, Measured, OutOfValidity,
+    Pose, Primitive, SimTime, Snapshot, SoftAbilities, Tick, Velocity,
+};
+
+use super::cutting::volume::{FailureCriteria, Parting};
+use crate::linear_fem::{Attachment, Cache, Deformation, LinearFem, LinearFemError};
+use blend::Fading;
+use contacts::{Answer, By, Contacts};
+use embedded_points::{PinPlaces, Pins};
+use inverse_job::{altered_as_job, built, built_as_job};
+use topology_change::{Altered, AlteredAt};
+use warm_start::Holding;
+
+/// How often in a tick the surface is looked at for what is still in a rod.
+const ROUNDS_MAX: usize = 8;
+/// Ticks from one look at the inside to the next: rotations and strains of all elements.
+const INSIDE_EVERY: u64 = 10;
+/// An organ that answers at once to being touched, for small displacements: it needs a mesh of tetrahedra, and `anchors`
+/// where it is held.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LinearFemBody {
+    /// Young's modulus \[Pa\].
+    pub young_modulus: f64,
+    /// Poisson's ratio, 0 to 0.45.
+    pub poisson_ratio: f64,
+    /// Radius of the patch over which what touches presses \[m\]. About one and a half edges of the surface or more, and what is
+    /// felt is the same on a finer mesh; 0: on single vertices, which feel stiffer the coarser they are.
+    pub contact_radius: f64,
+    /// Whether blades cut it, along the faces between its elements; then they do not push it.
+    pub cut: bool,
+    /// Tension that tears it \[Pa\]; without one nothing does.
+    pub strength: Option<f64>,
+}
+
+impl Default for LinearFemBody {
+    /// Liver, in round numbers; for what has been measured of each organ see [`trocar_scene::tissue`].
+    fn default() -> Self {
+        Self { young_modulus: 6e3, poisson_ratio: 0.45, contact_radius: 0.006, cut: false, strength: None }
+    }
+}
+
+impl LinearFemBody {
+    fn weakness(&self) -> Result<FailureCriteria, String> {
+        let elastic = Elastic::new(self.young_modulus, self.poisson_ratio).map_err(|e| e.to_string())?;
+        let lame = [elastic.lambda(), elastic.mu()];
+        let tears = self.strength.map(|strength| (strength, lame));
+        Ok(FailureCriteria { cut: self.cut, halves: false, hangs_on: true, tears, is_linear: true })
+    }
+}
+
+impl Component for LinearFemBody {
+    const NAME: &'static str = "linear_fem";
+    const SOFT_BODY: Option<SoftAbilities> =
+        Some(SoftAbilities { is_pinnable: true, loses_elements: true, ..SoftAbilities::NONE });
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("young_modulus", self.young_modulus, 1.0..=1e12, "1 to 1e12 Pa")?;
+        ComponentError::range("poisson_ratio", self.poisson_ratio, 0.0..=POISSON_MAX, "0 to 0.45")?;
+        ComponentError::range("contact_radius", self.contact_radius, 0.0..=0.1, "0 to 0.1 m")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+pub(super) struct Body {
+    pub(super) body: Deformable,
+    pub(super) kind: LinearFemBody,
+    pub(super) mesh: TetMesh,
+    pub(super) solver: Option<Box<LinearFem>>,
+    /// What it holds, and the forces on each [N].
+    pub(super) holding: Holding,
+    forces: Vec<Vector3<f64>>,
+    /// The inverse before that, as long as it is felt.
+    pub(super) fading: Option<Fading>,
+    submitted: bool,
+    /// Of a body that heat changes, blades cut or that tears.
+    pub(super) parting: Option<(Parting, Altered)>,
+    /// Share of the inverse that is computed, as the bits of an f64.
+    progress: Arc<AtomicU64>,
+    pub(super) positions: Vec<Point3<f64>>,
+    pub(super) grips: Grips,
+    pub(super) pins: Pins,
+    /// Places that rods pressed on in the last tick.
+    pub(super) contacts: Contacts,
+    pub(super) is_pinned: Vec<bool>,
+    deformation: Deformation,
+    /// Whether that was more than linear elasticity can say.
+    beyond: bool,
+    frozen: bool,
+}
+
+/// Answers for every body that carries [`LinearFemBody`].
+pub struct LinearFemController {
+    cache: Option<Cache>,
+    bodies: Vec<Body>,
+    refused: Vec<Refused>,
+    rods: Vec<Rod>,
+}
+
+impl LinearFemController {
+    /// Reads the bodies, and goes on from where an earlier life left them. `cache` is the folder of computed inverses.
+    ///
+    /// # Errors
+    /// Names the body, and what is wrong with it.
+    pub fn new(cache: Option<PathBuf>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let (mut bodies, mut refused) = (Vec::new(), Vec::new());
+        for entity in Deformable::carriers::<LinearFemBody>(context.scene) {
+            let Some(kind) = context.scene.get::<LinearFemBody>(entity).copied() else { continue };
+            match Body::read(kind, entity, context.scene) {
+                Ok(body) => bodies.push(body),
+                Err(error) => refused.push(Refused::of(context, entity, FrozenPart::Body, error)?),
+            }
+        }
+        if bodies.is_empty() && refused.is_empty() {
+            return Err(ControllerError::Scene("linear-fem: no entity has a 'linear_fem'".into()));
+        }
+        let cache = cache.map(|folder| Cache::new(&folder));
+        Ok(Self { cache, bodies, refused, rods: Vec::new() })
+    }
+}
+
+impl Controller for LinearFemController {
+    fn access(&self) -> Access {
+        let refused = self.refused.iter().map(|body| body.entity);
+        let bodies: Vec<Entity> = self.bodies.iter().map(|body| body.body.entity).chain(refused).collect();
+        Parting::access(Deformable::access(&bodies), &bodies)
+            .reads::<LinearFemBody>()
+            .reads::<Pose>()
+            .reads::<Velocity>()
+            .reads::<Instrument>()
+            .reads::<JawState>()
+            .writes::<OutOfValidity>(EntitySet::Of(bodies.clone()))
+            .reads::<PinnedBody>()
+            .writes::<Grips>(EntitySet::Of(bodies.clone()))
+            .writes::<PinPlaces>(EntitySet::Of(bodies.clone()))
+            .writes::<Contacts>(EntitySet::Of(bodies))
+            .writes::<Measured>(EntitySet::Own)
+            .contributes::<CollisionList>()
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let mut collisions: Vec<Collision> = Vec::new();
+        let mut measured = Measured::default();
+        for (index, body) in self.bodies.iter_mut().enumerate() {
+            let world_from_body = scene.world_pose(body.body.entity);
+            let mut forces = [0.0; 2];
+            if !body.frozen {
+                rods_of_all(scene, &world_from_body, &mut self.rods);
+                if body.kind.cut {
+                    self.rods.retain(|rod| !is_blade(scene, rod.instrument));
+                }
+                let site = StepContext {
+                    scene,
+                    tick,
+                    world_from_body: &world_from_body,
+                    gravity: Vector3::zeros(),
+                    rods: &self.rods,
+                    touches: &[],
+                    forces: &[],
+                    led: &[],
+                };
+                let done = body.step(index, self.cache.as_ref(), &site, out);
+                match done {
+                    Ok(answers) => {
+                        for answer in &answers {
+                            let driven_in = matches!(answer.by, By::Pin(_));
+                            forces[usize::from(driven_in)] += answer.force.norm();
+                            collisions.extend(body.told(answer, &self.rods, &world_from_body, tick.time));
+                        }
+                        if body.solver.is_some() {
+                            body.write(out);
+                        }
+                        if body.goes_beyond(tick) {
+                            out.event("beyond_linear", body.body.entity, None, tick.time.as_secs_f64());
+                            if scene.get::<OutOfValidity>(body.body.entity).is_none() {
+                                out.put(body.body.entity, body.doubt(tick));
+                            }
+                        }
+                    }
+                    Err(why) => {
+                        body.frozen = true;
+                        // Where the scene has it.
+                        body.positions = body.body.positions.to_vec();
+                        body.body.freeze(&why, tick, out);
+                    }
+                }
+            }
+            body.measure(forces, &mut measured.values);
+        }
+        self.refused.iter_mut().for_each(|body| body.tell(tick, &mut measured, out));
+        collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
+        collisions.truncate(COLLISIONS_MAX);
+        out.contribute(CollisionList { collisions, penetration_max: 0.0 });
+        out.put(tick.me, measured);
+        Ok(())
+    }
+}
+
+impl Body {
+    fn read(kind: LinearFemBody, entity: Entity, scene: &Snapshot) -> Result<Self, ControllerError> {
+        let mut body = Deformable::read(scene, entity)?;
+        let wrong = |name: &str, why: String| ControllerError::Scene(format!("'{name}': {why}"));
+        let mesh = |body: &Deformable| {
+            let coincident_within = if body.is_parted { None } else { Some(0.0) };
+            let rules = MeshRules { coincident_within, ..MeshRules::default() };
+            TetMesh::new(&body.rest, &body.tets, &rules).map_err(|why| wrong(&body.name, why.to_string()))
+        };
+        let weakness = kind.weakness().map_err(|why| wrong(&body.name, why))?;
+        let parting = Parting::new(&mut body, weakness, scene).map_err(|why| wrong(&body.name, why))?;
+        let mesh = mesh(&body)?;
+        let parting = parting.map(|parting| {
+            let altered = Altered::new(mesh.tets().len(), &parting.heated(), parting.births());
+            (parting, altered)
+        });
+        let is_pinned = body.stays();
+        let pins = Pins::read(scene, &body, &mesh).map_err(|why| wrong(&body.name, why))?;
+        Ok(Self {
+            kind,
+            mesh,
+            pins,
+            solver: None,
+            holding: Holding::default(),
+            forces: Vec::new(),
+            fading: None,
+            submitted: false,
+            parting,
+            progress: Arc::default(),
+            positions: body.positions.to_vec(),
+            grips: scene.get::<Grips>(entity).cloned().unwrap_or_default(),
+            contacts: scene.get::<Contacts>(entity).cloned().unwrap_or_default(),
+            is_pinned,
+            deformation: Deformation::default(),
+            beyond: false,
+            frozen: scene.get::<Frozen>(entity).is_some(),
+            body,
+        })
+    }
+
+    /// Everything of a tick but what is told of it.
+    fn step(
+        &mut self,
+        index: usize,
+        cache: Option<&Cache>,
+        site: &StepContext<'_>,
+        out: &mut Commands,
+    ) -> Result<Vec<Answer>, String> {
+        let keys = [2 * index as u64, 2 * index as u64 + 1];
+        self.wait(keys[0], cache, site.tick)?;
+        self.alter(keys[1], site, out)?;
+        if self.solver.is_none() {
+            return Ok(Vec::new());
+        }
+        let mut answers = self.ask(site)?;
+        self.keep(answers.iter().map(|answer| &answer.attachment)).map_err(|error| error.to_string())?;
+        let mut asked = 0;
+        for _ in 0..ROUNDS_MAX {
+            let before = answers.len();
+            self.answer(&mut answers, &mut asked).map_err(|error| error.to_string())?;
+            self.ask_more(site.rods, &mut answers);
+            let moved = self.advance_to_rod(&mut answers).map_err(|error| error.to_string())?;
+            if answers.len() == before && !moved {
+                break;
+            }
+        }
+        self.contacts.keep(&answers, site.rods, self.kind.contact_radius);
+        // What a last look has found is for the next tick.
+        self.look_inside(site.tick);
+        if !self.parting.as_ref().is_some_and(|(_, altered)| altered.is_behind()) {
+            self.fading.take_if(Fading::is_over);
+        }
+        finite_vertices(&self.positions, &[])?;
+        let bad = answers.iter().position(|answer| !answer.force.iter().all(|x| x.is_finite()));
+        bad.map_or(Ok(answers), |at| Err(format!("the force of contact {at} is no finite number")))
+    }
+
+    /// Lets it follow what heat and blades do to its elements, and what tears.
+    fn alter(&mut self, key: u64, site: &StepContext<'_>, out: &mut Commands) -> Result<(), String> {
+        let Some((parting, altered)) = &mut self.parting else { return Ok(()) };
+        let fading = self.fading.as_ref();
+        let waits = |solver: &LinearFem| altered.waiting(fading) + altered.nodes_waiting(solver, fading);
+        let has_followed = self.solver.as_deref().is_some_and(|solver| waits(solver) == 0);
+        let (positions, mesh) = (&mut self.positions, &mut self.mesh);
+        let mut elements = AlteredAt { altered, positions, mesh, has_followed };
+        if let Some(reshaped) = parting.reshape(&mut elements, &mut self.body, site, out)? {
+            self.is_pinned = self.body.stays();
+            self.grips.follow(&reshaped, site, &self.body.triangles, &self.positions);
+            self.contacts = Contacts::default();
+        }
+        let Some(solver) = &mut self.solver else { return Ok(()) };
+        if !altered.is_still(&self.mesh, solver) {
+            // What is held would be entered anew with every change.
+            let nothing = std::iter::empty::<&Attachment>;
+            let let_go = |fading: &mut Fading| fading.keep(nothing());
+            self.holding.keep(solver, nothing()).map_err(|error| error.to_string())?;
+            self.fading.as_mut().map_or(Ok(()), let_go).map_err(|error| error.to_string())?;
+        }
+        if let Some(became) = altered.follow(key, &self.mesh, solver, &mut self.fading, site.tick)? {
+            let material = [self.kind.young_modulus, self.kind.poisson_ratio];
+            let job = altered_as_job(key, &self.mesh, material, &self.body.pinned, became, &self.progress);
+            altered.begun(site.tick.jobs.submit(job));
+        }
+        Ok(())
+    }
+
+    /// Has the inverse computed, once, and takes it when it comes.
+    fn wait(&mut self, key: u64, cache: Option<&Cache>, tick: &Tick<'_>) -> Result<(), String> {
+        if self.solver.is_some() {
+            return Ok(());
+        }
+        if let Some(built) = built(tick, key)? {
+            self.solver = Some(Box::new(built));
+        } else if !self.submitted {
+            let material = [self.kind.young_modulus, self.kind.poisson_ratio];
+            let (pinned, progress) = (&self.body.pinned, &self.progress);
+            let became = self.parting.as_ref().and_then(|(_, altered)| altered.became());
+            let job = match became {
+                Some(became) => altered_as_job(key, &self.mesh, material, pinned, became, progress),
+                None => built_as_job(key, &self.mesh, material, pinned, cache.cloned(), progress),
+            };
+            self.submitted = tick.jobs.submit(job);
+        }
+        Ok(())
+    }
+
+    /// Lets go of what is not held from the last tick on.
+    fn keep<'a>(
+        &mut self,
+        wanted: impl Iterator<Item = &'a Attachment> + Clone,
+    ) -> Result<(), LinearFemError> {
+        let Some(solver) = &mut self.solver else { return Ok(()) };
+        self.holding.keep(solver, wanted.clone())?;
+        self.fading.as_mut().map_or(Ok(()), |fading| fading.keep(wanted))
+    }
+
+    /// Holds what is not held yet, and solves for all of it.
+    fn answer(&mut self, answers: &mut [Answer], asked: &mut usize) -> Result<(), LinearFemError> {
+        let Some(solver) = &mut self.solver else { return Ok(()) };
+        for (index, answer) in answers.iter().enumerate().skip(*asked) {
+            // Of two jaws that have the same vertex the first one has it.
+            self.holding.hold(solver, index, &answer.attachment, answer.target)?;
+            if let Some(fading) = &mut self.fading {
+                fading.hold(index, &answer.attachment, answer.target)?;
+            }
+        }
+        *asked = answers.len();
+        self.holding.forces(solver, &mut self.forces)?;
+        for (answer, force) in answers.iter_mut().zip(&self.forces) {
+            answer.force = *force;
+        }
+        if let Some(fading) = &mut self.fading {
+            fading.blend_forces(answers)?;
+        }
+        let mut moved = Vec::new();
+        solver.surface_displacements(&mut moved);
+        for (&node, displacement) in solver.nodes().iter().zip(&moved) {
+            self.positions[node as usize] = self.body.rest[node as usize] + displacement;
+        }
+        if let Some(fading) = &mut self.fading {
+            fading.blend_surface(solver.nodes(), &self.body.rest, &mut self.positions);
+        }
+        Ok(())
+    }
+
+    /// The inside, now and then; while something burns or comes apart always, for what has just been uncovered is of the inside
+    /// for the inverse, and where it may tear, for that is told by its elements.
+    fn look_inside(&mut self, tick: &Tick<'_>) {
+        let Some(solver) = &mut self.solver else { return };
+        let look = tick.number.is_multiple_of(INSIDE_EVERY);
+        let always = solver.is_corrected() || self.fading.is_some() || self.kind.strength.is_some();
+        if !look && !always {
+            return;
+        }
+        let mut moved = Vec::new();
+        match &mut self.fading {
+            Some(fading) => fading.displacements(solver, &mut moved),
+            None => solver.displacements(&mut moved),
+        }
+        for (node, displacement) in moved.iter().enumerate() {
+            self.positions[node] = self.body.rest[node] + displacement;
+        }
+        if look {
+            let heated = self.parting.as_ref().map(|(parting, _)| parting.heated()).unwrap_or_default();
+            self.deformation = Deformation::without(&self.mesh, &moved, &heated.removed);
+        }
+    }
+
+    /// A force as everybody sees it: `a` is the instrument, `b` the body. Its depth is how far the surface is from rest
+    /// there, so that force over depth is what the organ is as stiff as.
+    fn told(
+        &self,
+        answer: &Answer,
+        rods: &[Rod],
+        world_from_body: &Isometry3<f64>,
+        at: SimTime,
+    ) -> Option<Collision> {
+        let size = answer.force.norm();
+        if size == 0.0 {
+            return None;
+        }
+        let way = answer.force / size;
+        let depth = answer.target.dot(&way).max(1e-6);
+        let held =
+            |(a, primitive_a): (Entity, Primitive), primitive_b: Primitive, place: Point3<f64>| Collision {
+                a,
+                primitive_a,
+                b: self.body.entity,
+                primitive_b,
+                points_in_world: [world_from_body * place; 2],
+                normal_in_world: world_from_body.rotation * way,
+                depth,
+                force_in_world: world_from_body.rotation * answer.force,
+                velocity_constraint: 0.0,
+                method: Detection::Simulator,
+                detected_at: at,
+            };
+        Some(match &answer.by {
+            By::Touch(touch) => {
+                let found = collision(
+                    &Touch { depth: 0.0, ..*touch },
+                    &rods[touch.rod],
+                    self.body.entity,
+                    &answer.force,
+                    world_from_body,
+                    at,
+                );
+                Collision { depth, ..found }
+            }
+            By::Jaws(instrument, vertex) => {
+                let place = self.positions[*vertex as usize];
+                held((*instrument, Primitive::Jaw(0)), Primitive::Vertex(*vertex), place)
+            }
+            By::Pin(number) => {
+                let pin = &self.pins.pins[*number];
+                let place = pin.rest + answer.target;
+                held((pin.entity, Primitive::Shape(0)), Primitive::Tetrahedron(pin.tet), place)
+            }
+        })
+    }
+
+    fn write(&mut self, out: &mut Commands) {
+        let still = vec![Vector3::zeros(); self.positions.len()];
+        self.body.write(&self.positions, &still, out);
+        out.put(self.body.entity, self.grips.clone());
+        out.put(self.body.entity, self.contacts.clone());
+        if let Some(places) = self.pins.news() {
+            out.put(self.body.entity, places);
+        }
+    }
+
+    /// Whether it has just left what linear elasticity can say.
+    fn goes_beyond(&mut self, tick: &Tick<'_>) -> bool {
+        let beyond = !self.deformation.is_small();
+        let new = beyond && !self.beyond && tick.number > 0;
+        self.beyond = beyond;
+        new
+    }
+
+    fn doubt(&self, tick: &Tick<'_>) -> OutOfValidity {
+        let reason = format!("{}; 'dynamic_fem' bears more", self.deformation.doubt());
+        OutOfValidity { reason, since: tick.time }
+    }
+
+    fn measure(&self, [touched, driven_in]: [f64; 2], values: &mut BTreeMap<String, f64>) {
+        let name = &self.body.name;
+        let flag = |is: bool| f64::from(u8::from(is));
+        values.insert(format!("{name}.contact_force_n"), touched);
+        let moved = self.positions.iter().zip(self.body.rest.iter()).map(|(now, rest)| (now - rest).norm());
+        values.insert(format!("{name}.displacement_max_m"), moved.fold(0.0, f64::max));
+        values.insert(format!("{name}.rotation_max_rad"), self.deformation.rotation);
+        // Of an element that is inside out it is infinite.
+        values.insert(format!("{name}.strain_max"), self.deformation.strain.min(1e3));
+        values.insert(format!("{name}.beyond_linear"), flag(self.beyond));
+        let held: usize = self.grips.picks.picks.iter().map(|pick| pick.vertices.len()).sum();
+        values.insert(format!("{name}.held_vertices"), held as f64);
+        values.insert(format!("{name}.kept_constraints"), self.holding.kept() as f64);
+        if !self.pins.pins.is_empty() {
+            values.insert(format!("{name}.pinned_force_n"), driven_in);
+        }
+        let share = f64::from_bits(self.progress.load(Ordering::Relaxed));
+        values.insert(format!("{name}.precomputed_share"), if self.solver.is_some() { 1.0 } else { share });
+        values.insert(format!("{name}.frozen"), flag(self.frozen));
+        if let Some((parting, altered)) = &self.parting {
+            let mut measures = Measures::new(name, values);
+            parting.measure(&mut measures);
+            let fading = self.fading.as_ref();
+            let nodes = self.solver.as_ref().map_or(0, |solver| altered.nodes_waiting(solver, fading));
+            measures.put("elements_waiting", altered.waiting(fading) as f64);
+            measures.put("nodes_waiting", nodes as f64);
+        }
+    }
+}

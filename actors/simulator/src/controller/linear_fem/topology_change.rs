@@ -1,0 +1,275 @@
+//! A linear organ that burns, is cut or tears: elements leave its inverse, and nodes come apart in it, by a correction of low rank,
+//! at once and exactly, while a job computes the inverse of what it has become. What shrinks does so at once, too; that it is stiffer comes with the job, and is blended
+//! in ([`Fading`]).
+
+use std::collections::BTreeSet;
+
+use nalgebra::{Point3, Vector3};
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::tet_mesh::{Birth, TetMesh};
+use trocar_scene::Tick;
+
+use super::blend::{Fading, catch_up};
+use super::inverse_job::{MeshChange, built};
+use crate::controller::cutting::volume::{Elements, Split};
+use crate::controller::thermal_damage::{Coagulated, Heated};
+use crate::linear_fem::{LinearFem, LinearFemError};
+
+/// Numbers of its factor that an inverse reads in one tick at most to follow: some 40 ms; at least one element or node goes.
+const READ_MAX: f64 = 3e8;
+/// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next. Six columns each, solved
+/// for forwards and backwards.
+const TAKEN_MAX: usize = 8;
+/// Nodes that come apart in one in a tick at most, of three columns.
+const RELEASED_MAX: usize = 16;
+
+/// How many steps that read the factor so often fit into a tick, of those that there may be.
+fn fitting(solver: &LinearFem, reads: f64, most: usize) -> usize {
+    let fit = READ_MAX / (reads * solver.factor_entries().max(1) as f64);
+    (fit as usize).clamp(1, most)
+}
+
+/// What has become of the elements, and how far the inverse follows.
+pub(crate) struct Altered {
+    /// Of all elements, as the scene has them.
+    alterations: Vec<Alteration>,
+    /// Which node each was that the first mesh did not have.
+    parents: Vec<u32>,
+    /// Gone, and not out of the inverse yet.
+    pending: Vec<u32>,
+    /// Went since the job began.
+    since: Vec<u32>,
+    /// Whether anything has changed since the last job began.
+    stale: bool,
+    /// Whether anything has shrunk since the inverse that serves was told.
+    shrinks: bool,
+    submitted: bool,
+    /// Whether more nodes can come apart in the inverse that serves than did in this tick.
+    releasing: bool,
+    /// Whether the inverse that serves will have caught up with what went in a tick or a few.
+    behind: bool,
+    /// The new inverse, which has to wait until the last one is blended in.
+    next: Option<Box<LinearFem>>,
+}
+
+impl Altered {
+    /// Of a body to whose elements that has happened, and of which so many nodes were born; its first inverse has all of it.
+    pub fn new(elements: usize, heated: &Heated, births: &[Birth]) -> Self {
+        let mut this = Self {
+            alterations: vec![Alteration::NONE; elements],
+            parents: births.iter().map(|birth| birth.of[0]).collect(),
+            pending: Vec::new(),
+            since: Vec::new(),
+            stale: false,
+            shrinks: false,
+            submitted: false,
+            releasing: false,
+            behind: false,
+            next: None,
+        };
+        this.alter(&heated.coagulated);
+        this.remove(&heated.removed);
+        (this.stale, this.shrinks) = (false, false);
+        (this.pending, this.since) = (Vec::new(), Vec::new());
+        this
+    }
+
+    /// What the body is now, if it is not as at first.
+    pub fn became(&self) -> Option<MeshChange> {
+        let altered = self.alterations.iter().any(|of| *of != Alteration::NONE) || !self.parents.is_empty();
+        altered.then(|| self.now())
+    }
+
+    fn now(&self) -> MeshChange {
+        MeshChange { alterations: self.alterations.clone(), parents: self.parents.clone() }
+    }
+
+    pub fn remove(&mut self, elements: &[u32]) {
+        for &element in elements {
+            let known = self.alterations.get_mut(element as usize);
+            if let Some(of) = known.filter(|known| **known != Alteration::GONE) {
+                *of = Alteration::GONE;
+                self.pending.push(element);
+                self.since.push(element);
+                self.stale = true;
+            }
+        }
+    }
+
+    pub fn alter(&mut self, elements: &[Coagulated]) {
+        for of in elements {
+            let known = self.alterations.get_mut(of.element as usize);
+            if let Some(known) = known.filter(|known| **known != Alteration::GONE) {
+                *known = Alteration { stiffness: of.stiffness, length: of.length };
+                (self.stale, self.shrinks) = (true, true);
+            }
+        }
+    }
+
+    /// Lets the inverse follow: takes a new one when it has come, which lets the other fade; corrects the one that serves. What
+    /// cannot be corrected for waits for the next one. Answers what that is to be computed from, where it is time to begin.
+    ///
+    /// # Errors
+    /// Why there is no new inverse.
+    pub fn follow(
+        &mut self,
+        key: u64,
+        mesh: &TetMesh,
+        solver: &mut Box<LinearFem>,
+        fading: &mut Option<Fading>,
+        tick: &Tick<'_>,
+    ) -> Result<Option<MeshChange>, String> {
+        if self.submitted && self.next.is_none() {
+            self.next = built(tick, key)?.map(Box::new);
+        }
+        // One of which nothing is felt yet makes room for a later one, which has less to catch up with.
+        if fading.as_ref().is_none_or(Fading::is_unfelt)
+            && let Some(new) = self.next.take()
+        {
+            let old = std::mem::replace(solver, new);
+            fading.get_or_insert_with(|| Fading::new(old));
+            self.submitted = false;
+            self.pending.clone_from(&self.since);
+            self.shrinks = self.stale;
+        }
+        let done = self.come_apart(mesh, solver, fading).and_then(|()| {
+            self.correct(solver, fading)?;
+            if std::mem::take(&mut self.shrinks) { solver.shrink(&self.alterations) } else { Ok(()) }
+        });
+        done.map_err(|error| error.to_string())?;
+        Ok((self.stale && !self.submitted).then(|| self.now()))
+    }
+
+    /// Whether [`Self::follow`] would change nothing of what serves, and begin nothing.
+    pub fn is_still(&self, mesh: &TetMesh, solver: &LinearFem) -> bool {
+        let waits = self.stale || self.submitted || self.shrinks || self.next.is_some();
+        let all = solver.mesh().rest().len() == mesh.rest().len();
+        !waits && self.pending.is_empty() && all && !solver.can_release()
+    }
+
+    /// Whether an element is gone.
+    pub fn is_gone(&self, tet: u32) -> bool {
+        self.alterations.get(tet as usize) == Some(&Alteration::GONE)
+    }
+
+    /// Lets nodes come apart that have in the mesh.
+    fn come_apart(
+        &mut self,
+        mesh: &TetMesh,
+        solver: &mut LinearFem,
+        fading: &mut Option<Fading>,
+    ) -> Result<(), LinearFemError> {
+        let most = fitting(solver, if fading.is_some() { 12.0 } else { 6.0 }, RELEASED_MAX);
+        if let Some(fading) = fading {
+            fading.come_apart(mesh, &self.parents, most)?;
+        }
+        catch_up(solver, mesh, &self.parents)?;
+        let released = solver.release_nodes(most)?;
+        self.releasing = released > 0 && solver.can_release();
+        Ok(())
+    }
+
+    /// A job has begun, or could not.
+    pub fn begun(&mut self, submitted: bool) {
+        self.submitted = submitted;
+        if submitted {
+            self.stale = false;
+            self.since.clear();
+        }
+    }
+
+    fn correct(&mut self, solver: &mut LinearFem, fading: &mut Option<Fading>) -> Result<(), LinearFemError> {
+        let most = fitting(solver, if fading.is_some() { 24.0 } else { 12.0 }, TAKEN_MAX);
+        let (mut later, mut allowed) = (Vec::new(), most);
+        let mut next = std::mem::take(&mut self.pending);
+        // The first inverse may have been computed after they went.
+        next.retain(|&tet| !solver.is_out(tet));
+        fading.as_mut().map_or(Ok(()), |fading| fading.remove(&next, most))?;
+        while !next.is_empty() {
+            let room = solver.removable().min(allowed);
+            let batch: Vec<u32> = next.drain(..room.min(next.len())).collect();
+            if batch.is_empty() {
+                break;
+            }
+            allowed -= batch.len();
+            match solver.remove(&batch) {
+                Ok(()) => {}
+                Err(LinearFemError::Apart { tet }) => {
+                    let out: BTreeSet<u32> = solver.removed().iter().copied().collect();
+                    next.splice(0..0, batch.into_iter().filter(|at| *at != tet && !out.contains(at)));
+                    later.push(tet);
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        let takes = allowed == 0 && !next.is_empty() && solver.removable() > 0;
+        self.behind = takes || self.releasing;
+        later.extend(next);
+        self.pending = later;
+        Ok(())
+    }
+
+    /// Elements that went and are still felt, until the next inverse.
+    pub fn waiting(&self, fading: Option<&Fading>) -> usize {
+        self.pending.iter().filter(|tet| !fading.is_some_and(|fading| fading.hides(**tet))).count()
+    }
+
+    /// Nodes that have come apart and are still felt as one, until the next inverse or for some ticks.
+    pub fn nodes_waiting(&self, solver: &LinearFem, fading: Option<&Fading>) -> usize {
+        fading.and_then(Fading::waiting).unwrap_or_else(|| solver.waiting())
+    }
+
+    /// Whether a new inverse still has to catch up with what went while it was computed.
+    pub fn is_behind(&self) -> bool {
+        self.behind
+    }
+}
+
+/// The elements of an organ with where its nodes are.
+pub(crate) struct AlteredAt<'a> {
+    pub altered: &'a mut Altered,
+    pub positions: &'a mut Vec<Point3<f64>>,
+    pub mesh: &'a mut TetMesh,
+    /// Whether its inverse has followed all that has become of it.
+    pub has_followed: bool,
+}
+
+impl Elements for AlteredAt<'_> {
+    fn positions(&self) -> &[Point3<f64>] {
+        self.positions
+    }
+
+    fn velocities(&self) -> &[Vector3<f64>] {
+        // Blades halve none of its elements.
+        &[]
+    }
+
+    fn can_tear(&self) -> bool {
+        self.has_followed
+    }
+
+    fn remove(&mut self, elements: &[u32]) -> Result<(), String> {
+        self.altered.remove(elements);
+        Ok(())
+    }
+
+    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
+        self.altered.alter(elements);
+        Ok(())
+    }
+
+    fn split(&mut self, body: &Deformable, split: &Split<'_>) -> Result<(), String> {
+        let first = self.positions.len();
+        let parents: Vec<u32> = split.born.iter().map(|birth| birth.of[0]).collect();
+        for birth in split.born {
+            self.positions.push(birth.mix(self.positions, |a, b, share| a + (b - a) * share));
+        }
+        *self.mesh = self.mesh.parted(first, &parents, body.tets.to_vec());
+        self.altered.parents.extend(parents);
+        self.altered.stale = true;
+        // Where what has shrunk pulls depends on which nodes its elements have.
+        self.altered.shrinks |= self.altered.alterations.iter().any(|of| of.length != 1.0);
+        Ok(())
+    }
+}

@@ -1,0 +1,219 @@
+//! What a body of masses and springs is declared as, and what it is stepped with.
+
+use nalgebra::Point3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::rod_contact::Skin;
+use trocar_scene::{Component, ComponentError, SoftAbilities};
+
+use crate::controller::cutting::volume::FailureCriteria;
+use crate::mass_spring::{
+    Config, Integrator, LineMaterial, LinearSolver, Network, SurfaceMaterial, TooLarge, VolumeMaterial,
+};
+
+/// Parts into which a step is divided at most.
+const PARTS_MAX: u32 = 200;
+
+/// How its springs are stepped.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// Symplectic Euler, in as many parts as are safe.
+    #[default]
+    Explicit,
+    /// Backward Euler, at any step.
+    Implicit,
+}
+
+/// How an implicit step is solved.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SolvedBy {
+    /// Surfaces in steps of up to 5 ms as `warped`, all else as `node_blocks`.
+    #[default]
+    Auto,
+    /// Conjugate gradients with the nodes' own blocks: nothing is prepared, so that nothing is lost with a cut.
+    NodeBlocks,
+    /// With the factor of the sheet at rest, turned as it is turned now: an order of magnitude fewer iterations at steps
+    /// of about a millisecond. While it comes apart it goes on with the nodes' own blocks; the next factor is made beside
+    /// the ticks once it has been whole for a while.
+    Warped,
+}
+
+/// Longest step \[s\] in which a surface is better solved with its factor.
+const WARPED_STEP: f64 = 5e-3;
+
+/// What it is made of, by the kind of its mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Springs {
+    /// A thread, along its `line_mesh`.
+    Line {
+        /// Axial stiffness EA \[N\].
+        axial_stiffness: f64,
+        /// Bending stiffness EI \[N·m²\].
+        bending_stiffness: f64,
+        /// Mass per length \[kg/m\].
+        density: f64,
+    },
+    /// A cloth or the wall of a tube, along its `surface_mesh`.
+    Surface {
+        /// Young's modulus times thickness \[N/m\].
+        membrane_stiffness: f64,
+        /// Flexural rigidity \[N·m\].
+        bending_stiffness: f64,
+        /// Mass per area \[kg/m²\].
+        density: f64,
+    },
+    /// A volume, along its `tet_mesh`.
+    Volume {
+        /// Young's modulus \[Pa\].
+        young_modulus: f64,
+        /// Mass per volume \[kg/m³\].
+        density: f64,
+    },
+}
+
+impl Default for Springs {
+    /// Cotton gauze, in round numbers.
+    fn default() -> Self {
+        Self::Surface { membrane_stiffness: 150.0, bending_stiffness: 2e-6, density: 0.05 }
+    }
+}
+
+/// A body of masses and springs: it needs a mesh, and `anchors` where it is to be held.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct MassSpringBody {
+    /// What it is made of.
+    pub springs: Springs,
+    /// How it is stepped.
+    pub method: Method,
+    /// How an implicit step is solved.
+    pub solver: SolvedBy,
+    /// Damping along springs \[s\]: the time by which their force follows their lengthening.
+    pub lag: f64,
+    /// Damping of every motion \[1/s\].
+    pub damping: f64,
+    /// How far its surface is from its vertices \[m\]: half the thickness of a cloth.
+    pub thickness: f64,
+    /// Force per depth of a contact \[N/m\].
+    pub contact_stiffness: f64,
+    /// Coulomb friction against instruments and other bodies.
+    pub friction: f64,
+    /// Of a surface or a line: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
+    pub tears_at: Option<f64>,
+    /// Of a volume: tension that tears it \[Pa\]; without one nothing does.
+    pub strength: Option<f64>,
+}
+
+impl Default for MassSpringBody {
+    fn default() -> Self {
+        Self {
+            springs: Springs::default(),
+            method: Method::Explicit,
+            solver: SolvedBy::Auto,
+            lag: 2e-4,
+            damping: 2.0,
+            thickness: 0.0005,
+            contact_stiffness: 200.0,
+            friction: 0.3,
+            tears_at: None,
+            strength: None,
+        }
+    }
+}
+
+impl Component for MassSpringBody {
+    const NAME: &'static str = "mass_spring";
+    const SOFT_BODY: Option<SoftAbilities> =
+        Some(SoftAbilities { responds_to_contacts: true, loses_elements: true, ..SoftAbilities::NONE });
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("lag", self.lag, 0.0..=1.0, "0 to 1 s")?;
+        ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
+        ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
+        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")?;
+        ComponentError::range("tears_at", self.tears_at.unwrap_or(2.0), 1.01..=100.0, "1.01 to 100")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+impl MassSpringBody {
+    /// How steps of so long \[s\] are solved.
+    pub(crate) fn solver(&self, period: f64) -> LinearSolver {
+        let (tolerance, iterations_max) = (1e-3, 100);
+        let is_warped = match self.solver {
+            SolvedBy::Auto => matches!(self.springs, Springs::Surface { .. }) && period <= WARPED_STEP,
+            SolvedBy::NodeBlocks => false,
+            SolvedBy::Warped => true,
+        };
+        match is_warped {
+            true => LinearSolver::Warped { tolerance, iterations_max },
+            false => LinearSolver::ConjugateGradients { tolerance, iterations_max },
+        }
+    }
+
+    /// How it is stepped until it is known how long steps are.
+    pub(crate) fn config(&self) -> Config {
+        let integrator = match self.method {
+            Method::Explicit => Integrator::Explicit { too_large: TooLarge::Divide { most: PARTS_MAX } },
+            Method::Implicit => Integrator::Implicit { solver: self.solver(f64::INFINITY), newton: 1 },
+        };
+        Config { integrator, lag: self.lag, damping: self.damping, ..Config::default() }
+    }
+
+    pub(crate) fn network(&self, body: &Deformable, altered: &[Alteration]) -> Result<Network, String> {
+        let network = match self.springs {
+            Springs::Line { axial_stiffness, bending_stiffness, density } => Network::from_line(
+                &body.rest,
+                &body.segments,
+                &LineMaterial { axial_stiffness, bending_stiffness, density },
+            ),
+            Springs::Surface { membrane_stiffness, bending_stiffness, density } => {
+                Network::from_altered_surface(
+                    &body.rest,
+                    &body.triangles,
+                    &SurfaceMaterial { membrane_stiffness, bending_stiffness, density },
+                    altered,
+                    &body.loose,
+                )
+            }
+            Springs::Volume { young_modulus, density } => {
+                let material = VolumeMaterial { young_modulus, density };
+                Network::from_altered_volume(&body.rest, &body.tets, &material, altered, &body.loose)
+            }
+        };
+        network.map_err(|error| error.to_string())
+    }
+
+    /// By what a volume comes apart. The tension in it is that of what its springs stand for: of Poisson's ratio 1/4.
+    pub(crate) fn weakness(&self) -> FailureCriteria {
+        let Springs::Volume { young_modulus, .. } = self.springs else { return FailureCriteria::default() };
+        let shear = 0.4 * young_modulus;
+        FailureCriteria {
+            cut: true,
+            // Halved elements would take shorter steps.
+            halves: self.method == Method::Implicit,
+            tears: self.strength.map(|strength| (strength, [shear, shear])),
+            ..FailureCriteria::default()
+        }
+    }
+
+    pub(crate) fn skin<'a>(&self, body: &'a Deformable, positions: &'a [Point3<f64>]) -> Skin<'a> {
+        let is_line = matches!(self.springs, Springs::Line { .. });
+        Skin {
+            positions,
+            triangles: if is_line { &[] } else { &body.triangles },
+            segments: if is_line { &body.segments } else { &[] },
+            thickness: if is_line { body.radius } else { self.thickness },
+            closed: matches!(self.springs, Springs::Volume { .. }),
+        }
+    }
+}

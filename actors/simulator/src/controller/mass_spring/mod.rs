@@ -1,0 +1,421 @@
+//! The controller of the bodies of masses and springs.
+
+pub mod component;
+pub mod factor_job;
+
+use nalgebra::{Point3, Vector3};
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::SoftController;
+use trocar_dynamics::soft_body::SoftMethod;
+use trocar_dynamics::soft_body::method::{ContactParams, Measures, Reshaped, StepContext};
+use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::tet_mesh::Stars;
+use trocar_scene::{Access, Commands, Entity, EntitySet, LineMesh, Snapshot};
+
+use super::cauterised::CauterisedBody;
+use super::cutting::line::{LineCuts, LineWeakness};
+use super::cutting::membrane::{Membrane, MembraneWeakness, Parted};
+use super::cutting::volume::{Elements, Parting, Split};
+use super::thermal_damage::{Coagulated, Heated};
+use crate::mass_spring::{
+    Contact, Input, LinearSolver, MassSpring, NodeForce, Patch, Prescribed, SurfaceMaterial, VolumeMaterial,
+};
+use component::{MassSpringBody, Method, SolvedBy, Springs};
+use factor_job::{FactorKeeper, SpringFactor};
+
+/// Masses and springs of one body, whose elements may go.
+struct Solver {
+    kind: MassSpringBody,
+    solver: MassSpring,
+    /// Whether springs have followed what has come apart, since that was asked last.
+    has_followed: bool,
+    /// Of a volume that can come apart: what has become of each tetrahedron, who is about each node, and the body as its
+    /// springs were last derived from.
+    altered: Vec<Alteration>,
+    stars: Stars,
+    body: Deformable,
+}
+
+impl Solver {
+    fn new(kind: &MassSpringBody, body: &Deformable, altered: Vec<Alteration>) -> Result<Self, String> {
+        let network = kind.network(body, &altered)?;
+        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
+        let solver = MassSpring::restore(network, state, &body.staying(), kind.config())
+            .map_err(|error| error.to_string())?;
+        let (stars, body) = (Stars::default(), body.clone());
+        Ok(Self { kind: *kind, solver, has_followed: false, altered, stars, body })
+    }
+
+    /// Follows a line that has come apart at nodes of which the new ones are copies.
+    fn copy(&mut self, body: &Deformable, copies: &[u32]) -> Result<(), String> {
+        let mut state = self.solver.state().clone();
+        for &of in copies {
+            state.positions.push(state.positions[of as usize]);
+            state.velocities.push(state.velocities[of as usize]);
+        }
+        let network = self.kind.network(body, &[])?;
+        self.solver = MassSpring::restore(network, state, &body.staying(), self.kind.config())
+            .map_err(|error| error.to_string())?;
+        self.body = body.clone();
+        Ok(())
+    }
+
+    /// What has become of each tetrahedron.
+    fn alterations(tets: usize, heated: &Heated) -> Vec<Alteration> {
+        let mut altered = vec![Alteration::NONE; tets];
+        for of in heated.coagulated.iter() {
+            if let Some(known) = altered.get_mut(of.element as usize) {
+                *known = Alteration { stiffness: of.stiffness, length: of.length };
+            }
+        }
+        for &tet in heated.removed.iter() {
+            if let Some(known) = altered.get_mut(tet as usize) {
+                *known = Alteration::GONE;
+            }
+        }
+        altered
+    }
+
+    /// Finds who is about each node.
+    fn come_apart(&mut self) {
+        let there = (0..).zip(self.body.tets.iter().copied());
+        let there = there.filter(|(tet, _)| self.altered[*tet as usize] != Alteration::GONE);
+        self.stars = Stars::new(self.body.rest.len(), there);
+    }
+
+    /// Follows tetrahedra whose corners, as they were and as they are, are `stale`; `carry` gives new nodes a state.
+    fn follow(&mut self, mut stale: Vec<u32>, carry: impl FnOnce(&mut State)) -> Result<(), String> {
+        let Springs::Volume { young_modulus, density } = self.kind.springs else { return Ok(()) };
+        stale.sort_unstable();
+        stale.dedup();
+        let (body, stars, altered) = (&self.body, &self.stars, &self.altered);
+        let patch = Patch {
+            rest: &body.rest,
+            elements: &body.tets,
+            altered: &|tet| altered[tet as usize],
+            about: &|node| stars.about(node),
+            stale: &stale,
+        };
+        let stays = |node: u32| body.pinned.binary_search(&node).is_ok() || stars.about(node).is_empty();
+        let material = VolumeMaterial { young_modulus, density };
+        self.has_followed = true;
+        let followed = self
+            .solver
+            .follow(&patch, stays, carry, |network, patch| network.follow_volume(patch, &material));
+        followed.map(drop).map_err(|error| error.to_string())
+    }
+}
+
+impl Elements for Solver {
+    fn positions(&self) -> &[Point3<f64>] {
+        &self.solver.state().positions
+    }
+
+    fn velocities(&self) -> &[Vector3<f64>] {
+        &self.solver.state().velocities
+    }
+
+    fn remove(&mut self, elements: &[u32]) -> Result<(), String> {
+        let mut stale = Vec::new();
+        for &tet in elements {
+            let corners = self.body.tets[tet as usize];
+            self.altered[tet as usize] = Alteration::GONE;
+            self.stars.remove(tet, &corners);
+            stale.extend(corners);
+        }
+        self.follow(stale, |_| ())
+    }
+
+    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
+        let mut stale = Vec::new();
+        for of in elements {
+            let Some(known) = self.altered.get_mut(of.element as usize) else { continue };
+            if *known != Alteration::GONE {
+                *known = Alteration { stiffness: of.stiffness, length: of.length };
+                stale.extend(self.body.tets[of.element as usize]);
+            }
+        }
+        self.follow(stale, |_| ())
+    }
+
+    fn split(&mut self, body: &Deformable, split: &Split<'_>) -> Result<(), String> {
+        let before = std::mem::replace(&mut self.body, body.clone()).tets;
+        self.altered.resize(body.tets.len(), Alteration::NONE);
+        let mut stale = Vec::new();
+        for &tet in split.changed {
+            if let Some(corners) = before.get(tet as usize) {
+                self.stars.remove(tet, corners);
+                stale.extend(corners);
+            }
+            let corners = body.tets[tet as usize];
+            self.stars.add(tet, &corners);
+            stale.extend(corners);
+            self.altered[tet as usize] = (split.altered)(tet);
+        }
+        self.follow(stale, |state| split.carry(state))
+    }
+}
+
+/// Masses and springs of one body.
+pub struct MassSpringMethod {
+    of: Solver,
+    contacts: Vec<Contact>,
+    prescribed: Vec<Prescribed>,
+    forces: Vec<NodeForce>,
+    /// Largest step that was safe in the last tick, contacts counted \[s\]: larger ones are divided.
+    safe_step: f64,
+    /// Iterations of the last implicit step, and what they left, as a share of what they began with.
+    solved: (u32, f64),
+    /// Whether its steps are solved with a factor; not known before the first one.
+    is_warped: Option<bool>,
+    factor: FactorKeeper,
+    /// How a surface comes apart.
+    membrane: Option<Membrane>,
+    /// Or a volume.
+    parting: Option<Parting>,
+    /// Or a line.
+    line: Option<LineCuts>,
+}
+
+impl MassSpringMethod {
+    /// Lets springs follow what has become of a membrane.
+    fn follow(&mut self, body: &Deformable, parted: &Parted) -> Result<(), String> {
+        let Springs::Surface { membrane_stiffness, bending_stiffness, density } = self.of.kind.springs else {
+            return Ok(());
+        };
+        let Some(membrane) = &self.membrane else { return Ok(()) };
+        self.of.has_followed = true;
+        let material = SurfaceMaterial { membrane_stiffness, bending_stiffness, density };
+        let followed = membrane.follow(parted, |patch| {
+            let stays = |vertex| body.is_staying(vertex);
+            let carry = |state: &mut State| parted.carry(state);
+            self.of
+                .solver
+                .follow(patch, stays, carry, |network, patch| network.follow_surface(patch, &material))
+        });
+        followed.map(drop).map_err(|error| error.to_string())
+    }
+
+    /// Whether steps are solved with a factor; the first time the springs are told.
+    fn choose(&mut self, site: &StepContext<'_>) -> Result<bool, String> {
+        if let Some(is_warped) = self.is_warped {
+            return Ok(is_warped);
+        }
+        let by = self.of.kind.solver(site.period_secs());
+        let is_warped = self.of.kind.method == Method::Implicit && matches!(by, LinearSolver::Warped { .. });
+        if self.of.kind.solver == SolvedBy::Auto && is_warped {
+            self.of.solver.solve_by(by).map_err(|error| error.to_string())?;
+        }
+        self.is_warped = Some(is_warped);
+        Ok(is_warped)
+    }
+
+    /// Lets it come apart as far as it does now.
+    fn come_apart(
+        &mut self,
+        body: &mut Deformable,
+        site: &StepContext<'_>,
+        out: &mut Commands,
+    ) -> Result<Option<Reshaped>, String> {
+        if let Some(parting) = &mut self.parting {
+            return parting.reshape(&mut self.of, body, site, out);
+        }
+        if let Some(line) = &mut self.line {
+            let copies = line.reshape(&self.of.solver.state().positions, body, site, out);
+            let Some(copies) = copies else { return Ok(None) };
+            self.of.copy(body, &copies)?;
+            self.safe_step = self.of.solver.safe_step();
+            // Its segments have the numbers they had.
+            return Ok(Some(Reshaped::default()));
+        }
+        let Some(membrane) = &mut self.membrane else { return Ok(None) };
+        let positions = &self.of.solver.state().positions;
+        let Some(parted) = membrane.reshape(positions, body, site, out)? else { return Ok(None) };
+        self.follow(body, &parted)?;
+        Ok(parted.reshaped)
+    }
+
+    fn contact(&self, touch: &Touch) -> Contact {
+        Contact {
+            nodes: touch.nodes,
+            weights: touch.weights,
+            normal: touch.normal,
+            depth: touch.depth,
+            velocity: touch.velocity,
+            stiffness: self.of.kind.contact_stiffness,
+            damping: 0.0,
+            friction: self.of.kind.friction,
+        }
+    }
+}
+
+impl SoftMethod for MassSpringMethod {
+    type Kind = MassSpringBody;
+    const CONTROLLER: &'static str = "mass-spring";
+
+    fn build(kind: &MassSpringBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let (is_surface, is_volume) =
+            (matches!(kind.springs, Springs::Surface { .. }), matches!(kind.springs, Springs::Volume { .. }));
+        if kind.tears_at.is_some() && is_volume {
+            return Err("'tears_at' is of surfaces and lines: a volume has a 'strength'".into());
+        }
+        if kind.strength.is_some() && !is_volume {
+            return Err("'strength' is of volumes: surfaces and lines have 'tears_at'".into());
+        }
+        if !(is_surface || is_volume) && scene.get::<CauterisedBody>(body.entity).is_some() {
+            return Err("a line of 'mass_spring' does not burn: surfaces and volumes do".into());
+        }
+        let membrane = match is_surface {
+            true => Membrane::new(body, MembraneWeakness { cut: true, tears_at: kind.tears_at }, scene)?,
+            false => None,
+        };
+        let parting = if is_volume { Parting::new(body, kind.weakness(), scene)? } else { None };
+        let altered = match (&membrane, &parting) {
+            (Some(membrane), _) => membrane.alterations(),
+            (None, Some(parting)) => Solver::alterations(body.tets.len(), &parting.heated()),
+            (None, None) => Vec::new(),
+        };
+        let weakness = LineWeakness { cut: true, tears_at: kind.tears_at };
+        let line = (!is_surface && !is_volume).then(|| LineCuts::new(body, weakness, scene));
+        let mut of = Solver::new(kind, body, altered)?;
+        if parting.is_some() {
+            of.come_apart();
+        }
+        let safe_step = of.solver.safe_step();
+        let (contacts, prescribed, forces) = Default::default();
+        let factor = FactorKeeper::new(scene.get::<SpringFactor>(body.entity));
+        let (is_warped, solved) = (None, (0, 0.0));
+        Ok(Self {
+            of,
+            contacts,
+            prescribed,
+            forces,
+            safe_step,
+            solved,
+            is_warped,
+            factor,
+            membrane,
+            parting,
+            line,
+        })
+    }
+
+    fn access(access: Access, bodies: &[Entity]) -> Access {
+        let access = access
+            .writes::<LineMesh>(EntitySet::Of(bodies.to_vec()))
+            .writes::<SpringFactor>(EntitySet::Of(bodies.to_vec()));
+        Membrane::access(Parting::access(access, bodies), bodies)
+    }
+
+    fn positions(&self) -> &[Point3<f64>] {
+        &self.of.solver.state().positions
+    }
+
+    fn velocities(&self) -> &[Vector3<f64>] {
+        &self.of.solver.state().velocities
+    }
+
+    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
+        self.of.kind.skin(body, self.positions())
+    }
+
+    fn terms(&self) -> Option<ContactParams<'_>> {
+        let MassSpringBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
+        Some(ContactParams { masses_inverse: self.of.solver.mobility(), stiffness, friction })
+    }
+
+    fn is_cut_by_blades(&self) -> bool {
+        self.membrane.is_some() || self.parting.is_some() || self.line.is_some()
+    }
+
+    fn reshape(
+        &mut self,
+        body: &mut Deformable,
+        site: &StepContext<'_>,
+        out: &mut Commands,
+    ) -> Result<Option<Reshaped>, String> {
+        let reshaped = self.come_apart(body, site, out);
+        let has_followed = std::mem::take(&mut self.of.has_followed);
+        if self.choose(site)? && has_followed {
+            self.factor.parted(site.tick.time);
+        }
+        reshaped
+    }
+
+    fn step(
+        &mut self,
+        body: &Deformable,
+        site: &StepContext<'_>,
+        forces: &mut Vec<Vector3<f64>>,
+    ) -> Result<(), String> {
+        if self.is_warped == Some(true) {
+            self.factor.serve(&mut self.of.solver, body.entity, site);
+        }
+        let mut contacts = std::mem::take(&mut self.contacts);
+        contacts.clear();
+        contacts.extend(site.touches.iter().map(|touch| self.contact(touch)));
+        self.contacts = contacts;
+        self.prescribed.clear();
+        let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
+        self.prescribed.extend(led);
+        self.forces.clear();
+        self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
+        let input = Input {
+            gravity: site.gravity,
+            forces: &self.forces,
+            contacts: &self.contacts,
+            prescribed: &self.prescribed,
+        };
+        let report = self.of.solver.step(site.period_secs(), &input).map_err(|error| error.to_string())?;
+        self.safe_step = report.safe_step;
+        self.solved = (report.iterations, report.residual);
+        forces.clear();
+        forces.extend_from_slice(self.of.solver.contact_forces());
+        Ok(())
+    }
+
+    fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
+        self.of.solver.pull_on(held)
+    }
+
+    fn publish(&mut self, body: &Deformable, _site: &StepContext<'_>, out: &mut Commands) {
+        if let Some(membrane) = &mut self.membrane {
+            membrane.publish(body, out);
+        }
+        if let Some(line) = &mut self.line {
+            line.publish(body, out);
+        }
+        if let Some(factor) = self.factor.news() {
+            out.put(body.entity, factor);
+        }
+    }
+
+    fn measure(&self, _body: &Deformable, measures: &mut Measures<'_>) {
+        measures.put("elastic_energy_j", self.of.solver.elastic_energy());
+        measures.put("kinetic_energy_j", self.of.solver.kinetic_energy());
+        match self.of.kind.method {
+            Method::Explicit => measures.put("safe_step_s", self.safe_step),
+            Method::Implicit => {
+                measures.put("iterations", f64::from(self.solved.0));
+                measures.put("residual", self.solved.1);
+            }
+        }
+        let heights = || self.positions().iter().map(|position| position.z);
+        measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
+        measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));
+        if let Some(membrane) = &self.membrane {
+            membrane.measure(measures);
+        }
+        if let Some(parting) = &self.parting {
+            parting.measure(measures);
+        }
+        if let Some(line) = &self.line {
+            line.measure(measures);
+        }
+    }
+}
+
+/// Steps every body that carries [`MassSpringBody`].
+pub type MassSpringController = SoftController<MassSpringMethod>;

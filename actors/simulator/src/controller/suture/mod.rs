@@ -1,0 +1,102 @@
+//! The controller of sewing: what instruments hold of a needle or its thread leads them, the island of needle, thread and
+//! tissue is stepped, and where they are goes back.
+//!
+//! Jaws take what lies between them when they close: the needle rather than the thread. What they hold is coupled to the
+//! instrument by its compliance, and slips beyond what the jaws can hold; instruments are told the force. The thread touches
+//! itself, the tissue, instruments and rigid bodies. What cannot go on stands still as a whole, as its parts are one island.
+
+pub mod components;
+pub(crate) mod session;
+
+use nalgebra::Vector3;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused};
+use trocar_scene::components::LineMesh;
+use trocar_scene::{
+    Access, BuildContext, CollisionList, Commands, Controller, ControllerError, Entity, EntitySet,
+    Instrument, JawState, Measured, OutOfValidity, Pose, RigidBody, Shape, Snapshot, SurfaceMesh, Tick,
+};
+
+use super::suture_thread::knot::KnotState;
+use components::{SewnTissue, SutureMemory, SutureNeedle};
+use session::Sewing;
+
+/// What is sewn, or why it cannot be.
+enum Sewn {
+    Going(Box<Sewing>),
+    /// Needle and tissue.
+    Refused([Refused; 2]),
+}
+
+/// Sews with the needle that carries [`SutureNeedle`], in the tissue that carries [`SewnTissue`].
+pub struct SutureController {
+    needle: Entity,
+    tissue: Entity,
+    sewn: Sewn,
+}
+
+impl SutureController {
+    /// Reads needle and tissue, and goes on from where an earlier life left them.
+    ///
+    /// # Errors
+    /// There is not one of each; in a first life, what is wrong with them.
+    pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
+        let scene = context.scene;
+        let (needles, tissues) =
+            (Deformable::carriers::<SutureNeedle>(scene), Deformable::carriers::<SewnTissue>(scene));
+        let (&[needle], &[tissue]) = (&needles[..], &tissues[..]) else {
+            return Err(ControllerError::Scene(format!(
+                "suture: there are {} entities with a 'needle' and {} with 'sewn'; one of each is valid",
+                needles.len(),
+                tissues.len()
+            )));
+        };
+        let sewn = match Sewing::new(gravity_in_world, [needle, tissue], scene) {
+            Ok(sewing) => Sewn::Going(Box::new(sewing)),
+            Err(error) => {
+                let of = |entity| Refused::of(context, entity, FrozenPart::Body, error.clone());
+                Sewn::Refused([of(needle)?, of(tissue)?])
+            }
+        };
+        Ok(Self { needle, tissue, sewn })
+    }
+}
+
+impl Controller for SutureController {
+    fn access(&self) -> Access {
+        let needle = EntitySet::Of(vec![self.needle]);
+        Deformable::access(&[self.needle, self.tissue])
+            .reads::<SutureNeedle>()
+            .reads::<SewnTissue>()
+            .reads::<Pose>()
+            .reads::<Instrument>()
+            .reads::<JawState>()
+            .reads::<RigidBody>()
+            .reads::<Shape>()
+            .reads::<SurfaceMesh>()
+            .writes::<LineMesh>(needle.clone())
+            .writes::<SutureMemory>(needle.clone())
+            .writes::<KnotState>(needle)
+            .writes::<OutOfValidity>(EntitySet::Of(vec![self.tissue]))
+            .writes::<Measured>(EntitySet::Own)
+            .contributes::<CollisionList>()
+    }
+
+    fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
+        let mut measured = Measured::default();
+        let list = match &mut self.sewn {
+            Sewn::Going(sewing) => {
+                let list = sewing.tick(scene, tick, out);
+                sewing.measure(&scene.world_pose(self.needle), &mut measured);
+                list
+            }
+            Sewn::Refused(parts) => {
+                parts.iter_mut().for_each(|part| part.tell(tick, &mut measured, out));
+                CollisionList { collisions: Vec::new(), penetration_max: 0.0 }
+            }
+        };
+        out.contribute(list);
+        out.put(tick.me, measured);
+        Ok(())
+    }
+}

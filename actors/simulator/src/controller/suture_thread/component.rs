@@ -1,0 +1,283 @@
+//! A suture thread as a scene describes it: which one it is, what of it is known otherwise, how it lies at the beginning.
+
+use nalgebra::Point3;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_scene::components::Parameter;
+use trocar_scene::{Component, ComponentError};
+
+use crate::suture_thread::initial_shape::{Throws, resampled, throws};
+use crate::suture_thread::{NODES_MAX, ThreadMaterial};
+
+/// Throws of a thread that is laid tied, and places that one goes through, at most.
+const THROWS_MAX: usize = 8;
+const PLACES_MAX: usize = 1000;
+/// Threads that one can touch at most.
+const THREADS_MAX: usize = 8;
+
+/// Sutures by name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Suture {
+    /// Braided silk, USP size 2-0.
+    #[default]
+    Silk2_0,
+    /// Braided silk, USP size 2.
+    Silk2,
+}
+
+impl Suture {
+    /// What is known of it, and from where.
+    #[must_use]
+    pub fn parameters(self) -> [(&'static str, Parameter); 6] {
+        let (radius, thickness) = match self {
+            Self::Silk2_0 => (1.5e-4, "USP <861>: 2-0 is 0.300 to 0.339 mm thick"),
+            Self::Silk2 => (2.5e-4, "USP <861>: 2 is 0.500 to 0.599 mm thick"),
+        };
+        let base = ThreadMaterial::silk_2_0();
+        // The same braid, thicker: forces with the area, moments of bending with its square.
+        let scale: f64 = radius / base.radius;
+        let of = |value: f64, source: &str| Parameter { value, source: source.to_owned() };
+        [
+            ("radius", of(radius, thickness)),
+            ("mass_per_length", of(base.mass_per_length * scale.powi(2), "silk 1.3 g/cm³, all of it solid")),
+            (
+                "axial_stiffness",
+                of(
+                    base.axial_stiffness * scale.powi(2),
+                    "strain 0.06 % of 2-0 at 2 N: chosen, below solid silk (Naleway 2015: 8.7 GPa)",
+                ),
+            ),
+            (
+                "bending_stiffness",
+                of(
+                    base.bending_stiffness * scale.powi(4),
+                    "a hundredth of a solid silk rod: chosen, a braid bends far more easily",
+                ),
+            ),
+            (
+                "twisting_stiffness",
+                of(base.twisting_stiffness * scale.powi(4), "near a solid silk rod: chosen"),
+            ),
+            ("friction", of(base.friction, "in the middle of what is reported of sutures: chosen")),
+        ]
+    }
+
+    fn material(self) -> ThreadMaterial {
+        let [radius, mass, axial, bending, twisting, friction] =
+            self.parameters().map(|(_, known)| known.value);
+        ThreadMaterial {
+            radius,
+            mass_per_length: mass,
+            axial_stiffness: axial,
+            bending_stiffness: bending,
+            twisting_stiffness: twisting,
+            friction,
+            ..ThreadMaterial::silk_2_0()
+        }
+    }
+}
+
+/// How a thread lies at the beginning, in the entity's frame; one that is not laid lies as its mesh has it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Laid {
+    /// Through places, straight between them.
+    Through {
+        /// The places \[m\].
+        places: Vec<[f64; 3]>,
+    },
+    /// Tied loosely around something: see [`Throws`].
+    Throws {
+        /// Half turns of each throw, the first one first.
+        half_turns: Vec<i32>,
+        /// Places that the loop goes through, from the left (−x) to the right \[m\].
+        around: Vec<[f64; 3]>,
+        /// From one throw to the next \[m\]; unless told as near as it can be.
+        #[serde(default)]
+        apart: f64,
+        /// Between the knot and where the loop begins \[m\].
+        arm: f64,
+        /// Ends beyond the last throw \[m\].
+        ear: f64,
+    },
+}
+
+/// A soft body that a thread lies on, or is drawn around.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LiesOn {
+    /// Its name. It is moved by `dynamic_fem`.
+    pub body: String,
+    /// Coulomb's coefficient of the thread on it.
+    #[serde(default = "LiesOn::friction")]
+    pub friction: f64,
+}
+
+impl LiesOn {
+    /// Chosen, as between instruments and tissue.
+    fn friction() -> f64 {
+        0.3
+    }
+}
+
+/// A suture thread: it needs a mesh of a line, and `anchors` where it is to be held.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct ThreadBody {
+    /// Which one.
+    pub suture: Suture,
+    /// Coulomb's coefficient of it on itself, where it is known otherwise.
+    pub friction: Option<Parameter>,
+    /// Its `EI` \[N·m²\], where it is known otherwise.
+    pub bending_stiffness: Option<Parameter>,
+    /// Its `GJ` \[N·m²\], where it is known otherwise.
+    pub twisting_stiffness: Option<Parameter>,
+    /// Tension at which it breaks \[N\], if it can: USP <881> has 2-0 silk bear 14.1 N at least, with a knot in it.
+    pub breaks_at: Option<Parameter>,
+    /// Coulomb's coefficient of it on instruments.
+    pub tool_friction: f64,
+    /// Longest step of the solver \[s\]: a tick is divided into such.
+    pub step: f64,
+    /// Length of edges where it is tied, in diameters, and elsewhere \[m\]; of a thread that is laid or adapts.
+    pub edges: [f64; 2],
+    /// Its edges become short wherever strands come near to each other or it bends sharply, and long elsewhere.
+    pub adaptive: bool,
+    /// How it lies at the beginning.
+    pub laid: Option<Laid>,
+    /// Names of other threads that it can touch and be tied to, each of which carries a `thread` as well: of the same material
+    /// and at the same pose. They are stepped with it in one problem, by what this one says of steps, edges and tools.
+    pub together_with: Vec<String>,
+    /// What soft body it lies on or is drawn around that another controller moves.
+    pub lies_on: Option<LiesOn>,
+    /// The name of the elastic body that it is drawn or tied around, which carries `tied`. It is stepped with the thread.
+    pub tied_around: Option<String>,
+}
+
+impl Default for ThreadBody {
+    fn default() -> Self {
+        Self {
+            suture: Suture::default(),
+            friction: None,
+            bending_stiffness: None,
+            twisting_stiffness: None,
+            breaks_at: None,
+            tool_friction: 0.2,
+            step: 5e-4,
+            edges: [1.5, 2e-3],
+            adaptive: false,
+            laid: None,
+            together_with: Vec::new(),
+            lies_on: None,
+            tied_around: None,
+        }
+    }
+}
+
+impl ThreadBody {
+    fn partners(&self) -> Vec<&str> {
+        self.lies_on.iter().map(|on| on.body.as_str()).collect()
+    }
+}
+
+impl Component for ThreadBody {
+    const NAME: &'static str = "thread";
+    const PARTNERS: Option<fn(&Self) -> Vec<&str>> = Some(Self::partners);
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        for (field, known, range, valid) in [
+            ("friction", &self.friction, 0.0..=10.0, "0 to 10"),
+            ("bending_stiffness", &self.bending_stiffness, 1e-14..=1.0, "1e-14 to 1 N·m²"),
+            ("twisting_stiffness", &self.twisting_stiffness, 1e-14..=1.0, "1e-14 to 1 N·m²"),
+            ("breaks_at", &self.breaks_at, 1e-3..=1e4, "1e-3 to 1e4 N"),
+        ] {
+            if let Some(known) = known {
+                ComponentError::range(field, known.value, range, valid)?;
+            }
+        }
+        ComponentError::range("tool_friction", self.tool_friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("step", self.step, 1e-5..=crate::suture_thread::STEP_MAX, "1e-5 to 2e-3 s")?;
+        ComponentError::range("edges[0]", self.edges[0], 0.5..=20.0, "0.5 to 20 diameters")?;
+        ComponentError::range("edges[1]", self.edges[1], 1e-4..=0.05, "1e-4 to 0.05 m")?;
+        if let Some(lies) = &self.lies_on {
+            ComponentError::range("lies_on.friction", lies.friction, 0.0..=10.0, "0 to 10")?;
+            let around = f64::from(u8::from(self.tied_around.is_some()));
+            ComponentError::range("lies_on", around, 0.0..=0.0, "not beside 'tied_around'")?;
+        }
+        let others = self.together_with.len() as f64;
+        ComponentError::range("together_with", others, 0.0..=THREADS_MAX as f64, "at most 8 threads")?;
+        match &self.laid {
+            None => Ok(()),
+            Some(Laid::Through { places }) => {
+                ComponentError::range("places", places.len() as f64, 2.0..=PLACES_MAX as f64, "2 to 1000")
+            }
+            Some(Laid::Throws { half_turns, around, apart, arm, ear }) => {
+                ComponentError::range("apart", *apart, 0.0..=0.2, "0 to 0.2 m")?;
+                let count = half_turns.len() as f64;
+                ComponentError::range("half_turns", count, 1.0..=THROWS_MAX as f64, "1 to 8")?;
+                for turns in half_turns {
+                    ComponentError::range(
+                        "half_turns",
+                        f64::from(turns.unsigned_abs()),
+                        1.0..=9.0,
+                        "1 to 9",
+                    )?;
+                }
+                ComponentError::range("around", around.len() as f64, 1.0..=PLACES_MAX as f64, "1 to 1000")?;
+                ComponentError::range("arm", *arm, 1e-3..=0.2, "1e-3 to 0.2 m")?;
+                ComponentError::range("ear", *ear, 1e-3..=0.5, "1e-3 to 0.5 m")
+            }
+        }
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+impl ThreadBody {
+    /// Of what it is made.
+    #[must_use]
+    pub fn material(&self) -> ThreadMaterial {
+        let mut material = self.suture.material();
+        let known = |known: &Option<Parameter>, value: &mut f64| {
+            if let Some(known) = known {
+                *value = known.value;
+            }
+        };
+        known(&self.friction, &mut material.friction);
+        known(&self.bending_stiffness, &mut material.bending_stiffness);
+        known(&self.twisting_stiffness, &mut material.twisting_stiffness);
+        material
+    }
+
+    /// Its nodes at the beginning \[m\], if it is laid.
+    ///
+    /// # Errors
+    /// It would have too few or too many nodes.
+    pub fn nodes(&self) -> Result<Option<Vec<Point3<f64>>>, String> {
+        let radius = self.suture.material().radius;
+        let edges = [self.edges[0] * 2.0 * radius, self.edges[1]];
+        let points =
+            |places: &[[f64; 3]]| -> Vec<Point3<f64>> { places.iter().map(|at| Point3::from(*at)).collect() };
+        let nodes = match &self.laid {
+            None => return Ok(None),
+            Some(Laid::Through { places }) => resampled(&points(places), edges[0]),
+            Some(Laid::Throws { half_turns, around, apart, arm, ear }) => throws(&Throws {
+                half_turns,
+                around: &points(around),
+                radius,
+                apart: *apart,
+                arm: *arm,
+                ear: *ear,
+                edges,
+            }),
+        };
+        if !(3..=NODES_MAX).contains(&nodes.len()) {
+            return Err(format!(
+                "laid with edges of {edges:?} m it has {} nodes; valid: 3 to {NODES_MAX}",
+                nodes.len()
+            ));
+        }
+        Ok(Some(nodes))
+    }
+}

@@ -1,0 +1,90 @@
+//! What instruments and bodies are told of a thread: what it exerts on them, and what it pulls at jaws.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_scene::{Collision, Detection, Entity, Primitive, SimTime};
+
+use super::grasp::{Pull, in_world};
+use super::obstacles::{Form, Parts};
+use crate::suture_thread::Reaction;
+
+/// Forces below this are none \[N\].
+const FORCE_MIN: f64 = 1e-6;
+/// How stiff the contact of an instrument's rod with a thread feels \[N/m\]: what gives way is the shaft.
+const ROD_STIFFNESS: f64 = 1000.0;
+
+/// What a thread did in a tick.
+#[derive(Clone, Copy, Debug)]
+pub struct Told<'a> {
+    /// Who it is.
+    pub thread: Entity,
+    /// Its frame.
+    pub world_from_thread: Isometry3<f64>,
+    /// What it can touch.
+    pub parts: &'a Parts,
+    /// On each of these, the mean over the tick.
+    pub reactions: &'a [Reaction],
+    /// What jaws pull.
+    pub pulls: &'a [(Entity, Pull)],
+    /// How far an elastic body that it is tied around gives way at most \[m\].
+    pub displacement_max: f64,
+}
+
+impl Told<'_> {
+    /// Says so.
+    pub fn tell(&self, at: SimTime, collisions: &mut Vec<Collision>) {
+        let mut add =
+            |a: Entity, primitive_a: Primitive, place: Point3<f64>, force: Vector3<f64>, depth: f64| {
+                collisions.push(collision(a, primitive_a, self.thread, place, force, depth, at));
+            };
+        for (part, reaction) in self.parts.list.iter().zip(self.reactions) {
+            let size = reaction.force.norm();
+            if size < FORCE_MIN {
+                continue;
+            }
+            // The point nearest to the part's origin about which the forces turn nothing across them.
+            let arm = reaction.force.cross(&reaction.torque) / (size * size);
+            let place = self.world_from_thread * Point3::from(part.to.translation.vector + arm);
+            let primitive = match part.jaw {
+                Some(jaw) => Primitive::Jaw(jaw as u8),
+                None if part.rod.is_some() => Primitive::Shaft,
+                None => Primitive::Shape(0),
+            };
+            let depth = match &part.form {
+                Form::Elastic => self.displacement_max,
+                _ => size / ROD_STIFFNESS,
+            };
+            let on_thread = self.world_from_thread.rotation * -reaction.force;
+            add(part.met.entity, primitive, place, on_thread, depth);
+        }
+        for (instrument, pull) in self.pulls {
+            let (place, force) = in_world(pull, &self.world_from_thread);
+            // How far the instrument is from what it holds: force over depth is how stiff it feels.
+            add(*instrument, Primitive::Jaw(0), place, force, (pull.places[1] - pull.places[0]).norm());
+        }
+    }
+}
+
+/// Something at a place of a thread or needle, with the force on that.
+pub(crate) fn collision(
+    a: Entity,
+    primitive_a: Primitive,
+    b: Entity,
+    place: Point3<f64>,
+    force_in_world: Vector3<f64>,
+    depth: f64,
+    detected_at: SimTime,
+) -> Collision {
+    Collision {
+        a,
+        primitive_a,
+        b,
+        primitive_b: Primitive::Shape(0),
+        points_in_world: [place; 2],
+        normal_in_world: force_in_world.try_normalize(1e-12).unwrap_or_else(Vector3::z),
+        depth,
+        force_in_world,
+        velocity_constraint: 0.0,
+        method: Detection::Simulator,
+        detected_at,
+    }
+}

@@ -1,0 +1,86 @@
+//! Where threads on a scene are cut by scissors that close on them, and where they break; what is held goes with what is left.
+
+use nalgebra::Isometry3;
+use trocar_scene::Snapshot;
+
+use super::grasp::Grip;
+use crate::controller::cutting::scissors::{Blades, swept};
+use crate::cutting::crossed;
+use crate::suture_thread::{CutAt, Parted, ThreadState};
+
+/// Cuts of one tick that are nearer to each other along the thread than this are one, in radii: both blades pass where it is
+/// cut, the one over the other.
+const SAME: f64 = 8.0;
+
+/// What parts a thread in this tick: where, and what it is called. In an order in which none changes the numbers of those that
+/// follow.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cutting {
+    /// The edges of highest number first.
+    pub cuts: Vec<CutAt>,
+    /// Whether the first of them is where it breaks.
+    pub breaks: bool,
+}
+
+impl Cutting {
+    /// What has happened, as an event is called.
+    #[must_use]
+    pub fn event(&self) -> &'static str {
+        if self.breaks { "thread_broken" } else { "thread_cut" }
+    }
+}
+
+/// Where blades have swept through a thread of `radius` \[m\] since `blades` were told, which are told anew; where nothing is cut,
+/// the edge that is pulled hardest beyond `breaks_at` \[N\].
+pub fn parted_at(
+    blades: &mut Vec<Blades>,
+    scene: &Snapshot,
+    world_from_thread: &Isometry3<f64>,
+    (state, radius): (&ThreadState, f64),
+    breaks_at: Option<f64>,
+) -> Cutting {
+    let sweeps = swept(blades, scene, world_from_thread);
+    let mut cuts: Vec<CutAt> = Vec::new();
+    if !sweeps.is_empty() {
+        let spans: Vec<(usize, [f64; 2])> = state.spans().collect();
+        let mut last = f64::INFINITY;
+        for (edge, share) in crossed(&state.positions, &sweeps).into_iter().rev() {
+            let Ok(at) = spans.binary_search_by_key(&edge, |(edge, _)| *edge) else { continue };
+            let [begin, end] = spans[at].1;
+            let arc = begin + share * (end - begin);
+            if last - arc > SAME * radius {
+                cuts.push(CutAt { edge, share });
+                last = arc;
+            }
+        }
+    }
+    let hardest = || {
+        let limit = breaks_at?;
+        let pulled = state.spans().map(|(edge, _)| (edge, state.tensions[edge]));
+        let (edge, _) = pulled.filter(|(_, tension)| *tension > limit).max_by(|a, b| a.1.total_cmp(&b.1))?;
+        Some(CutAt { edge, share: 0.5 })
+    };
+    match cuts.is_empty().then(hardest).flatten() {
+        Some(at) => Cutting { cuts: vec![at], breaks: true },
+        None => Cutting { cuts, breaks: false },
+    }
+}
+
+/// What is held has other numbers now; nobody holds what is gone.
+pub fn follow(grips: &mut Vec<Grip>, parted: &Parted) {
+    let now = |list: &[Option<u32>], index: u32| list.get(index as usize).copied().flatten();
+    grips.retain_mut(|grip| {
+        let was_shut = grip.is_shut();
+        grip.nodes.retain_mut(|held| {
+            let node = now(&parted.nodes, held.node);
+            held.node = node.unwrap_or(held.node);
+            node.is_some()
+        });
+        grip.edges.retain_mut(|held| {
+            let edge = now(&parted.edges, held.edge);
+            held.edge = edge.unwrap_or(held.edge);
+            edge.is_some()
+        });
+        was_shut || !grip.is_shut()
+    });
+}

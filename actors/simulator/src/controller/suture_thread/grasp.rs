@@ -1,0 +1,314 @@
+//! What jaws hold of a thread. Jaws take what lies between them when both touch it as they close, hold its nodes where they
+//! have them in the instrument's frame, and let go when they open. Jaws that have closed on nothing are a blunt rod, as with
+//! everything else that is held ([`trocar_dynamics::picking`]): they take nothing until they have been opened. Between hand and thread
+//! is the compliance of the instrument (`coupling_stiffness`); what pulls harder than the friction of both pads slips through
+//! the jaws.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use serde::{Deserialize, Serialize};
+use trocar_collision::primitive::closest_segments;
+use trocar_dynamics::soft_body::jaws::{AT_REST, CLOSED, holds, opening};
+use trocar_scene::{Entity, Instrument, Snapshot};
+
+use super::obstacles::{Parts, between};
+use crate::suture_thread::{Hold, Spared, ThreadState, TwistHold};
+
+/// Jaws that open by more than this beyond where they took hold, or beyond closed, let go \[rad\].
+const OPENING: f64 = 0.05;
+/// How far along the thread from what they hold jaws do not stop it \[m\].
+pub(crate) const SPARED: f64 = 8e-3;
+/// Edges of the thread between those that one jaw touches and those that the other does, at most.
+const BESIDE: usize = 2;
+
+/// A node that is held.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HeldNode {
+    /// Which.
+    pub node: u32,
+    /// Where the instrument has it \[m\].
+    pub in_instrument: Point3<f64>,
+}
+
+/// An edge that is kept from turning.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HeldEdge {
+    /// Which.
+    pub edge: u32,
+    /// Where its director points in the frame of the instrument.
+    pub in_instrument: Vector3<f64>,
+}
+
+/// What one instrument holds; nothing, if its jaws have closed on nothing.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Grip {
+    /// Which instrument.
+    pub instrument: Entity,
+    /// Opening of its jaws when it took hold \[rad\].
+    pub angle: f64,
+    /// Ascending.
+    pub nodes: Vec<HeldNode>,
+    /// Ascending.
+    pub edges: Vec<HeldEdge>,
+}
+
+impl Grip {
+    /// Whether its jaws have closed on nothing.
+    #[must_use]
+    pub fn is_shut(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// First and last node.
+    fn range(&self) -> Option<[usize; 2]> {
+        Some([self.nodes.first()?.node as usize, self.nodes.last()?.node as usize])
+    }
+}
+
+/// Lets go what jaws let go, and takes what they take of a thread of `radius` \[m\] in this tick of `period` \[s\]; `busy`
+/// ones take nothing. Whether anything has changed.
+pub fn update(
+    grips: &mut Vec<Grip>,
+    parts: &Parts,
+    scene: &Snapshot,
+    state: &ThreadState,
+    radius: f64,
+    period: f64,
+    busy: &[Entity],
+) -> bool {
+    let mut changed = false;
+    grips.retain(|grip| {
+        let [angle, _] = opening(scene, grip.instrument);
+        let opened = if grip.is_shut() { CLOSED } else { CLOSED.max(grip.angle) + OPENING };
+        let stays = scene.get::<Instrument>(grip.instrument).is_some() && angle <= opened;
+        changed |= !stays && !grip.is_shut();
+        stays
+    });
+    for (entity, instrument) in scene.iter::<Instrument>() {
+        let is_known = busy.contains(&entity) || grips.iter().any(|grip| grip.instrument == entity);
+        if !holds(instrument.kind) || is_known {
+            continue;
+        }
+        let [angle, rate] = opening(scene, entity);
+        if angle > CLOSED && rate >= 0.0 {
+            continue;
+        }
+        // What the jaws come to within this tick is between them already.
+        let way = rate.abs() * instrument.jaw_length * period;
+        if let Some(grip) = taken(grips, parts, entity, angle, (state, radius), way) {
+            grips.push(grip);
+            changed = true;
+        } else if angle <= CLOSED && rate > -AT_REST {
+            grips.push(Grip { instrument: entity, angle, nodes: Vec::new(), edges: Vec::new() });
+        }
+    }
+    changed
+}
+
+/// What lies between the jaws of an instrument, and touches both or will when they have gone on by `way` \[m\].
+fn taken(
+    grips: &[Grip],
+    parts: &Parts,
+    entity: Entity,
+    angle: f64,
+    (state, radius): (&ThreadState, f64),
+    way: f64,
+) -> Option<Grip> {
+    let ([_, pose], [Some(a), Some(b)]) = parts.instrument(entity)? else { return None };
+    let edges = state.positions.len() - 1;
+    let joined = |edge: &usize| state.joins(*edge);
+    let touched = [(a, -1.0), (b, 1.0)].map(|(jaw, inwards)| {
+        let Some(rod) = parts.list[jaw].rod else { return Vec::new() };
+        let touches = |edge: &usize| {
+            let segment = [state.positions[*edge], state.positions[edge + 1]];
+            let nearest = closest_segments(&segment, &rod.ends);
+            let distance = nearest.distance_squared.sqrt();
+            let [on_thread, on_jaw] = nearest.along;
+            let away = segment[0].lerp(&segment[1], on_thread) - rod.ends[0].lerp(&rod.ends[1], on_jaw);
+            // On the side of the other jaw.
+            let between = pose.rotation.inverse_transform_vector(&away).x * inwards > 0.7 * distance;
+            between && distance - rod.radius - radius < 0.2 * radius + way
+        };
+        (0..edges).filter(joined).filter(touches).collect::<Vec<usize>>()
+    });
+    let [first, second] = touched;
+    let beside = |edge: &usize, others: &[usize]| others.iter().any(|other| other.abs_diff(*edge) <= BESIDE);
+    let mut nodes: Vec<usize> = Vec::new();
+    for edge in first
+        .iter()
+        .filter(|edge| beside(edge, &second))
+        .chain(second.iter().filter(|edge| beside(edge, &first)))
+    {
+        nodes.extend([*edge, edge + 1]);
+    }
+    nodes.sort_unstable();
+    nodes.dedup();
+    nodes.retain(|node| !grips.iter().any(|grip| grip.nodes.iter().any(|held| held.node as usize == *node)));
+    if nodes.is_empty() {
+        return None;
+    }
+    let edge = |pair: &[usize]| {
+        let edge = (pair[1] == pair[0] + 1 && state.joins(pair[0])).then_some(pair[0])?;
+        let in_instrument = pose.rotation.inverse_transform_vector(&state.directors[edge]);
+        Some(HeldEdge { edge: edge as u32, in_instrument })
+    };
+    let held = |node: &usize| HeldNode {
+        node: *node as u32,
+        in_instrument: pose.inverse_transform_point(&state.positions[*node]),
+    };
+    let edges = nodes.windows(2).filter_map(edge).collect();
+    Some(Grip { instrument: entity, angle, nodes: nodes.iter().map(held).collect(), edges })
+}
+
+/// What the grips do to the solver in a part of the tick.
+#[derive(Clone, Debug, Default)]
+pub struct Leading {
+    /// Nodes that are led, those of each grip one after the other.
+    pub holds: Vec<Hold>,
+    /// Edges that are kept from turning.
+    pub twist_holds: Vec<TwistHold>,
+    /// What jaws do not stop.
+    pub spared: Vec<Spared>,
+}
+
+/// Stiffness and limit of a grip on each of its nodes \[N/m\], \[N\].
+fn strength(instrument: &Instrument, grip: &Grip) -> (f64, f64) {
+    let share = 1.0 / grip.nodes.len().max(1) as f64;
+    let friction = 2.0 * instrument.jaw_friction * instrument.jaw_force_max;
+    (instrument.coupling_stiffness * share, friction * share)
+}
+
+impl Leading {
+    /// Adds what the grips do by a fraction of the tick.
+    pub fn add(&mut self, grips: &[Grip], parts: &Parts, scene: &Snapshot, fraction: f64) {
+        for grip in grips {
+            let (Some(([from, to], _)), Some(instrument)) =
+                (parts.instrument(grip.instrument), scene.get::<Instrument>(grip.instrument))
+            else {
+                continue;
+            };
+            let pose = between(&from, &to, fraction);
+            let (stiffness, force_max) = strength(instrument, grip);
+            self.holds.extend(grip.nodes.iter().map(|held| Hold {
+                node: held.node as usize,
+                to: pose * held.in_instrument,
+                stiffness,
+                force_max,
+            }));
+            self.twist_holds.extend(grip.edges.iter().map(|held| TwistHold {
+                edge: held.edge as usize,
+                director: pose.rotation * held.in_instrument,
+            }));
+        }
+    }
+
+    /// Says that an instrument does not stop the first `length` of the thread \[m\].
+    pub fn spare_beginning(&mut self, instrument: Entity, length: f64, parts: &Parts, state: &ThreadState) {
+        let mut arc = 0.0;
+        let edges = state.rest_lengths.iter().take_while(|rest| {
+            arc += **rest;
+            arc < length
+        });
+        let Some(last) = edges.count().checked_sub(1) else { return };
+        let own = parts.list.iter().enumerate().filter(|(_, part)| part.met.entity == instrument);
+        self.spared.extend(own.map(|(obstacle, _)| Spared { obstacle, edges: [0, last] }));
+    }
+
+    /// Says what the jaws of the grips do not stop.
+    pub fn spare(&mut self, grips: &[Grip], parts: &Parts, state: &ThreadState) {
+        self.spared.clear();
+        for grip in grips {
+            let (Some((_, jaws)), Some([first, last])) = (parts.instrument(grip.instrument), grip.range())
+            else {
+                continue;
+            };
+            let reach = |edges: &mut dyn Iterator<Item = usize>| {
+                let mut arc = 0.0;
+                edges
+                    .take_while(|edge| {
+                        if !state.joins(*edge) {
+                            return false;
+                        }
+                        arc += state.rest_lengths[*edge];
+                        arc < SPARED
+                    })
+                    .last()
+            };
+            let edges = [
+                reach(&mut (0..first).rev()).unwrap_or(first.min(state.rest_lengths.len() - 1)),
+                reach(&mut (last..state.rest_lengths.len())).unwrap_or(last.max(1) - 1),
+            ];
+            for obstacle in jaws.into_iter().flatten() {
+                self.spared.push(Spared { obstacle, edges });
+            }
+        }
+    }
+}
+
+/// What a grip does to the thread.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pull {
+    /// On the thread, in its frame \[N\].
+    pub force: Vector3<f64>,
+    /// Middle of what is held, and of where the instrument has it \[m\].
+    pub places: [Point3<f64>; 2],
+}
+
+/// What each grip does to the thread, by the forces of its holds, in their order; moves on what has slipped through the
+/// jaws, and drops what is out of them.
+pub fn pulls(
+    grips: &mut Vec<Grip>,
+    parts: &Parts,
+    scene: &Snapshot,
+    state: &ThreadState,
+    forces: &[Vector3<f64>],
+) -> Vec<(Entity, Pull)> {
+    let mut forces = forces.iter();
+    let mut pulls = Vec::new();
+    grips.retain_mut(|grip| {
+        let (Some(([_, pose], _)), Some(instrument)) =
+            (parts.instrument(grip.instrument), scene.get::<Instrument>(grip.instrument))
+        else {
+            return true;
+        };
+        if grip.is_shut() {
+            return true;
+        }
+        let (stiffness, force_max) = strength(instrument, grip);
+        let (mut sum, mut now, mut wanted) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
+        for held in &mut grip.nodes {
+            let Some(force) = forces.next() else { break };
+            let node = state.positions[held.node as usize];
+            if force.norm() > 0.999 * force_max {
+                held.in_instrument = pose.inverse_transform_point(&(node + force / stiffness));
+            }
+            sum += force;
+            now += node.coords;
+            wanted += (pose * held.in_instrument).coords;
+        }
+        let count = grip.nodes.len().max(1) as f64;
+        pulls.push((
+            grip.instrument,
+            Pull { force: sum, places: [(now / count).into(), (wanted / count).into()] },
+        ));
+        grip.nodes.retain(|held| is_within(instrument, &held.in_instrument));
+        let nodes = &grip.nodes;
+        let has = |node: u32| nodes.binary_search_by_key(&node, |held| held.node).is_ok();
+        grip.edges.retain(|held| has(held.edge) && has(held.edge + 1));
+        // What comes after what has slipped out is taken again, if anything does.
+        !grip.nodes.is_empty()
+    });
+    pulls
+}
+
+/// Whether a place is between the pads, as seen from the side.
+fn is_within(instrument: &Instrument, place: &Point3<f64>) -> bool {
+    place.y.abs() <= instrument.jaw_width
+        && place.z <= instrument.jaw_thickness
+        && place.z >= -instrument.jaw_length - instrument.jaw_thickness
+}
+
+/// Middle of the thread's frame and the world's: where a pull acts in the world, and its force there.
+#[must_use]
+pub fn in_world(pull: &Pull, world_from_thread: &Isometry3<f64>) -> (Point3<f64>, Vector3<f64>) {
+    (world_from_thread * pull.places[0], world_from_thread.rotation * pull.force)
+}

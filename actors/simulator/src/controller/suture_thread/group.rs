@@ -1,0 +1,196 @@
+//! The threads of a scene that are stepped as one problem: each an entity of its own, with its own line and anchors; for the
+//! solver their nodes follow one after the other.
+
+use std::fmt::Display;
+use std::sync::Arc;
+
+use nalgebra::{Point3, Vector3};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_scene::{Commands, Entity, LineMesh, Snapshot, Tick};
+
+use super::component::ThreadBody;
+use super::saved_state::ThreadMemory;
+use crate::suture_thread::{Parted, Thread, ThreadError, ThreadState};
+
+/// The threads, the one that names the others first.
+pub struct Lines {
+    list: Vec<Deformable>,
+    /// Where nodes are held, among those of all.
+    anchored: Vec<(usize, Point3<f64>)>,
+    /// Whether the scene has their lines already.
+    has_lines: bool,
+}
+
+impl Lines {
+    /// Reads them; `first` is what the scene has of the first one, which `kind` describes.
+    ///
+    /// # Errors
+    /// A mesh that is no thread; a name that is that of none, and which there are; one that is not alike.
+    pub fn read(kind: &ThreadBody, first: Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let (radius, entity) = (kind.material().radius, first.entity);
+        let has_lines = scene.get::<ThreadMemory>(entity).is_some();
+        let mut list = vec![one(first, radius, has_lines)?];
+        let carriers = Deformable::carriers::<ThreadBody>(scene);
+        for name in &kind.together_with {
+            let wrong = |why: &str| format!("together_with: '{name}' {why}");
+            let found = carriers.iter().find(|other| scene.name(**other) == *name && **other != entity);
+            let Some((other, of)) = found.and_then(|other| Some((*other, scene.get::<ThreadBody>(*other)?)))
+            else {
+                let others = carriers.iter().filter(|other| **other != entity);
+                let names: Vec<String> = others.map(|other| scene.name(*other)).collect();
+                return Err(wrong(&format!("is no other thread; valid: {}", names.join(", "))));
+            };
+            if list.iter().any(|line| line.entity == other) {
+                return Err(wrong("is named twice"));
+            }
+            if of.material() != kind.material() {
+                return Err(wrong("is of another material: give both the same suture and parameters"));
+            }
+            if !of.together_with.is_empty() || of.tied_around.is_some() {
+                return Err(wrong(
+                    "names others or a body itself: let the first one alone say what goes together",
+                ));
+            }
+            if scene.world_pose(other) != scene.world_pose(entity) {
+                return Err(wrong("is at another pose: give both the same, and lay it where it is"));
+            }
+            let line = Deformable::read(scene, other).map_err(|error| error.to_string())?;
+            let mut line = one(line, radius, has_lines)?;
+            if !has_lines && let Some(nodes) = of.nodes().map_err(|why| wrong(&why))? {
+                line.lie(nodes);
+            }
+            list.push(line);
+        }
+        let mut lines = Self { list, anchored: Vec::new(), has_lines };
+        if !has_lines && let Some(nodes) = kind.nodes()? {
+            lines.list[0].lie(nodes);
+        }
+        lines.anchor();
+        Ok(lines)
+    }
+
+    /// The one that names the others.
+    #[must_use]
+    pub fn first(&self) -> &Deformable {
+        &self.list[0]
+    }
+
+    /// All of them.
+    pub fn entities(&self) -> impl Iterator<Item = Entity> + '_ {
+        self.list.iter().map(|line| line.entity)
+    }
+
+    /// Nodes that are held, and where \[m\].
+    #[must_use]
+    pub fn anchored(&self) -> &[(usize, Point3<f64>)] {
+        &self.anchored
+    }
+
+    /// The solver of what the scene has, from where an earlier life left it.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn thread(&self, kind: &ThreadBody, known: Option<&ThreadMemory>) -> Result<Thread, ThreadError> {
+        let Some(memory) = known else {
+            let nodes: Vec<&[Point3<f64>]> = self.list.iter().map(|line| &line.positions[..]).collect();
+            return Thread::several(kind.material(), &nodes);
+        };
+        let positions: Vec<Point3<f64>> =
+            self.list.iter().flat_map(|line| line.positions.iter().copied()).collect();
+        let velocities: Vec<Vector3<f64>> =
+            self.list.iter().flat_map(|line| line.velocities.iter().copied()).collect();
+        Thread::restore(kind.material(), memory.state(&positions, &velocities))
+    }
+
+    /// Nodes at rest of all of them, one after the other \[m\].
+    #[must_use]
+    pub fn rest(&self) -> Vec<Point3<f64>> {
+        self.list.iter().flat_map(|line| line.rest.iter().copied()).collect()
+    }
+
+    /// They have other nodes from now on: where these are at rest \[m\], and which each of the former ones is, unless it is
+    /// gone; the last of each line never is.
+    pub fn lie(&mut self, rest: &[Point3<f64>], now: &[Option<u32>], state: &ThreadState) {
+        let (mut begin, mut from) = (0, 0);
+        for line in &mut self.list {
+            begin += line.rest.len();
+            let end = now.get(begin - 1).copied().flatten().map_or(from, |node| node as usize + 1);
+            line.lie(rest[from..end].to_vec());
+            let joins = |[node, _]: &[u32; 2]| state.joins(from + *node as usize);
+            Arc::make_mut(&mut line.segments).retain(joins);
+            from = end;
+        }
+        self.has_lines = false;
+        self.anchor();
+    }
+
+    /// They have been cut.
+    pub fn part(&mut self, parted: &Parted, state: &ThreadState) {
+        self.lie(&parted.places(&self.rest()), &parted.nodes, state);
+    }
+
+    /// Each with its nodes, first and last, among those of all.
+    fn spans(&self) -> impl Iterator<Item = (&Deformable, [usize; 2])> {
+        self.list.iter().scan(0, |begin, line| {
+            let first = *begin;
+            *begin += line.rest.len();
+            Some((line, [first, *begin - 1]))
+        })
+    }
+
+    fn anchor(&mut self) {
+        self.anchored.clear();
+        let mut begin = 0;
+        for line in &self.list {
+            let held = line.pinned.iter().map(|node| *node as usize);
+            self.anchored.extend(held.map(|node| (begin + node, line.rest[node])));
+            begin += line.rest.len();
+        }
+    }
+
+    /// Tells the scene where they are.
+    pub fn write(&mut self, state: &ThreadState, out: &mut Commands) {
+        if !self.has_lines {
+            self.has_lines = true;
+            for line in &self.list {
+                let segments: Arc<Vec<[u32; 2]>> = line.segments.clone();
+                out.put(line.entity, LineMesh { segments, radius: line.radius });
+            }
+        }
+        let mut first = 0;
+        for line in &mut self.list {
+            let end = first + line.rest.len();
+            line.write(&state.positions[first..end], &state.velocities[first..end], out);
+            first = end;
+        }
+    }
+
+    /// Tells everybody that they had to be stopped where they are.
+    pub fn freeze(&self, reason: &dyn Display, tick: &Tick<'_>, out: &mut Commands) {
+        self.list.iter().for_each(|line| line.freeze(reason, tick, out));
+    }
+
+    /// The largest tension of each, with its name \[N\].
+    pub fn tensions<'a>(&'a self, state: &'a ThreadState) -> impl Iterator<Item = (&'a str, f64)> {
+        self.spans().map(|(line, [first, last])| {
+            let most = state.tensions[first..last].iter().copied().fold(0.0, f64::max);
+            (line.name.as_str(), most)
+        })
+    }
+}
+
+/// A line from its first vertex to its last; one that `goes_on` may have been cut.
+fn one(mut line: Deformable, radius: f64, goes_on: bool) -> Result<Deformable, String> {
+    let is_edge = |ends: &[u32; 2]| ends[1] == ends[0] + 1;
+    let follows = |pair: &[[u32; 2]]| pair[1][0] == pair[0][1] || (goes_on && pair[1][0] == pair[0][1] + 1);
+    let is_thread = line.segments.first().is_some_and(|ends| ends[0] == 0)
+        && line.segments.iter().all(is_edge)
+        && line.segments.windows(2).all(follows);
+    if !is_thread {
+        return Err(
+            "its line is not one thread from its first vertex to its last: give it a mesh of a line".into()
+        );
+    }
+    line.radius = radius;
+    Ok(line)
+}

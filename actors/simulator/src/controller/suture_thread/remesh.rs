@@ -1,0 +1,80 @@
+//! Edges of a thread on a scene that are as short as its knots need and no shorter: what is held, anchored and remembered
+//! goes with the nodes.
+
+use nalgebra::Point3;
+
+use super::component::ThreadBody;
+use super::grasp::Grip;
+use super::group::Lines;
+use crate::suture_thread::{Fineness, Renumbered, Thread};
+
+/// Ticks from one look at the edges to the next.
+pub const EDGES_EVERY: u64 = 10;
+/// Strands whose surfaces are not further apart are near \[m\]: no strand goes further in those ticks.
+const REACH: f64 = 2e-3;
+/// Edges may be longer than they are told to be by this factor before they are divided.
+const TOLERATED: f64 = 1.15;
+/// Nodes at most.
+const NODES_MAX: usize = 1024;
+
+/// Divides and joins edges where they have to be. Whether any was.
+///
+/// # Errors
+/// Why they could not be.
+pub fn adapt(
+    kind: &ThreadBody,
+    thread: &mut Thread,
+    lines: &mut Lines,
+    grips: &mut [Grip],
+) -> Result<bool, String> {
+    let fineness = fineness(kind.edges, thread.material().diameter());
+    let pinned = lines.anchored().iter().map(|(node, _)| *node);
+    let keep: Vec<usize> = held(grips).chain(pinned).collect();
+    let Some(now) = thread.adapt(&fineness, &keep).map_err(|error| error.to_string())? else {
+        return Ok(false);
+    };
+    follow(grips, &now);
+    lines.lie(&rest(&lines.rest(), &now), &now.nodes, thread.state());
+    Ok(true)
+}
+
+/// What edges are to be as long as where strands are near, in diameters \[m\], and elsewhere \[m\].
+pub fn fineness(edges: [f64; 2], diameter: f64) -> Fineness {
+    let fine = edges[0] * diameter / TOLERATED;
+    Fineness { fine, coarse: edges[1].max(fine), reach: REACH, nodes_max: NODES_MAX }
+}
+
+/// Nodes that are held.
+pub fn held(grips: &[Grip]) -> impl Iterator<Item = usize> {
+    grips.iter().flat_map(|grip| &grip.nodes).map(|held| held.node as usize)
+}
+
+/// What is held has other numbers now.
+pub fn follow(grips: &mut [Grip], now: &Renumbered) {
+    for grip in grips {
+        grip.nodes.retain_mut(|held| match now.nodes.get(held.node as usize) {
+            Some(Some(node)) => {
+                held.node = *node;
+                true
+            }
+            _ => false,
+        });
+        for held in &mut grip.edges {
+            held.edge = now.edges.get(held.edge as usize).map_or(held.edge, |[first, _]| *first);
+        }
+    }
+}
+
+/// Where the nodes lie at rest, of those that did before: new ones evenly between them.
+fn rest(before: &[Point3<f64>], now: &Renumbered) -> Vec<Point3<f64>> {
+    let mut nodes: Vec<Point3<f64>> = before.first().copied().into_iter().collect();
+    for (edge, [first, last]) in now.edges.iter().enumerate() {
+        let (Some(from), Some(to)) = (before.get(edge), before.get(edge + 1)) else { continue };
+        let parts = 1 + last - first;
+        nodes.extend((1..parts).map(|part| from.lerp(to, f64::from(part) / f64::from(parts))));
+        if now.nodes.get(edge + 1).is_some_and(Option::is_some) {
+            nodes.push(*to);
+        }
+    }
+    nodes
+}

@@ -1,0 +1,151 @@
+//! A soft body that a thread lies on and that another controller moves: what passes between the two is in the scene, as it is
+//! between bodies that are coupled ([`CouplingGiven`]).
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::coupling::{CoupledWith, CouplingGiven, Lies};
+use trocar_dynamics::soft_body::method::StepContext;
+use trocar_scene::soft_body::one_of;
+use trocar_scene::{Commands, Entity, Snapshot, Tick};
+
+use super::component::LiesOn;
+use super::obstacles::Yielding;
+use crate::controller::coupling::fast_side::{Partner, other};
+use crate::suture_thread::ThreadState;
+use crate::suture_thread::soft_support::SoftSurface;
+
+/// Triangles that are nearer than this to the thread are listed before they are touched: who moves them tells in time what is
+/// to be expected \[m\].
+const NEAR: f64 = 3e-3;
+/// Nodes of the thread that share a box.
+const RUN: usize = 8;
+
+/// Such a body, as the thread meets it.
+pub struct LyingOn {
+    partner: Partner,
+    friction: f64,
+    surface: SoftSurface,
+    /// Of the way that nodes are behind, what they go in this step.
+    share: f64,
+}
+
+impl LyingOn {
+    /// Finds it by name. `thread` is the thread, whose frame it is met in.
+    ///
+    /// # Errors
+    /// There is no such body, or it cannot be lain on, and why.
+    pub fn new(on: &LiesOn, thread: &Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let told = |why: String| format!("it lies on '{}': {why}", on.body);
+        let lies = Some(Lies { friction: on.friction, ..Lies::default() });
+        let rule = CoupledWith { body: on.body.clone(), joined: None, lies };
+        let body = other(thread, &rule, scene).map_err(told)?;
+        if let Some((method, _)) = scene.soft_body(body.entity).filter(|(_, of)| !of.answers_couplings) {
+            let valid = one_of(&scene.registry().soft_bodies_that(|of| of.answers_couplings));
+            return Err(told(format!(
+                "that is moved by '{method}', which takes nothing from a thread; valid: {valid}"
+            )));
+        }
+        let known = scene.get::<CouplingGiven>(thread.entity);
+        let known = known.and_then(|known| known.to.iter().find(|to| to.body == Some(body.entity)));
+        let partner = Partner::new(thread, &body, thread.radius, &rule, scene, known).map_err(told)?;
+        Ok(Self { partner, friction: on.friction, surface: SoftSurface::default(), share: 0.0 })
+    }
+
+    /// Which body.
+    #[must_use]
+    pub fn entity(&self) -> Entity {
+        self.partner.entity
+    }
+
+    /// Coulomb's coefficient on it.
+    #[must_use]
+    pub fn friction(&self) -> f64 {
+        self.friction
+    }
+
+    /// How far the node that is furthest from where the thread takes it to be is from there \[m\].
+    #[must_use]
+    pub fn behind(&self) -> f64 {
+        self.partner.given.ghosts.furthest_behind()
+    }
+
+    /// A tick begins: hears what the body tells.
+    ///
+    /// # Errors
+    /// Why it cannot go on.
+    pub fn meet(
+        &mut self,
+        thread: Entity,
+        world_from_thread: &Isometry3<f64>,
+        scene: &Snapshot,
+        tick: &Tick<'_>,
+    ) -> Result<(), String> {
+        let site = StepContext {
+            scene,
+            tick,
+            world_from_body: world_from_thread,
+            gravity: Vector3::zeros(),
+            rods: &[],
+            touches: &[],
+            forces: &[],
+            led: &[],
+        };
+        self.partner.follow(&site)?;
+        self.partner.hear(thread, &site)?;
+        Ok(())
+    }
+
+    /// A step of `dt` \[s\] begins, in which nodes go such a share of the way that they are behind.
+    pub fn begin(&mut self, dt: f64, share: f64) {
+        self.share = if self.partner.is_wall { 0.0 } else { share };
+        let is_wall = self.partner.is_wall;
+        let ghosts = &self.partner.given.ghosts;
+        let guests = ghosts.guests().map(|guest| if is_wall { guest.as_wall() } else { guest });
+        let drift = ghosts.behind().iter().map(|behind| behind * (self.share / dt));
+        self.surface.begin(guests, drift, &self.partner.surface);
+    }
+
+    /// Nodes and triangles as an obstacle, and what gives way of it.
+    pub fn parts(&mut self) -> (Yielding<'_>, &mut SoftSurface) {
+        let nodes: &[Point3<f64>] = self.partner.given.ghosts.positions();
+        ((nodes, &self.partner.surface), &mut self.surface)
+    }
+
+    /// A step of `dt` \[s\] is over, after which the thread is so.
+    pub fn met(&mut self, dt: f64, state: &ThreadState) {
+        let given = &mut self.partner.given;
+        if !self.partner.is_wall {
+            given.ghosts.met(dt, self.surface.moved(), 0.0);
+            given.ghosts.caught_up(self.share);
+        }
+        near(state, given.ghosts.positions(), &self.partner.surface, &mut given.near);
+    }
+
+    /// Tells the body what it was given.
+    pub fn publish(&self, thread: Entity, out: &mut Commands) {
+        out.put(thread, CouplingGiven { to: vec![self.partner.given.clone()] });
+    }
+}
+
+/// Lists the nodes of triangles that are near to the thread, ascending.
+fn near(state: &ThreadState, nodes: &[Point3<f64>], triangles: &[[u32; 3]], found: &mut Vec<u32>) {
+    found.clear();
+    let bounds = |points: &mut dyn Iterator<Item = &Point3<f64>>| {
+        let none = [Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)];
+        points.fold(none, |[low, high], at| [low.inf(&at.coords), high.sup(&at.coords)])
+    };
+    let runs: Vec<[Vector3<f64>; 2]> =
+        state.positions.chunks(RUN).map(|run| bounds(&mut run.iter())).collect();
+    for triangle in triangles {
+        let corners = triangle.map(|node| nodes[node as usize]);
+        let [low, high] = bounds(&mut corners.iter());
+        let is_near = |run: &[Vector3<f64>; 2]| {
+            (0..3).all(|axis| run[0][axis] - NEAR <= high[axis] && low[axis] <= run[1][axis] + NEAR)
+        };
+        if runs.iter().any(is_near) {
+            found.extend(triangle);
+        }
+    }
+    found.sort_unstable();
+    found.dedup();
+}

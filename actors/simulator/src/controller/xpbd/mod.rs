@@ -1,0 +1,553 @@
+//! The controller of position-based bodies: volumes, cloths and rods.
+//!
+//! Touches are found once in a step and followed through its parts. What bounces off within a step is met again in the
+//! next only once it is inside, so a body that instruments press wants several hundred steps a second of few parts, and not few
+//! steps of many: a light one at 100 Hz rattles.
+
+pub(crate) mod island;
+
+use std::sync::Arc;
+
+use nalgebra::{Point3, Vector3};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use trocar_dynamics::coupling::external_nodes::ExternalNodesState;
+use trocar_dynamics::elasticity::Alteration;
+use trocar_dynamics::particles::State;
+use trocar_dynamics::soft_body::Deformable;
+use trocar_dynamics::soft_body::SoftController;
+use trocar_dynamics::soft_body::SoftMethod;
+use trocar_dynamics::soft_body::method::{ContactParams, Measures, Reshaped, Step, StepContext};
+use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_scene::{
+    Access, Commands, Component, ComponentError, Entity, EntitySet, LineMesh, Snapshot, SoftAbilities,
+};
+
+use super::coupling::fast_side::Coupled;
+use super::cutting::line::{LineCuts, LineWeakness};
+use super::cutting::membrane::{Membrane, MembraneWeakness, Parted};
+use super::cutting::volume::{Elements, FailureCriteria, Parting, Split};
+use super::thermal_damage::Coagulated;
+use crate::mass_spring::{
+    Contact, LineMaterial, Network, NetworkError, NodeForce, Prescribed, SurfaceMaterial,
+};
+use crate::xpbd::{Body, Elasticity, Groups, SplitTets, Xpbd, XpbdConfig, distances_of};
+use island::step_island;
+
+/// What a position-based body is made of, by the kind of its mesh.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Matter {
+    /// A volume, along its `tet_mesh`.
+    Volume {
+        /// Young's modulus \[Pa\].
+        young_modulus: f64,
+        /// Poisson's ratio.
+        poisson_ratio: f64,
+        /// Density \[kg/m³\].
+        density: f64,
+    },
+    /// A cloth or the wall of a tube, along its `surface_mesh`.
+    Cloth {
+        /// Young's modulus times thickness \[N/m\].
+        membrane_stiffness: f64,
+        /// Flexural rigidity \[N·m\].
+        bending_stiffness: f64,
+        /// Mass per area \[kg/m²\].
+        density: f64,
+    },
+    /// A rod, along its `line_mesh`.
+    Rod {
+        /// Axial stiffness EA \[N\].
+        axial_stiffness: f64,
+        /// Bending stiffness EI \[N·m²\].
+        bending_stiffness: f64,
+        /// Mass per length \[kg/m\].
+        density: f64,
+    },
+}
+
+impl Default for Matter {
+    /// A soft organ, in round numbers; for what has been measured of each see [`trocar_scene::tissue`].
+    fn default() -> Self {
+        Self::Volume { young_modulus: 8e3, poisson_ratio: 0.45, density: 1060.0 }
+    }
+}
+
+/// A position-based body: it needs a mesh, and `anchors` where it is to be held.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct XpbdBody {
+    /// What it is made of.
+    pub matter: Matter,
+    /// Parts of a step, 1 to 1000. Too few and it is softer than its matter.
+    pub parts: u32,
+    /// Sweeps over its constraints in each part, 1 to 1000.
+    pub iterations: u32,
+    /// Damping of every motion \[1/s\].
+    pub damping: f64,
+    /// How far its surface is from its vertices \[m\]: half the thickness of a cloth. Of a rod its mesh says it.
+    pub thickness: f64,
+    /// Force per depth of a contact \[N/m\].
+    pub contact_stiffness: f64,
+    /// Coulomb friction against instruments and other bodies.
+    pub friction: f64,
+    /// Whether blades cut it; then they do not push it.
+    pub cut: bool,
+    /// Of a volume: tension that tears it \[Pa\]; without one nothing does.
+    pub strength: Option<f64>,
+    /// Of a cloth or a rod: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
+    pub tears_at: Option<f64>,
+}
+
+impl Default for XpbdBody {
+    fn default() -> Self {
+        Self {
+            matter: Matter::default(),
+            parts: 4,
+            iterations: 1,
+            damping: 2.0,
+            thickness: 0.0,
+            contact_stiffness: 300.0,
+            friction: 0.3,
+            cut: false,
+            strength: None,
+            tears_at: None,
+        }
+    }
+}
+
+impl Component for XpbdBody {
+    const NAME: &'static str = "xpbd";
+    const SOFT_BODY: Option<SoftAbilities> = Some(SoftAbilities {
+        responds_to_contacts: true,
+        couples: true,
+        loses_elements: true,
+        ..SoftAbilities::NONE
+    });
+    fn check(&self) -> Result<(), ComponentError> {
+        trocar_scene::finite::check(self)?;
+        ComponentError::range("parts", f64::from(self.parts), 1.0..=1000.0, "1 to 1000")?;
+        ComponentError::range("iterations", f64::from(self.iterations), 1.0..=1000.0, "1 to 1000")?;
+        ComponentError::range("damping", self.damping, 0.0..=1e4, "0 to 1e4 1/s")?;
+        ComponentError::range("thickness", self.thickness, 0.0..=0.1, "0 to 0.1 m")?;
+        ComponentError::range("contact_stiffness", self.contact_stiffness, 0.0..=1e6, "0 to 1e6 N/m")?;
+        ComponentError::range("friction", self.friction, 0.0..=10.0, "0 to 10")?;
+        ComponentError::range("strength", self.strength.unwrap_or(1.0), 1.0..=1e9, "1 to 1e9 Pa")?;
+        ComponentError::range("tears_at", self.tears_at.unwrap_or(2.0), 1.01..=100.0, "1.01 to 100")
+    }
+    fn schema() -> Option<serde_json::Value> {
+        Some(schemars::schema_for!(Self).to_value())
+    }
+}
+
+impl XpbdBody {
+    /// By what a volume comes apart.
+    fn weakness(&self) -> FailureCriteria {
+        let Matter::Volume { young_modulus, poisson_ratio, .. } = self.matter else {
+            return FailureCriteria::default();
+        };
+        let mu = 0.5 * young_modulus / (1.0 + poisson_ratio);
+        let lambda = 2.0 * mu * poisson_ratio / (1.0 - 2.0 * poisson_ratio);
+        FailureCriteria {
+            cut: self.cut,
+            halves: true,
+            hangs_on: false,
+            tears: self.strength.map(|strength| (strength, [lambda, mu])),
+            is_linear: false,
+        }
+    }
+
+    /// What a cloth is made of.
+    fn cloth(&self) -> Option<SurfaceMaterial> {
+        match self.matter {
+            Matter::Cloth { membrane_stiffness, bending_stiffness, density } => {
+                Some(SurfaceMaterial { membrane_stiffness, bending_stiffness, density })
+            }
+            _ => None,
+        }
+    }
+
+    /// The solver of a body of which elements are gone, and the network that it follows if it is a cloth.
+    fn solver(
+        &self,
+        body: &Deformable,
+        altered: &[Alteration],
+        gone: &[u32],
+        groups: &XpbdGroups,
+    ) -> Result<(Xpbd, Option<Network>), NetworkError> {
+        let XpbdBody { parts, iterations, damping, .. } = *self;
+        let config = XpbdConfig { parts, iterations, damping, ..XpbdConfig::default() };
+        let groups = groups.as_groups();
+        let (mut solver, network) = match self.matter {
+            Matter::Volume { young_modulus, poisson_ratio, density } => {
+                let elasticity = Some(Elasticity { young_modulus, poisson_ratio, density });
+                let (rest, tets) = (&body.rest[..], &body.tets[..]);
+                let made = Body { rest, tets, elasticity, gone, groups, ..Body::default() };
+                (Xpbd::new(&made, &body.pinned, config)?, None)
+            }
+            Matter::Cloth { membrane_stiffness, bending_stiffness, density } => {
+                let material = SurfaceMaterial { membrane_stiffness, bending_stiffness, density };
+                let network = Network::from_altered_surface(
+                    &body.rest,
+                    &body.triangles,
+                    &material,
+                    altered,
+                    &body.loose,
+                )?;
+                (of_network(body, &network, config, groups)?, Some(network))
+            }
+            Matter::Rod { axial_stiffness, bending_stiffness, density } => {
+                let material = LineMaterial { axial_stiffness, bending_stiffness, density };
+                let network = Network::from_line(&body.rest, &body.segments, &material)?;
+                (of_network(body, &network, config, groups)?, None)
+            }
+        };
+        let state = State { positions: body.positions.to_vec(), velocities: body.velocities.to_vec() };
+        solver.restore(state)?;
+        Ok((solver, network))
+    }
+}
+
+fn of_network(
+    body: &Deformable,
+    network: &Network,
+    config: XpbdConfig,
+    groups: Groups<'_>,
+) -> Result<Xpbd, NetworkError> {
+    let distances = distances_of(network);
+    let made = Body {
+        rest: &body.rest,
+        masses: &network.masses,
+        distances: &distances,
+        bends: &network.hinges,
+        groups,
+        ..Body::default()
+    };
+    Xpbd::new(&made, &body.staying(), config)
+}
+
+/// The groups in which the constraints of a body are taken whose mesh has come apart, each in the order of its mesh: edges
+/// and hinges ascending by their edges, tetrahedra by their numbers. Which they are is a matter of all changes so far, and how
+/// a sweep goes is one of them.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct XpbdGroups {
+    /// Of the edges of a cloth.
+    pub distances: Arc<Vec<u16>>,
+    /// Of its hinges.
+    pub bends: Arc<Vec<u16>>,
+    /// Of the elements of a volume.
+    pub tets: Arc<Vec<u16>>,
+}
+impl Component for XpbdGroups {
+    const NAME: &'static str = "xpbd_groups";
+}
+
+impl XpbdGroups {
+    fn as_groups(&self) -> Groups<'_> {
+        Groups { distances: &self.distances, bends: &self.bends, tets: &self.tets }
+    }
+}
+
+/// A solver of one body, whose elements may go.
+pub(super) struct Solver {
+    kind: XpbdBody,
+    pub solver: Xpbd,
+    /// Of a cloth that can come apart.
+    network: Option<Network>,
+    /// Whether constraints have come into other groups than those of its mesh.
+    regrouped: bool,
+}
+
+impl Solver {
+    /// Tells a later life in which groups constraints are, if some have come.
+    fn tell_groups(&mut self, entity: Entity, out: &mut Commands) {
+        if std::mem::take(&mut self.regrouped) {
+            let Groups { distances, bends, tets } = self.solver.groups();
+            let [distances, bends, tets] = [distances, bends, tets].map(|groups| Arc::new(groups.to_vec()));
+            out.put(entity, XpbdGroups { distances, bends, tets });
+        }
+    }
+
+    /// Follows a rod that has come apart at nodes of which the new ones are copies.
+    fn copy(&mut self, body: &Deformable, copies: &[u32]) -> Result<(), NetworkError> {
+        let mut state = self.solver.state().clone();
+        for &of in copies {
+            state.positions.push(state.positions[of as usize]);
+            state.velocities.push(state.velocities[of as usize]);
+        }
+        (self.solver, _) = self.kind.solver(body, &[], &[], &XpbdGroups::default())?;
+        self.solver.restore(state)
+    }
+
+    /// Lets constraints follow what has become of a membrane.
+    fn follow(
+        &mut self,
+        membrane: &Membrane,
+        body: &Deformable,
+        parted: &Parted,
+    ) -> Result<(), NetworkError> {
+        let Self { kind, solver, network: Some(network), .. } = self else { return Ok(()) };
+        let Some(material) = kind.cloth() else { return Ok(()) };
+        membrane.follow(parted, |patch| {
+            let followed = network.follow_surface(patch, &material)?;
+            let carry = |state: &mut State| parted.carry(state);
+            solver.follow_network(network, &followed, patch, |vertex| body.is_staying(vertex), carry)
+        })?;
+        self.regrouped = true;
+        Ok(())
+    }
+}
+
+impl Elements for Solver {
+    fn positions(&self) -> &[Point3<f64>] {
+        &self.solver.state().positions
+    }
+
+    fn velocities(&self) -> &[Vector3<f64>] {
+        &self.solver.state().velocities
+    }
+
+    fn remove(&mut self, elements: &[u32]) -> Result<(), String> {
+        self.solver.remove(elements);
+        Ok(())
+    }
+
+    fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String> {
+        elements.iter().for_each(|of| self.solver.alter(of.element, of.stiffness, of.length));
+        Ok(())
+    }
+
+    fn split(&mut self, body: &Deformable, split: &Split<'_>) -> Result<(), String> {
+        let tets = SplitTets { rest: &body.rest, tets: &body.tets, changed: split.changed };
+        let stays = |node: u32| body.pinned.binary_search(&node).is_ok();
+        let carry = |state: &mut State| split.carry(state);
+        self.solver.split(&tets, stays, carry).map_err(|error| error.to_string())?;
+        for &tet in split.changed {
+            let Alteration { stiffness, length } = (split.altered)(tet);
+            self.solver.alter(tet, stiffness, length);
+        }
+        self.regrouped = true;
+        Ok(())
+    }
+}
+
+/// Position-based dynamics of one body.
+pub struct XpbdMethod {
+    pub(super) of: Solver,
+    parting: Option<Parting>,
+    membrane: Option<Membrane>,
+    line: Option<LineCuts>,
+    /// If it pulls or presses at others.
+    pub(super) coupled: Option<Coupled>,
+    pub(super) contacts: Vec<Contact>,
+    pub(super) prescribed: Vec<Prescribed>,
+    pub(super) forces: Vec<NodeForce>,
+    /// What ties to bodies that it is stepped together with exerted on its vertices in the last step \[N\].
+    pub(super) tied: Vec<(u32, Vector3<f64>)>,
+    pub(super) island: ExternalNodesState,
+}
+
+impl XpbdMethod {
+    /// Takes what meets it.
+    pub(super) fn set_up(&mut self, body: &Deformable, site: &StepContext<'_>) -> Result<(), String> {
+        let kind = &self.of.kind;
+        self.contacts.clear();
+        self.contacts.extend(site.touches.iter().map(|touch| Self::contact(kind, touch)));
+        self.prescribed.clear();
+        let led = site.led.iter().map(|led| Prescribed { node: led.vertex, position: led.position_in_world });
+        self.prescribed.extend(led);
+        self.forces.clear();
+        self.forces.extend(site.forces.iter().map(|&(node, force)| NodeForce { node, force }));
+        match &mut self.coupled {
+            Some(coupled) => coupled.meet(body, self.of.solver.state(), site),
+            None => Ok(()),
+        }
+    }
+
+    fn contact(kind: &XpbdBody, touch: &Touch) -> Contact {
+        Contact {
+            nodes: touch.nodes,
+            weights: touch.weights,
+            normal: touch.normal,
+            depth: touch.depth,
+            velocity: touch.velocity,
+            stiffness: kind.contact_stiffness,
+            damping: 0.0,
+            friction: kind.friction,
+        }
+    }
+}
+
+impl SoftMethod for XpbdMethod {
+    type Kind = XpbdBody;
+    const CONTROLLER: &'static str = "xpbd";
+
+    fn build(kind: &XpbdBody, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String> {
+        let of_another = match kind.matter {
+            Matter::Volume { .. } => {
+                kind.tears_at.map(|_| "'tears_at' is of cloth and rods: a volume has a 'strength'")
+            }
+            Matter::Cloth { .. } => kind.strength.map(|_| "'strength' is of volumes: cloth 'tears_at'"),
+            Matter::Rod { .. } => kind.strength.map(|_| "'strength' is of volumes: a rod 'tears_at'"),
+        };
+        if let Some(what) = of_another {
+            return Err(what.into());
+        }
+        let (parting, membrane) = match kind.matter {
+            Matter::Volume { .. } => (Parting::new(body, kind.weakness(), scene)?, None),
+            Matter::Cloth { .. } => {
+                let weakness = MembraneWeakness { cut: kind.cut, tears_at: kind.tears_at };
+                (None, Membrane::new(body, weakness, scene)?)
+            }
+            Matter::Rod { .. } => (None, None),
+        };
+        let weakness = LineWeakness { cut: kind.cut, tears_at: kind.tears_at };
+        let is_weak_rod = matches!(kind.matter, Matter::Rod { .. }) && (kind.cut || kind.tears_at.is_some());
+        let line = is_weak_rod.then(|| LineCuts::new(body, weakness, scene));
+        let altered = membrane.as_ref().map(Membrane::alterations).unwrap_or_default();
+        let heated = parting.as_ref().map(Parting::heated).unwrap_or_default();
+        let groups = scene.get::<XpbdGroups>(body.entity).cloned().unwrap_or_default();
+        let made = kind.solver(body, &altered, &heated.removed, &groups);
+        let (solver, network) = made.map_err(|error| error.to_string())?;
+        let network = network.filter(|_| membrane.is_some());
+        let mut of = Solver { kind: *kind, solver, network, regrouped: false };
+        of.alter(&heated.coagulated)?;
+        let thickness = if matches!(kind.matter, Matter::Rod { .. }) { body.radius } else { kind.thickness };
+        let coupled = Coupled::new(body, thickness, scene)?;
+        let (contacts, prescribed, forces, tied, island) = Default::default();
+        Ok(Self { of, parting, membrane, line, coupled, contacts, prescribed, forces, tied, island })
+    }
+
+    fn access(access: Access, bodies: &[Entity]) -> Access {
+        let access = access.writes::<LineMesh>(EntitySet::Of(bodies.to_vec()));
+        let access = Membrane::access(Parting::access(access, bodies), bodies);
+        Coupled::access(access, bodies).writes::<XpbdGroups>(EntitySet::Of(bodies.to_vec()))
+    }
+
+    fn terms(&self) -> Option<ContactParams<'_>> {
+        let XpbdBody { contact_stiffness: stiffness, friction, .. } = self.of.kind;
+        Some(ContactParams { masses_inverse: self.of.solver.mobility(), stiffness, friction })
+    }
+
+    fn is_cut_by_blades(&self) -> bool {
+        self.parting.as_ref().is_some_and(Parting::is_cut)
+            || self.membrane.as_ref().is_some_and(Membrane::is_cut)
+            || self.line.as_ref().is_some_and(LineCuts::is_cut)
+    }
+
+    fn reshape(
+        &mut self,
+        body: &mut Deformable,
+        site: &StepContext<'_>,
+        out: &mut Commands,
+    ) -> Result<Option<Reshaped>, String> {
+        if let Some(membrane) = &mut self.membrane {
+            let positions = &self.of.solver.state().positions;
+            let Some(parted) = membrane.reshape(positions, body, site, out)? else { return Ok(None) };
+            self.of.follow(membrane, body, &parted).map_err(|error| error.to_string())?;
+            self.of.tell_groups(body.entity, out);
+            return Ok(parted.reshaped);
+        }
+        if let Some(line) = &mut self.line {
+            let copies = line.reshape(self.of.positions(), body, site, out);
+            let Some(copies) = copies else { return Ok(None) };
+            self.of.copy(body, &copies).map_err(|error| error.to_string())?;
+            // Its segments have the numbers they had.
+            return Ok(Some(Reshaped::default()));
+        }
+        let Some(parting) = &mut self.parting else { return Ok(None) };
+        let reshaped = parting.reshape(&mut self.of, body, site, out)?;
+        self.of.tell_groups(body.entity, out);
+        Ok(reshaped)
+    }
+
+    fn positions(&self) -> &[Point3<f64>] {
+        &self.of.solver.state().positions
+    }
+
+    fn velocities(&self) -> &[Vector3<f64>] {
+        &self.of.solver.state().velocities
+    }
+
+    fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a> {
+        let is_rod = matches!(self.of.kind.matter, Matter::Rod { .. });
+        Skin {
+            positions: self.positions(),
+            triangles: if is_rod { &[] } else { &body.triangles },
+            segments: if is_rod { &body.segments } else { &[] },
+            thickness: if is_rod { body.radius } else { self.of.kind.thickness },
+            closed: matches!(self.of.kind.matter, Matter::Volume { .. }),
+        }
+    }
+
+    fn step(
+        &mut self,
+        body: &Deformable,
+        site: &StepContext<'_>,
+        forces: &mut Vec<Vector3<f64>>,
+    ) -> Result<(), String> {
+        let step = Step { method: self, body, site: *site, forces: std::mem::take(forces), done: Ok(()) };
+        let mut island = [step];
+        step_island(&mut island.iter_mut().collect::<Vec<_>>());
+        let [step] = island;
+        *forces = step.forces;
+        step.done
+    }
+
+    fn step_all(steps: &mut [Step<'_, Self>]) {
+        let entities: Vec<Entity> = steps.iter().map(|step| step.body.entity).collect();
+        let mut islands: Vec<usize> = (0..steps.len()).collect();
+        for (index, step) in steps.iter().enumerate() {
+            for fused in step.method.coupled.iter().flat_map(Coupled::fused) {
+                if let Some(with) = entities.iter().position(|entity| *entity == fused.entity) {
+                    let (from, to) = (islands[index].max(islands[with]), islands[index].min(islands[with]));
+                    islands.iter_mut().filter(|island| **island == from).for_each(|island| *island = to);
+                }
+            }
+        }
+        for island in 0..steps.len() {
+            let members = steps.iter_mut().zip(&islands).filter(|(_, of)| **of == island);
+            let mut members: Vec<&mut Step<'_, Self>> = members.map(|(step, _)| step).collect();
+            if !members.is_empty() {
+                step_island(&mut members);
+            }
+        }
+    }
+
+    fn publish(&mut self, body: &Deformable, _site: &StepContext<'_>, out: &mut Commands) {
+        if let Some(membrane) = &mut self.membrane {
+            membrane.publish(body, out);
+        }
+        if let Some(line) = &mut self.line {
+            line.publish(body, out);
+        }
+        if let Some(coupled) = &self.coupled {
+            coupled.publish(body.entity, out);
+        }
+    }
+
+    fn pull_by(&mut self, held: &[u32]) -> Vector3<f64> {
+        let tied = self.tied.iter().filter(|(node, _)| held.binary_search(node).is_ok());
+        self.of.solver.pull_on(held) + tied.map(|(_, force)| force).sum::<Vector3<f64>>()
+    }
+
+    fn measure(&self, body: &Deformable, measures: &mut Measures<'_>) {
+        measures.put("elastic_energy_j", self.of.solver.elastic_energy());
+        measures.put("kinetic_energy_j", self.of.solver.kinetic_energy());
+        measures.put("inverted_elements", self.of.solver.inverted().count as f64);
+        let moved = self.positions().iter().zip(body.rest.iter()).map(|(now, rest)| (now - rest).norm());
+        measures.put("displacement_max_m", moved.fold(0.0, f64::max));
+        let heights = || self.positions().iter().map(|position| position.z);
+        self.parting.iter().for_each(|parting| parting.measure(measures));
+        self.membrane.iter().for_each(|membrane| membrane.measure(measures));
+        self.line.iter().for_each(|line| line.measure(measures));
+        self.coupled.iter().for_each(|coupled| coupled.measure(measures));
+        measures.put("lowest_m", heights().fold(f64::INFINITY, f64::min));
+        measures.put("highest_m", heights().fold(f64::NEG_INFINITY, f64::max));
+    }
+}
+
+/// Steps every body that carries [`XpbdBody`].
+pub type XpbdController = SoftController<XpbdMethod>;

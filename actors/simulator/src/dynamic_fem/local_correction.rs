@@ -1,0 +1,189 @@
+//! What a cut changes near by: how the nodes about it move, by what the body is now, beyond how they would with those still
+//! together that have come apart.
+//!
+//! Both are small problems of the same elements, whose nodes are held beyond them. With `A` of the one and `PᵀAP` of the other
+//! `A⁻¹ − P (PᵀAP)⁻¹ Pᵀ` takes nothing from any force, so that it may be added to any inverse.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use trocar_dynamics::tet_mesh::{gradients, shape};
+
+use super::incremental_potential::{Element, Matter};
+use crate::linear_algebra::{BlockMatrix, BlockPattern, FactorError, SparseCholesky, minimum_degree};
+
+/// Nodes that are near at most: what is farther moves alike in both.
+const NEAR_MAX: usize = 300;
+
+/// Shares of nodes, by their rows.
+type NodeWeights = Vec<(u32, f64)>;
+
+/// The two problems.
+pub(super) struct NearCut {
+    /// Nodes, by the rows of the first.
+    nodes: Vec<u32>,
+    /// Which rows of the second each goes with.
+    homes: Vec<NodeWeights>,
+    apart: SparseCholesky,
+    together: SparseCholesky,
+    flat: [Vec<f64>; 2],
+}
+
+/// A body about its cut.
+pub(super) struct About<'a> {
+    pub matter: Matter<'a>,
+    /// Masses of the nodes \[kg\].
+    pub masses: &'a [f64],
+    /// Nodes that do not move.
+    pub is_fixed: &'a [bool],
+    /// Nodes before any were born, and for each that was born the ones it goes with.
+    pub known: usize,
+    pub parents: &'a [NodeWeights],
+}
+
+impl NearCut {
+    /// About the nodes that were born, at these places \[m\].
+    pub fn new(about: &About<'_>, positions: &[Point3<f64>]) -> Result<Self, FactorError> {
+        let near = about.near();
+        let elements: Vec<Near> = about
+            .matter
+            .elements
+            .iter()
+            .filter(|element| !element.is_gone() && element.nodes.iter().any(|node| near[*node as usize]))
+            .map(|element| Near::new(element, &about.matter, positions))
+            .collect();
+        let own: Vec<u32> = (0..near.len() as u32).filter(|&node| near[node as usize]).collect();
+        let mut alone = vec![NodeWeights::new(); near.len()];
+        own.iter().zip(0_u32..).for_each(|(&node, row)| alone[node as usize].push((row, 1.0)));
+        let (rows, apart) = factored(about, &elements, own.len(), &alone)?;
+        let mut nodes = vec![0; own.len()];
+        own.iter().zip(&rows).for_each(|(&node, &row)| nodes[row as usize] = node);
+        // Those that are born have no rows of their own here.
+        let mut with = vec![NodeWeights::new(); near.len()];
+        let former = own.iter().filter(|node| (**node as usize) < about.known);
+        former.clone().zip(0_u32..).for_each(|(&node, row)| with[node as usize].push((row, 1.0)));
+        let count = former.count();
+        for (born, parents) in (about.known..).zip(about.parents).filter(|(born, _)| near[*born]) {
+            let of = |&(node, share): &(u32, f64)| Some((with[node as usize].first()?.0, share));
+            with[born] = parents.iter().filter_map(of).collect();
+        }
+        let (rows, together) = factored(about, &elements, count, &with)?;
+        let at = |&(row, share): &(u32, f64)| (rows[row as usize], share);
+        let homes = nodes.iter().map(|&node| with[node as usize].iter().map(at).collect()).collect();
+        let flat = [vec![0.0; apart.rows()], vec![0.0; together.rows()]];
+        Ok(Self { nodes, homes, apart, together, flat })
+    }
+
+    /// Takes the forces on nodes \[N\].
+    pub fn load(&mut self, forces: &[Vector3<f64>]) {
+        let [apart, together] = &mut self.flat;
+        together.fill(0.0);
+        for (row, (&node, home)) in self.nodes.iter().zip(&self.homes).enumerate() {
+            let force = forces[node as usize];
+            apart[3 * row..][..3].copy_from_slice(force.as_slice());
+            for &(at, share) in home {
+                (0..3).for_each(|axis| together[3 * at as usize + axis] += force[axis] * share);
+            }
+        }
+        self.apart.solve(apart);
+        self.together.solve(together);
+    }
+
+    /// Adds where they take the nodes beyond where they would if none had come apart \[m\].
+    pub fn add(&self, moved: &mut [Vector3<f64>]) {
+        let [apart, together] = &self.flat;
+        let of = |flat: &[f64], row: usize| Vector3::from_column_slice(&flat[3 * row..][..3]);
+        for (row, (&node, home)) in self.nodes.iter().zip(&self.homes).enumerate() {
+            let stays = home.iter().map(|&(at, share)| of(together, at as usize) * share);
+            moved[node as usize] += of(apart, row) - stays.sum::<Vector3<f64>>();
+        }
+    }
+}
+
+impl About<'_> {
+    /// Nodes that move and are near: those that were born, those they come from, and layers about these.
+    fn near(&self) -> Vec<bool> {
+        let mut near: Vec<bool> = (0..self.masses.len()).map(|node| node >= self.known).collect();
+        self.parents.iter().flatten().for_each(|&(node, _)| near[node as usize] = true);
+        let count = |near: &[bool]| near.iter().filter(|near| **near).count();
+        let mut before = count(&near);
+        while before < NEAR_MAX {
+            let mut more = near.clone();
+            for element in self.matter.elements.iter().filter(|element| !element.is_gone()) {
+                if element.nodes.iter().any(|node| near[*node as usize]) {
+                    element.nodes.iter().for_each(|node| more[*node as usize] = true);
+                }
+            }
+            let after = count(&more);
+            if after == before || after > NEAR_MAX {
+                break;
+            }
+            (near, before) = (more, after);
+        }
+        near.iter_mut().zip(self.is_fixed).for_each(|(near, fixed)| *near &= !fixed);
+        near
+    }
+}
+
+/// An element that is near.
+struct Near {
+    nodes: [u32; 4],
+    /// Its stiffness \[N/m\], with its damping, between its nodes.
+    blocks: [[Matrix3<f64>; 4]; 4],
+}
+
+impl Near {
+    fn new(element: &Element, matter: &Matter<'_>, positions: &[Point3<f64>]) -> Self {
+        let f = shape(positions, &element.nodes) * element.inverse_shape;
+        let stiffness = matter.material.stiffness(&f);
+        let turned = gradients(&element.inverse_shape).map(|gradient| stiffness.v.tr_mul(&gradient));
+        // As in the Hessian of all.
+        let volume = element.volume * (1.0 + matter.damping.stiffness / matter.dt);
+        let blocks = [0, 1, 2, 3].map(|i| turned.map(|with| stiffness.block(volume, &turned[i], &with)));
+        Self { nodes: element.nodes, blocks }
+    }
+}
+
+/// The factor of the elements over `count` unknowns of which nodes have shares, and the row of each.
+fn factored(
+    about: &About<'_>,
+    elements: &[Near],
+    count: usize,
+    homes: &[NodeWeights],
+) -> Result<(Vec<u32>, SparseCholesky), FactorError> {
+    let mut pairs: Vec<(u32, u32)> = Vec::new();
+    for element in elements {
+        let all = || element.nodes.iter().flat_map(|node| &homes[*node as usize]).map(|(at, _)| *at);
+        all().for_each(|a| pairs.extend(all().filter(|b| a < *b).map(|b| (a, b))));
+    }
+    pairs.sort_unstable();
+    pairs.dedup();
+    let order = minimum_degree(count, pairs.iter().copied());
+    let mut rows = vec![0; count];
+    order.iter().zip(0_u32..).for_each(|(&at, row)| rows[at as usize] = row);
+    let pairs = pairs.iter().map(|&(a, b)| (rows[a as usize], rows[b as usize]));
+    let mut matrix = BlockMatrix::zeros(BlockPattern::new(count, pairs));
+    let mut add = |of: &NodeWeights, with: &NodeWeights, block: &Matrix3<f64>| {
+        for &(a, share) in of {
+            for &(b, weight) in with {
+                let (row, column) = (rows[a as usize], rows[b as usize]);
+                if row >= column {
+                    matrix.add(row, column, &(block * (share * weight)));
+                }
+            }
+        }
+    };
+    let dt = about.matter.dt;
+    let inertia = 1.0 / (dt * dt) + about.matter.damping.mass / dt;
+    for (home, mass) in homes.iter().zip(about.masses).filter(|(home, _)| !home.is_empty()) {
+        add(home, home, &Matrix3::from_diagonal_element(mass * inertia));
+    }
+    for Near { nodes, blocks } in elements {
+        for (node, row) in nodes.iter().zip(blocks) {
+            for (other, block) in nodes.iter().zip(row) {
+                add(&homes[*node as usize], &homes[*other as usize], block);
+            }
+        }
+    }
+    let mut factor = SparseCholesky::new(matrix.pattern(), 1)?;
+    factor.factor(matrix.pattern(), matrix.values())?;
+    Ok((rows, factor))
+}

@@ -1,0 +1,231 @@
+//! A body that has come apart goes on with the factor of what it was until that of what it is has been computed.
+//!
+//! The quasi-Newton method needs an inverse Hessian only to begin with. That of the former mesh is one of all motions in which
+//! new nodes go with those that they come from; what a cut changes near by is added (`local_correction.rs`; an additive Schwarz method,
+//! Dryja and Widlund 1987). Steps end as near to balance as with a factor of their own: so nothing jumps when that is there.
+
+use nalgebra::{Point3, Vector3};
+use trocar_dynamics::tet_mesh::{Birth, TetMesh};
+
+use super::config::DynamicFemError;
+use super::incremental_potential::{Coupling, Inputs};
+use super::local_correction::{About, NearCut};
+use super::solver::{DynamicFem, FactoredAt};
+use super::state::DynamicFemState;
+use crate::linear_algebra::{BlockMatrix, FactorError, SparseCholesky};
+
+/// A factor, and of what it is.
+pub struct Analysis {
+    /// Row of each node in the order of elimination; `None` for fixed ones.
+    numbers: Vec<Option<u32>>,
+    hessian: BlockMatrix,
+    factor: SparseCholesky,
+    factored_at: FactoredAt,
+}
+
+/// How nodes that the factor does not know go with those that it does.
+pub(super) struct StaleFactor {
+    births: Vec<Birth>,
+    /// The nodes of the factor that each new node goes with, and their shares.
+    parents: Vec<Vec<(u32, f64)>>,
+    near: NearCut,
+}
+
+/// The nodes among the first so many that each born one goes with.
+fn parents(known: usize, births: &[Birth]) -> Vec<Vec<(u32, f64)>> {
+    let mut parents: Vec<Vec<(u32, f64)>> = Vec::with_capacity(births.len());
+    for birth in births {
+        let mut own: Vec<(u32, f64)> = Vec::new();
+        for (node, share) in [(birth.of[0], 1.0 - birth.share), (birth.of[1], birth.share)] {
+            let of = match (node as usize).checked_sub(known) {
+                Some(born) => parents.get(born).cloned().unwrap_or_default(),
+                None => vec![(node, 1.0)],
+            };
+            for (node, weight) in of.into_iter().filter(|_| share != 0.0) {
+                match own.iter_mut().find(|(known, _)| *known == node) {
+                    Some((_, sum)) => *sum += weight * share,
+                    None => own.push((node, weight * share)),
+                }
+            }
+        }
+        parents.push(own);
+    }
+    parents
+}
+
+impl DynamicFem {
+    /// Whether it goes on with the factor of what it was.
+    #[must_use]
+    pub fn is_lent(&self) -> bool {
+        self.lent.is_some()
+    }
+
+    /// Whether there is a factor that can be lent to what comes of it.
+    #[must_use]
+    pub fn has_factor(&self) -> bool {
+        !self.factored_at.positions.is_empty()
+    }
+
+    /// How often a pattern has been analysed in the midst of a step.
+    #[must_use]
+    pub fn analysed(&self) -> u32 {
+        self.analysed
+    }
+
+    /// Computes its factor where its nodes are at these places \[m\], for steps of `dt` seconds, with what couples nodes besides.
+    ///
+    /// # Errors
+    /// Lists of another length; there is no factor.
+    pub fn factor_at(
+        &mut self,
+        positions: &[Point3<f64>],
+        dt: f64,
+        couplings: &[Coupling],
+    ) -> Result<(), DynamicFemError> {
+        if positions.len() != self.positions.len() || !(dt > 0.0 && dt <= 1.0) {
+            return Err(DynamicFemError::State("what its factor is to be computed from is of another body"));
+        }
+        let (positions, couplings) = (positions.to_vec(), couplings.to_vec());
+        Ok(self.refactor(FactoredAt { positions, dt, couplings }, &Inputs::default())?)
+    }
+
+    /// Leaves the factor alone of it.
+    #[must_use]
+    pub fn into_analysis(self) -> Analysis {
+        let Self { numbers, hessian, factor, factored_at, .. } = self;
+        Analysis { numbers, hessian, factor, factored_at }
+    }
+
+    /// It has come apart: it has this mesh now, these of its nodes are fixed, and nodes were born behind those it had; `change`
+    /// does to its elements what has been done to them. Its factor is lent until another is taken over.
+    ///
+    /// # Errors
+    /// No room for an analysis, which is needed at once where there is no factor to lend.
+    pub fn come_apart(
+        &mut self,
+        mesh: TetMesh,
+        fixed: &[u32],
+        born: &[Birth],
+        change: impl FnOnce(&mut Self),
+    ) -> Result<(), FactorError> {
+        let lends = self.has_factor();
+        let factored_at = std::mem::take(&mut self.factored_at);
+        for birth in born {
+            let mix = |a: &Vector3<f64>, b: &Vector3<f64>, share: f64| a + (b - a) * share;
+            self.positions.push(birth.mix(&self.positions, |a, b, share| a + (b - a) * share));
+            self.velocities.push(birth.mix(&self.velocities, mix));
+            self.accelerations.push(birth.mix(&self.accelerations, mix));
+        }
+        let mut births = self.lent.take().map_or_else(Vec::new, |lent| lent.births);
+        births.extend_from_slice(born);
+        let known = mesh.rest().len() - births.len();
+        self.mesh = mesh;
+        self.look_at_mesh(fixed);
+        change(self);
+        if !lends {
+            return self.settle();
+        }
+        self.factored_at = factored_at;
+        self.numbers.truncate(known);
+        self.lend(births)
+    }
+
+    /// Goes on from a state whose factor is that which it has or has been lent.
+    pub fn go_on(&mut self, state: &DynamicFemState) {
+        self.positions.clone_from(&state.positions);
+        self.velocities.clone_from(&state.velocities);
+        self.accelerations.clone_from(&state.accelerations);
+        self.debt = state.debt;
+    }
+
+    fn lend(&mut self, births: Vec<Birth>) -> Result<(), FactorError> {
+        let known = self.numbers.len();
+        self.numbers.resize(self.positions.len(), None);
+        self.work.flat.clear();
+        self.work.flat.resize(self.factor.rows(), 0.0);
+        if births.is_empty() {
+            return Ok(());
+        }
+        let parents = parents(known, &births);
+        // Where the factor was computed, so that a later life does the same.
+        let mut places = self.factored_at.positions.clone();
+        for birth in &births {
+            places.push(birth.mix(&places, |a, b, share| a + (b - a) * share));
+        }
+        let about = About {
+            matter: self.matter(self.factored_at.dt, &[]),
+            masses: &self.mass.lumped,
+            is_fixed: &self.fixed,
+            known,
+            parents: &parents,
+        };
+        let near = NearCut::new(&about, &places).or_else(|_| NearCut::new(&about, self.mesh.rest()));
+        match near {
+            Ok(near) => self.lent = Some(StaleFactor { births, parents, near }),
+            // So distorted that nothing can be lent.
+            Err(_) => self.settle()?,
+        }
+        Ok(())
+    }
+
+    /// Takes over a factor of what it was, since when these nodes were born; of what it is where none were.
+    ///
+    /// # Errors
+    /// No room.
+    pub fn take_over(&mut self, analysis: Analysis, births: &[Birth]) -> Result<(), FactorError> {
+        let Analysis { numbers, hessian, factor, factored_at } = analysis;
+        (self.numbers, self.hessian, self.factor) = (numbers, hessian, factor);
+        (self.factored_at, self.debt, self.lent) = (factored_at, 0, None);
+        self.lend(births.to_vec())
+    }
+
+    /// Analyses what it is at once; the factor is to be computed.
+    ///
+    /// # Errors
+    /// No room.
+    pub(super) fn settle(&mut self) -> Result<(), FactorError> {
+        let (numbers, hessian, factor) = Self::analyse(&self.mesh, &self.fixed)?;
+        (self.numbers, self.hessian, self.factor) = (numbers, hessian, factor);
+        (self.factored_at, self.lent) = (FactoredAt::default(), None);
+        self.analysed += 1;
+        self.lend(Vec::new())
+    }
+}
+
+/// The inverse Hessian times vectors of the nodes, as far as it is known.
+pub(super) fn solve(
+    factor: &mut SparseCholesky,
+    numbers: &[Option<u32>],
+    lent: Option<&mut StaleFactor>,
+    flat: &mut [f64],
+    vector: &mut [Vector3<f64>],
+) {
+    let known = numbers.len() - lent.as_ref().map_or(0, |lent| lent.births.len());
+    for (node, number) in numbers.iter().enumerate() {
+        if let Some(number) = number {
+            flat[3 * *number as usize..][..3].copy_from_slice(vector[node].as_slice());
+        }
+    }
+    let of_born = lent.iter().flat_map(|lent| &lent.parents).zip(&vector[known..]);
+    for (parents, own) in of_born {
+        for &(node, share) in parents {
+            let Some(number) = numbers[node as usize] else { continue };
+            (0..3).for_each(|axis| flat[3 * number as usize + axis] += own[axis] * share);
+        }
+    }
+    factor.solve(flat);
+    let of = |number: u32| Vector3::from_column_slice(&flat[3 * number as usize..][..3]);
+    let of_node = |node: u32| numbers[node as usize].map_or_else(Vector3::zeros, of);
+    let Some(lent) = lent else {
+        (0_u32..).zip(vector).for_each(|(node, own)| *own = of_node(node));
+        return;
+    };
+    lent.near.load(vector);
+    for (node, own) in (0_u32..).zip(vector.iter_mut()) {
+        *own = match (node as usize).checked_sub(known) {
+            Some(born) => lent.parents[born].iter().map(|&(node, share)| of_node(node) * share).sum(),
+            None => of_node(node),
+        };
+    }
+    lent.near.add(vector);
+}

@@ -1,0 +1,315 @@
+//! Tissue that blades have parted: heat does not pass where they passed.
+//!
+//! The organ's heat goes over to the mesh as it is now, in which a vertex on a cut is two, one for each side; the lattice keeps
+//! its cells, and between cells on both sides of a cut nothing flows. What burned stays told by the elements of the first
+//! mesh.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Point3, Vector3};
+use trocar_dynamics::tet_mesh::Birth;
+
+use super::bioheat_fem::{OrganHeat, element_conduction};
+use super::error::ElectrosurgeryError;
+use super::material::BODY;
+use super::voxelisation::{Tissue, TissueLattice};
+use super::{Electrosurgery, ElectrosurgeryState};
+
+/// Tissue as blades have left it.
+#[derive(Clone, Copy, Debug)]
+pub struct Parted<'a> {
+    /// All vertices at rest \[m\], those of the first mesh before the others, and all elements, those that went too.
+    pub tissue: Tissue<'a>,
+    /// Of each element, the one of the first mesh that it is a part of.
+    pub of: &'a [u32],
+    /// Where the vertices come from that the first mesh did not have, in order; the last ones, where there are more of them than
+    /// of those.
+    pub births: &'a [Birth],
+}
+
+impl Parted<'_> {
+    fn check(&self, vertices: usize, elements: usize) -> Result<(), ElectrosurgeryError> {
+        let wrong = |what: String| Err(ElectrosurgeryError::Parted(what));
+        let (all, count) = (self.tissue.positions().len(), self.tissue.element_count());
+        if self.of.len() != count {
+            return wrong(format!(
+                "{} elements are told to be parts of others, {count} are valid",
+                self.of.len()
+            ));
+        }
+        if all < vertices || all - vertices > self.births.len() {
+            return wrong(format!(
+                "{all} vertices, of which {} were born: {vertices} were there",
+                self.births.len()
+            ));
+        }
+        if let Some(of) = self.of.iter().find(|of| **of as usize >= elements) {
+            return wrong(format!("a part of element {of}: 0 to {elements} - 1 are valid"));
+        }
+        let first = all - self.births.len();
+        for (vertex, birth) in (first..).zip(self.births) {
+            if birth.of.iter().any(|of| *of as usize >= vertex) || !(0.0..=1.0).contains(&birth.share) {
+                return wrong(format!(
+                    "vertex {vertex} comes from {:?}: only ones before it are valid",
+                    birth.of
+                ));
+            }
+        }
+        self.tissue.check_places()
+    }
+
+    /// Where the vertices beyond so many come from.
+    fn births_from(&self, count: usize) -> &[Birth] {
+        let first = self.tissue.positions().len() - self.births.len();
+        &self.births[count.saturating_sub(first).min(self.births.len())..]
+    }
+}
+
+/// What there is at each vertex of an organ.
+#[derive(Clone, Debug)]
+pub(super) struct Nodal {
+    pub celsius: Vec<f64>,
+    pub damage: Vec<f64>,
+    pub capacity: Vec<f64>,
+    pub perfusion: Vec<f64>,
+    pub held: Vec<bool>,
+    /// Volume that belonged to each before anything went \[m³\].
+    pub whole: Vec<f64>,
+}
+
+impl Nodal {
+    fn stored(&self) -> f64 {
+        self.capacity.iter().zip(&self.celsius).map(|(capacity, celsius)| capacity * (celsius - BODY)).sum()
+    }
+
+    /// Goes over to the vertices of `organ`, of which the last ones were born so. Heat is kept: what is between two vertices is as
+    /// warm as a linear field has it, of which that is true, but where parts of the capacity have gone.
+    fn grow(&mut self, births: &[Birth], organ: &OrganHeat) {
+        let before = self.stored();
+        let mut shares: Vec<[f64; 2]> = (0..self.whole.len())
+            .map(|vertex| {
+                let whole = self.whole[vertex].max(f64::MIN_POSITIVE);
+                [self.capacity[vertex] / whole, self.perfusion[vertex] / whole]
+            })
+            .collect();
+        let mix = |a: &f64, b: &f64, share: f64| a + (b - a) * share;
+        for birth in births {
+            self.celsius.push(birth.mix(&self.celsius, mix));
+            self.damage.push(birth.mix(&self.damage, mix));
+            self.held.push(birth.mix(&self.held, |a, b, share| if share < 0.5 { *a } else { *b }));
+            shares.push(birth.mix(&shares, |a, b, share| [0, 1].map(|k| mix(&a[k], &b[k], share))));
+        }
+        let changed =
+            |vertex: usize| self.whole.get(vertex).is_none_or(|whole| *whole != organ.whole[vertex]);
+        let changed: Vec<usize> = (0..organ.whole.len()).filter(|vertex| changed(*vertex)).collect();
+        self.capacity.resize(organ.whole.len(), 0.0);
+        self.perfusion.resize(organ.whole.len(), 0.0);
+        for &vertex in &changed {
+            let whole = organ.whole[vertex];
+            self.capacity[vertex] = (shares[vertex][0] * whole).max(organ.capacity_least[vertex]);
+            self.perfusion[vertex] = shares[vertex][1] * whole;
+        }
+        self.whole.clone_from(&organ.whole);
+        let missing = before - self.stored();
+        let capacity: f64 = changed.iter().map(|vertex| self.capacity[*vertex]).sum();
+        if capacity > 0.0 {
+            changed.iter().for_each(|vertex| self.celsius[*vertex] += missing / capacity);
+        }
+    }
+}
+
+impl Electrosurgery {
+    /// Heat goes over to tissue that blades have parted further. As often as there is news of them; it costs as much as the mesh
+    /// has elements.
+    ///
+    /// # Errors
+    /// What does not go with the first mesh; it is as before.
+    pub fn part(&mut self, parted: &Parted<'_>) -> Result<(), ElectrosurgeryError> {
+        let nodal = self.nodal();
+        self.part_from(parted, nodal)
+    }
+
+    pub(super) fn nodal(&self) -> Nodal {
+        Nodal {
+            celsius: self.organ.celsius.clone(),
+            damage: self.organ_damage.clone(),
+            capacity: self.organ.capacity.clone(),
+            perfusion: self.organ.perfusion.clone(),
+            held: self.organ.held.clone(),
+            whole: self.organ.whole.clone(),
+        }
+    }
+
+    fn part_from(&mut self, parted: &Parted<'_>, mut nodal: Nodal) -> Result<(), ElectrosurgeryError> {
+        parted.check(self.organ.celsius.len(), self.burns.is_removed.len())?;
+        let lattice = TissueLattice::new(&parted.tissue, self.grid.spacing)?
+            .parted(parted.of, &cuts(&parted.tissue, &self.rim));
+        let mut organ = OrganHeat::new(&parted.tissue, &self.material);
+        nodal.grow(parted.births_from(nodal.celsius.len()), &organ);
+        self.organ_damage = nodal.damage;
+        organ.celsius = nodal.celsius;
+        organ.capacity = nodal.capacity;
+        organ.perfusion = nodal.perfusion;
+        organ.held = nodal.held;
+        self.positions = parted.tissue.positions().to_vec();
+        self.elements = (0..parted.of.len())
+            .map(|element| {
+                let mut corners = [0; 4];
+                let found = parted.tissue.corners(element);
+                corners[..found.len()].copy_from_slice(found);
+                (corners, element_conduction(&parted.tissue, element, self.material.conductivity))
+            })
+            .collect();
+        self.parts = parted.of.iter().zip(0..).map(|(of, element)| (*of, element)).collect();
+        self.parts.sort_unstable();
+        self.organ = organ;
+        for element in self.burns.order.clone() {
+            self.disconnect(element);
+        }
+        self.grid.part(lattice);
+        Ok(())
+    }
+
+    /// An element of the first mesh conducts no longer.
+    pub(super) fn disconnect(&mut self, element: u32) {
+        let from = self.parts.partition_point(|(of, _)| *of < element);
+        for (_, part) in self.parts[from..].iter().take_while(|(of, _)| *of == element) {
+            let (corners, conduction) = &self.elements[*part as usize];
+            self.organ.disconnect(&corners[..self.corners], conduction);
+        }
+    }
+
+    /// A state of a mesh that may have been parted further since: the tissue is brought to where it is parted now, with what the
+    /// state has at its vertices.
+    pub(super) fn restore_nodes(
+        &mut self,
+        state: &ElectrosurgeryState,
+        parted: Option<&Parted<'_>>,
+    ) -> Result<(), ElectrosurgeryError> {
+        let nodal = Nodal {
+            celsius: state.celsius.clone(),
+            damage: state.damage.clone(),
+            capacity: state.capacity.clone(),
+            perfusion: state.perfusion.clone(),
+            held: state.held.clone(),
+            whole: if state.whole.is_empty() { self.organ.whole.clone() } else { state.whole.clone() },
+        };
+        if let Some(parted) = parted {
+            return self.part_from(parted, nodal);
+        }
+        self.organ_damage = nodal.damage;
+        self.organ.celsius = nodal.celsius;
+        self.organ.capacity = nodal.capacity;
+        self.organ.perfusion = nodal.perfusion;
+        self.organ.held = nodal.held;
+        for element in self.burns.order.clone() {
+            self.disconnect(element);
+        }
+        Ok(())
+    }
+}
+
+/// A place to the bit, to find what lies there too.
+type Place = [u64; 3];
+
+fn place_of(point: &Point3<f64>) -> Place {
+    // Zero is zero.
+    [point.x, point.y, point.z].map(|x| (x + 0.0).to_bits())
+}
+
+/// Where the first mesh ends: facets, as the places of their corners, and of a membrane the segments of its rim.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Rim {
+    facets: Vec<Vec<Point3<f64>>>,
+}
+
+impl Rim {
+    pub(super) fn of(tissue: &Tissue<'_>) -> Self {
+        let positions = tissue.positions();
+        let facets = open_facets(tissue);
+        Self {
+            facets: facets
+                .iter()
+                .map(|facet| facet.iter().map(|vertex| positions[*vertex as usize]).collect())
+                .collect(),
+        }
+    }
+
+    /// Whether a facet lies in one of them, by the middle of it.
+    fn has(&self, middle: &Point3<f64>, reach: f64) -> bool {
+        self.facets.iter().any(|facet| match facet.as_slice() {
+            [a, b] => {
+                let along = b - a;
+                let share = (along.dot(&(middle - a)) / along.norm_squared()).clamp(0.0, 1.0);
+                (a + along * share - middle).norm() < reach
+            }
+            [a, b, c] => {
+                let normal = (b - a).cross(&(c - a));
+                let off = normal.dot(&(middle - a)) / normal.norm();
+                let sides = [(a, b), (b, c), (c, a)];
+                off.abs() < reach
+                    && sides.iter().all(|(from, to)| {
+                        (*to - *from).cross(&(middle - *from)).dot(&normal) >= -reach * normal.norm()
+                    })
+            }
+            _ => false,
+        })
+    }
+}
+
+/// Facets of one element alone, by their vertices: triangles of a volume, edges of a membrane.
+fn open_facets(tissue: &Tissue<'_>) -> Vec<Vec<u32>> {
+    let mut open: BTreeMap<Vec<u32>, u32> = BTreeMap::new();
+    for element in 0..tissue.element_count() {
+        let corners = tissue.corners(element);
+        for left_out in 0..corners.len() {
+            let mut facet: Vec<u32> = (0..corners.len())
+                .filter(|corner| *corner != left_out)
+                .map(|corner| corners[corner])
+                .collect();
+            facet.sort_unstable();
+            *open.entry(facet).or_default() += 1;
+        }
+    }
+    open.into_iter().filter(|(_, count)| *count == 1).map(|(facet, _)| facet).collect()
+}
+
+/// Triangles between which and what is beyond nothing is whole any longer: of a membrane, what a cut is across its thickness.
+fn cuts(tissue: &Tissue<'_>, rim: &Rim) -> Vec<[Point3<f64>; 3]> {
+    let positions = tissue.positions();
+    let mut twins: BTreeMap<Place, u32> = BTreeMap::new();
+    positions.iter().for_each(|point| *twins.entry(place_of(point)).or_default() += 1);
+    let is_twin = |vertex: &u32| twins[&place_of(&positions[*vertex as usize])] > 1;
+    let mut cuts = Vec::new();
+    let normals = vertex_normals(tissue);
+    for facet in open_facets(tissue) {
+        let corners: Vec<Point3<f64>> = facet.iter().map(|vertex| positions[*vertex as usize]).collect();
+        let middle = corners.iter().map(|corner| corner.coords).sum::<Vector3<f64>>() / corners.len() as f64;
+        // At the rim of the first mesh no vertex has a twin but where a cut ends in it.
+        let size = (corners[0] - corners[1]).norm();
+        if !facet.iter().any(is_twin) || rim.has(&Point3::from(middle), 1e-6 * size) {
+            continue;
+        }
+        match (corners.as_slice(), tissue) {
+            (&[a, b, c], _) => cuts.push([a, b, c]),
+            (&[a, b], Tissue::Membrane { thickness, .. }) => {
+                // Half as thick again, so that it bends as it will.
+                let [na, nb] = [0, 1].map(|end| normals[facet[end] as usize] * (0.75 * thickness));
+                cuts.extend([[a - na, b - nb, b + nb], [a - na, b + nb, a + na]]);
+            }
+            _ => {}
+        }
+    }
+    cuts
+}
+
+fn vertex_normals(tissue: &Tissue<'_>) -> Vec<Vector3<f64>> {
+    let Tissue::Membrane { positions, triangles, .. } = tissue else { return Vec::new() };
+    let mut normals = vec![Vector3::zeros(); positions.len()];
+    for triangle in *triangles {
+        let [a, b, c] = triangle.map(|vertex| positions[vertex as usize]);
+        let normal = (b - a).cross(&(c - a));
+        triangle.iter().for_each(|vertex| normals[*vertex as usize] += normal);
+    }
+    normals.iter().map(|normal| normal.try_normalize(0.0).unwrap_or_else(Vector3::zeros)).collect()
+}

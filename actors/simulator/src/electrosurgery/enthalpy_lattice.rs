@@ -1,0 +1,598 @@
+//! The lattice on which heat moves where it is fine: blocks of 8 × 8 × 8 cells, taken into use where the tip or the heat
+//! arrives, given back to the organ's mesh where it has left.
+//!
+//! A cell holds what its temperature exceeds that of the mesh there. Conduction is linear in the temperature, so both
+//! fields may move apart, and their sum moves as heat does; a field that varies within an element needs no place in the
+//! mesh, and no seam between lattice and mesh has to be kept continuous. Heat passes from the lattice to the mesh where a
+//! block that has cooled is given back, and at the rim of the active blocks.
+
+use super::bioheat_fem::OrganHeat;
+use super::damage::{CellEvent, ElementBurns, cell_number};
+use super::energy_balance::{HeatLedger, HeatReport};
+use super::enthalpy::{BOILING_NEARER, Enthalpy};
+use super::lattice_block::{
+    BOILING, BURST, Block, CELLS, CHARRED, COAGULATED, REMOVED, SIDES, TISSUE, beside, padded, side_cells,
+    xyz,
+};
+use super::material::ThermalMaterial;
+use super::voxelisation::{EDGE, PADDED, Site, TissueLattice};
+
+/// An excess at a side with which the block beyond is taken into use \[K\].
+const ARRIVES: f64 = 1.0;
+/// The largest excess with which a block is given back \[K\].
+const LEAVES: f64 = 0.5;
+/// Blocks that are remembered to be empty.
+const EMPTY_MAX: usize = 16_384;
+/// Share of the largest stable step that is taken.
+const SAFETY: f64 = 0.9;
+/// What has lost water and is no colder than this below the boiling point boils \[K\].
+const BOILS: f64 = 1.0;
+
+/// Blocks that were taken into use, in the order of their keys.
+#[derive(Clone, Debug)]
+pub(super) struct ThermalGrid {
+    pub spacing: f64,
+    pub blocks: Vec<Block>,
+    blocks_max: usize,
+    pub enthalpy: Enthalpy,
+    lattice: TissueLattice,
+    /// Blocks without tissue that were asked for, sorted: to find that out is dear.
+    empty: Vec<[i32; 3]>,
+    next: Vec<Box<[f64; CELLS]>>,
+    wanted: Vec<[i32; 3]>,
+    kept: Vec<[i32; 3]>,
+    padded_excess: Box<[f64; PADDED * PADDED * PADDED]>,
+    padded_conduction: Box<[f64; PADDED * PADDED * PADDED]>,
+    /// Conduction of cells that are dry; and by how much more heat passes between such a one and each that boils.
+    padded_dry: Box<[f64; PADDED * PADDED * PADDED]>,
+    padded_boiling: Box<[f64; PADDED * PADDED * PADDED]>,
+}
+
+/// What a step on the lattice writes to.
+pub(super) struct LatticeOutputs<'a> {
+    pub material: &'a ThermalMaterial,
+    pub organ: &'a mut OrganHeat,
+    pub burns: &'a mut ElementBurns,
+    pub ledger: &'a mut HeatLedger,
+    pub report: &'a mut HeatReport,
+    /// Whether cells that dry burst, and are gone.
+    pub bursts: bool,
+    /// Where tissue was removed last \[cells\], for the smoke: a sum, weighted by volume.
+    pub plume: &'a mut nalgebra::Vector4<f64>,
+}
+
+impl ThermalGrid {
+    pub(super) fn new(
+        lattice: TissueLattice,
+        spacing: f64,
+        blocks_max: usize,
+        material: &ThermalMaterial,
+    ) -> Self {
+        Self {
+            spacing,
+            blocks: Vec::new(),
+            blocks_max,
+            enthalpy: Enthalpy::new(material),
+            lattice,
+            empty: Vec::new(),
+            next: Vec::new(),
+            wanted: Vec::new(),
+            kept: Vec::new(),
+            padded_excess: Box::new([0.0; PADDED * PADDED * PADDED]),
+            padded_conduction: Box::new([0.0; PADDED * PADDED * PADDED]),
+            padded_dry: Box::new([0.0; PADDED * PADDED * PADDED]),
+            padded_boiling: Box::new([0.0; PADDED * PADDED * PADDED]),
+        }
+    }
+
+    pub(super) fn find(&self, key: [i32; 3]) -> Result<usize, usize> {
+        self.blocks.binary_search_by_key(&key, |block| block.key)
+    }
+
+    /// Volume of a whole cell \[m³\].
+    pub(super) fn cell_volume(&self) -> f64 {
+        self.spacing.powi(3)
+    }
+
+    /// Longest step in which diffusion on the lattice is stable \[s\].
+    pub(super) fn step_max(&self) -> f64 {
+        let diffusivity = self.enthalpy.diffusivity_max();
+        if diffusivity > 0.0 { SAFETY * self.spacing.powi(2) / (6.0 * diffusivity) } else { f64::INFINITY }
+    }
+
+    /// Heat in the cells beyond that of the mesh \[J\].
+    pub(super) fn stored(&self) -> f64 {
+        let of = |block: &Block| {
+            let cells = (0..CELLS).filter(|cell| block.is_tissue(*cell));
+            let heat = cells.map(|cell| {
+                self.enthalpy.capacity(block.water[cell]) * block.share(cell) * block.excess[cell]
+            });
+            heat.sum::<f64>() * self.cell_volume()
+        };
+        self.blocks.iter().filter(|block| block.is_active).map(of).sum()
+    }
+
+    /// Takes a block into use. Whether there is tissue there, and room for it.
+    pub(super) fn activate(&mut self, key: [i32; 3], report: &mut HeatReport) -> bool {
+        if let Ok(at) = self.find(key) {
+            self.blocks[at].is_active = true;
+            return true;
+        }
+        let Err(unasked) = self.empty.binary_search(&key) else { return false };
+        let Some(raster) = self.lattice.raster(key) else {
+            if self.empty.len() < EMPTY_MAX {
+                self.empty.insert(unasked, key);
+            }
+            return false;
+        };
+        if self.blocks.len() >= self.blocks_max {
+            // What nothing happened in need not be remembered.
+            let Some(pristine) = self.blocks.iter().position(Block::is_pristine) else {
+                report.refused_blocks += 1;
+                return false;
+            };
+            self.blocks.remove(pristine);
+        }
+        let (Ok(at) | Err(at)) = self.find(key);
+        self.blocks.insert(at, Block { is_active: true, ..Block::new(key, raster) });
+        true
+    }
+
+    /// A block as it was, at the end of the list; whether there is tissue at its place.
+    pub(super) fn remember(&mut self, key: [i32; 3]) -> Option<&mut Block> {
+        let raster = self.lattice.raster(key)?;
+        self.blocks.push(Block::new(key, raster));
+        self.blocks.last_mut()
+    }
+
+    /// Tissue was parted: cells lie otherwise in the mesh, and some are cut off from their neighbours. They keep their tissue,
+    /// and the element of the first mesh that they are told by.
+    pub(super) fn part(&mut self, lattice: TissueLattice) {
+        self.lattice = lattice;
+        for block in &mut self.blocks {
+            let Some(raster) = self.lattice.raster(block.key) else { continue };
+            for (site, now) in block.raster.sites.iter_mut().zip(raster.sites.iter()) {
+                if now.nodes != [0; 4] {
+                    *site = Site { element: site.element, other: site.other, others: site.others, ..*now };
+                }
+            }
+            block.raster.cut = raster.cut;
+        }
+    }
+
+    /// Conduction and perfusion for a time that is stable.
+    pub(super) fn diffuse(&mut self, dt: f64, books: &mut LatticeOutputs<'_>) {
+        let volume = self.cell_volume();
+        let blood = dt * books.material.perfusion_loss();
+        let mut used = 0;
+        for index in 0..self.blocks.len() {
+            if !self.blocks[index].is_active {
+                continue;
+            }
+            if self.next.len() == used {
+                self.next.push(Box::new([0.0; CELLS]));
+            }
+            let is_rim = self.gather(index);
+            let (block, next) = (&self.blocks[index], &mut self.next[used]);
+            used += 1;
+            let (excess, conduction) = (&self.padded_excess, &self.padded_conduction);
+            let (dry, boiling) = (&self.padded_dry, &self.padded_boiling);
+            let scale = dt / (self.spacing * self.spacing);
+            let mut lost = 0.0;
+            let is_whole = block.raster.cut.is_empty();
+            for cell in 0..CELLS {
+                let at = padded(cell);
+                let (own, through) = (excess[at], conduction[at]);
+                let flow = |beyond: usize| {
+                    let to_boiling = (dry[at] * boiling[beyond]).max(dry[beyond] * boiling[at]);
+                    through.min(conduction[beyond]).max(to_boiling) * (excess[beyond] - own)
+                };
+                let flows = if is_whole {
+                    flow(at - 1)
+                        + flow(at + 1)
+                        + flow(at - PADDED)
+                        + flow(at + PADDED)
+                        + flow(at - PADDED * PADDED)
+                        + flow(at + PADDED * PADDED)
+                } else {
+                    let ways = SIDES.into_iter().filter(|side| !block.is_cut_off(cell, *side));
+                    ways.fold(0.0, |sum, side| sum + flow(beside(at, side)))
+                };
+                if !block.is_tissue(cell) {
+                    next[cell] = 0.0;
+                    continue;
+                }
+                let capacity = self.enthalpy.capacity(block.water[cell]) * block.share(cell);
+                let mut gain = scale * flows;
+                if block.flags[cell] & COAGULATED == 0 {
+                    let carried = blood * block.share(cell) * own;
+                    gain -= carried;
+                    lost += carried;
+                }
+                next[cell] = own + gain / capacity;
+            }
+            books.ledger.perfusion += lost * volume;
+            // What leaves the active blocks arrives in the mesh.
+            for (side, _) in SIDES.iter().zip(is_rim).filter(|(_, is_rim)| *is_rim) {
+                for (cell, halo, _) in side_cells(*side).filter(|at| !block.is_cut_off(at.0, *side)) {
+                    let flow = conduction[padded(cell)].min(conduction[halo]) * excess[padded(cell)];
+                    if flow != 0.0 {
+                        let joules = scale * flow * volume;
+                        books.ledger.held += books.organ.deposit(block.site(cell), joules);
+                    }
+                }
+            }
+        }
+        let active = self.blocks.iter_mut().filter(|block| block.is_active);
+        for (block, next) in active.zip(&mut self.next) {
+            std::mem::swap(&mut block.excess, next);
+        }
+    }
+
+    /// Excess and conduction of a block and of the layer around it; which sides have no active block beyond.
+    fn gather(&mut self, index: usize) -> [bool; 6] {
+        let block = &self.blocks[index];
+        let around = SIDES.map(|side| self.find(block.beyond(side)).ok());
+        let through = |block: &Block, cell: usize| {
+            if block.is_tissue(cell) {
+                self.enthalpy.conductivity(block.water[cell]) * block.share(cell)
+            } else {
+                0.0
+            }
+        };
+        // Dry, its conduction; boiling, how much nearer it is.
+        let kind = |block: &Block, cell: usize, through: f64| {
+            if block.water[cell] == 0.0 {
+                (through, 0.0)
+            } else if block.flags[cell] & BOILING != 0 {
+                (0.0, BOILING_NEARER * block.share(cell))
+            } else {
+                (0.0, 0.0)
+            }
+        };
+        let (excess, conduction) = (&mut self.padded_excess, &mut self.padded_conduction);
+        let (dry, boiling) = (&mut self.padded_dry, &mut self.padded_boiling);
+        for cell in 0..CELLS {
+            let at = padded(cell);
+            excess[at] = block.excess[cell];
+            conduction[at] = through(block, cell);
+            (dry[at], boiling[at]) = kind(block, cell, conduction[at]);
+        }
+        std::array::from_fn(|side| {
+            let beyond = around[side].map(|at| &self.blocks[at]);
+            let side = SIDES[side];
+            for (_, halo, other) in side_cells(side) {
+                (excess[halo], conduction[halo]) = match beyond {
+                    Some(beyond) => (beyond.excess[other], through(beyond, other)),
+                    None => (0.0, f64::from(block.raster.share[halo]) * self.enthalpy.conductivity(1.0)),
+                };
+                // At the rim heat passes to the mesh, by conduction alone.
+                (dry[halo], boiling[halo]) = match beyond {
+                    Some(beyond) if beyond.is_active => kind(beyond, other, conduction[halo]),
+                    _ => (0.0, 0.0),
+                };
+            }
+            beyond.is_none_or(|beyond| !beyond.is_active)
+        })
+    }
+
+    /// Boiling, damage and removal after heat has moved for `dt`; blocks that heat reaches or has left.
+    pub(super) fn settle(&mut self, dt: f64, books: &mut LatticeOutputs<'_>) {
+        for index in 0..self.blocks.len() {
+            if !self.blocks[index].is_active {
+                continue;
+            }
+            let mut peak: f64 = 0.0;
+            for cell in 0..CELLS {
+                if !self.blocks[index].is_tissue(cell) {
+                    continue;
+                }
+                let celsius = self.settle_cell(index, cell, books);
+                let block = &mut self.blocks[index];
+                let has_boiled = block.water[cell] > 0.0 && block.water[cell] < 1.0;
+                let boils = has_boiled && celsius > self.enthalpy.boiling - BOILS;
+                block.flags[cell] = (block.flags[cell] & !BOILING) | if boils { BOILING } else { 0 };
+                books.report.hottest = books.report.hottest.max(celsius);
+                if celsius >= books.material.damage.threshold && block.is_tissue(cell) {
+                    block.damage[cell] += dt * books.material.damage.rate(celsius);
+                    if block.damage[cell] >= super::arrhenius::COAGULATED {
+                        self.coagulate(index, cell, books);
+                    }
+                }
+                peak = peak.max(self.blocks[index].excess[cell].abs());
+            }
+            self.blocks[index].peak = peak;
+        }
+        self.spread(books);
+    }
+
+    /// Boils what is too hot in a cell, and removes it when its time has come; its temperature \[°C\].
+    pub(super) fn settle_cell(&mut self, index: usize, cell: usize, books: &mut LatticeOutputs<'_>) -> f64 {
+        let volume = self.cell_volume();
+        let block = &mut self.blocks[index];
+        let below = block.site(cell).interpolate(&books.organ.celsius);
+        let mut celsius = below + block.excess[cell];
+        if celsius <= self.enthalpy.boiling {
+            return celsius;
+        }
+        let volume = volume * block.share(cell);
+        if block.water[cell] > 0.0 {
+            let (boiled, after) = self.enthalpy.boil(celsius, block.water[cell]);
+            block.water[cell] = (block.water[cell] - boiled.water).max(0.0);
+            celsius = after;
+            block.excess[cell] = celsius - below;
+            books.ledger.latent += boiled.latent * volume;
+            let with_mesh = books.organ.shrink(block.site(cell), boiled.capacity * volume);
+            books.ledger.steam += boiled.capacity * volume * (self.enthalpy.boiling - below) + with_mesh;
+            books.report.steam_rate += boiled.water * books.material.water * books.material.density * volume;
+        }
+        let is_dry = block.water[cell] == 0.0;
+        if is_dry && celsius >= books.material.charring && block.flags[cell] & CHARRED == 0 {
+            block.flags[cell] |= CHARRED;
+            let number = cell_number(block.key, cell);
+            books.burns.book(number, block.site(cell), volume, CellEvent::Charred);
+        }
+        if is_dry && (books.bursts || celsius >= books.material.ablation) {
+            self.remove(index, cell, books);
+        }
+        celsius
+    }
+
+    fn coagulate(&mut self, index: usize, cell: usize, books: &mut LatticeOutputs<'_>) {
+        let cell_volume = self.cell_volume();
+        let block = &mut self.blocks[index];
+        if block.flags[cell] & COAGULATED != 0 {
+            return;
+        }
+        block.flags[cell] |= COAGULATED;
+        let volume = cell_volume * block.share(cell);
+        let site = block.site(cell);
+        books.organ.stop_perfusion(site, volume * books.material.perfusion_loss());
+        books.burns.book(cell_number(block.key, cell), site, volume, CellEvent::Coagulated);
+    }
+
+    fn remove(&mut self, index: usize, cell: usize, books: &mut LatticeOutputs<'_>) {
+        let cell_volume = self.cell_volume();
+        let block = &mut self.blocks[index];
+        let volume = cell_volume * block.share(cell);
+        let capacity = self.enthalpy.capacity(block.water[cell]) * volume;
+        let (was_coagulated, was_charred) =
+            (block.flags[cell] & COAGULATED != 0, block.flags[cell] & CHARRED != 0);
+        let site = *block.site(cell);
+        if !was_coagulated {
+            books.organ.stop_perfusion(&site, volume * books.material.perfusion_loss());
+        }
+        books.ledger.removed += capacity * block.excess[cell] + books.organ.shrink(&site, capacity);
+        block.excess[cell] = 0.0;
+        block.flags[cell] |= REMOVED | if books.bursts { BURST } else { 0 };
+        // What vaporised was surely coagulated.
+        block.damage[cell] = block.damage[cell].max(super::arrhenius::COAGULATED);
+        let number = cell_number(block.key, cell);
+        books.burns.book(number, &site, volume, CellEvent::Removed { was_coagulated, was_charred });
+        let dry = books.material.density * (1.0 - books.material.water) * volume;
+        books.report.smoke_rate += dry * books.material.smoke;
+        books.report.removed_cells += 1;
+        books.report.removed_volume += volume;
+        let [x, y, z] = number.map(|index| (f64::from(index) + 0.5) * self.spacing * volume);
+        *books.plume += nalgebra::Vector4::new(x, y, z, volume);
+    }
+
+    /// Takes the blocks into use that heat reaches, gives those back that it has left.
+    fn spread(&mut self, books: &mut LatticeOutputs<'_>) {
+        let (mut wanted, mut kept) = (std::mem::take(&mut self.wanted), std::mem::take(&mut self.kept));
+        wanted.clear();
+        kept.clear();
+        for block in self.blocks.iter().filter(|block| block.is_active && block.peak > LEAVES) {
+            for side in SIDES {
+                let through = side_cells(side).filter(|(cell, halo, _)| {
+                    block.raster.share[*halo] > 0.0 && !block.is_cut_off(*cell, side)
+                });
+                let most = through.map(|(cell, _, _)| block.excess[cell].abs()).fold(0.0, f64::max);
+                if most > ARRIVES {
+                    wanted.push(block.beyond(side));
+                }
+                if most > LEAVES {
+                    kept.push(block.beyond(side));
+                }
+            }
+        }
+        for key in &wanted {
+            if !self.find(*key).is_ok_and(|at| self.blocks[at].is_active) {
+                self.activate(*key, books.report);
+            }
+        }
+        kept.sort_unstable();
+        let volume = self.cell_volume();
+        for block in self.blocks.iter_mut().filter(|block| block.is_active && block.peak < LEAVES) {
+            // Into some the heat is just about to come.
+            if kept.binary_search(&block.key).is_ok() {
+                continue;
+            }
+            for cell in 0..CELLS {
+                if block.is_tissue(cell) && block.excess[cell] != 0.0 {
+                    let capacity = self.enthalpy.capacity(block.water[cell]) * block.share(cell) * volume;
+                    let joules = capacity * block.excess[cell];
+                    books.ledger.held += books.organ.deposit(block.site(cell), joules);
+                }
+                block.excess[cell] = 0.0;
+            }
+            (block.is_active, block.peak) = (false, 0.0);
+        }
+        (self.wanted, self.kept) = (wanted, kept);
+    }
+
+    /// The cell at a vertex: the nearest of those about it that are tissue, else the nearest that were; where something was cut,
+    /// rather one on its side of that. Block and cell.
+    pub(super) fn cell_near(&self, point: &nalgebra::Point3<f64>, vertex: u32) -> Option<(usize, usize)> {
+        let at = point.coords / self.spacing;
+        let number = [at.x, at.y, at.z].map(|x| x.floor() as i32);
+        let mut best: Option<((bool, bool), f64, usize, usize)> = None;
+        for offset in 0..27_i32 {
+            let near = [offset % 3 - 1, offset / 3 % 3 - 1, offset / 9 - 1];
+            let near: [i32; 3] = std::array::from_fn(|axis| number[axis] + near[axis]);
+            let Ok(index) = self.find(near.map(|cell| cell.div_euclid(EDGE as i32))) else { continue };
+            let within = near.map(|cell| cell.rem_euclid(EDGE as i32) as usize);
+            let cell = within[0] + EDGE * (within[1] + EDGE * within[2]);
+            if self.blocks[index].flags[cell] & TISSUE == 0 {
+                continue;
+            }
+            let block = &self.blocks[index];
+            let is_beyond = !block.raster.cut.is_empty() && !block.site(cell).nodes.contains(&vertex);
+            let is_gone = !block.is_tissue(cell);
+            let distance = (0..3).map(|axis| (f64::from(near[axis]) + 0.5 - at[axis]).powi(2)).sum();
+            let now = ((is_gone, is_beyond), distance, index, cell);
+            if best.is_none_or(|best| (now.0, now.1) < (best.0, best.1)) {
+                best = Some(now);
+            }
+        }
+        best.map(|(_, _, index, cell)| (index, cell))
+    }
+
+    /// How many sides of a cell have no tissue beyond.
+    pub(super) fn bare_sides(&self, block: &Block, cell: usize) -> u32 {
+        let bare = SIDES.into_iter().filter(|side| {
+            let (found, beyond) = self.beside(block, cell, *side);
+            // Of a block that was never in use, what its neighbour knows of it.
+            !found.map_or_else(
+                || block.raster.share[beside(padded(cell), *side)] > 0.0,
+                |found| found.is_tissue(beyond),
+            )
+        });
+        bare.count() as u32
+    }
+
+    /// Whether what was beside a cell went up in smoke.
+    pub(super) fn is_bared_by_fire(&self, block: &Block, cell: usize) -> bool {
+        SIDES.into_iter().any(|side| {
+            let (found, beyond) = self.beside(block, cell, side);
+            found.is_some_and(|found| found.flags[beyond] & (REMOVED | BURST) == REMOVED)
+        })
+    }
+
+    /// The cell beside one, and its block where that was ever in use.
+    fn beside(&self, block: &Block, cell: usize, (axis, way): (usize, i32)) -> (Option<&Block>, usize) {
+        let own = xyz(cell).map(|at| at as i32);
+        let mut at: [i32; 3] = std::array::from_fn(|axis| block.key[axis] * EDGE as i32 + own[axis]);
+        at[axis] += way;
+        let within = at.map(|cell| cell.rem_euclid(EDGE as i32) as usize);
+        let found = self.find(at.map(|cell| cell.div_euclid(EDGE as i32)));
+        (found.ok().map(|index| &self.blocks[index]), within[0] + EDGE * (within[1] + EDGE * within[2]))
+    }
+
+    /// Middle of a cell, in the tissue's rest frame \[m\].
+    pub(super) fn centre(&self, block: &Block, cell: usize) -> nalgebra::Point3<f64> {
+        let within = xyz(cell);
+        let at = |axis: usize| {
+            (f64::from(block.key[axis]) * EDGE as f64 + within[axis] as f64 + 0.5) * self.spacing
+        };
+        nalgebra::Point3::new(at(0), at(1), at(2))
+    }
+
+    /// Temperature of a cell \[°C\].
+    pub(super) fn celsius(&self, block: &Block, cell: usize, organ: &OrganHeat) -> f64 {
+        block.site(cell).interpolate(&organ.celsius) + block.excess[cell]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::bar;
+    use super::super::{BODY, Electrosurgery, LatticeConfig, Tissue};
+    use super::*;
+
+    /// A block of tissue that is all on the lattice, warmer than the body by `excess` at each cell's middle \[K\].
+    fn warmed(
+        cells: [u32; 3],
+        mesh: f64,
+        spacing: f64,
+        material: ThermalMaterial,
+        excess: impl Fn([f64; 3]) -> f64,
+    ) -> Electrosurgery {
+        let (positions, tets) = bar(cells, mesh);
+        let tissue = Tissue::Volume { positions: &positions, tets: &tets };
+        let lattice = LatticeConfig { spacing, ..LatticeConfig::default() };
+        let mut heat = Electrosurgery::new(&tissue, material, lattice).expect("tissue");
+        let blocks = cells.map(|count| (f64::from(count) * mesh / spacing / EDGE as f64).ceil() as i32);
+        let mut report = HeatReport::default();
+        for key in (0..blocks.iter().product::<i32>())
+            .map(|at| [at % blocks[0], at / blocks[0] % blocks[1], at / (blocks[0] * blocks[1])])
+        {
+            assert!(heat.grid.activate(key, &mut report), "tissue in block {key:?}");
+        }
+        for index in 0..heat.grid.blocks.len() {
+            for cell in 0..CELLS {
+                let middle = heat.grid.centre(&heat.grid.blocks[index], cell);
+                let block = &mut heat.grid.blocks[index];
+                if block.is_tissue(cell) {
+                    block.excess[cell] = excess([middle.x, middle.y, middle.z]);
+                }
+            }
+        }
+        heat
+    }
+
+    /// Mean excess of the cells that touch a place \[K\].
+    fn excess_at(heat: &Electrosurgery, place: [f64; 3]) -> f64 {
+        let reach = heat.grid.spacing * 0.51;
+        let near = heat
+            .cells()
+            .filter(|cell| (0..3).all(|axis| (cell.middle_in_rest[axis] - place[axis]).abs() <= reach));
+        let (sum, count) =
+            near.fold((0.0, 0.0), |(sum, count), cell| (sum + cell.celsius - BODY, count + 1.0));
+        sum / count
+    }
+
+    /// Half of space at 100 °C, the other half at 37 °C: their seam stays at the mean, so that each half warms or cools as
+    /// half of space does whose face is held there, with half the reference's rise.
+    #[test]
+    fn beyond_a_seam_at_a_constant_temperature_the_lattice_warms_as_the_error_function() {
+        let bloodless = ThermalMaterial { perfusion: 0.0, ..ThermalMaterial::default() };
+        for (depth, seconds, expected, spacing, half) in [
+            (1e-3, 1.0, 40.4845, 0.125e-3, 8),
+            (2e-3, 5.0, 42.4499, 0.25e-3, 8),
+            (5e-3, 30.0, 42.0533, 0.5e-3, 16),
+        ] {
+            let seam = f64::from(half) * 1e-3;
+            let warm = |[x, _, _]: [f64; 3]| if x < seam { 100.0 - BODY } else { 0.0 };
+            let mut heat = warmed([2 * half, 1, 1], 1e-3, spacing, bloodless, warm);
+            for _ in 0..(seconds / 0.02_f64).round() as u32 {
+                heat.step(0.02, &[]).expect("a step");
+            }
+            let (rise, wanted) = (excess_at(&heat, [seam + depth, 0.5e-3, 0.5e-3]), (expected - BODY) / 2.0);
+            // Of a block that has all but cooled the heat goes to the mesh, which is coarser.
+            assert!(
+                (rise / wanted - 1.0).abs() < 0.05,
+                "{depth} m after {seconds} s: {rise} K, not {wanted} K"
+            );
+        }
+    }
+
+    /// A warm spot in tissue with blood: a Gaussian stays one, its variance grows by 2αt, and blood carries off what
+    /// Pennes' equation says. Half the spacing, less than half of the error where it is warmest.
+    #[test]
+    fn a_warm_spot_spreads_and_is_cooled_by_blood_as_pennes_has_it() {
+        let material = ThermalMaterial::default();
+        let (variance, middle, seconds) = (1.44e-6, 6e-3, 4.0);
+        let capacity = material.wet_capacity();
+        let grown = variance + 2.0 * material.conductivity / capacity * seconds;
+        let kept = (-material.perfusion_loss() / capacity * seconds).exp();
+        let errors = [0.5e-3, 0.25e-3].map(|spacing| {
+            let from =
+                |[x, y, z]: [f64; 3]| (x - middle).powi(2) + (y - middle).powi(2) + (z - middle).powi(2);
+            let warm = |at| 6.0 * (-from(at) / (2.0 * variance)).exp();
+            let mut heat = warmed([6; 3], 2e-3, spacing, material, warm);
+            for _ in 0..(seconds / 0.02) as u32 {
+                heat.step(0.02, &[]).expect("a step");
+            }
+            // On the lines between cells, where four or eight of them meet.
+            [0.0, 1e-3, 2e-3].map(|away| {
+                let wanted = 6.0 * (variance / grown).powf(1.5) * kept * (-away * away / (2.0 * grown)).exp();
+                excess_at(&heat, [middle + away, middle, middle]) / wanted - 1.0
+            })
+        });
+        for (coarse, fine) in errors[0].iter().zip(errors[1]) {
+            assert!(coarse.abs() < 0.03 && fine.abs() < 0.03, "{errors:?}");
+        }
+        assert!(errors[1][0].abs() < 0.5 * errors[0][0].abs(), "{errors:?}");
+    }
+}

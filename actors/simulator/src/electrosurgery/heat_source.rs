@@ -1,0 +1,194 @@
+//! The heat of an electrode on the lattice: which cells it reaches, how much each gets, in parts so small that what a cell
+//! has too much of when it goes does not matter.
+
+use super::electrode::{Electrode, Mode, REACH, profile};
+use super::electrode_contact::{Contact, Facing};
+use super::energy_balance::HeatReport;
+use super::enthalpy_lattice::{LatticeOutputs, ThermalGrid};
+use super::error::HeatStepError;
+use super::lattice_block::CELLS;
+use super::voxelisation::EDGE;
+
+/// Share of the heat that vaporises a cell that it may get in one part.
+const PART: f64 = 0.05;
+/// Most parts of a step.
+const PARTS_MAX: u32 = 4096;
+
+/// A cell that an electrode may heat.
+#[derive(Clone, Copy, Debug)]
+struct Near {
+    block: usize,
+    cell: usize,
+    /// From the tip \[m\].
+    distance: f64,
+    /// Joules for each joule of the whole.
+    share: f64,
+}
+
+/// The cells about an electrode; kept for the next.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Source {
+    near: Vec<Near>,
+    /// How many of them there were when it was seen how the metal lies to them.
+    faced: usize,
+    /// Area of the metal that faces them \[m²\].
+    pub area: f64,
+}
+
+impl Source {
+    /// Blocks about the electrode are taken into use; whether the step's parts are few enough.
+    pub(super) fn prepare(
+        &mut self,
+        grid: &mut ThermalGrid,
+        electrode: &Electrode,
+        dt: f64,
+        books: &mut LatticeOutputs<'_>,
+    ) -> Result<f64, HeatStepError> {
+        self.near.clear();
+        if electrode.power == 0.0 {
+            return Ok(f64::INFINITY);
+        }
+        self.gather(grid, electrode, books.report);
+        let gap = self.aim(grid, electrode, books.material.dry_current);
+        let energy = electrode.power * electrode.efficiency(gap) * dt;
+        let density = self.density(grid);
+        let parts = energy * density / (PART * grid.enthalpy.vaporisation());
+        if parts > f64::from(PARTS_MAX) {
+            return Err(HeatStepError::TooStrong { dt, parts: parts.ceil(), most: PARTS_MAX });
+        }
+        Ok(gap)
+    }
+
+    /// How the metal of an electrode lies to the tissue; blocks about it are taken into use.
+    pub(super) fn contact(
+        &mut self,
+        grid: &mut ThermalGrid,
+        electrode: &Electrode,
+        report: &mut HeatReport,
+    ) -> Contact {
+        self.gather(grid, electrode, report);
+        self.facing(grid, electrode)
+    }
+
+    fn facing(&self, grid: &ThermalGrid, electrode: &Electrode) -> Contact {
+        let cells = self.near.iter().map(|near| {
+            let block = &grid.blocks[near.block];
+            Facing { middle: grid.centre(block, near.cell), water: block.water[near.cell] }
+        });
+        Contact::with_cells(electrode, grid.spacing, cells)
+    }
+
+    /// The cells about an electrode that are tissue.
+    pub(super) fn gather(&mut self, grid: &mut ThermalGrid, electrode: &Electrode, report: &mut HeatReport) {
+        self.near.clear();
+        self.faced = usize::MAX;
+        let reach = REACH * electrode.radius(electrode.contact_area)
+            + electrode.contact_radius()
+            + electrode.mode.spark()
+            + grid.spacing;
+        let edge = EDGE as f64 * grid.spacing;
+        let tip = electrode.tip_in_rest;
+        let [low, high] =
+            [-reach, reach].map(|by| [tip.x, tip.y, tip.z].map(|x| ((x + by) / edge).floor() as i32));
+        let keys = (low[0]..=high[0]).flat_map(move |x| {
+            (low[1]..=high[1]).flat_map(move |y| (low[2]..=high[2]).map(move |z| [x, y, z]))
+        });
+        for key in keys.clone() {
+            grid.activate(key, report);
+        }
+        for key in keys {
+            let Ok(index) = grid.find(key) else { continue };
+            let block = &grid.blocks[index];
+            if !block.is_active {
+                continue;
+            }
+            for cell in (0..CELLS).filter(|cell| block.is_tissue(*cell)) {
+                let distance = (grid.centre(block, cell) - tip).norm();
+                if distance <= reach {
+                    self.near.push(Near { block: index, cell, distance, share: 0.0 });
+                }
+            }
+        }
+    }
+
+    /// Heat that the hottest place gets for each joule of the whole \[1/m³\].
+    fn density(&self, grid: &ThermalGrid) -> f64 {
+        let volume = grid.cell_volume();
+        let of = |near: &Near| near.share / (volume * grid.blocks[near.block].share(near.cell));
+        self.near.iter().map(of).fold(0.0, f64::max)
+    }
+
+    /// Shares of the cells that are still there; the gap from the tip to the nearest \[m\].
+    fn aim(&mut self, grid: &ThermalGrid, electrode: &Electrode, dry: f64) -> f64 {
+        self.near.retain(|near| grid.blocks[near.block].is_tissue(near.cell));
+        if self.near.len() != self.faced {
+            self.faced = self.near.len();
+            self.area = self.facing(grid, electrode).area(electrode);
+        }
+        let radius = electrode.radius(self.area);
+        let first = self.near.iter().min_by(|a, b| a.distance.total_cmp(&b.distance));
+        let nearest = first.map_or(f64::INFINITY, |first| first.distance);
+        // From the metal, a ball with the contact's radius, to about the side of the nearest cell. What burns away recedes from
+        // cell to cell, each of which goes when its middle is as hot as that: the wall runs through the nearest of the middles that
+        // are left, and whatever sticks out of it is the lattice.
+        let is_bared = |near: &Near| grid.is_bared_by_fire(&grid.blocks[near.block], near.cell);
+        let is_wall = electrode.mode == Mode::Coagulate && first.is_some_and(is_bared);
+        let gap = nearest - electrode.contact_radius() - if is_wall { 0.0 } else { grid.spacing / 2.0 };
+        let reach = REACH * radius;
+        let mut sum = 0.0;
+        for near in &mut self.near {
+            let beyond = near.distance - nearest;
+            near.share = if beyond > reach {
+                0.0
+            } else {
+                let block = &grid.blocks[near.block];
+                // Cutting, the arc in the steam strikes what is nearest; cells burst before they insulate.
+                let conducts = match electrode.mode {
+                    Mode::Cut => 1.0,
+                    Mode::Coagulate => dry + (1.0 - dry) * block.water[near.cell],
+                };
+                profile(beyond, radius) * block.share(near.cell) * conducts
+            };
+            sum += near.share;
+        }
+        if sum > 0.0 {
+            self.near.iter_mut().for_each(|near| near.share /= sum);
+        }
+        gap.max(0.0)
+    }
+
+    /// Heats for `dt` what was prepared; the energy that arrived \[J\].
+    pub(super) fn heat(
+        &mut self,
+        grid: &mut ThermalGrid,
+        electrode: &Electrode,
+        dt: f64,
+        books: &mut LatticeOutputs<'_>,
+    ) -> f64 {
+        let volume = grid.cell_volume();
+        let limit = PART * grid.enthalpy.vaporisation();
+        let (mut left, mut arrived) = (dt, 0.0);
+        for _ in 0..4 * PARTS_MAX {
+            let gap = self.aim(grid, electrode, books.material.dry_current);
+            let power = electrode.power * electrode.efficiency(gap);
+            if left <= 0.0 || self.near.is_empty() || power == 0.0 {
+                break;
+            }
+            let part = left.min(limit / (power * self.density(grid)));
+            for index in 0..self.near.len() {
+                let Near { block, cell, share, .. } = self.near[index];
+                if share == 0.0 {
+                    continue;
+                }
+                let at = &mut grid.blocks[block];
+                let capacity = grid.enthalpy.capacity(at.water[cell]) * at.share(cell) * volume;
+                at.excess[cell] += power * part * share / capacity;
+                grid.settle_cell(block, cell, books);
+            }
+            arrived += power * part;
+            left -= part;
+        }
+        books.ledger.supplied += arrived;
+        arrived
+    }
+}

@@ -1,0 +1,267 @@
+//! What eight rows that lie together have in common with their neighbours, and sums over it: the operator of the pressures,
+//! and what particles do to each other.
+
+use nalgebra::Vector3;
+
+use super::neighbour_lists::Rows;
+use super::neighbour_search::{LANES, Lanes, Packed};
+use crate::simd::f32x8::{Eight, ForEight, with_eight};
+
+/// Softens what slows down where particles meet, as a share of the square of the support (Monaghan 2005).
+const SOFT: f32 = 0.01;
+
+/// Links of eight rows that follow one another: each neighbour of one is in the list of all, and has a factor of 0 where it is
+/// none.
+#[derive(Clone, Copy)]
+pub(super) struct Links<'a> {
+    /// The first row.
+    pub row: usize,
+    /// Places of the rows, from the corner of the box \[m\].
+    pub axes: &'a [Lanes; 3],
+    /// Of all rows.
+    pub places: &'a [[f32; 4]],
+    /// Rows of the neighbours: particles first, then walls.
+    pub others: &'a [u32],
+    /// Factors of the ways to the rows from each neighbour in the gradients that the two have in common, in units.
+    pub factors: &'a [Packed],
+    /// The unit of factors \[1/m²\].
+    pub unit: f32,
+    /// How many particles.
+    pub liquid: usize,
+}
+
+impl Links<'_> {
+    /// Adds up what belongs to the neighbours, times the factors.
+    #[inline(always)]
+    fn weighted<E: Eight>(self, eight: E, of: &[[f32; 4]]) -> [E::Numbers; 4] {
+        let mut sums = [eight.all(0.0); 4];
+        for (other, factor) in self.others.iter().zip(self.factors) {
+            let (its, factor) = (&of[*other as usize], eight.unpack(&factor.0));
+            sums = std::array::from_fn(|axis| eight.add(sums[axis], eight.mul(factor, eight.all(its[axis]))));
+        }
+        let unit = eight.all(self.unit);
+        std::array::from_fn(|axis| eight.mul(sums[axis], unit))
+    }
+
+    /// Places of the rows.
+    #[inline(always)]
+    fn own<E: Eight>(self, eight: E) -> [E::Numbers; 3] {
+        vector(eight, self.axes)
+    }
+
+    /// Numbers of the rows, of a list of vectors.
+    #[inline(always)]
+    fn of_own<E: Eight>(self, eight: E, of: &[[f32; 4]]) -> [E::Numbers; 4] {
+        eight.columns(&eight_of(of, self.row))
+    }
+}
+
+/// A vector of each.
+#[inline(always)]
+fn vector<E: Eight>(eight: E, [x, y, z]: &[Lanes; 3]) -> [E::Numbers; 3] {
+    // Spelled out: a closure here is called, through memory.
+    [eight.load(&x.0), eight.load(&y.0), eight.load(&z.0)]
+}
+
+/// The first three.
+#[inline(always)]
+fn three<T>([x, y, z, _]: [T; 4]) -> [T; 3] {
+    [x, y, z]
+}
+
+/// The ways from a place.
+#[inline(always)]
+fn ways<E: Eight>(eight: E, own: [E::Numbers; 3], from: &[f32; 4]) -> [E::Numbers; 3] {
+    std::array::from_fn(|axis| eight.sub(own[axis], eight.all(from[axis])))
+}
+
+/// Eight of a list, from a place on.
+#[inline(always)]
+fn eight_of<T: Copy + Default>(list: &[T], from: usize) -> [T; LANES] {
+    let mut eight = [T::default(); LANES];
+    eight.copy_from_slice(&list[from..from + LANES]);
+    eight
+}
+
+/// Writes sums of eight rows, scaled.
+#[inline(always)]
+fn write<E: Eight>(eight: E, out: &mut [Vector3<f64>], sums: [E::Sums; 3], scale: f64) {
+    let [x, y, z] = sums;
+    let sums = [eight.sums(x), eight.sums(y), eight.sums(z)];
+    for (k, out) in out.iter_mut().enumerate() {
+        *out = Vector3::new(sums[0][k], sums[1][k], sums[2][k]) * scale;
+    }
+}
+
+/// Something that is computed of rows from their links.
+pub(super) trait Sweep<T> {
+    /// Of eight rows; all that it calls has to be inlined.
+    fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [T]);
+}
+
+/// What pressures do, times `scale`: the sum of those of the two times the gradient. In double precision, so that what one gives
+/// another takes: each term is the same from both sides but for its sign, and sums of them are exact enough.
+pub(super) struct Push<'a> {
+    pub pressures: &'a [f32],
+    pub scale: f64,
+}
+
+impl Sweep<Vector3<f64>> for Push<'_> {
+    #[inline(always)]
+    fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [Vector3<f64>]) {
+        let (own, place) = (eight.load(&eight_of(self.pressures, links.row)), links.own(eight));
+        let mut sums = [eight.nothing(); 3];
+        for (other, factor) in links.others.iter().zip(links.factors) {
+            let its = eight.all(self.pressures[*other as usize]);
+            let times = eight.mul(eight.add(own, its), eight.unpack(&factor.0));
+            let way = ways(eight, place, &links.places[*other as usize]);
+            sums = std::array::from_fn(|axis| eight.add_to(sums[axis], eight.mul(times, way[axis])));
+        }
+        write(eight, out, sums, self.scale * f64::from(links.unit));
+    }
+}
+
+/// What viscosity makes of velocities, times `scale`: the sum over particles of what the two of them approach each other, along
+/// the way (Monaghan, *Smoothed particle hydrodynamics*, 2005), but for ten times the viscosity \[1/s/m²\].
+pub(super) struct Drag<'a> {
+    pub velocities: &'a [[f32; 4]],
+    pub support: f32,
+    pub scale: f64,
+}
+
+impl Sweep<Vector3<f64>> for Drag<'_> {
+    #[inline(always)]
+    fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [Vector3<f64>]) {
+        let soft = eight.all(SOFT * self.support * self.support);
+        let (own, place) = (three(links.of_own(eight, self.velocities)), links.own(eight));
+        let mut sums = [eight.nothing(); 3];
+        for (other, factor) in links.others[..links.liquid].iter().zip(links.factors) {
+            let way = ways(eight, place, &links.places[*other as usize]);
+            let apart = ways(eight, own, &self.velocities[*other as usize]);
+            let drag = eight.div(eight.unpack(&factor.0), eight.add(eight.dot(way, way), soft));
+            let push = eight.mul(drag, eight.dot(apart, way));
+            sums = std::array::from_fn(|axis| eight.add_to(sums[axis], eight.mul(push, way[axis])));
+        }
+        write(eight, out, sums, self.scale * f64::from(links.unit));
+    }
+}
+
+/// How fast rows are being compressed by velocities \[1/s\].
+struct Rate<'a>(&'a [[f32; 4]]);
+
+impl Sweep<f32> for Rate<'_> {
+    #[inline(always)]
+    fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [f32]) {
+        let (own, place) = (three(links.of_own(eight, self.0)), links.own(eight));
+        let mut sum = eight.all(0.0);
+        for (other, factor) in links.others.iter().zip(links.factors) {
+            let way = ways(eight, place, &links.places[*other as usize]);
+            let apart = ways(eight, own, &self.0[*other as usize]);
+            sum = eight.add(sum, eight.mul(eight.unpack(&factor.0), eight.dot(apart, way)));
+        }
+        out.copy_from_slice(&eight.store(eight.mul(sum, eight.all(links.unit))));
+    }
+}
+
+/// What pressures make of velocities in a second, as differences of sums: of each row the pressure times its place, and the
+/// pressure. The fourth number is the velocity times the place.
+struct Gradient<'a> {
+    rows: &'a Rows,
+    lifted: &'a [[f32; 4]],
+}
+
+impl Sweep<[f32; 4]> for Gradient<'_> {
+    #[inline(always)]
+    fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [[f32; 4]]) {
+        let sums = links.weighted(eight, self.lifted);
+        let cluster = links.row / LANES;
+        let at = vector(eight, &self.rows.centred[cluster]);
+        let pull = vector(eight, &self.rows.pulls[cluster]);
+        let [.., own] = links.of_own(eight, self.lifted);
+        let velocity: [E::Numbers; 3] = std::array::from_fn(|axis| {
+            let change = eight.sub(eight.mul(at[axis], sums[3]), sums[axis]);
+            eight.add(eight.mul(pull[axis], own), change)
+        });
+        let [x, y, z] = velocity;
+        out.copy_from_slice(&eight.rows([x, y, z, eight.dot(velocity, at)]));
+    }
+}
+
+/// How fast rows are compressed by velocities, as differences of sums, times `factor` and `scale`.
+struct Divergence<'a> {
+    rows: &'a Rows,
+    velocities: &'a [[f32; 4]],
+    scale: &'a [f32],
+    factor: f32,
+}
+
+impl Sweep<f32> for Divergence<'_> {
+    #[inline(always)]
+    fn sweep<E: Eight>(&self, eight: E, links: Links<'_>, out: &mut [f32]) {
+        let sums = links.weighted(eight, self.velocities);
+        let cluster = links.row / LANES;
+        let at = vector(eight, &self.rows.centred[cluster]);
+        let pull = vector(eight, &self.rows.pulls[cluster]);
+        let own = eight.dot(pull, three(links.of_own(eight, self.velocities)));
+        let its = eight.dot(at, [sums[0], sums[1], sums[2]]);
+        let rate = eight.add(sums[3], eight.sub(own, its));
+        let scale = eight.load(&eight_of(self.scale, links.row));
+        out.copy_from_slice(&eight.store(eight.mul3(eight.all(self.factor), scale, rate)));
+    }
+}
+
+impl Rows {
+    /// The operator of the pressures, scaled from both sides: the divergence of the gradient, of which each is the other's
+    /// transpose, and walls stand still. `image` is how fast each row is compressed \[1/s\] by what pressures over density of
+    /// `scale` times `of` \[m²/s²\] make of the particles' velocities in a second, times `factor` and `scale`. `velocities` is
+    /// room.
+    ///
+    /// With the places x, the factors f and R for the sum of f (xᵢ - xⱼ) over j, the sum of f (pᵢ + pⱼ) (xᵢ - xⱼ) is
+    /// R pᵢ + xᵢ Σ f pⱼ - Σ f pⱼ xⱼ, and that of f (xᵢ - xⱼ)·(vᵢ - vⱼ) is R·vᵢ - xᵢ·Σ f vⱼ + Σ f xⱼ·vⱼ: of a neighbour no
+    /// more is asked for than four numbers. What is lost by differences of sums is little for a solver; what moves particles
+    /// is computed as it stands.
+    pub(super) fn product(
+        &mut self,
+        (scale, factor): (&[f32], f32),
+        of: &[f32],
+        velocities: &mut [[f32; 4]],
+        image: &mut [f32],
+    ) {
+        let Self { centred, lifted, .. } = &mut *self;
+        with_eight(Lift { centred, lifted, pressures: [of, scale] });
+        let rows = &*self;
+        rows.each(&mut velocities[..rows.particles], &Gradient { rows, lifted: &rows.lifted });
+        velocities[rows.particles..].fill([0.0; 4]);
+        rows.each(image, &Divergence { rows, velocities, scale, factor });
+    }
+
+    /// How fast each row is being compressed by velocities \[1/s\].
+    pub(super) fn compression_rate(&self, velocities: &[[f32; 4]], out: &mut [f32]) {
+        self.each(out, &Rate(velocities));
+    }
+}
+
+/// What products of places and pressures of rows come to; the pressures are products.
+struct Lift<'a> {
+    centred: &'a [[Lanes; 3]],
+    lifted: &'a mut Vec<[f32; 4]>,
+    pressures: [&'a [f32]; 2],
+}
+
+impl ForEight for Lift<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<E: Eight>(self, eight: E) {
+        let Self { centred, lifted, pressures } = self;
+        lifted.resize(centred.len() * LANES, [0.0; 4]);
+        for (cluster, (at, out)) in centred.iter().zip(lifted.chunks_exact_mut(LANES)).enumerate() {
+            let [of, scale] = pressures;
+            let [of, scale] = [eight_of(of, cluster * LANES), eight_of(scale, cluster * LANES)];
+            let pressure = eight.mul(eight.load(&of), eight.load(&scale));
+            let [x, y, z] = vector(eight, at);
+            let [x, y, z] = [eight.mul(x, pressure), eight.mul(y, pressure), eight.mul(z, pressure)];
+            out.copy_from_slice(&eight.rows([x, y, z, pressure]));
+        }
+    }
+}

@@ -1,0 +1,376 @@
+//! Who is within the support of whom, as flat lists, and how steep the kernel is between them. Particles lie in the order of
+//! their cells, so that lists point to places that are near in memory, and eight of them that follow one another have a list
+//! in common, with a factor for each: what is summed over neighbours is summed for eight at once, as with the clusters of
+//! Páll and Hess, *A flexible algorithm for calculating pair interactions on SIMD architectures*, 2013.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::cell_grid::{CellGrid, CellStarts};
+use super::kernel::Kernel;
+use super::neighbour_clusters::{Links, Sweep};
+use super::neighbour_search::{DRY, FAR, LANES, Lanes, Near, Packed, Sorted, Sums};
+use crate::simd::f32x8::{Eight, ForEight, with_eight};
+
+/// Rows that are computed together.
+const BLOCK: usize = 64 * LANES;
+/// Fewer rows are not worth a second thread.
+const PARALLEL: usize = 4 * BLOCK;
+/// Most units of a factor: a few less than 16 bits take.
+const UNITS: f64 = 65_530.0;
+/// What lies so far from the first of a cluster, in supports, begins another.
+const APART: f64 = 2.0;
+
+/// Computes a list block by block, on the rayon pool where it is long; what one row becomes does not depend on where.
+fn in_blocks<T: Send>(list: &mut [T], each: impl Fn(usize, &mut [T]) + Sync) {
+    if list.len() >= PARALLEL && rayon::current_num_threads() > 1 {
+        list.par_chunks_mut(BLOCK).enumerate().for_each(|(index, part)| each(index, part));
+    } else {
+        list.chunks_mut(BLOCK).enumerate().for_each(|(index, part)| each(index, part));
+    }
+}
+
+/// Samples of walls, sorted by cells.
+pub(super) struct Walls<'a> {
+    pub cells: &'a CellStarts,
+    /// From the corner of the box \[m\], and what each stands for \[m³\].
+    pub places: &'a [[f32; 4]],
+}
+
+/// A particle and a sample of a wall that is near to it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct WallLink {
+    pub particle: u32,
+    /// In the order of the samples' cells.
+    pub wall: u32,
+    /// As of the links \[1/m²\].
+    pub factor: f32,
+}
+
+/// Neighbours of every particle, then of every sample of a wall that a particle is near to. Rows come in clusters of eight,
+/// of which some are no one's.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Rows {
+    blocks: Vec<Block>,
+    /// Places of the particles in the order of their cells, from the corner of the box \[m\], and what each stands for \[m³\].
+    pub liquid: Vec<[f32; 4]>,
+    /// Row of each particle: the later the particle, the later the row.
+    pub row_of: Vec<u32>,
+    /// Rows of particles, with those between; the others are walls.
+    pub particles: usize,
+    /// Unit of the factors \[1/m²\].
+    unit: f32,
+    /// Which samples a particle is near to, in the order of their cells.
+    pub wet: Vec<u32>,
+    /// Row of each sample, or none.
+    pub row_of_wall: Vec<u32>,
+    /// Particles and walls that are near to each other.
+    pub wall_links: Vec<WallLink>,
+    /// Sums of kernels times volumes: 1 is neither compressed nor thin.
+    pub compression: Vec<f32>,
+    /// Diagonal of the product of divergence and gradient \[1/m²\].
+    pub diagonal: Vec<f32>,
+    /// How many neighbours a row has.
+    pub degree: Vec<f32>,
+    /// Particle or sample of each row, or none.
+    owner: Vec<u32>,
+    /// Cells of the first and of the last of each cluster.
+    cells: Vec<(u32, u32)>,
+    /// Places, from the corner of the box \[m\], and what stands there for how much \[m³\].
+    pub(super) places: Vec<[f32; 4]>,
+    /// The same places, of each cluster, an axis at a time.
+    pub(super) axes: Vec<[Lanes; 3]>,
+    /// And from the middle of what there is \[m\].
+    pub(super) centred: Vec<[Lanes; 3]>,
+    /// Sum of the gradients of each row \[1/m\].
+    pub(super) pulls: Vec<[Lanes; 3]>,
+    /// Of each row, the pressure times its place, and the pressure.
+    pub(super) lifted: Vec<[f32; 4]>,
+}
+
+/// Some clusters that follow one another.
+#[derive(Clone, Debug, Default)]
+struct Block {
+    /// Where the list of each cluster begins, and how many particles it has, which come first.
+    starts: Vec<(u32, u32)>,
+    /// Row of each neighbour: particles first, then walls.
+    others: Vec<u32>,
+    factors: Vec<Packed>,
+    sums: Vec<Sums>,
+    wall_links: Vec<WallLink>,
+    near: Near,
+}
+
+/// What rows are built from.
+struct Parts<'a> {
+    grid: &'a CellGrid,
+    kernel: &'a Kernel,
+    liquid: Sorted<'a>,
+    walls: Sorted<'a>,
+    owner: &'a [u32],
+    cells: &'a [(u32, u32)],
+    axes: &'a [[Lanes; 3]],
+    places: &'a [[f32; 4]],
+    particles: usize,
+    unit: f32,
+    volume: f32,
+    beside: f32,
+}
+
+/// What is to be built.
+struct Filling<'a> {
+    parts: &'a Parts<'a>,
+    block: &'a mut Block,
+    clusters: Range<usize>,
+}
+
+impl ForEight for Filling<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<E: Eight>(self, eight: E) {
+        self.parts.fill(eight, self.block, self.clusters);
+    }
+}
+
+impl Parts<'_> {
+    #[inline(always)]
+    fn fill<E: Eight>(&self, eight: E, block: &mut Block, clusters: Range<usize>) {
+        let square = (self.kernel.support * self.kernel.support) as f32;
+        let Block { starts, others, factors, sums, wall_links, near } = block;
+        starts.clear();
+        others.clear();
+        factors.clear();
+        sums.clear();
+        wall_links.clear();
+        for cluster in clusters {
+            let (axes, row) = (&self.axes[cluster], cluster * LANES);
+            let (first, last) = self.cells[cluster];
+            let cells = (self.grid, first as usize, last as usize);
+            let begin = factors.len();
+            if row < self.particles {
+                near.find(eight, axes, square, cells, self.liquid, Some(self.walls));
+                let mut found = near.weigh(eight, axes, (self.kernel, self.unit), None, factors);
+                let [px, py, pz] = &found.pull;
+                for k in 0..LANES {
+                    found.squares.0[k] += px.0[k] * px.0[k] + py.0[k] * py.0[k] + pz.0[k] * pz.0[k];
+                }
+                sums.push(found);
+                let to_walls = near.rows().iter().zip(&factors[begin..]).skip(near.liquid());
+                for (other, factor) in to_walls {
+                    let wall = self.owner[*other as usize];
+                    for (particle, factor) in self.owner[row..row + LANES].iter().zip(factor.0) {
+                        if factor != 0 {
+                            let factor = self.unit * f32::from(factor);
+                            wall_links.push(WallLink { particle: *particle, wall, factor });
+                        }
+                    }
+                }
+            } else {
+                let volumes = Lanes(std::array::from_fn(|k| self.places[row + k][3]));
+                near.find(eight, axes, square, cells, self.liquid, None);
+                let mut found = near.weigh(eight, axes, (self.kernel, self.unit), Some(&volumes), factors);
+                for k in 0..LANES {
+                    found.value.0[k] += 1.0 - self.beside * volumes.0[k] / self.volume;
+                }
+                sums.push(found);
+            }
+            starts.push((others.len() as u32, near.liquid() as u32));
+            others.extend_from_slice(near.rows());
+        }
+        starts.push((others.len() as u32, 0));
+    }
+}
+
+impl Rows {
+    /// Number of rows, those that are no one's with them.
+    pub(super) fn count(&self) -> usize {
+        self.places.len()
+    }
+
+    /// Rows of a liquid (filled by the caller, in the order of its cells) and of the walls that it is near to. A wall that
+    /// particles of a `volume` lie beside at rest has `beside` of its volume in kernels of theirs.
+    pub(super) fn build(
+        &mut self,
+        grid: &CellGrid,
+        cells: &CellStarts,
+        walls: &Walls<'_>,
+        kernel: &Kernel,
+        volume: f32,
+        beside: f32,
+    ) {
+        self.find_wet(grid, cells, walls, (kernel.support * kernel.support) as f32);
+        self.arrange(grid, walls, (APART * kernel.support) as f32);
+        let clusters = self.cells.len();
+        // Of the largest factor that there can be.
+        let largest = walls.places.iter().map(|place| place[3]).fold(volume, f32::max);
+        self.unit = (kernel.steepest() / UNITS) as f32 * largest;
+        let parts = Parts {
+            grid,
+            kernel,
+            liquid: Sorted { cells, places: &self.liquid, rows: &self.row_of },
+            walls: Sorted { cells: walls.cells, places: walls.places, rows: &self.row_of_wall },
+            owner: &self.owner,
+            cells: &self.cells,
+            axes: &self.axes,
+            places: &self.places,
+            particles: self.particles,
+            unit: self.unit,
+            volume,
+            beside,
+        };
+        let blocks = self.places.len().div_ceil(BLOCK);
+        if self.blocks.len() < blocks {
+            self.blocks.resize_with(blocks, Block::default);
+        }
+        let each = BLOCK / LANES;
+        let fill = |(index, block): (usize, &mut Block)| {
+            let clusters = index * each..clusters.min((index + 1) * each);
+            with_eight(Filling { parts: &parts, block, clusters });
+        };
+        if self.places.len() >= PARALLEL && rayon::current_num_threads() > 1 {
+            self.blocks[..blocks].par_iter_mut().enumerate().for_each(fill);
+        } else {
+            self.blocks[..blocks].iter_mut().enumerate().for_each(fill);
+        }
+        self.compression.clear();
+        self.diagonal.clear();
+        self.degree.clear();
+        self.pulls.clear();
+        self.wall_links.clear();
+        for block in &self.blocks[..blocks] {
+            for Sums { value, squares, pull, count } in &block.sums {
+                self.compression.extend_from_slice(&value.0);
+                self.diagonal.extend_from_slice(&squares.0);
+                // But for itself.
+                self.degree.extend(count.0.map(|count| count - 1.0));
+                self.pulls.push(*pull);
+            }
+            self.wall_links.extend_from_slice(&block.wall_links);
+        }
+    }
+
+    /// Gives each particle and each wall that is wet a row, in clusters of what follows one another in a row of cells.
+    fn arrange(&mut self, grid: &CellGrid, walls: &Walls<'_>, apart: f32) {
+        self.owner.clear();
+        self.places.clear();
+        self.cells.clear();
+        self.row_of.clear();
+        for particle in 0..self.liquid.len() {
+            let place = self.liquid[particle];
+            let row = self.give_row(grid, apart, place, particle as u32);
+            self.row_of.push(row);
+        }
+        self.end_cluster();
+        self.particles = self.places.len();
+        for at in 0..self.wet.len() {
+            let wall = self.wet[at];
+            let row = self.give_row(grid, apart, walls.places[wall as usize], wall);
+            self.row_of_wall[wall as usize] = row;
+        }
+        self.end_cluster();
+        let (mut low, mut high) = ([f32::INFINITY; 4], [f32::NEG_INFINITY; 4]);
+        for place in &self.liquid {
+            for axis in 0..4 {
+                low[axis] = low[axis].min(place[axis]);
+                high[axis] = high[axis].max(place[axis]);
+            }
+        }
+        let middle: [f32; 3] = std::array::from_fn(|axis| 0.5 * (low[axis] + high[axis]));
+        self.axes.clear();
+        self.centred.clear();
+        for (places, owners) in self.places.chunks_exact(LANES).zip(self.owner.chunks_exact(LANES)) {
+            let axes = std::array::from_fn(|axis| Lanes(std::array::from_fn(|k| places[k][axis])));
+            self.axes.push(axes);
+            self.centred.push(std::array::from_fn(|axis| {
+                let centred = |k: usize| if owners[k] == DRY { 0.0 } else { axes[axis].0[k] - middle[axis] };
+                Lanes(std::array::from_fn(centred))
+            }));
+        }
+    }
+
+    /// The next row, in the last cluster if it belongs there.
+    fn give_row(&mut self, grid: &CellGrid, apart: f32, place: [f32; 4], owner: u32) -> u32 {
+        let cell = grid.cell_of(&place);
+        let begun = self.places.len() % LANES;
+        if begun > 0
+            && let Some((first, _)) = self.cells.last()
+        {
+            let from = self.places[self.places.len() - begun][0];
+            if grid.line_of(*first as usize) != grid.line_of(cell) || place[0] - from > apart {
+                self.end_cluster();
+            }
+        }
+        if self.places.len().is_multiple_of(LANES) {
+            self.cells.push((cell as u32, cell as u32));
+        } else if let Some((_, last)) = self.cells.last_mut() {
+            *last = cell as u32;
+        }
+        self.places.push(place);
+        self.owner.push(owner);
+        self.places.len() as u32 - 1
+    }
+
+    /// Fills up the last cluster with rows that are no one's.
+    fn end_cluster(&mut self) {
+        let whole = self.places.len().next_multiple_of(LANES);
+        self.places.resize(whole, [FAR, FAR, FAR, 0.0]);
+        self.owner.resize(whole, DRY);
+    }
+
+    /// Finds the samples of walls that have a particle within the support.
+    fn find_wet(&mut self, grid: &CellGrid, cells: &CellStarts, walls: &Walls<'_>, square: f32) {
+        self.wet.clear();
+        self.row_of_wall.clear();
+        self.row_of_wall.resize(walls.places.len(), DRY);
+        for (wall, place) in walls.places.iter().enumerate() {
+            let is_near = |particle: usize| {
+                let [dx, dy, dz] = std::array::from_fn(|axis| self.liquid[particle][axis] - place[axis]);
+                dx * dx + dy * dy + dz * dz < square
+            };
+            let mut about = grid.rows_about(grid.cell_of(place));
+            if about.any(|(from, to)| cells.range(from, to).any(is_near)) {
+                self.wet.push(wall as u32);
+            }
+        }
+    }
+
+    /// Computes something of the first rows, eight at a time, from their links.
+    #[inline]
+    pub(super) fn each<T: Send>(&self, out: &mut [T], sweep: &(impl Sweep<T> + Sync)) {
+        in_blocks(out, |index, out| with_eight(Sweeping { rows: self, index, out, sweep }));
+    }
+}
+
+/// What is to be computed of the rows of a block.
+struct Sweeping<'a, T, S> {
+    rows: &'a Rows,
+    index: usize,
+    out: &'a mut [T],
+    sweep: &'a S,
+}
+
+impl<T, S: Sweep<T>> ForEight for Sweeping<'_, T, S> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<E: Eight>(self, eight: E) {
+        let Self { rows, index, out, sweep } = self;
+        let block = &rows.blocks[index];
+        let clusters = block.starts.windows(2).zip(index * BLOCK / LANES..);
+        for (out, (ends, cluster)) in out.chunks_exact_mut(LANES).zip(clusters) {
+            let range = ends[0].0 as usize..ends[1].0 as usize;
+            let links = Links {
+                row: cluster * LANES,
+                axes: &rows.axes[cluster],
+                places: &rows.places,
+                others: &block.others[range.clone()],
+                factors: &block.factors[range],
+                unit: rows.unit,
+                liquid: ends[0].1 as usize,
+            };
+            sweep.sweep(eight, links, out);
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! What is within the support of some rows that lie together, among what lies about their cells, and how steep the kernel is
+//! between. Rows are taken eight at a time, a lane each: who is near to one of them is mostly near to others, and is looked at
+//! once for all.
+
+use super::cell_grid::{CellGrid, CellStarts};
+use super::kernel::Kernel;
+use crate::simd::f32x8::Eight;
+pub(super) use crate::simd::f32x8::LANES;
+
+/// A number of the place of a row that is none \[m\]; its square is a number still.
+pub(super) const FAR: f32 = 1e15;
+/// No row.
+pub(super) const DRY: u32 = u32::MAX;
+
+/// A number of each of the rows that lie together.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(align(32))]
+pub(super) struct Lanes(pub [f32; LANES]);
+
+/// A factor of each of the rows that lie together, in 16 bits: so many units.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(align(16))]
+pub(super) struct Packed(pub [u16; LANES]);
+
+/// Places, and what stands there for how much: three coordinates from the corner of the box \[m\], and a volume \[m³\].
+#[derive(Clone, Copy)]
+pub(super) struct Sorted<'a> {
+    pub cells: &'a CellStarts,
+    pub places: &'a [[f32; 4]],
+    /// Row of each, or none.
+    pub rows: &'a [u32],
+}
+
+/// Who is near to any of some rows.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Near {
+    /// Only so many as were found: particles first.
+    rows: Vec<u32>,
+    places: Vec<[f32; 4]>,
+    found: usize,
+    /// How many particles.
+    liquid: usize,
+}
+
+/// Sums over what is near, of each row.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sums {
+    /// Of kernels times volumes; the row itself is one of those.
+    pub value: Lanes,
+    /// Of the squares of the gradients to particles \[1/m²\].
+    pub squares: Lanes,
+    /// Of the gradients \[1/m\].
+    pub pull: [Lanes; 3],
+    /// How many; the row itself is one of those.
+    pub count: Lanes,
+}
+
+impl Near {
+    /// Rows of what was found: particles first.
+    pub(super) fn rows(&self) -> &[u32] {
+        &self.rows[..self.found]
+    }
+
+    /// How many particles were found.
+    pub(super) fn liquid(&self) -> usize {
+        self.liquid
+    }
+
+    /// Looks for what is within a distance of any of the places, of which the cells are a row from `first` to `last`.
+    #[inline(always)]
+    pub(super) fn find<E: Eight>(
+        &mut self,
+        eight: E,
+        axes: &[Lanes; 3],
+        square: f32,
+        (grid, first, last): (&CellGrid, usize, usize),
+        liquid: Sorted<'_>,
+        walls: Option<Sorted<'_>>,
+    ) {
+        self.found = 0;
+        self.find_among(eight, axes, square, (grid, first, last), liquid);
+        self.liquid = self.found;
+        if let Some(walls) = walls {
+            self.find_among(eight, axes, square, (grid, first, last), walls);
+        }
+    }
+
+    #[inline(always)]
+    fn find_among<E: Eight>(
+        &mut self,
+        eight: E,
+        axes: &[Lanes; 3],
+        square: f32,
+        (grid, first, last): (&CellGrid, usize, usize),
+        sorted: Sorted<'_>,
+    ) {
+        let (own, square) = (axes.map(|axis| eight.load(&axis.0)), eight.all(square));
+        for (from, to) in grid.rows_about_all(first, last) {
+            let range = sorted.cells.range(from, to);
+            if range.is_empty() {
+                continue;
+            }
+            let (places, rows) = (&sorted.places[range.clone()], &sorted.rows[range]);
+            let room = self.found + places.len();
+            if self.rows.len() < room {
+                self.rows.resize(2 * room, 0);
+                self.places.resize(2 * room, [0.0; 4]);
+            }
+            let mut found = 0;
+            let (rows_found, places_found) =
+                (&mut self.rows[self.found..room], &mut self.places[self.found..room]);
+            // All are written, and the next is written over what does not count: without a branch.
+            for (place, row) in places.iter().zip(rows) {
+                let way: [E::Numbers; 3] =
+                    std::array::from_fn(|axis| eight.sub(own[axis], eight.all(place[axis])));
+                let near = eight.bits(eight.less(eight.dot(way, way), square));
+                rows_found[found] = *row;
+                places_found[found] = *place;
+                found += usize::from((near != 0) & (*row != DRY));
+            }
+            self.found += found;
+        }
+    }
+
+    /// Weighs what was found, and adds the factor of each in `unit`s \[1/m²\], rounded: volume of what is not a plain particle of
+    /// the two, `own` where that is the row, times the kernel's slope; the way to the row times that is the gradient that the
+    /// two have in common.
+    #[inline(always)]
+    pub(super) fn weigh<E: Eight>(
+        &self,
+        eight: E,
+        axes: &[Lanes; 3],
+        (kernel, unit): (&Kernel, f32),
+        own: Option<&Lanes>,
+        factors: &mut Vec<Packed>,
+    ) -> Sums {
+        let (liquid, walls) = self.places[..self.found].split_at(self.liquid);
+        let mut sums = Sums::default();
+        factors.reserve(self.found);
+        weigh_each(eight, liquid, axes, (kernel, unit), own, factors, &mut sums);
+        // Walls do not give way.
+        let squares = sums.squares;
+        weigh_each(eight, walls, axes, (kernel, unit), own, factors, &mut sums);
+        Sums { squares, ..sums }
+    }
+}
+
+/// Adds a factor for each of the places, and what it comes to for each row.
+#[inline(always)]
+fn weigh_each<E: Eight>(
+    eight: E,
+    places: &[[f32; 4]],
+    axes: &[Lanes; 3],
+    (kernel, unit): (&Kernel, f32),
+    own: Option<&Lanes>,
+    factors: &mut Vec<Packed>,
+    sums: &mut Sums,
+) {
+    let most = eight.all((kernel.support * kernel.support) as f32);
+    let (zero, one) = (eight.all(0.0), eight.all(1.0));
+    let (unit, units) = (eight.all(unit), eight.all(1.0 / unit));
+    let own = own.map(|own| eight.load(&own.0));
+    let [x, y, z] = axes.map(|axis| eight.load(&axis.0));
+    let Sums { value, squares, pull, count } = *sums;
+    let [mut value, mut squares, mut count] = [value, squares, count].map(|sum| eight.load(&sum.0));
+    let [mut px, mut py, mut pz] = pull.map(|sum| eight.load(&sum.0));
+    for place in places {
+        let volumes = own.unwrap_or(eight.all(place[3]));
+        let [x, y, z] = [
+            eight.sub(x, eight.all(place[0])),
+            eight.sub(y, eight.all(place[1])),
+            eight.sub(z, eight.all(place[2])),
+        ];
+        let square = eight.dot([x, y, z], [x, y, z]);
+        let (its, slope) = kernel.values_and_slopes(eight, eight.sqrt(square));
+        // Where the two are at the same place there is no way.
+        let exact = eight.choose(eight.less(zero, square), eight.mul(volumes, slope), zero);
+        let packed = eight.pack(eight.mul(exact, units));
+        factors.push(Packed(packed));
+        // As it is from here on, for everybody.
+        let factor = eight.mul(eight.unpack(&packed), unit);
+        value = eight.add(value, eight.mul(volumes, its));
+        count = eight.add(count, eight.choose(eight.less(square, most), one, zero));
+        squares = eight.add(squares, eight.mul3(factor, factor, square));
+        px = eight.add(px, eight.mul(factor, x));
+        py = eight.add(py, eight.mul(factor, y));
+        pz = eight.add(pz, eight.mul(factor, z));
+    }
+    let [value, squares, count] = [value, squares, count].map(|sum| Lanes(eight.store(sum)));
+    *sums = Sums { value, squares, pull: [px, py, pz].map(|sum| Lanes(eight.store(sum))), count };
+}

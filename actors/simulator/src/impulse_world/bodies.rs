@@ -1,0 +1,152 @@
+//! What is in the world: solids made of parts, where they are now and where they were.
+
+use std::collections::VecDeque;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_dynamics::rigid_world::Wrench;
+use trocar_scene::{Motion, Primitive, RigidBody, SimTime, Velocity};
+
+use super::aabb::Bounds;
+use super::convex_parts::Part;
+use crate::rigid::{RigidMass, RigidState};
+
+/// Steps for which is known where a body was. What was found before that is forgotten.
+const TRAIL_STEPS: usize = 256;
+
+/// Parts that move as one, or nearly so.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Solid {
+    pub parts: Vec<Part>,
+    /// What each is called in contacts.
+    pub names: Vec<Primitive>,
+    /// `world_from_part`.
+    pub placed: Vec<Isometry3<f64>>,
+    /// About each part, and about all.
+    pub bounds: Vec<Bounds>,
+    pub all: Bounds,
+}
+
+impl Solid {
+    pub fn new(parts: Vec<Part>, names: Vec<Primitive>) -> Self {
+        let placed = vec![Isometry3::identity(); parts.len()];
+        let bounds = vec![Bounds::default(); parts.len()];
+        Self { parts, names, placed, bounds, all: Bounds::default() }
+    }
+
+    /// Puts all parts where the body is.
+    pub fn place(&mut self, world_from_body: &Isometry3<f64>) {
+        for (part, placed) in self.parts.iter().zip(&mut self.placed) {
+            *placed = world_from_body * part.pose;
+        }
+        self.measure();
+    }
+
+    pub fn measure(&mut self) {
+        self.all = Bounds::default();
+        for (bounds, (part, placed)) in self.bounds.iter_mut().zip(self.parts.iter().zip(&self.placed)) {
+            *bounds = Bounds::of(part, placed);
+            self.all = self.all.with(bounds);
+        }
+    }
+}
+
+/// Where a body was.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Trail(VecDeque<(SimTime, Isometry3<f64>)>);
+
+impl Trail {
+    pub fn push(&mut self, now: SimTime, pose: Isometry3<f64>) {
+        if self.0.len() == TRAIL_STEPS {
+            self.0.pop_front();
+        }
+        self.0.push_back((now, pose));
+    }
+
+    /// Where it was at a time: what the scene showed then. `None`: too long ago.
+    pub fn at(&self, time: SimTime) -> Option<Isometry3<f64>> {
+        let after = self.0.partition_point(|(then, _)| *then <= time);
+        after.checked_sub(1).map(|index| self.0[index].1)
+    }
+}
+
+/// The way of a kinematic body.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Travel {
+    pub to: Isometry3<f64>,
+    /// Steps left.
+    pub steps: u32,
+}
+
+/// A body besides instruments.
+#[derive(Clone, Debug)]
+pub(super) struct Body {
+    pub component: RigidBody,
+    pub solid: Solid,
+    /// Which of the solver's bodies it is; none where it does not give way.
+    pub slot: Option<usize>,
+    /// `body_from_principal`.
+    pub principal: Isometry3<f64>,
+    /// `world_from_body`.
+    pub pose: Isometry3<f64>,
+    /// Of its origin.
+    pub velocity: Velocity,
+    pub travel: Option<Travel>,
+    /// Where others find what touches it, its way so far.
+    pub trail: Option<Trail>,
+    /// For how long it has not moved \[s\].
+    pub still_secs: f64,
+    pub sleeps: bool,
+    /// What others push it with, its torque about the origin of the world.
+    pub push: Wrench,
+}
+
+impl Body {
+    pub fn is_dynamic(&self) -> bool {
+        self.component.motion == Motion::Dynamic
+    }
+
+    /// Velocity of the body at a place, in world \[m/s\].
+    pub fn velocity_at(&self, point: &Point3<f64>) -> Vector3<f64> {
+        let lever = point - Point3::from(self.pose.translation.vector);
+        self.velocity.linear + self.velocity.angular.cross(&lever)
+    }
+
+    /// Takes over where the solver has it.
+    pub fn follow(&mut self, mass: &RigidMass, state: &RigidState) {
+        (self.pose, self.velocity) = origin(mass, state, &self.principal);
+        self.solid.place(&self.pose);
+    }
+}
+
+/// A body's state of motion by those of its origin.
+pub(super) fn state_of(
+    mass: &RigidMass,
+    principal: &Isometry3<f64>,
+    pose: &Isometry3<f64>,
+    velocity: &Velocity,
+) -> RigidState {
+    let world_from_principal = pose * principal;
+    let lever = world_from_principal.translation.vector - pose.translation.vector;
+    let mut state = RigidState {
+        position: world_from_principal.translation.vector.into(),
+        rotation: world_from_principal.rotation,
+        momentum: (velocity.linear + velocity.angular.cross(&lever)) * mass.mass,
+        angular_momentum: Vector3::zeros(),
+    };
+    let spin = state.rotation.inverse() * velocity.angular;
+    state.angular_momentum = state.rotation * spin.component_mul(&mass.inertia);
+    state
+}
+
+/// The pose of a body and the velocity of its origin by its state.
+pub(super) fn origin(
+    mass: &RigidMass,
+    state: &RigidState,
+    principal: &Isometry3<f64>,
+) -> (Isometry3<f64>, Velocity) {
+    let world_from_principal = Isometry3::from_parts(state.position.coords.into(), state.rotation);
+    let pose = world_from_principal * principal.inverse();
+    let angular = mass.angular_velocity(state);
+    let lever = pose.translation.vector - state.position.coords;
+    (pose, Velocity { linear: mass.velocity(state) + angular.cross(&lever), angular })
+}

@@ -1,0 +1,61 @@
+//! What the world tells of the contacts of its last step.
+
+use trocar_dynamics::instrument::contact::Contact;
+
+use super::narrow_phase::ContactPoint;
+
+/// Contacts in canonical order: those of the same two parts, which are called the same, are one.
+pub(super) fn told(meetings: &[ContactPoint], step_secs: f64, contacts: &mut Vec<Contact>) {
+    contacts.clear();
+    for meeting in meetings.iter().filter(|meeting| !meeting.by_others) {
+        let contact = contact_of(meeting, step_secs);
+        contacts.push(if contact.key() > contact.swapped().key() { contact.swapped() } else { contact });
+    }
+    contacts.sort_by_key(Contact::key);
+    merge(contacts);
+}
+
+fn contact_of(meeting: &ContactPoint, step_secs: f64) -> Contact {
+    let [a, b] = &meeting.sides;
+    let normal = meeting.point.normal;
+    let force = meeting.impulse / step_secs;
+    let normal_force = force.dot(&normal);
+    Contact {
+        a: (a.entity, a.name),
+        b: (b.entity, b.name),
+        point_in_world: nalgebra::center(&meeting.point.points[0], &meeting.point.points[1]),
+        normal_in_world: normal,
+        depth: meeting.point.depth,
+        normal_force,
+        friction_in_world: force - normal * normal_force,
+        friction_coefficient: meeting.friction,
+        a_is_fixed: a.is_fixed,
+        b_is_fixed: b.is_fixed,
+    }
+}
+
+/// Contacts of the same parts with like directions as one each: the mean place, the sum of forces, the largest depth.
+fn merge(contacts: &mut Vec<Contact>) {
+    const LIKE: f64 = 0.95;
+    let mut kept: Vec<(Contact, f64)> = Vec::with_capacity(contacts.len());
+    for contact in contacts.iter() {
+        let weight = contact.normal_force + 1e-12;
+        let same = kept.iter_mut().rev().take_while(|(known, _)| known.key() == contact.key());
+        let mut same = same.filter(|(known, _)| known.normal_in_world.dot(&contact.normal_in_world) > LIKE);
+        if let Some((known, sum)) = same.next() {
+            let share = weight / (*sum + weight);
+            known.point_in_world += (contact.point_in_world - known.point_in_world) * share;
+            let normal = known.normal_in_world * (1.0 - share) + contact.normal_in_world * share;
+            let force = known.force_on_b_in_world() + contact.force_on_b_in_world();
+            known.normal_in_world = normal.normalize();
+            known.normal_force = force.dot(&known.normal_in_world);
+            known.friction_in_world = force - known.normal_in_world * known.normal_force;
+            known.depth = known.depth.max(contact.depth);
+            *sum += weight;
+        } else {
+            kept.push((*contact, weight));
+        }
+    }
+    contacts.clear();
+    contacts.extend(kept.into_iter().map(|(contact, _)| contact));
+}

@@ -1,0 +1,325 @@
+//! What meets what in a step: solids that are near each other, where they touch, and who of them gives way.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_dynamics::instrument::contact::primitive_code;
+use trocar_scene::{Entity, Primitive};
+
+use super::bodies::{Body, Solid};
+use super::closest_features::{TouchPoint, touch};
+use super::detected_contact::Found;
+use super::instrument::Tool;
+
+/// Solids this near have contacts, so that they exist before there is any penetration \[m\].
+const MARGIN: f64 = 1e-3;
+/// Points of contact in a step at most; the deepest ones count.
+const MEETINGS_MAX: usize = 4096;
+/// Points of the same two bodies that are nearer than this, with like directions, are one \[m\].
+const SAME_POINT: f64 = 1e-4;
+const SAME_DIRECTION: f64 = 0.95;
+/// What moves faster wakes what it touches \[m/s\].
+const WAKING_SPEED: f64 = 2e-3;
+/// And touches it when it is so near \[m\].
+const WAKING_GAP: f64 = 2e-4;
+
+/// One of the two of a meeting.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ContactSide {
+    pub entity: Entity,
+    pub name: Primitive,
+    pub part: usize,
+    /// Which of the solver's bodies gives way.
+    pub slot: Option<usize>,
+    /// Whether it never does.
+    pub is_fixed: bool,
+    /// The point, in the frame of the part \[m\].
+    pub local: Point3<f64>,
+    friction: f64,
+    restitution: f64,
+}
+
+/// A point at which two solids are near each other.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ContactPoint {
+    pub sides: [ContactSide; 2],
+    pub point: TouchPoint,
+    pub friction: f64,
+    pub restitution: f64,
+    /// Whether another one found it: nobody tells of it again.
+    pub by_others: bool,
+    /// What it came to: impulse on the second, in world \[N·s\].
+    pub impulse: Vector3<f64>,
+}
+
+/// Tells a point of contact from the others, from step to step.
+pub(super) type Key = (Entity, Entity, u64, u64, u64);
+
+impl ContactPoint {
+    pub fn key(&self) -> Key {
+        let [a, b] = &self.sides;
+        let part = |side: &ContactSide| (side.part as u64) << 40 | primitive_code(side.name);
+        (a.entity, b.entity, part(a), part(b), u64::from(self.point.feature) << 1 | u64::from(self.by_others))
+    }
+}
+
+/// Something that may meet something else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Collider {
+    Body(Entity),
+    Tool(Entity),
+}
+
+/// All bodies and tools of a world.
+pub(super) struct WorldView<'a> {
+    pub bodies: &'a mut BTreeMap<Entity, Body>,
+    pub tools: &'a BTreeMap<Entity, Tool>,
+    pub found: &'a [Found],
+    pub step_secs: f64,
+}
+
+/// Room for a step.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Meetings {
+    pub all: Vec<ContactPoint>,
+    order: Vec<(f64, f64, Collider)>,
+    points: Vec<TouchPoint>,
+    /// Of a pair, with the numbers of their parts.
+    near: Vec<(usize, usize, TouchPoint)>,
+}
+
+impl WorldView<'_> {
+    fn solid(&self, thing: Collider) -> Option<&Solid> {
+        match thing {
+            Collider::Body(entity) => self.bodies.get(&entity).map(|body| &body.solid),
+            Collider::Tool(entity) => self.tools.get(&entity).map(|tool| &tool.solid),
+        }
+    }
+
+    /// Whether it moves by itself now.
+    fn is_awake(&self, thing: Collider) -> bool {
+        match thing {
+            Collider::Body(entity) => self
+                .bodies
+                .get(&entity)
+                .is_some_and(|body| body.travel.is_some() || body.is_dynamic() && !body.sleeps),
+            Collider::Tool(_) => true,
+        }
+    }
+
+    fn gives_way(&self, thing: Collider) -> bool {
+        match thing {
+            Collider::Body(entity) => self.bodies.get(&entity).is_some_and(Body::is_dynamic),
+            Collider::Tool(_) => true,
+        }
+    }
+
+    /// How fast it is at most \[m/s\], roughly.
+    fn speed(&self, thing: Collider) -> f64 {
+        let (velocity, size) = match thing {
+            Collider::Body(entity) => self.bodies.get(&entity).map(|body| (body.velocity, &body.solid)),
+            Collider::Tool(entity) => self.tools.get(&entity).map(|tool| (tool.state.velocity, &tool.solid)),
+        }
+        .map_or_else(Default::default, |(velocity, solid)| (velocity, solid.all.diagonal()));
+        velocity.linear.norm() + velocity.angular.norm() * size
+    }
+
+    fn pose(&self, entity: Entity) -> Option<Isometry3<f64>> {
+        let body = self.bodies.get(&entity).map(|body| body.pose);
+        body.or_else(|| self.tools.get(&entity).map(|tool| tool.state.tip_in_world))
+    }
+
+    fn party(&self, thing: Collider, part: usize, point: &Point3<f64>) -> Option<ContactSide> {
+        let solid = self.solid(thing)?;
+        let local = solid.placed.get(part)?.inverse_transform_point(point);
+        let name = *solid.names.get(part)?;
+        Some(match thing {
+            Collider::Body(entity) => {
+                let body = self.bodies.get(&entity)?;
+                ContactSide {
+                    entity,
+                    name,
+                    part,
+                    slot: body.slot.filter(|_| !body.sleeps),
+                    is_fixed: !body.is_dynamic(),
+                    local,
+                    friction: body.component.friction,
+                    restitution: body.component.restitution,
+                }
+            }
+            Collider::Tool(entity) => {
+                let tool = self.tools.get(&entity)?;
+                let friction = tool.instrument.jaw_friction;
+                let friction = if tool.jaw_of[part].is_some() { friction } else { friction.min(0.2) };
+                ContactSide {
+                    entity,
+                    name,
+                    part,
+                    slot: Some(tool.slot),
+                    is_fixed: false,
+                    local,
+                    friction,
+                    restitution: 0.0,
+                }
+            }
+        })
+    }
+}
+
+impl Meetings {
+    /// Everything that is near enough to something else.
+    pub fn meet(&mut self, mut everything: WorldView<'_>) {
+        self.all.clear();
+        self.order.clear();
+        let bodies = everything.bodies.iter().map(|(entity, body)| (Collider::Body(*entity), &body.solid));
+        let tools = everything.tools.iter().map(|(entity, tool)| (Collider::Tool(*entity), &tool.solid));
+        let solids = bodies.chain(tools).filter(|(_, solid)| !solid.parts.is_empty());
+        self.order.extend(solids.map(|(thing, solid)| (solid.all.min.x, solid.all.max.x, thing)));
+        self.order.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let order = std::mem::take(&mut self.order);
+        for (index, (_, until, first)) in order.iter().enumerate() {
+            let fast = everything.speed(*first) * everything.step_secs;
+            for (from, _, second) in &order[index + 1..] {
+                if *from > until + MARGIN + 2.0 * fast + 1e-2 {
+                    break;
+                }
+                if !everything.gives_way(*first) && !everything.gives_way(*second) {
+                    continue;
+                }
+                if !everything.is_awake(*first) && !everything.is_awake(*second) {
+                    continue;
+                }
+                let margin = MARGIN + fast + everything.speed(*second) * everything.step_secs;
+                self.pair(&mut everything, *first, *second, margin);
+            }
+        }
+        self.order = order;
+        self.others(&everything);
+        if self.all.len() > MEETINGS_MAX {
+            self.all.sort_by(|a, b| b.point.depth.total_cmp(&a.point.depth));
+            self.all.truncate(MEETINGS_MAX);
+        }
+        self.all.sort_by_key(ContactPoint::key);
+    }
+
+    fn pair(&mut self, everything: &mut WorldView<'_>, first: Collider, second: Collider, margin: f64) {
+        // Canonical: what a thing is called does not depend on where it is.
+        let rank = |thing: Collider| match thing {
+            Collider::Body(entity) | Collider::Tool(entity) => entity,
+        };
+        let (first, second) = if rank(first) <= rank(second) { (first, second) } else { (second, first) };
+        let (Some(a), Some(b)) = (everything.solid(first), everything.solid(second)) else { return };
+        if a.all.is_apart(&b.all, margin) {
+            return;
+        }
+        let begin = self.all.len();
+        let mut wakes = false;
+        let mut near = std::mem::take(&mut self.near);
+        near.clear();
+        for (i, (part, pose)) in a.parts.iter().zip(&a.placed).enumerate() {
+            if a.bounds[i].is_apart(&b.all, margin) {
+                continue;
+            }
+            for (j, (other, place)) in b.parts.iter().zip(&b.placed).enumerate() {
+                if a.bounds[i].is_apart(&b.bounds[j], margin) {
+                    continue;
+                }
+                self.points.clear();
+                touch((part, pose), (other, place), margin, &mut self.points);
+                near.extend(self.points.iter().map(|point| (i, j, *point)));
+            }
+        }
+        for &(i, j, point) in &near {
+            let is_same = |meeting: &ContactPoint| {
+                (meeting.point.points[0] - point.points[0]).norm_squared() < SAME_POINT * SAME_POINT
+                    && meeting.point.normal.dot(&point.normal) > SAME_DIRECTION
+            };
+            if let Some(same) = self.all[begin..].iter_mut().find(|meeting| is_same(meeting)) {
+                if point.depth <= same.point.depth {
+                    continue;
+                }
+                // The deeper one counts, under the name of the first.
+                same.point.depth = point.depth;
+                continue;
+            }
+            let sides =
+                [everything.party(first, i, &point.points[0]), everything.party(second, j, &point.points[1])];
+            let [Some(one), Some(other)] = sides else { continue };
+            wakes |= point.depth > -WAKING_GAP;
+            self.all.push(ContactPoint {
+                sides: [one, other],
+                point,
+                friction: (one.friction * other.friction).sqrt(),
+                restitution: (one.restitution * other.restitution).sqrt(),
+                by_others: false,
+                impulse: Vector3::zeros(),
+            });
+        }
+        self.near = near;
+        if wakes {
+            self.wake(everything, [first, second], begin);
+        }
+    }
+
+    /// A body that rests until something that moves touches it gives way from then on.
+    fn wake(&mut self, everything: &mut WorldView<'_>, things: [Collider; 2], begin: usize) {
+        for (side, other) in [(0, 1), (1, 0)] {
+            let Collider::Body(entity) = things[side] else { continue };
+            let is_pushed = match things[other] {
+                Collider::Tool(_) => true,
+                thing @ Collider::Body(_) => everything.speed(thing) > WAKING_SPEED,
+            };
+            let Some(body) = everything.bodies.get_mut(&entity) else { continue };
+            if body.sleeps && is_pushed {
+                body.sleeps = false;
+                body.still_secs = 0.0;
+                for meeting in &mut self.all[begin..] {
+                    meeting.sides[side].slot = body.slot;
+                }
+            }
+        }
+    }
+
+    /// What others have found, where it is by now.
+    fn others(&mut self, everything: &WorldView<'_>) {
+        for (index, found) in everything.found.iter().enumerate() {
+            let pose = |entity: Entity| everything.pose(entity).unwrap_or_else(Isometry3::identity);
+            let (points, normal, depth) = found.now(found.entities.map(pose));
+            if depth < -MARGIN {
+                continue;
+            }
+            let party = |side: usize| {
+                let entity = found.entities[side];
+                let body = everything.bodies.get(&entity);
+                let tool = everything.tools.get(&entity);
+                ContactSide {
+                    entity,
+                    name: Primitive::Shape(index as u32),
+                    part: 0,
+                    slot: body.and_then(|body| body.slot).or(tool.map(|tool| tool.slot)),
+                    is_fixed: body.is_none_or(|body| !body.is_dynamic()) && tool.is_none(),
+                    local: points[side],
+                    // Who has none takes the other's.
+                    friction: body.map_or(f64::NAN, |body| body.component.friction),
+                    restitution: body.map_or(0.0, |body| body.component.restitution),
+                }
+            };
+            let sides = [party(0), party(1)];
+            let friction = match sides.map(|side| side.friction) {
+                [a, b] if a.is_nan() => {
+                    if b.is_nan() {
+                        0.0
+                    } else {
+                        b
+                    }
+                }
+                [a, b] if b.is_nan() => a,
+                [a, b] => (a * b).sqrt(),
+            };
+            let restitution = (sides[0].restitution * sides[1].restitution).sqrt();
+            let point = TouchPoint { points, normal, depth, feature: 0 };
+            let impulse = Vector3::zeros();
+            self.all.push(ContactPoint { sides, point, friction, restitution, by_others: true, impulse });
+        }
+    }
+}

@@ -1,0 +1,418 @@
+//! Rigid bodies and instruments of our own: contacts found within the step, by others too, and answered by impulses.
+//!
+//! A body that has not moved for a while sleeps until something that moves touches it.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Isometry3, Vector3};
+use trocar_dynamics::instrument::contact::Contact;
+use trocar_dynamics::instrument::grasp::PadContact;
+use trocar_dynamics::rigid_world::WorldError;
+use trocar_dynamics::rigid_world::Wrench;
+use trocar_dynamics::rigid_world::{World, check};
+use trocar_scene::{Entity, Motion, Pose, RigidBody, SimTime, Velocity};
+
+use super::bodies::{Body, Solid, Trail, state_of};
+use super::detected_contact::Found;
+use super::instrument::Tool;
+use super::narrow_phase::{Key, Meetings, WorldView};
+use super::{RigidSettings, grasp_detection};
+use crate::rigid::{
+    Arm, ContactImpulse, Joint, RigidBodies, RigidContact, RigidMass, RigidState, RigidStepError,
+};
+
+/// Most bodies besides instruments.
+pub const BODIES_MAX: usize = 4096;
+/// Most instruments.
+pub const TOOLS_MAX: usize = 64;
+/// A body that moves slower for so long goes to sleep \[m/s, s\].
+const SLEEP_SPEED: f64 = 5e-4;
+const SLEEP_AFTER_SECS: f64 = 0.3;
+
+/// A world of rigid bodies and instruments.
+pub struct ImpulseWorld {
+    pub(super) settings: RigidSettings,
+    pub(super) solver: RigidBodies,
+    pub(super) bodies: BTreeMap<Entity, Body>,
+    pub(super) tools: BTreeMap<Entity, Tool>,
+    pub(super) now: SimTime,
+    pub(super) found: Vec<Found>,
+    pub(super) meetings: Meetings,
+    /// What contacts came to in the last step, by their keys.
+    pub(super) former: Vec<(Key, Vector3<f64>)>,
+    pub(super) penetration_max: f64,
+    pub(super) contacts: Vec<Contact>,
+    scratch: Scratch,
+}
+
+#[derive(Default)]
+struct Scratch {
+    rows: Vec<RigidContact>,
+    /// Which meeting each row is, and whether its impulse is on the second.
+    of: Vec<(usize, f64)>,
+    arms: Vec<[Option<Arm>; 2]>,
+    joints: Vec<Joint>,
+    begin: Vec<ContactImpulse>,
+    wrenches: Vec<Wrench>,
+    pads: Vec<PadContact>,
+}
+
+impl ImpulseWorld {
+    /// The settings it was made with.
+    #[must_use]
+    pub fn settings(&self) -> &RigidSettings {
+        &self.settings
+    }
+
+    /// How often the last step solved a contact, all of them together.
+    #[must_use]
+    pub fn effort(&self) -> u64 {
+        self.solver.visits()
+    }
+
+    /// One with nothing in it.
+    pub(super) fn empty(settings: RigidSettings, solver: RigidBodies, now: SimTime) -> Self {
+        Self {
+            solver,
+            bodies: BTreeMap::new(),
+            tools: BTreeMap::new(),
+            now,
+            found: Vec::new(),
+            meetings: Meetings::default(),
+            former: Vec::new(),
+            penetration_max: 0.0,
+            contacts: Vec::new(),
+            scratch: Scratch::default(),
+            settings,
+        }
+    }
+
+    /// Bodies of the solver, another one at the end, or one less.
+    pub(super) fn rebuild(&mut self, add: Option<(RigidMass, RigidState)>, remove: Option<usize>) -> usize {
+        let (mut masses, mut states) = (self.solver.masses().to_vec(), self.solver.states().to_vec());
+        if let Some(gone) = remove {
+            masses.remove(gone);
+            states.remove(gone);
+            let slots = self.bodies.values_mut().filter_map(|body| body.slot.as_mut());
+            for slot in slots.chain(self.tools.values_mut().map(|tool| &mut tool.slot)) {
+                *slot -= usize::from(*slot > gone);
+            }
+        }
+        if let Some((mass, state)) = add {
+            masses.push(mass);
+            states.push(state);
+        }
+        let settings = &self.settings;
+        // Masses and states have been checked one by one.
+        if let Ok(solver) = RigidBodies::new(
+            &masses,
+            &states,
+            settings.gravity_in_world,
+            settings.integrator,
+            settings.contacts(),
+        ) {
+            self.solver = solver;
+        }
+        masses.len().saturating_sub(1)
+    }
+
+    #[allow(clippy::too_many_arguments)] // a body is all of this
+    pub(super) fn insert(
+        &mut self,
+        entity: Entity,
+        component: &RigidBody,
+        solid: Solid,
+        mass: Option<(RigidMass, Isometry3<f64>)>,
+        pose: &Pose,
+        velocity: &Velocity,
+        by_others: bool,
+    ) -> Result<(), WorldError> {
+        check(entity, component)?;
+        check(entity, pose)?;
+        check(entity, velocity)?;
+        self.remove(entity);
+        if self.bodies.len() >= BODIES_MAX {
+            return Err(WorldError::TooManyBodies { entity, max: BODIES_MAX });
+        }
+        let pose = pose.isometry();
+        let principal = mass.map_or_else(Isometry3::identity, |(_, principal)| principal);
+        let slot = match mass {
+            Some((mass, principal)) if component.motion == Motion::Dynamic => {
+                Some(self.rebuild(Some((mass, state_of(&mass, &principal, &pose, velocity))), None))
+            }
+            _ => None,
+        };
+        let mut trail = by_others.then(Trail::default);
+        if let Some(trail) = &mut trail {
+            trail.push(self.now, pose);
+        }
+        let mut body = Body {
+            component: component.clone(),
+            solid,
+            slot,
+            principal,
+            pose,
+            velocity: if component.motion == Motion::Dynamic { *velocity } else { Velocity::default() },
+            travel: None,
+            trail,
+            still_secs: 0.0,
+            sleeps: false,
+            push: Wrench::default(),
+        };
+        body.solid.place(&pose);
+        self.bodies.insert(entity, body);
+        Ok(())
+    }
+
+    fn prepare(&mut self) {
+        let step_secs = self.settings.substep_secs;
+        for tool in self.tools.values_mut() {
+            tool.prepare(&self.settings, self.now);
+        }
+        for body in self.bodies.values_mut() {
+            let Some(travel) = &body.travel else {
+                if body.component.motion == Motion::Kinematic {
+                    body.velocity = Velocity::default();
+                }
+                continue;
+            };
+            let share = 1.0 / f64::from(travel.steps);
+            let way = travel.to.translation.vector - body.pose.translation.vector;
+            let turn = (travel.to.rotation * body.pose.rotation.inverse()).scaled_axis();
+            body.velocity =
+                Velocity { linear: way * (share / step_secs), angular: turn * (share / step_secs) };
+        }
+    }
+
+    /// Something has gone: nobody knows who lay on it.
+    pub(super) fn wake_all(&mut self) {
+        for body in self.bodies.values_mut() {
+            body.sleeps = false;
+            body.still_secs = 0.0;
+        }
+    }
+
+    /// Rows of the solver out of what meets, and what else pushes.
+    fn rows(&mut self) {
+        let Scratch { rows, of, arms, joints, begin, wrenches, .. } = &mut self.scratch;
+        rows.clear();
+        of.clear();
+        arms.clear();
+        begin.clear();
+        joints.clear();
+        joints.extend(self.tools.values().filter_map(|tool| tool.joint));
+        let (bodies, tools) = (&self.bodies, &self.tools);
+        for (index, meeting) in self.meetings.all.iter().enumerate() {
+            let [a, b] = &meeting.sides;
+            let (gives, other, sign) = match (a.slot, b.slot) {
+                (_, Some(_)) => (b, a, 1.0),
+                (Some(_), None) => (a, b, -1.0),
+                (None, None) => continue,
+            };
+            let Some(slot) = gives.slot else { continue };
+            let point = nalgebra::center(&meeting.point.points[0], &meeting.point.points[1]);
+            let surface = if other.slot.is_some() { None } else { bodies.get(&other.entity) };
+            rows.push(RigidContact {
+                body: slot as u32,
+                other: other.slot.map(|slot| slot as u32),
+                point_in_world: point,
+                normal_in_world: meeting.point.normal * sign,
+                depth: meeting.point.depth,
+                friction: meeting.friction,
+                restitution: meeting.restitution.min(1.0),
+                surface_velocity: surface.map_or_else(Vector3::zeros, |body| body.velocity_at(&point)),
+            });
+            let arm = |party: &super::narrow_phase::ContactSide| {
+                let tool = tools.get(&party.entity).filter(|_| !meeting.by_others)?;
+                // Joints are in the order of their tools.
+                let before = tools.range(..party.entity).filter(|(_, tool)| tool.joint.is_some()).count();
+                tool.arm(party.part, &point, before as u32)
+            };
+            arms.push([arm(gives), arm(other)]);
+            let key = meeting.key();
+            let known = self.former.binary_search_by(|(former, _)| former.cmp(&key));
+            let impulse = known.map_or_else(|_| Vector3::zeros(), |at| self.former[at].1 * sign);
+            begin.push(ContactImpulse { impulse });
+            of.push((index, sign));
+        }
+        let step_secs = self.settings.substep_secs;
+        let gravity = self.settings.gravity_in_world;
+        wrenches.clear();
+        wrenches.resize(self.solver.states().len(), Wrench::default());
+        for body in bodies.values() {
+            let Some(slot) = body.slot else { continue };
+            let (mass, state) = (self.solver.masses()[slot], self.solver.states()[slot]);
+            if body.sleeps {
+                wrenches[slot].force = -gravity * mass.mass;
+                continue;
+            }
+            let slowed = |damping: f64| (1.0 / (1.0 + damping * step_secs) - 1.0) / step_secs;
+            wrenches[slot].force += state.momentum * slowed(body.component.linear_damping);
+            wrenches[slot].torque += state.angular_momentum * slowed(body.component.angular_damping);
+            let Wrench { force, torque } = body.push;
+            wrenches[slot].force += force;
+            wrenches[slot].torque += torque - state.position.coords.cross(&force);
+        }
+        for tool in tools.values() {
+            // The hand carries it.
+            let lever = tool.state.tip_in_world.translation.vector - tool.centre().coords;
+            let wrench = &mut wrenches[tool.slot];
+            wrench.force += tool.wrench.force - gravity * tool.mass.mass;
+            wrench.torque += tool.wrench.torque + lever.cross(&tool.wrench.force);
+            let Some(hold) = tool.hold else { continue };
+            let Some(body) = bodies.get(&hold.held) else { continue };
+            let Some(slot) = body.slot else { continue };
+            let velocities = [
+                [body.velocity.linear, body.velocity.angular],
+                [tool.state.velocity.linear, tool.state.velocity.angular],
+            ];
+            let (mass, centre) = (&self.solver.masses()[slot], self.solver.states()[slot].position);
+            if let Some([on_body, on_tool]) =
+                grasp_detection::pull(tool, mass, &body.pose, &centre, velocities, step_secs)
+            {
+                for (slot, pull) in [(slot, on_body), (tool.slot, on_tool)] {
+                    wrenches[slot].force += pull.force;
+                    wrenches[slot].torque += pull.torque;
+                }
+            }
+        }
+    }
+
+    /// Where everything is after the step, what contacts came to, what is held, and who sleeps.
+    fn take_over(&mut self) {
+        let step_secs = self.settings.substep_secs;
+        let Scratch { of, joints, .. } = &mut self.scratch;
+        for meeting in &mut self.meetings.all {
+            meeting.impulse = Vector3::zeros();
+        }
+        for ((index, sign), impulse) in of.iter().zip(self.solver.impulses()) {
+            self.meetings.all[*index].impulse = impulse.impulse * *sign;
+        }
+        let (masses, states) = (self.solver.masses(), self.solver.states());
+        for body in self.bodies.values_mut() {
+            if let Some(travel) = &mut body.travel {
+                let share = 1.0 / f64::from(travel.steps);
+                let way = travel.to.translation.vector - body.pose.translation.vector;
+                let turn = (travel.to.rotation * body.pose.rotation.inverse()).scaled_axis();
+                body.pose.translation.vector += way * share;
+                body.pose.rotation =
+                    nalgebra::UnitQuaternion::from_scaled_axis(turn * share) * body.pose.rotation;
+                travel.steps -= 1;
+                if travel.steps == 0 {
+                    body.pose = travel.to;
+                    body.travel = None;
+                }
+                body.solid.place(&body.pose);
+            }
+            let Some(slot) = body.slot.filter(|_| !body.sleeps) else { continue };
+            body.follow(&masses[slot], &states[slot]);
+        }
+        let mut moved = joints.iter();
+        for tool in self.tools.values_mut() {
+            let joint = tool.joint.and_then(|_| moved.next().copied());
+            tool.follow(&states[tool.slot], joint);
+        }
+        self.measure();
+        let (bodies, pads) = (&self.bodies, &mut self.scratch.pads);
+        for (entity, tool) in &mut self.tools {
+            let lifted =
+                |held: Entity| bodies.get(&held).filter(|body| body.is_dynamic()).map(|body| body.pose);
+            grasp_detection::update(tool, *entity, &self.meetings.all, step_secs, pads, lifted);
+        }
+        self.former.clear();
+        self.former.extend(self.meetings.all.iter().map(|meeting| (meeting.key(), meeting.impulse)));
+        self.former.sort_by_key(|(key, _)| *key);
+        self.rest(step_secs);
+        if self.has_surfaces() {
+            let now = self.now;
+            for body in self.bodies.values_mut() {
+                if let Some(trail) = &mut body.trail {
+                    trail.push(now, body.pose);
+                }
+            }
+            for tool in self.tools.values_mut() {
+                tool.trail.push(now, tool.state.tip_in_world);
+            }
+        }
+    }
+
+    /// Depths after the step.
+    fn measure(&mut self) {
+        for meeting in self.meetings.all.iter_mut().filter(|meeting| !meeting.by_others) {
+            let place = |side: usize| {
+                let party = &meeting.sides[side];
+                let body = self.bodies.get(&party.entity).map(|body| &body.solid);
+                let solid = body.or_else(|| self.tools.get(&party.entity).map(|tool| &tool.solid));
+                solid.map_or(meeting.point.points[side], |solid| solid.placed[party.part] * party.local)
+            };
+            let points = [place(0), place(1)];
+            meeting.point.points = points;
+            meeting.point.depth = (points[0] - points[1]).dot(&meeting.point.normal);
+            self.penetration_max = self.penetration_max.max(meeting.point.depth);
+        }
+    }
+
+    fn rest(&mut self, step_secs: f64) {
+        let (meetings, tools) = (&self.meetings.all, &self.tools);
+        let is_touched = |entity: Entity| {
+            meetings.iter().filter(|meeting| meeting.sides.iter().any(|side| side.entity == entity)).any(
+                |meeting| {
+                    meeting.by_others || meeting.sides.iter().any(|side| tools.contains_key(&side.entity))
+                },
+            )
+        };
+        for (entity, body) in &mut self.bodies {
+            let Some(slot) = body.slot.filter(|_| !body.sleeps) else { continue };
+            let state = self.solver.states()[slot];
+            let mass = self.solver.masses()[slot];
+            // As fast as its energy would make all of it.
+            let speed = (2.0 * mass.kinetic_energy(&state) / mass.mass).sqrt();
+            // What others find is gone without a word when they are.
+            let is_pushed = body.push != Wrench::default();
+            let may_sleep = speed < SLEEP_SPEED && body.trail.is_none() && !is_pushed && !is_touched(*entity);
+            body.still_secs = if may_sleep { body.still_secs + step_secs } else { 0.0 };
+            if body.still_secs >= SLEEP_AFTER_SECS {
+                body.sleeps = true;
+                body.velocity = Velocity::default();
+                let still =
+                    RigidState { momentum: Vector3::zeros(), angular_momentum: Vector3::zeros(), ..state };
+                // Where it is, it has been.
+                let _ = self.solver.place(slot, still);
+            }
+        }
+    }
+
+    /// Who a body of the solver is.
+    fn entity_of(&self, slot: usize) -> Option<Entity> {
+        let body = self.bodies.iter().find(|(_, body)| body.slot == Some(slot));
+        let tool = || self.tools.iter().find(|(_, tool)| tool.slot == slot).map(|(entity, _)| *entity);
+        body.map(|(entity, _)| *entity).or_else(tool)
+    }
+
+    /// Advances by one step.
+    pub(super) fn step(&mut self) -> Result<(), WorldError> {
+        let step_secs = self.settings.substep_secs;
+        self.prepare();
+        self.meetings.meet(WorldView {
+            bodies: &mut self.bodies,
+            tools: &self.tools,
+            found: &self.found,
+            step_secs,
+        });
+        self.rows();
+        let Scratch { rows, arms, joints, begin, wrenches, .. } = &mut self.scratch;
+        self.solver.begin_with(begin);
+        if let Err(error) = self.solver.step_with_jaws(step_secs, wrenches, rows, arms, joints) {
+            let slot = match error {
+                RigidStepError::Body { body } => Some(body),
+                RigidStepError::Contact(contact) => rows.get(contact).map(|row| row.body as usize),
+                _ => None,
+            };
+            let entities = slot.and_then(|slot| self.entity_of(slot)).into_iter().collect();
+            return Err(WorldError::Diverged { entities });
+        }
+        self.now += SimTime::from_secs_f64(step_secs);
+        self.take_over();
+        Ok(())
+    }
+}

@@ -1,0 +1,438 @@
+//! What an inverse is corrected by that serves a body which has become another: elements that are gone, nodes that came
+//! apart. Each adds unknowns w to the displacements u that the inverse knows, in a system
+//!
+//! ```text
+//! K   G     u     f
+//! Gᵀ  H  ·  w  =  p
+//! ```
+//!
+//! of which K⁻¹ is known, so that with Y = K⁻¹ G and T = H − Gᵀ Y first T w = p − Yᵀ f and then u = K⁻¹ f − Y w. This is no
+//! approximation (the bordering method; the formula of Woodbury 1950 is its case of elements that go); it only becomes
+//! dearer with every unknown.
+//!
+//! Of an element that is gone, with a stiffness U Uᵀ of rank six, w = −Uᵀ u, G = U, H = 1 and p = 0. Of a node that came apart w
+//! is how far it is from the one that it was, G and H are the forces that this takes of the elements that hang on it, and p is
+//! what pulls on it.
+
+use nalgebra::{DVector, SMatrix, Vector3};
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
+
+use super::active_set::{ActiveSet, Packed};
+use super::bounds::{BATCH, RANK, REMNANT, UNKNOWNS_MAX};
+use super::compliance::Boundary;
+use super::element_removal::root_of_stiffness;
+use crate::linear_algebra::SparseCholesky;
+use crate::stiffness::stiffness_block;
+
+/// Share of its diagonal that a pivot of T has at least: below, rounding decides.
+const PIVOT_MIN: f64 = 1e-14;
+
+/// One thing that has changed of the body of an inverse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// An element that is gone.
+    Gone(u32),
+    /// A node that has come apart from the one that it was.
+    Apart(u32),
+}
+
+/// Three rows.
+type Block = SMatrix<f64, 3, RANK>;
+
+/// The unknowns of one change.
+struct Border {
+    change: Change,
+    /// Number of the first, and how many: six or three.
+    first: usize,
+    count: usize,
+    /// Of an element: its root.
+    root: Option<SMatrix<f64, 12, RANK>>,
+    /// Rows of G that are not zero, by the rows of nodes; of a node the first three columns.
+    g: Vec<(u32, Block)>,
+}
+
+/// All of them.
+#[derive(Default)]
+pub(super) struct Correction {
+    /// Stiffness of each element in the factor, of what its material has; empty for all of it.
+    pub weights: Vec<f64>,
+    /// Elements that are gone, in the order in which they went.
+    pub tets: Vec<u32>,
+    /// Nodes that the factor has.
+    pub known: usize,
+    /// Which node each of those behind them was.
+    pub parents: Vec<u32>,
+    /// How many of these have come apart; the others still go with the ones that they were.
+    pub released: usize,
+    /// Of each of these the first unknowns that its displacement has more than that of the node it comes from at last.
+    homes: Vec<Vec<usize>>,
+    borders: Vec<Border>,
+    /// How many of them each time.
+    batches: Vec<usize>,
+    /// Y, over all free nodes, column after column.
+    y: Vec<Vec<f64>>,
+    t: Packed,
+    factored: ActiveSet,
+}
+
+/// A force as the correction sees it: p − Yᵀ f, and T⁻¹ of that. Between two forces the correction of the compliance is the
+/// product of the one's parts and the other's shares.
+#[derive(Clone, Debug)]
+pub(super) struct Through {
+    pub parts: DVector<f64>,
+    pub shares: DVector<f64>,
+}
+
+/// What a correction is computed from.
+pub(super) struct Serving<'a> {
+    pub mesh: &'a TetMesh,
+    pub material: &'a Elastic,
+    pub boundary: &'a Boundary,
+    pub factor: &'a mut SparseCholesky,
+}
+
+impl Correction {
+    /// None yet, of an inverse that has so many nodes.
+    pub fn of(known: usize) -> Self {
+        Self { known, ..Self::default() }
+    }
+
+    /// How many unknowns there are.
+    pub fn unknowns(&self) -> usize {
+        self.y.len()
+    }
+
+    /// What has changed, in order, and what of it at once.
+    pub fn changes(&self) -> Vec<Vec<Change>> {
+        let mut all = self.borders.iter().map(|border| border.change);
+        self.batches.iter().map(|count| all.by_ref().take(*count).collect()).collect()
+    }
+
+    pub fn weight(&self, tet: u32) -> f64 {
+        self.weights.get(tet as usize).copied().unwrap_or(1.0)
+    }
+
+    /// Whether an element is out, or was never in.
+    pub fn is_out(&self, tet: u32) -> bool {
+        self.weight(tet) <= REMNANT || self.tets.contains(&tet)
+    }
+
+    /// Puts back and together what the factor has whole and as one.
+    pub fn put_back(&mut self) {
+        let (weights, known) = (std::mem::take(&mut self.weights), self.known);
+        *self = Self { weights, known, ..Self::default() };
+    }
+
+    /// New nodes, which go with the ones that they were until they are released.
+    pub fn bear(&mut self, parents: &[u32]) {
+        for &parent in parents {
+            self.homes.push(self.home(parent).to_vec());
+            self.parents.push(parent);
+        }
+    }
+
+    /// The node that one comes from at last.
+    pub fn root(&self, mut node: u32) -> u32 {
+        while let Some(born) = (node as usize).checked_sub(self.known) {
+            node = self.parents[born];
+        }
+        node
+    }
+
+    /// First unknowns of what the displacement of a node is more than the factor says of it.
+    fn home(&self, node: u32) -> &[usize] {
+        (node as usize).checked_sub(self.known).map_or(&[], |born| &self.homes[born])
+    }
+
+    /// What unknowns add to the displacement of a node \[m\].
+    pub fn own(&self, node: u32, unknowns: &[f64]) -> Vector3<f64> {
+        self.home(node).iter().map(|&first| Vector3::from_column_slice(&unknowns[first..first + 3])).sum()
+    }
+
+    /// Takes elements out, up to [`BATCH`] unknowns at once; how many it did: all before one without which the body would fall
+    /// apart.
+    pub fn take(&mut self, tets: &[u32], of: &mut Serving<'_>) -> usize {
+        let mut borders = Vec::new();
+        for (&tet, first) in tets.iter().zip((self.unknowns()..).step_by(RANK)) {
+            let root = root_of_stiffness(of.mesh, of.material, tet as usize) * self.weight(tet).sqrt();
+            let mut g = Vec::new();
+            let mut h = Rows::new(first, RANK);
+            for (corner, &node) in of.mesh.tets()[tet as usize].iter().enumerate() {
+                let block: Block = root.fixed_rows::<3>(3 * corner).into();
+                if let Some(row) = of.boundary.numbers[node as usize] {
+                    g.push((row, block));
+                }
+                self.home(node).iter().for_each(|&first| h.add(first, &block));
+            }
+            h.add_identity(1.0);
+            let border = Border { change: Change::Gone(tet), first, count: RANK, root: Some(root), g };
+            borders.push((border, h));
+        }
+        let done = self.append(borders, of.factor);
+        self.tets.extend_from_slice(&tets[..done]);
+        done
+    }
+
+    /// Lets the next nodes come apart from the ones that they were, each with those that came of it since, so many and up to
+    /// [`BATCH`] unknowns at once; how many it did. Fewer where there are no more, no room, or rounding would decide.
+    pub fn release(&mut self, most: usize, bond: f64, of: &mut Serving<'_>) -> usize {
+        let (before, mut next) = (self.released, self.unknowns());
+        let mut borders = Vec::new();
+        // Of each that moves, which of all released it is.
+        let mut going = Vec::new();
+        for born in before..self.parents.len().min(before.saturating_add(most)) {
+            let node = (self.known + born) as u32;
+            if of.boundary.numbers[node as usize].is_none() {
+                // It stays where it is, as the one that it was does.
+                continue;
+            }
+            if next + 3 > UNKNOWNS_MAX || borders.len() == BATCH / 3 {
+                break;
+            }
+            self.leave_home(born, next);
+            borders.push(self.border(node, next, bond, of));
+            going.push((born, next));
+            next += 3;
+        }
+        let wanted = going.len();
+        let done = self.append(borders, of.factor);
+        if done < wanted {
+            let least = going[done].1;
+            self.homes.iter_mut().for_each(|home| home.retain(|at| *at < least));
+        }
+        // Those that stay are released with what comes before them.
+        let stays = |born: &usize| of.boundary.numbers[self.known + born].is_none();
+        let mut end = going.get(done.wrapping_sub(1)).map_or(before, |(born, _)| born + 1);
+        while end < self.parents.len() && stays(&end) {
+            end += 1;
+        }
+        self.released = end;
+        end - before
+    }
+
+    /// A node, and those that came of it since, have three unknowns more.
+    fn leave_home(&mut self, first_born: usize, unknown: usize) {
+        let mut descends = vec![false; self.parents.len()];
+        for born in first_born..self.parents.len() {
+            let parent = (self.parents[born] as usize).checked_sub(self.known);
+            descends[born] = born == first_born || parent.is_some_and(|parent| descends[parent]);
+            if descends[born] {
+                self.homes[born].push(unknown);
+            }
+        }
+    }
+
+    /// Nodes that have not come apart yet.
+    pub fn waiting(&self) -> usize {
+        self.parents.len() - self.released
+    }
+
+    /// What a node takes to come apart, of the elements that hang on it and on those that still go with it.
+    fn border(&self, node: u32, first: usize, bond: f64, of: &Serving<'_>) -> (Border, Rows) {
+        let mut g: Vec<(u32, Block)> = Vec::new();
+        let mut h = Rows::new(first, 3);
+        let goes = |other: u32| other >= node && self.home(other).contains(&first);
+        for (tet, nodes) in of.mesh.tets().iter().enumerate() {
+            if !nodes.iter().any(|&other| goes(other)) {
+                continue;
+            }
+            let gradients = of.mesh.gradients(tet);
+            let volume = of.mesh.volumes()[tet] * self.weight(tet as u32);
+            for l in (0..4).filter(|&l| goes(nodes[l])) {
+                for (k, &other) in nodes.iter().enumerate() {
+                    let mut block = Block::zeros();
+                    let own = stiffness_block(of.material, volume, &gradients[k], &gradients[l]);
+                    block.fixed_columns_mut::<3>(0).copy_from(&own);
+                    if let Some(row) = of.boundary.numbers[other as usize] {
+                        match g.iter_mut().find(|(known, _)| *known == row) {
+                            Some((_, sum)) => *sum += block,
+                            None => g.push((row, block)),
+                        }
+                    }
+                    self.home(other).iter().for_each(|&at| h.add(at, &block));
+                }
+            }
+        }
+        for border in &self.borders {
+            let (Change::Gone(tet), Some(root)) = (border.change, &border.root) else { continue };
+            for (corner, &other) in of.mesh.tets()[tet as usize].iter().enumerate() {
+                if goes(other) {
+                    h.add_turned(border.first, &root.fixed_rows::<3>(3 * corner).into());
+                }
+            }
+        }
+        h.add_identity(bond);
+        (Border { change: Change::Apart(node), first, count: 3, root: None, g }, h)
+    }
+
+    /// Adds the unknowns of changes, all of whose columns are solved for at once; how many: all before one for which there is
+    /// no pivot.
+    fn append(&mut self, borders: Vec<(Border, Rows)>, factor: &mut SparseCholesky) -> usize {
+        let rows = factor.rows();
+        let columns: usize = borders.iter().map(|(border, _)| border.count).sum();
+        if columns == 0 || rows == 0 {
+            return 0;
+        }
+        let mut all = vec![0.0; columns * rows];
+        let mut columns = all.chunks_exact_mut(rows);
+        for (border, _) in &borders {
+            for (own, column) in columns.by_ref().take(border.count).enumerate() {
+                for (row, block) in &border.g {
+                    (0..3).for_each(|axis| column[3 * *row as usize + axis] += block[(axis, own)]);
+                }
+            }
+        }
+        factor.solve(&mut all);
+        let (mut solved, mut done) = (all.chunks_exact(rows), 0);
+        for (border, h) in borders {
+            let own: Vec<Vec<f64>> = solved.by_ref().take(border.count).map(<[f64]>::to_vec).collect();
+            if !self.extend(border, &h, own) {
+                break;
+            }
+            done += 1;
+        }
+        if done > 0 {
+            self.batches.push(done);
+        }
+        done
+    }
+
+    /// Adds the unknowns of one change with its columns of Y; `false`, and nothing has changed, where there is no pivot for one.
+    fn extend(&mut self, border: Border, h: &Rows, y: Vec<Vec<f64>>) -> bool {
+        let (first, count) = (border.first, border.count);
+        self.y.extend(y);
+        self.borders.push(border);
+        for row in first..first + count {
+            let begin = self.t.values.len();
+            self.t.values.extend((0..=row).map(|other| h.at(row - first, other)));
+            let entries = &mut self.t.values[begin..];
+            for border in &self.borders {
+                for of in (border.first..border.first + border.count).take_while(|of| *of <= row) {
+                    entries[of] -= border.against(of - border.first, &self.y[row]);
+                }
+            }
+            self.t.size += 1;
+            if !self.factored.append_above(row, &self.t, PIVOT_MIN) {
+                self.forget(first);
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Takes the unknowns from one on away again, which are those of the last change.
+    fn forget(&mut self, first: usize) {
+        while self.factored.rows.len() > first {
+            self.factored.delete(self.factored.rows.len() - 1);
+        }
+        while self.t.size > first {
+            self.t.remove(self.t.size - 1);
+        }
+        self.y.truncate(first);
+        self.borders.pop();
+    }
+
+    /// What a force does through what has changed, by nodes. `None` where nothing has.
+    pub fn through(
+        &self,
+        boundary: &Boundary,
+        forces: impl Iterator<Item = (u32, Vector3<f64>)> + Clone,
+    ) -> Option<Through> {
+        if self.y.is_empty() {
+            return None;
+        }
+        let mut parts = self.pulls(forces.clone());
+        for (part, y) in parts.iter_mut().zip(&self.y) {
+            for (node, force) in forces.clone() {
+                if let Some(row) = boundary.numbers[node as usize] {
+                    *part -= (0..3).map(|axis| y[3 * row as usize + axis] * force[axis]).sum::<f64>();
+                }
+            }
+        }
+        let mut shares = parts.clone();
+        self.factored.solve(shares.as_mut_slice());
+        Some(Through { parts, shares })
+    }
+
+    /// What forces on nodes pull at the unknowns: p.
+    pub fn pulls(&self, forces: impl Iterator<Item = (u32, Vector3<f64>)>) -> DVector<f64> {
+        let mut pulls = DVector::zeros(self.y.len());
+        for (node, force) in forces {
+            for &first in self.home(node) {
+                (0..3).for_each(|axis| pulls[first + axis] += force[axis]);
+            }
+        }
+        pulls
+    }
+
+    /// Corrects what the factor has solved for, over all free nodes, where forces pull at the unknowns; what these are then.
+    pub fn correct(&self, x: &mut [f64], pulls: DVector<f64>) -> DVector<f64> {
+        let mut unknowns = pulls;
+        for border in &self.borders {
+            (0..border.count).for_each(|of| unknowns[border.first + of] -= border.against(of, x));
+        }
+        self.factored.solve(unknowns.as_mut_slice());
+        for (y, own) in self.y.iter().zip(unknowns.iter()) {
+            x.iter_mut().zip(y).for_each(|(x, y)| *x -= own * y);
+        }
+        unknowns
+    }
+
+    /// Adds what unknowns do to the free surface nodes of the inverse.
+    pub fn add_to_surface(&self, boundary: &Boundary, unknowns: &DVector<f64>, to: &mut [f32]) {
+        for (y, own) in self.y.iter().zip(unknowns.iter()) {
+            for (to, row) in to.chunks_exact_mut(3).zip(boundary.rows_of_surface()) {
+                (0..3).for_each(|axis| to[axis] -= (own * y[3 * row + axis]) as f32);
+            }
+        }
+    }
+}
+
+impl Border {
+    /// One column of G times a vector of the free nodes.
+    fn against(&self, of: usize, x: &[f64]) -> f64 {
+        let rows = self.g.iter().map(|(row, block)| {
+            (0..3).map(|axis| block[(axis, of)] * x[3 * *row as usize + axis]).sum::<f64>()
+        });
+        rows.sum()
+    }
+}
+
+/// Rows of H, of the unknowns of one change with all before them and with themselves.
+struct Rows {
+    first: usize,
+    count: usize,
+    values: Vec<f64>,
+}
+
+impl Rows {
+    fn new(first: usize, count: usize) -> Self {
+        Self { first, count, values: vec![0.0; count * (first + count)] }
+    }
+
+    fn at(&self, own: usize, other: usize) -> f64 {
+        self.values[own * (self.first + self.count) + other]
+    }
+
+    /// Three unknowns from `at` on, with each of these.
+    fn add(&mut self, at: usize, block: &Block) {
+        let stride = self.first + self.count;
+        for own in 0..self.count {
+            (0..3).for_each(|axis| self.values[own * stride + at + axis] += block[(axis, own)]);
+        }
+    }
+
+    /// The unknowns of an element from `at` on, with these three.
+    fn add_turned(&mut self, at: usize, block: &Block) {
+        let stride = self.first + self.count;
+        for own in 0..self.count {
+            (0..RANK).for_each(|mode| self.values[own * stride + at + mode] += block[(own, mode)]);
+        }
+    }
+
+    fn add_identity(&mut self, times: f64) {
+        let stride = self.first + self.count;
+        (0..self.count).for_each(|own| self.values[own * stride + self.first + own] += times);
+    }
+}

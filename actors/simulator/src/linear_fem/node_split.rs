@@ -1,0 +1,192 @@
+//! A body that comes apart at nodes while an inverse serves that was computed when they were one: until there is a new
+//! inverse, the old one is corrected (`low_rank_update.rs`), by three unknowns for each node.
+//!
+//! What hangs by nothing else keeps to where it was by bonds from each node to the one that it was, of a millionth of the
+//! stiffness of an element, in a corrected inverse and in a new one alike: a body without inertia cannot fall.
+
+use nalgebra::Vector3;
+use trocar_dynamics::elasticity::Elastic;
+use trocar_dynamics::tet_mesh::TetMesh;
+
+use super::attachment::Handle;
+use super::attachment::{Attachment, Hold};
+use super::bounds::{BATCH, REMNANT, UNKNOWNS_MAX};
+use super::error::LinearFemError;
+use super::low_rank_update::{Change, Correction, Serving};
+use super::solver::LinearFem;
+
+/// Stiffness of a bond \[N/m\]: of a share of Young's modulus over an edge, which no change of the topology changes.
+pub(super) fn bond(mesh: &TetMesh, material: &Elastic) -> f64 {
+    let mean = mesh.volume() / mesh.tets().len().max(1) as f64;
+    REMNANT * material.young_modulus() * mean.cbrt()
+}
+
+impl LinearFem {
+    /// Runs a change of the correction on what serves.
+    pub(super) fn corrected<T>(&mut self, change: impl FnOnce(&mut Correction, &mut Serving<'_>) -> T) -> T {
+        let Self { mesh, material, boundary, factor, correction, .. } = self;
+        change(correction, &mut Serving { mesh, material, boundary, factor })
+    }
+
+    /// The free nodes of its surface, ascending: those that its inverse is between, and what has come apart from them. What
+    /// a cut has brought to light of the inside is not among them before the next inverse.
+    #[must_use]
+    pub fn nodes(&self) -> &[u32] {
+        &self.touched
+    }
+
+    /// Numbers of its factor: what a sparse solve reads twice.
+    #[must_use]
+    pub fn factor_entries(&self) -> usize {
+        self.factor.entries()
+    }
+
+    /// Whether its inverse is that of another body, and corrected.
+    #[must_use]
+    pub fn is_corrected(&self) -> bool {
+        !self.correction.parents.is_empty() || self.correction.unknowns() > 0
+    }
+
+    /// Nodes that have come apart in the mesh, and go with the ones that they were still.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.correction.waiting()
+    }
+
+    /// Whether there is room for another of them to be released.
+    #[must_use]
+    pub fn can_release(&self) -> bool {
+        self.waiting() > 0 && self.correction.unknowns() + 3 <= UNKNOWNS_MAX
+    }
+
+    /// The body has come apart: it has this mesh now, whose new nodes, behind all others, were those nodes of `parents`, each one
+    /// before itself, at the same place. They go with these until [`Self::release_nodes`]; nothing moves and nothing is felt of it yet.
+    /// A dead load stays on the nodes that it was on: set it anew.
+    ///
+    /// # Errors
+    /// A mesh that this body does not become so.
+    pub fn come_apart(&mut self, mesh: &TetMesh, parents: &[u32]) -> Result<(), LinearFemError> {
+        let before = self.mesh.rest().len();
+        let fits = mesh.rest().len() == before + parents.len()
+            && mesh.tets().len() == self.mesh.tets().len()
+            && (before..).zip(parents).all(|(node, parent)| (*parent as usize) < node);
+        if !fits {
+            return Err(LinearFemError::OtherMesh);
+        }
+        for (node, &parent) in (before as u32..).zip(parents) {
+            if self.boundary.bear(parent) {
+                self.touched.push(node);
+            }
+        }
+        self.correction.bear(parents);
+        self.mesh = mesh.clone();
+        if !self.dead_load.is_empty() {
+            self.dead_load.resize(mesh.rest().len(), Vector3::zeros());
+        }
+        Ok(())
+    }
+
+    /// Lets nodes come apart that the mesh says have, so many at most, in the order in which they were born; what is held stays
+    /// held. Each costs three sparse solves, and makes what follows a little dearer. Answers how many did: none when the inverse
+    /// bears no more, and the next one is due.
+    ///
+    /// # Errors
+    /// None but those of what is held, which it was held with before.
+    pub fn release_nodes(&mut self, most: usize) -> Result<usize, LinearFemError> {
+        if !self.can_release() {
+            return Ok(0);
+        }
+        let state = self.state();
+        let bond = bond(&self.mesh, &self.material);
+        let mut done = 0;
+        while done < most {
+            match self.corrected(|correction, serving| correction.release(most - done, bond, serving)) {
+                0 => break,
+                more => done += more,
+            }
+        }
+        self.enter_anew(&state)?;
+        Ok(done)
+    }
+
+    /// Holds something at a target \[m\]; a point that others hold in part already, in the axes in which they do not. So a piece
+    /// that is cut off goes with what holds it at three points. None at all where others hold all of it.
+    ///
+    /// # Errors
+    /// As [`Self::hold`] and [`Self::set_target`], but for what is held already.
+    pub fn hold_at(
+        &mut self,
+        attachment: &Attachment,
+        target: Vector3<f64>,
+    ) -> Result<Vec<Handle>, LinearFemError> {
+        let mut handles = Vec::new();
+        match (self.hold(attachment.clone()), attachment.hold) {
+            (Ok(handle), _) => handles.push(handle),
+            (Err(LinearFemError::Dependent { .. }), Hold::Point) => {
+                for axis in [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()] {
+                    let along = Attachment { hold: Hold::Along(axis), ..attachment.clone() };
+                    match self.hold(along) {
+                        Ok(handle) => handles.push(handle),
+                        Err(LinearFemError::Dependent { .. }) => {}
+                        Err(error) => return Err(error),
+                    }
+                }
+            }
+            (Err(LinearFemError::Dependent { .. }), _) => {}
+            (Err(error), _) => return Err(error),
+        }
+        handles.iter().try_for_each(|&handle| self.set_target(handle, target))?;
+        Ok(handles)
+    }
+
+    /// Does again what has been done to a body: from the mesh that its inverse was computed of to this one.
+    pub(super) fn change_again(
+        &mut self,
+        parents: &[u32],
+        tets: &[[u32; 4]],
+        changes: &[Vec<Change>],
+    ) -> Result<(), LinearFemError> {
+        let known = self.correction.known;
+        let (nodes, count) = (known + parents.len(), self.mesh.tets().len());
+        let is_bad = (known..).zip(parents).any(|(node, parent)| *parent as usize >= node)
+            || (!parents.is_empty() && tets.len() != count)
+            || tets.iter().flatten().any(|node| *node as usize >= nodes);
+        if is_bad {
+            return Err(LinearFemError::State("its mesh is not one that this body becomes"));
+        }
+        let whole = self.mesh.tets().iter().map(|tet| tet.map(|node| self.correction.root(node))).collect();
+        self.correction.put_back();
+        self.boundary.forget(known);
+        self.touched.truncate(self.boundary.surface.len());
+        self.dead_load.clear();
+        self.mesh = self.mesh.parted(known, &[], whole);
+        if !parents.is_empty() {
+            let mesh = self.mesh.parted(known, parents, tets.to_vec());
+            self.come_apart(&mesh, parents)?;
+        }
+        let bond = bond(&self.mesh, &self.material);
+        let fails = || LinearFemError::State("its changes are not ones of this body");
+        for batch in changes {
+            if batch.len() > BATCH / 3 {
+                return Err(fails());
+            }
+            let gone = batch.iter().map(|change| match change {
+                Change::Gone(tet) if (*tet as usize) < count => Some(*tet),
+                _ => None,
+            });
+            if let Some(gone) = gone.collect::<Option<Vec<u32>>>() {
+                if self.corrected(|correction, serving| correction.take(&gone, serving)) < gone.len() {
+                    return Err(fails());
+                }
+                continue;
+            }
+            let Some(&Change::Apart(last)) = batch.last() else { return Err(fails()) };
+            let most = (last as usize + 1).saturating_sub(known + self.correction.released);
+            self.corrected(|correction, serving| correction.release(most, bond, serving));
+            if self.correction.changes().last() != Some(batch) {
+                return Err(fails());
+            }
+        }
+        Ok(())
+    }
+}

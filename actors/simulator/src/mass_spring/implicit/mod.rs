@@ -1,0 +1,311 @@
+//! Backward Euler: M Δv = h f at the end of the step, linearised where the iteration stands. The first iteration
+//! linearises at the beginning of the step (Baraff and Witkin 1998); further ones are Newton's.
+
+pub(crate) mod block_jacobi;
+mod cholesky;
+mod conjugate_gradients;
+mod operator;
+mod warped;
+
+use nalgebra::Vector3;
+use trocar_dynamics::particles::StepError;
+
+use super::matrix::StepMatrix;
+use super::{Config, Input, LinearSolver, MassSpring, Network, Report, forces};
+use block_jacobi::NodeBlocks;
+use cholesky::Cholesky;
+use conjugate_gradients::ConjugateGradients;
+use operator::Operator;
+use warped::Warped;
+
+/// Slip \[m/s\] at which friction has reached its full size; below, it is a drag.
+const CREEP: f64 = 1e-3;
+
+/// How often a step is solved for anew at most because contacts press that did not, or press no longer: a light sheet on a
+/// rod would be thrown off and come back in turns.
+const CHANGES_MAX: u32 = 3;
+
+/// What an implicit step needs beside the state.
+#[derive(Clone, Debug)]
+pub(super) struct Implicit {
+    matrix: StepMatrix,
+    operator: Operator,
+    solver: Solver,
+    /// Right-hand side, and what is solved for: change of velocity \[m/s\].
+    right: Vec<Vector3<f64>>,
+    change: Vec<Vector3<f64>>,
+    /// How far the positions are from where the velocity leads.
+    lead: Vec<Vector3<f64>>,
+}
+
+#[derive(Clone, Debug)]
+enum Solver {
+    NodeBlocks(ConjugateGradients, NodeBlocks),
+    Warped(ConjugateGradients, Box<Warped>, NodeBlocks),
+    Cholesky(Cholesky),
+}
+
+impl Implicit {
+    /// Follows a network that has changed: of the former one nothing serves. A factor is somebody else's to make, as it takes
+    /// longer than a step; until then the nodes' own blocks do.
+    pub fn follow(&mut self, network: &Network) {
+        self.operator.forget();
+        for list in [&mut self.right, &mut self.change, &mut self.lead] {
+            list.resize(network.masses.len(), Vector3::zeros());
+        }
+        match &mut self.solver {
+            Solver::NodeBlocks(..) => {}
+            Solver::Warped(_, warped, _) => **warped = Warped::default(),
+            Solver::Cholesky(solver) => *solver = Cholesky::new(network),
+        }
+    }
+
+    pub fn new(network: &Network, solver: LinearSolver) -> Self {
+        let zeros = vec![Vector3::zeros(); network.masses.len()];
+        let solver = match solver {
+            LinearSolver::ConjugateGradients { tolerance, iterations_max } => {
+                Solver::NodeBlocks(ConjugateGradients::new(tolerance, iterations_max), NodeBlocks::default())
+            }
+            LinearSolver::Warped { tolerance, iterations_max } => Solver::Warped(
+                ConjugateGradients::new(tolerance, iterations_max),
+                Box::new(Warped::new(network)),
+                NodeBlocks::default(),
+            ),
+            LinearSolver::Cholesky => Solver::Cholesky(Cholesky::new(network)),
+        };
+        Self {
+            matrix: StepMatrix::default(),
+            operator: Operator::default(),
+            solver,
+            right: zeros.clone(),
+            change: zeros.clone(),
+            lead: zeros,
+        }
+    }
+}
+
+/// The factor of a sheet at rest, made beside the steps that it is to be the preconditioner of.
+#[derive(Clone, Debug)]
+pub struct SheetFactor(Box<Warped>);
+
+impl SheetFactor {
+    /// Of a network that a mesh made, of which nodes move as `mobility` says \[1/kg\] (0: not at all), for steps of `dt`
+    /// \[s\] with the damping of a configuration.
+    #[must_use]
+    pub fn new(network: &Network, mobility: &[f64], dt: f64, config: &Config) -> Self {
+        Self(Box::new(Warped::made(network, mobility, (dt, config.lag, config.damping))))
+    }
+}
+
+impl MassSpring {
+    /// Goes on without a factor, as if its network had just changed.
+    pub fn forget_factor(&mut self) {
+        if let Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) = self.implicit.as_deref_mut() {
+            **warped = Warped::default();
+        }
+    }
+
+    /// Goes on with a factor of its network as it is now; one of another number of nodes or springs is none.
+    pub fn take_factor(&mut self, factor: SheetFactor) {
+        let fits = factor.0.fits(&self.network);
+        if let Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) = self.implicit.as_deref_mut()
+            && fits
+        {
+            *warped = factor.0;
+        }
+    }
+
+    /// Numbers of the factor that an implicit step is preconditioned with; none where there is no such factor.
+    #[must_use]
+    pub fn factor_entries(&self) -> usize {
+        match self.implicit.as_deref() {
+            Some(Implicit { solver: Solver::Warped(_, warped, _), .. }) => warped.factor_entries(),
+            _ => 0,
+        }
+    }
+
+    pub(super) fn step_implicit(
+        &mut self,
+        h: f64,
+        input: &Input<'_>,
+        newton: u32,
+    ) -> Result<Report, StepError> {
+        // Taken out for the time of the step, so that solver and state can be borrowed side by side.
+        let Some(mut implicit) = self.implicit.take() else { return Err(StepError::Factorisation) };
+        let mut report = Report { parts: 1, safe_step: f64::INFINITY, ..Report::default() };
+        let mut result = Ok(());
+        for iteration in 1..=newton + CHANGES_MAX {
+            self.linearise(&mut implicit, h, input);
+            self.prepare_solver(&mut implicit, h, input);
+            result = self.solve(&mut implicit, input, &mut report);
+            if result.is_err() {
+                break;
+            }
+            self.advance(&implicit, h, input);
+            let is_settled = self.press(&implicit, h, input);
+            if iteration >= newton && is_settled {
+                break;
+            }
+        }
+        self.implicit = Some(implicit);
+        result?;
+        Ok(report)
+    }
+
+    /// Matrix and right-hand side where the iteration stands.
+    fn linearise(&mut self, implicit: &mut Implicit, h: f64, input: &Input<'_>) {
+        let scratch = &mut self.scratch;
+        let (positions, velocities) = (&scratch.next.positions, &scratch.next.velocities);
+        let matrix = &mut implicit.matrix;
+        matrix.linearise(&self.network, h, self.config.lag, positions);
+        scratch.forces.fill(Vector3::zeros());
+        forces::add_forces(&self.network, self.config.lag, positions, velocities, &mut scratch.forces);
+        for force in input.forces {
+            scratch.forces[force.node as usize] += force.force;
+        }
+
+        // f(x₀ + h v) is linearised about the positions of this iteration: what separates the two, times h K.
+        let began = &self.state.positions;
+        for (((lead, velocity), position), began) in
+            implicit.lead.iter_mut().zip(velocities).zip(positions).zip(began)
+        {
+            *lead = velocity - (position - began) / h;
+        }
+        matrix.contacts.clear();
+        for ((contact, touched), total) in
+            input.contacts.iter().zip(&scratch.touched).zip(&mut scratch.contact_forces)
+        {
+            let slip = contact.slip(velocities);
+            let normal = contact.normal;
+            // At the end of the step, from its beginning: the normal part is linear in the velocity.
+            let out = normal.dot(&(contact.point(positions) - touched - contact.velocity * h));
+            let ahead: Vector3<f64> =
+                contact.joint().into_iter().map(|(node, share)| implicit.lead[node as usize] * share).sum();
+            let depth = contact.depth - out - h * normal.dot(&ahead);
+            let pressing = contact.pressing(depth, normal.dot(&slip));
+            let across = slip - normal * normal.dot(&slip);
+            let drag = contact.friction * pressing / across.norm().max(CREEP);
+            matrix.press(contact, h, pressing, drag);
+            *total = normal * pressing - across * drag;
+            for (node, share) in contact.joint() {
+                scratch.forces[node as usize] += *total * share;
+            }
+        }
+
+        let damping = self.config.damping;
+        matrix.masses.clear();
+        for (node, right) in implicit.right.iter_mut().enumerate() {
+            let mass = self.network.masses[node];
+            let (velocity, before) = (velocities[node], self.state.velocities[node]);
+            *right = (before - velocity + (input.gravity - velocity * damping) * h) * mass
+                + scratch.forces[node] * h;
+            let held = scratch.mobility[node] == 0.0;
+            matrix.masses.push(if held { 0.0 } else { mass * (1.0 + h * damping) });
+        }
+        // Springs only: the contacts' depth has been taken at its end already. Damping has no share in the lead.
+        let lag = self.config.lag;
+        for (spring, block) in self.network.springs.iter().zip(&matrix.springs) {
+            let [a, b] = spring.nodes.map(|node| node as usize);
+            let stiff = super::matrix::Block { along: block.along - h * lag * spring.stiffness, ..*block };
+            let force = stiff.matrix() * (implicit.lead[b] - implicit.lead[a]);
+            implicit.right[a] += force;
+            implicit.right[b] -= force;
+        }
+        for (hinge, block) in self.network.hinges.iter().zip(&matrix.hinges) {
+            let stiff = super::matrix::Block { along: block.along - h * lag * hinge.stiffness, ..*block };
+            let sum: Vector3<f64> =
+                (0..4).map(|at| implicit.lead[hinge.nodes[at] as usize] * hinge.weights[at]).sum();
+            let force = stiff.matrix() * sum;
+            for (node, weight) in hinge.nodes.into_iter().zip(hinge.weights) {
+                implicit.right[node as usize] -= force * weight;
+            }
+        }
+        for (right, mass) in implicit.right.iter_mut().zip(&matrix.masses) {
+            if *mass == 0.0 {
+                *right = Vector3::zeros();
+            }
+        }
+    }
+
+    fn solve(
+        &mut self,
+        implicit: &mut Implicit,
+        input: &Input<'_>,
+        report: &mut Report,
+    ) -> Result<(), StepError> {
+        let Implicit { matrix, operator, solver, right, change, .. } = implicit;
+        let (iterations, residual) = match solver {
+            Solver::Cholesky(solver) => {
+                return solver.solve(matrix, &self.network, input.contacts, right, change);
+            }
+            Solver::Warped(solver, warped, _) if warped.is_ready() => {
+                solver.solve(&mut **warped, operator, right, change)
+            }
+            Solver::NodeBlocks(solver, blocks) | Solver::Warped(solver, _, blocks) => {
+                solver.solve(blocks, operator, right, change)
+            }
+        };
+        report.iterations += iterations;
+        report.residual = residual;
+        Ok(())
+    }
+
+    /// Brings the preconditioner to where the iteration stands.
+    fn prepare_solver(&self, implicit: &mut Implicit, h: f64, input: &Input<'_>) {
+        let Implicit { matrix, operator, solver, .. } = implicit;
+        if !matches!(solver, Solver::Cholesky(_)) {
+            operator.take(matrix, &self.network, input.contacts, (h, self.config.lag));
+        }
+        let Config { lag, damping, .. } = self.config;
+        match solver {
+            Solver::Cholesky(_) => {}
+            Solver::NodeBlocks(_, blocks) => blocks.update(matrix, &self.network, input.contacts),
+            Solver::Warped(_, warped, blocks) => {
+                let positions = &self.scratch.next.positions;
+                if !warped.update(&self.network, &self.mobility, (h, lag, damping), positions) {
+                    blocks.update(matrix, &self.network, input.contacts);
+                }
+            }
+        }
+    }
+
+    /// Velocities and positions of the end of the step as the iteration sees them.
+    fn advance(&mut self, implicit: &Implicit, h: f64, input: &Input<'_>) {
+        let scratch = &mut self.scratch;
+        let next = &mut scratch.next;
+        for (velocity, change) in next.velocities.iter_mut().zip(&implicit.change) {
+            *velocity += change;
+        }
+        for ((position, began), velocity) in
+            next.positions.iter_mut().zip(&self.state.positions).zip(&next.velocities)
+        {
+            *position = began + velocity * h;
+        }
+        for led in input.prescribed {
+            next.positions[led.node as usize] = led.position;
+        }
+    }
+
+    /// Makes the forces of contacts what the linear system made of them, which is what acted: the momentum that it gave.
+    /// Whether all that pressed do, and no others would.
+    fn press(&mut self, implicit: &Implicit, h: f64, input: &Input<'_>) -> bool {
+        let scratch = &mut self.scratch;
+        let mut is_settled = true;
+        let acted = input.contacts.iter().zip(&implicit.matrix.contacts).zip(&scratch.touched);
+        for (((contact, block), touched), total) in acted.zip(&mut scratch.contact_forces) {
+            let nodes = contact.joint();
+            let change: Vector3<f64> =
+                nodes.iter().map(|(node, share)| implicit.change[*node as usize] * *share).sum();
+            // A block along the normal is there where it pressed when it was linearised.
+            let pressed = block.along + block.all > 0.0;
+            *total -= block.matrix() * change / h;
+            is_settled &= if pressed {
+                contact.normal.dot(total) >= 0.0
+            } else {
+                let now = contact.point(&scratch.next.positions);
+                contact.depth <= contact.normal.dot(&(now - touched - contact.velocity * h))
+            };
+        }
+        is_settled
+    }
+}

@@ -1,0 +1,216 @@
+//! A contact during the solve: what it feels as mass, what an impulse of it does, and how far it has come.
+
+use nalgebra::{Matrix3, Vector3};
+use trocar_dynamics::rigid_world::most_across;
+
+use super::contact::RigidContact;
+use super::jaw_joint::{Arm, Turning};
+
+/// Velocity and angular velocity.
+pub(super) type Twist = [Vector3<f64>; 2];
+
+/// What one of the two bodies of a contact has to do with it; of the second, and of what stands, with the sign that it has.
+#[derive(Clone, Copy, Debug)]
+struct Side {
+    /// What stands is the last.
+    body: usize,
+    arm: Vector3<f64>,
+    /// What an impulse makes of its velocity \[1/kg\], and of its angular velocity.
+    moves: f64,
+    turns: Matrix3<f64>,
+    /// The same of an impulse of 1 along the normal; and what its angular velocity adds to the speed along that.
+    turns_along: Vector3<f64>,
+    lever: Vector3<f64>,
+    /// Opening of jaws that moves the point.
+    opening: Option<Arm>,
+}
+
+/// A contact during the solve.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Row {
+    sides: [Side; 2],
+    has_openings: bool,
+    pub normal: Vector3<f64>,
+    /// Velocity along the normal that is wanted at least \[m/s\].
+    pub wanted: f64,
+    /// The same, of the velocities that undo penetration.
+    pub undo: f64,
+    surface: Vector3<f64>,
+    friction: f64,
+    /// Inverse of what the contact feels as mass, along the normal, and in all directions.
+    normal_mass: f64,
+    mass: Matrix3<f64>,
+    /// The same in that direction across in which the contact is felt least.
+    least_mass: f64,
+    /// What an impulse makes of its speed, over all directions \[1/kg\].
+    yields: f64,
+    along: f64,
+    across: Vector3<f64>,
+    undone: f64,
+}
+
+impl Row {
+    /// Of a contact between two bodies (what stands is the last of `inverse`) that are where they are given.
+    pub fn new(
+        contact: &RigidContact,
+        bodies: [usize; 2],
+        arms: [Vector3<f64>; 2],
+        openings: [Option<Arm>; 2],
+        inverse: &[(f64, Matrix3<f64>)],
+        turning: &[Turning],
+    ) -> Self {
+        let normal = contact.normal_in_world;
+        let mut feels = Matrix3::zeros();
+        let sides = [0, 1].map(|side| {
+            let sign = [1.0, -1.0][side];
+            let (body, arm) = (bodies[side], arms[side]);
+            let (mass, inertia) = &inverse[body];
+            let cross = arm.cross_matrix();
+            feels += Matrix3::identity() * *mass - cross * inertia * cross;
+            let turns = inertia * cross * sign;
+            Side {
+                body,
+                arm: arm * sign,
+                moves: mass * sign,
+                turns,
+                turns_along: turns * normal,
+                lever: arm.cross(&normal) * sign,
+                opening: openings[side],
+            }
+        });
+        for arm in openings.iter().flatten() {
+            feels += arm.arm * arm.arm.transpose() * turning[arm.joint as usize].inverse;
+        }
+        Self {
+            sides,
+            has_openings: openings.iter().any(Option::is_some),
+            normal,
+            wanted: 0.0,
+            undo: 0.0,
+            surface: contact.surface_velocity,
+            friction: contact.friction,
+            normal_mass: 1.0 / normal.dot(&(feels * normal)),
+            mass: feels.try_inverse().unwrap_or_else(Matrix3::zeros),
+            least_mass: 1.0 / most_across(&feels, &normal),
+            yields: feels.trace() / 3.0,
+            along: 0.0,
+            across: Vector3::zeros(),
+            undone: 0.0,
+        }
+    }
+
+    /// What the bodies get, in the end.
+    pub fn impulse(&self) -> Vector3<f64> {
+        self.normal * self.along + self.across
+    }
+
+    /// Begins with the impulse of the step before.
+    pub fn warm(&mut self, held: &Vector3<f64>, twists: &mut [Twist], turning: &mut [Turning]) {
+        self.along = held.dot(&self.normal).max(0.0);
+        let across = held - self.normal * held.dot(&self.normal);
+        self.across = across * (self.friction * self.along / across.norm().max(f64::MIN_POSITIVE)).min(1.0);
+        self.push(&self.impulse(), twists, turning);
+    }
+
+    /// Solves it once; the largest speed that this still changed \[m/s\].
+    #[inline]
+    pub fn solve(&mut self, twists: &mut [Twist], undo: &mut [Twist], turning: &mut [Turning]) -> f64 {
+        let slip = self.speed_along(twists, turning);
+        let along = (self.along + self.normal_mass * (self.wanted - slip)).max(0.0);
+        let more = along - self.along;
+        let mut change = more.abs() * self.yields;
+        self.along = along;
+        if more != 0.0 {
+            self.push_along(more, twists);
+            if self.has_openings {
+                self.turn(&(self.normal * more), turning);
+            }
+        }
+        // What would stop the slip, if Coulomb's cone lets it. Else as much as it does against the slip itself: what would stop
+        // it leans to the side wherever a body turns more easily than it moves.
+        let most = self.friction * self.along;
+        if most > 0.0 || self.across != Vector3::zeros() {
+            let slip = self.speed(twists, turning);
+            let slip = slip - self.normal * slip.dot(&self.normal);
+            let mut across = self.across - self.mass * slip;
+            across -= self.normal * across.dot(&self.normal);
+            if across.norm_squared() > most * most {
+                across = self.across - slip * self.least_mass;
+                across *= (most / across.norm().max(f64::MIN_POSITIVE)).min(1.0);
+            }
+            let impulse = across - self.across;
+            change = change.max(impulse.norm() * self.yields);
+            self.across = across;
+            self.push(&impulse, twists, turning);
+        }
+        let gap = self.twist_along(undo);
+        let undone = (self.undone + self.normal_mass * (self.undo - gap)).max(0.0);
+        let more = undone - self.undone;
+        if more != 0.0 {
+            self.undone = undone;
+            self.push_along(more, undo);
+        }
+        change.max(more.abs() * self.yields)
+    }
+
+    /// How fast the point of the first body moves along the normal, as the second one's sees it.
+    #[inline]
+    fn twist_along(&self, twists: &[Twist]) -> f64 {
+        let [a, b] = &self.sides;
+        let ([va, wa], [vb, wb]) = (&twists[a.body], &twists[b.body]);
+        (va - vb).dot(&self.normal) + wa.dot(&a.lever) + wb.dot(&b.lever)
+    }
+
+    /// The same, with what openings do and the surface's own speed.
+    #[inline]
+    fn speed_along(&self, twists: &[Twist], turning: &[Turning]) -> f64 {
+        let beside = if self.has_openings { self.turned(turning) - self.surface } else { -self.surface };
+        self.twist_along(twists) + beside.dot(&self.normal)
+    }
+
+    #[inline]
+    fn speed(&self, twists: &[Twist], turning: &[Turning]) -> Vector3<f64> {
+        let [a, b] = &self.sides;
+        let ([va, wa], [vb, wb]) = (&twists[a.body], &twists[b.body]);
+        let speed = va - vb + wa.cross(&a.arm) + wb.cross(&b.arm) - self.surface;
+        if self.has_openings { speed + self.turned(turning) } else { speed }
+    }
+
+    #[inline]
+    fn push_along(&self, impulse: f64, twists: &mut [Twist]) {
+        for side in &self.sides {
+            let [velocity, spin] = &mut twists[side.body];
+            *velocity += self.normal * (impulse * side.moves);
+            *spin += side.turns_along * impulse;
+        }
+    }
+
+    #[inline]
+    fn push(&self, impulse: &Vector3<f64>, twists: &mut [Twist], turning: &mut [Turning]) {
+        for side in &self.sides {
+            let [velocity, spin] = &mut twists[side.body];
+            *velocity += impulse * side.moves;
+            *spin += side.turns * impulse;
+        }
+        if self.has_openings {
+            self.turn(impulse, turning);
+        }
+    }
+
+    /// What openings of jaws add to the speed.
+    fn turned(&self, turning: &[Turning]) -> Vector3<f64> {
+        let of = |side: &Side| {
+            side.opening.map_or_else(Vector3::zeros, |arm| arm.arm * turning[arm.joint as usize].rate)
+        };
+        of(&self.sides[0]) - of(&self.sides[1])
+    }
+
+    fn turn(&self, impulse: &Vector3<f64>, turning: &mut [Turning]) {
+        for (side, sign) in self.sides.iter().zip([1.0, -1.0]) {
+            if let Some(Arm { joint, arm }) = side.opening {
+                let turning = &mut turning[joint as usize];
+                turning.rate += sign * turning.inverse * arm.dot(impulse);
+            }
+        }
+    }
+}

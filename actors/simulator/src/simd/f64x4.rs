@@ -1,0 +1,79 @@
+//! Vectors that fill a register.
+
+use std::ops::{Add, AddAssign, Mul, Sub, SubAssign};
+
+use nalgebra::Vector3;
+
+/// A vector of three numbers, and a fourth that is 0: it is read, added and scaled at once where registers hold four.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[repr(C, align(32))]
+pub(crate) struct Quad(pub [f64; 4]);
+
+impl Quad {
+    #[inline(always)]
+    pub fn times(self, other: Self) -> Self {
+        Self(std::array::from_fn(|k| self.0[k] * other.0[k]))
+    }
+
+    #[inline(always)]
+    pub fn sum(self) -> f64 {
+        let [x, y, z, nothing] = self.0;
+        (x + z) + (y + nothing)
+    }
+
+    #[inline(always)]
+    pub fn vector(self) -> Vector3<f64> {
+        Vector3::new(self.0[0], self.0[1], self.0[2])
+    }
+}
+
+impl From<&Vector3<f64>> for Quad {
+    #[inline(always)]
+    fn from(vector: &Vector3<f64>) -> Self {
+        Self([vector.x, vector.y, vector.z, 0.0])
+    }
+}
+
+impl Add for Quad {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self(std::array::from_fn(|k| self.0[k] + other.0[k]))
+    }
+}
+
+impl Sub for Quad {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Self(std::array::from_fn(|k| self.0[k] - other.0[k]))
+    }
+}
+
+impl Mul<f64> for Quad {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, factor: f64) -> Self {
+        Self(self.0.map(|value| value * factor))
+    }
+}
+
+impl AddAssign for Quad {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl SubAssign for Quad {
+    #[inline(always)]
+    fn sub_assign(&mut self, other: Self) {
+        *self = *self - other;
+    }
+}
+
+/// The product of two lists of them.
+#[inline(always)]
+pub(crate) fn dot(first: &[Quad], second: &[Quad]) -> f64 {
+    first.iter().zip(second).fold(Quad::default(), |sum, (first, second)| sum + first.times(*second)).sum()
+}

@@ -1,0 +1,206 @@
+//! What holds needle, thread and tissue together, as joints of three rows: directions at places of them, how far they are
+//! from where they should be, and what they may do about it.
+
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3, Vector6};
+
+use super::needle::{NeedleState, Solid};
+use super::tissue::Spot;
+use crate::linear_algebra::block_banded::Cell;
+use crate::suture_thread::bishop_frame::{angle_about, perpendicular};
+use crate::suture_thread::contact::{Rows, Rule};
+use crate::suture_thread::discrete_elastic_rod::Iterate;
+use crate::suture_thread::island::coupled_body::Tie;
+
+/// How much a row gives way \[m/N\]: some micrometres under the forces of sewing, far less than the tissue does about one
+/// wire, and enough that two rows at one place are not one too many.
+pub(super) const COMPLIANCE: f64 = 1e-6;
+
+/// What a joint does to needle and tissue; its tie is what it does to the thread.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Joint {
+    /// On the needle: force, and torque about its centre, per force of each row.
+    pub needle: [Vector6<f64>; 3],
+    /// Against the tissue: where. The directions are those of the tie's rows.
+    pub tissue: Option<Spot>,
+}
+
+/// A joint and its tie.
+pub(super) type Pair = (Joint, Tie);
+
+fn pair(directions: [Vector3<f64>; 3], gap: [f64; 3], rule: Rule) -> Pair {
+    let rows = Rows { nodes: [0; 4], cells: [[Cell::zeros(); 4]; 3], used: 0, directions };
+    let tie = Tie { rows, rule, gap, yields: [COMPLIANCE; 3], force: [0.0; 3] };
+    (Joint { needle: [Vector6::zeros(); 3], tissue: None }, tie)
+}
+
+fn cell(direction: &Vector3<f64>, weight: f64) -> Cell {
+    Cell::new(direction.x * weight, direction.y * weight, direction.z * weight, 0.0)
+}
+
+fn on_needle(direction: &Vector3<f64>, arm: &Vector3<f64>) -> Vector6<f64> {
+    let turn = arm.cross(direction);
+    Vector6::new(direction.x, direction.y, direction.z, turn.x, turn.y, turn.z)
+}
+
+const AXES: fn() -> [Vector3<f64>; 3] = || [Vector3::x(), Vector3::y(), Vector3::z()];
+
+/// A place on needle or thread.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Site {
+    /// Arc length from the swage \[m\].
+    pub along: f64,
+    /// In the world \[m\].
+    pub point: Point3<f64>,
+    /// Towards the tip.
+    pub tangent: Vector3<f64>,
+    /// An edge of the thread and the share of it; else on the needle.
+    pub edge: Option<(usize, f64)>,
+}
+
+/// Two directions across a tangent: those of the needle's plane where there is one.
+pub(super) fn across(tangent: &Vector3<f64>, near: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let first = perpendicular(near, tangent);
+    [first, tangent.cross(&first)]
+}
+
+/// A site against a place in the tissue that is at `now`: how far the site is ahead of it in each direction.
+pub(super) fn passage(
+    site: &Site,
+    center: &Point3<f64>,
+    spot: Spot,
+    now: &Point3<f64>,
+    directions: [Vector3<f64>; 3],
+) -> Pair {
+    let gap = directions.map(|direction| direction.dot(&(site.point - now)));
+    let (mut joint, mut tie) = pair(directions, gap, Rule::HELD);
+    joint.tissue = Some(spot);
+    match site.edge {
+        Some((edge, share)) => {
+            (tie.rows.nodes[0], tie.rows.nodes[1], tie.rows.used) = (edge as u32, edge as u32 + 1, 2);
+            for (cells, direction) in tie.rows.cells.iter_mut().zip(&directions) {
+                (cells[0], cells[1]) = (cell(direction, 1.0 - share), cell(direction, share));
+            }
+        }
+        None => joint.needle = directions.map(|direction| on_needle(&direction, &(site.point - center))),
+    }
+    (joint, tie)
+}
+
+/// The thread's first node in the tail, its second in the line of the tail, and its turn that of the needle.
+pub(super) fn swage(solid: &Solid, needle: &NeedleState, at: &Iterate, turn: f64) -> [Pair; 2] {
+    let pose = needle.pose();
+    let tail = pose * solid.point(0.0);
+    let tangent = pose * solid.tangent(0.0);
+    let axes = AXES();
+    let gap = axes.map(|axis| axis.dot(&(at.positions[0] - tail)));
+    let mut first = pair(axes, gap, Rule::HELD);
+    first.0.needle = axes.map(|axis| -on_needle(&axis, &(at.positions[0] - needle.center)));
+    first.1.rows.used = 2;
+    first.1.rows.nodes = [0, 1, 0, 0];
+    for (cells, axis) in first.1.rows.cells.iter_mut().zip(&axes) {
+        cells[0] = cell(axis, 1.0);
+    }
+    let second = at.positions[1];
+    let [n1, n2] = across(&tangent, &(pose * Vector3::z()));
+    let axis = at.tangents[0];
+    let wanted = perpendicular(&(pose * Vector3::z()), &axis);
+    let mut turned = angle_about(&wanted, &at.directors[0], &axis) - turn;
+    turned -= (turned / std::f64::consts::TAU).round() * std::f64::consts::TAU;
+    let gap = [n1.dot(&(second - tail)), n2.dot(&(second - tail)), turned];
+    let mut line = pair([n1, n2, axis], gap, Rule::HELD);
+    // The line turns with the needle: so the force acts where the node is.
+    let arm = second - needle.center;
+    line.0.needle = [
+        -on_needle(&n1, &arm),
+        -on_needle(&n2, &arm),
+        Vector6::new(0.0, 0.0, 0.0, -axis.x, -axis.y, -axis.z),
+    ];
+    line.1.rows.used = 2;
+    line.1.rows.nodes = [0, 1, 0, 0];
+    line.1.rows.cells[0][1] = cell(&n1, 1.0);
+    line.1.rows.cells[1][1] = cell(&n2, 1.0);
+    line.1.rows.cells[2][0] = Cell::new(0.0, 0.0, 0.0, 1.0);
+    [first, line]
+}
+
+/// A jaw on the needle, at a point of it: as far as it is from where the jaw wants it, and turned from that.
+pub(super) fn grip(needle: &NeedleState, wanted: &nalgebra::Isometry3<f64>, grip: &super::Grip) -> [Pair; 2] {
+    let pose = needle.pose();
+    let point = pose * grip.point;
+    let off = point - wanted * grip.point;
+    let turned = (pose.rotation * wanted.rotation.inverse()).scaled_axis();
+    let within = |most: f64| Rule::Within { least: [-most; 3], most: [most; 3] };
+    let axes = AXES();
+    let mut place = pair(axes, off.into(), within(grip.force_max));
+    place.0.needle = axes.map(|axis| on_needle(&axis, &(point - needle.center)));
+    place.1.yields = [1.0 / grip.stiffness; 3];
+    let mut turn = pair(axes, turned.into(), within(grip.torque_max));
+    turn.0.needle = axes.map(|axis| Vector6::new(0.0, 0.0, 0.0, axis.x, axis.y, axis.z));
+    turn.1.yields = [1.0 / grip.turning_stiffness; 3];
+    [place, turn]
+}
+
+/// The needle's side on the surface at a spot: `gap` along the first direction, drawn along the others.
+pub(super) fn side(
+    needle: &NeedleState,
+    touching: &Point3<f64>,
+    spot: Spot,
+    directions: [Vector3<f64>; 3],
+    gap: [f64; 3],
+    friction: f64,
+) -> Pair {
+    let (mut joint, tie) = pair(directions, gap, Rule::Contact { friction });
+    joint.needle = directions.map(|direction| on_needle(&direction, &(touching - needle.center)));
+    joint.tissue = Some(spot);
+    (joint, tie)
+}
+
+/// A strand of the thread on the needle: `rows` are what it does to the thread, from the needle to which the first of their
+/// directions points; `gap` along that, drawn along the others; `force` on the strand to begin with, in the world \[N\].
+pub(super) fn strand(
+    needle: &NeedleState,
+    touching: &Point3<f64>,
+    rows: Rows,
+    gap: [f64; 3],
+    friction: f64,
+    force: &Vector3<f64>,
+) -> Pair {
+    let directions = rows.directions;
+    let (mut joint, mut tie) = pair(directions, gap, Rule::Contact { friction });
+    joint.needle = directions.map(|direction| -on_needle(&direction, &(touching - needle.center)));
+    tie.rows = rows;
+    tie.force = tie.rule.confined(directions.map(|direction| force.dot(&direction)));
+    (joint, tie)
+}
+
+/// What a force and a torque do to the needle in a step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Mobility {
+    mass: f64,
+    inverse_inertia: Matrix3<f64>,
+    square: f64,
+}
+
+impl Mobility {
+    pub fn new(solid: &Solid, needle: &NeedleState, dt: f64) -> Option<Self> {
+        let inverse_inertia = needle.inertia(solid).try_inverse()?;
+        Some(Self { mass: solid.mass(), inverse_inertia, square: dt * dt })
+    }
+
+    /// Displacement and turn by force and torque through the step.
+    pub fn answer(&self, load: &Vector6<f64>) -> Vector6<f64> {
+        let by = load.fixed_rows::<3>(0) * (self.square / self.mass);
+        let turn = self.inverse_inertia * load.fixed_rows::<3>(3) * self.square;
+        Vector6::new(by.x, by.y, by.z, turn.x, turn.y, turn.z)
+    }
+}
+
+/// A needle that has moved and turned by as much.
+pub(super) fn carried(needle: &NeedleState, by: &Vector6<f64>) -> NeedleState {
+    let turn = Rotation3::new(by.fixed_rows::<3>(3).into_owned());
+    let mut next = *needle;
+    next.center += by.fixed_rows::<3>(0);
+    next.rotation = nalgebra::UnitQuaternion::from_rotation_matrix(&turn) * needle.rotation;
+    next.rotation.renormalize();
+    next
+}

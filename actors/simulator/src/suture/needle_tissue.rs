@@ -1,0 +1,529 @@
+//! Needle and tissue as the companions of the thread in its island: all that holds them together at an iterate, how they
+//! give way, and where they are with the forces that were found (as Duriez, Guébert, Marchal, Cotin, Grisoni 2009,
+//! *Interactive simulation of flexible needle insertions based on constraint models*, do with tissue and needle).
+
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3, Vector6};
+
+use super::StepInputs;
+use super::joints::{self, Joint, Mobility, Pair, Site};
+use super::material::Resistance;
+use super::needle::{NeedleState, Solid};
+use super::needle_thread_contact::{self, Strand};
+use super::state::{NeedleContact, StrandContact, SutureState, Tip};
+use super::tissue::{Spot, Tissue};
+use super::tissue_surface::{self, NeedleSide};
+use crate::suture_thread::contact::{Rule, tangents};
+use crate::suture_thread::discrete_elastic_rod::Iterate;
+use crate::suture_thread::elastic::Press;
+use crate::suture_thread::island::coupled_body::{Companion, ComplianceRows, Link, Tie, Tied, Tolerance};
+use crate::suture_thread::{ThreadMaterial, Trouble};
+
+/// When the iterations of a part end: needle and thread exchange what they exchange to the last digit that matters.
+const TOLERANCE: Tolerance =
+    Tolerance { free: (1e-8, 1e-6), touching: (1e-6, 2e-4), moved_at_most: 1e-4, iterations: 8 };
+/// Further than this the needle does not go in one part \[m\], nor turn \[rad\].
+const WAY_MAX: f64 = 2.5e-3;
+const TURN_MAX: f64 = 0.2;
+/// How far along a thread the place at a point of the tissue is looked for from where it was \[m\].
+const WINDOW: f64 = 6e-3;
+
+/// Where the ties of each kind begin.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Layout {
+    /// Two of each: its place, and how it is turned.
+    pub grips: usize,
+    /// One of each place.
+    pub channel: usize,
+    pub tip: Option<usize>,
+    /// One of each place where the needle's side is near to the surface.
+    pub sides: usize,
+    /// One of each strand that is near to the needle.
+    pub strands: usize,
+}
+
+/// Room for a part of a step, and what it came to.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Workspace {
+    /// At the iterate.
+    pub needle: Option<NeedleState>,
+    pub layout: Layout,
+    /// Of the places in the channel, in their order.
+    pub sites: Vec<Site>,
+    pub sides: Vec<NeedleSide>,
+    pub strands: Vec<Strand>,
+    /// Of all ties, in their order.
+    pub joints: Vec<Joint>,
+    /// Directions of their rows.
+    pub directions: Vec<[Vector3<f64>; 3]>,
+    /// On the surface, at the end of the part.
+    pub presses: Vec<Press>,
+    forces: Vec<[f64; 3]>,
+    answers: Vec<[Vector6<f64>; 3]>,
+    spots: Vec<Option<Spot>>,
+    mutual: Vec<Matrix3<f64>>,
+    mobility: Option<Mobility>,
+    left: Vector6<f64>,
+}
+
+impl Workspace {
+    /// The force of a tie on needle or thread \[N\].
+    pub fn force(&self, tied: &[Tied], tie: usize) -> Vector3<f64> {
+        vector(&self.directions[tie], &tied[tie].force)
+    }
+
+    /// Takes down what presses the surface.
+    pub fn press(&mut self, links: &[Link], forces: &[[f64; 3]]) {
+        self.presses.clear();
+        for (link, force) in links.iter().zip(forces).filter(|(_, force)| force[0] > 0.0) {
+            let (at, directions) = match link {
+                Link::Surface(place, directions) => (*place, directions),
+                Link::Tie(tie) => match self.joints[*tie].tissue {
+                    Some(Spot::Surface(place)) => (place, &self.directions[*tie]),
+                    _ => continue,
+                },
+            };
+            self.presses.push(Press { at, force: -vector(directions, force) });
+        }
+    }
+}
+
+/// What is on the other side of the thread during a part of a step.
+pub(super) struct Sewing<'a> {
+    pub solid: &'a Solid,
+    pub thread: Option<&'a ThreadMaterial>,
+    pub resistance: &'a Resistance,
+    /// As the part begins.
+    pub start: &'a SutureState,
+    pub tissue: &'a mut Tissue,
+    pub room: &'a mut Workspace,
+    pub around: &'a StepInputs<'a>,
+    pub dt: f64,
+    pub fractions: [f64; 2],
+    /// The place of the tissue's surface in the list of obstacles.
+    pub surface: usize,
+    /// Nodes of the tissue when the step began, from which the surface's contacts are measured.
+    pub step_began: &'a [Point3<f64>],
+}
+
+impl Sewing<'_> {
+    /// Begins a part.
+    pub fn begin(&mut self) {
+        self.room.needle = Some(self.start.needle);
+        self.room.forces.clear();
+        self.room.sites.clear();
+        self.room.presses.clear();
+        tissue_surface::sides(
+            self.solid,
+            self.start,
+            self.tissue,
+            self.resistance,
+            self.dt,
+            &mut self.room.sides,
+        );
+        let radius = self.thread.map_or(0.0, |thread| thread.radius);
+        needle_thread_contact::near(self.solid, self.start, radius, self.dt, &mut self.room.strands);
+    }
+
+    /// Force and torque that the needle's inertia and weight leave over at the iterate.
+    fn residual(&self, needle: &NeedleState) -> Vector6<f64> {
+        let (start, solid, dt) = (self.start, self.solid, self.dt);
+        let moved = needle.center - start.needle.center;
+        let turned = (needle.rotation * start.needle.rotation.inverse()).scaled_axis();
+        let weight = self.around.gravity * solid.mass();
+        let force = (start.needle.momentum - moved * (solid.mass() / dt)) / dt + weight;
+        let torque = (start.needle.angular_momentum - needle.inertia(solid) * turned / dt) / dt;
+        Vector6::new(force.x, force.y, force.z, torque.x, torque.y, torque.z)
+    }
+
+    fn push(&mut self, (joint, mut tie): Pair, free: &Vector6<f64>, ties: &mut Vec<Tie>) {
+        for k in 0..3 {
+            tie.gap[k] += joint.needle[k].dot(free);
+        }
+        self.room.directions.push(tie.rows.directions);
+        self.room.joints.push(joint);
+        ties.push(tie);
+    }
+
+    /// A place in the channel: along, with friction, and held across.
+    fn pass(&mut self, needle: &NeedleState, at: &Iterate, index: usize) -> Pair {
+        let point = &self.start.channel[index];
+        let now = self.tissue.now(&point.place);
+        let last = self.room.sites.get(index).map_or(point.along, |site| site.along);
+        let site = self.site(needle, at, &now, last);
+        if index < self.room.sites.len() {
+            self.room.sites[index] = site;
+        } else {
+            self.room.sites.push(site);
+        }
+        let [n1, n2] = joints::across(&site.tangent, &(needle.pose() * Vector3::z()));
+        let directions = [site.tangent, n1, n2];
+        let spot = Spot::Inside(point.place);
+        let (joint, mut tie) = joints::passage(&site, &needle.center, spot, &now, directions);
+        let length = share_of_channel(self.start, index, self.solid.shape().length());
+        let material = self.resistance;
+        let (grip, friction) = match site.edge {
+            None => (material.needle_grip, material.needle_friction),
+            Some(_) => (material.thread_grip, material.thread_friction),
+        };
+        let radius = match (site.edge, self.thread) {
+            (Some(_), Some(thread)) => thread.radius,
+            _ => self.solid.shape().wire_radius,
+        };
+        let share = length.max(0.25 * material.spacing);
+        for yields in &mut tie.yields[1..] {
+            *yields += self.tissue.gives_way_about(radius) / share;
+        }
+        tie.gap[0] = point.stuck - site.along;
+        tie.rule = Rule::Passes { base: grip * length, friction };
+        self.relax(&mut tie, &spot);
+        tie.force = directions.map(|direction| point.force.dot(&direction));
+        (joint, tie)
+    }
+
+    /// Gaps against tissue as it is, made those against tissue at rest.
+    fn relax(&self, tie: &mut Tie, spot: &Spot) {
+        let displaced = self.tissue.displaced(spot);
+        for k in 0..3 {
+            tie.gap[k] += tie.rows.directions[k].dot(&displaced);
+        }
+    }
+
+    /// Needle or thread at a point of the world, near an arc length.
+    fn site(&self, needle: &NeedleState, rod: &Iterate, at: &Point3<f64>, near: f64) -> Site {
+        let (pose, solid) = (needle.pose(), self.solid);
+        let along = solid.nearest(&pose.inverse_transform_point(at));
+        let is_near = near > -2e-3 && along >= 0.0 && (along - near).abs() < 5e-3;
+        let thread = self.start.thread.as_ref().filter(|_| !is_near);
+        let Some(thread) = thread else {
+            let tangent = pose * solid.tangent(along);
+            return Site { along, point: pose * solid.point(along), tangent, edge: None };
+        };
+        // Lengths are those at rest: what stretches farther up does not slide here.
+        let mut best: Option<(f64, Site)> = None;
+        let mut last = (0, 0.0);
+        for (edge, [begin, end]) in thread.spans() {
+            if begin > WINDOW - near {
+                break;
+            }
+            last = (edge, end);
+            if end < -near - WINDOW {
+                continue;
+            }
+            let (from, tangent, length) = (rod.positions[edge], rod.tangents[edge], rod.lengths[edge]);
+            let share = ((at - from).dot(&tangent) / length).clamp(0.0, 1.0);
+            let point = from + tangent * (share * length);
+            let distance = (at - point).norm_squared();
+            if best.as_ref().is_none_or(|(known, _)| distance < *known) {
+                let along = -(begin + share * thread.rest_lengths[edge]);
+                let site = Site { along, point, tangent: -tangent, edge: Some((edge, share)) };
+                best = Some((distance, site));
+            }
+        }
+        let (edge, end) = last;
+        best.map_or_else(
+            || Site {
+                along: -end,
+                point: rod.positions[edge + 1],
+                tangent: -rod.tangents[edge],
+                edge: Some((edge, 1.0)),
+            },
+            |(_, site)| site,
+        )
+    }
+
+    /// The tip where it meets the tissue.
+    fn tip(&self, needle: &NeedleState) -> Option<Pair> {
+        let pose = needle.pose();
+        let length = self.solid.shape().length();
+        let tangent = pose * self.solid.tangent(length);
+        let place = self.start.tip.place()?;
+        let site = Site { along: length, point: pose * self.solid.point(length), tangent, edge: None };
+        let material = self.resistance;
+        // What gives way along, and holds across.
+        let within = |most: f64| {
+            let (least, unbound) = ([-most, f64::NEG_INFINITY, f64::NEG_INFINITY], f64::INFINITY);
+            Rule::Within { least, most: [0.0, unbound, unbound] }
+        };
+        // The first direction across is that in which the tip goes.
+        let (first, along, rule) = match self.start.tip {
+            Tip::Touching(_, triangle) => {
+                let (friction, most) = (material.needle_friction, material.puncture_force);
+                (self.tissue.normal(triangle), tangent, Rule::Skin { friction, most })
+            }
+            Tip::Leaving(..) => (tangent, pose * Vector3::z(), within(material.exit_force)),
+            _ => (tangent, pose * Vector3::z(), within(material.cutting_force)),
+        };
+        let [n1, n2] = joints::across(&first, &along);
+        let (spot, now) = (Spot::Inside(*place), self.tissue.now(place));
+        let (joint, mut tie) = joints::passage(&site, &needle.center, spot, &now, [first, n1, n2]);
+        tie.rule = rule;
+        tie.force = [first, n1, n2].map(|direction| self.start.tip_force.dot(&direction));
+        self.relax(&mut tie, &spot);
+        Some((joint, tie))
+    }
+
+    /// The needle's side where it is near to the surface, which was in its place when the part began.
+    fn side(&self, needle: &NeedleState, side: &NeedleSide) -> Pair {
+        let [before, now] = [&self.start.needle, needle].map(|of| of.pose() * self.solid.point(side.along));
+        let [t1, t2] = tangents(&side.normal, &(needle.pose() * self.solid.tangent(side.along)));
+        let directions = [side.normal, t1, t2];
+        let spot = Spot::Surface(side.place);
+        let from_rest = self.tissue.displaced_before(&spot);
+        let known = self.start.needle_contacts.iter().find(|known| known.sample == side.sample);
+        let drawn = known.map_or(Vector3::zeros(), |known| known.drawn);
+        let gap = [
+            side.normal.dot(&(now - side.point + from_rest)) - side.radius,
+            t1.dot(&(now - before + drawn + from_rest)),
+            t2.dot(&(now - before + drawn + from_rest)),
+        ];
+        let touching = now - side.normal * side.radius;
+        let friction = self.resistance.needle_friction;
+        let (joint, mut tie) = joints::side(needle, &touching, spot, directions, gap, friction);
+        let force = known.map_or(Vector3::zeros(), |known| known.force);
+        tie.force = tie.rule.confined(directions.map(|direction| force.dot(&direction)));
+        (joint, tie)
+    }
+
+    /// How spots of the tissue move each other; only of those that are new.
+    fn mutual(&mut self, links: &[Link]) -> Result<(), Trouble> {
+        let count = links.len();
+        let Workspace { spots, mutual, joints, .. } = &mut *self.room;
+        let same = spots.len() == count;
+        if !same {
+            spots.clear();
+            mutual.clear();
+            mutual.resize(count * count, Matrix3::zeros());
+        }
+        for (i, link) in links.iter().enumerate() {
+            let own = match link {
+                Link::Tie(tie) => joints[*tie].tissue,
+                Link::Surface(place, _) => Some(Spot::Surface(*place)),
+            };
+            if same && spots[i] == own {
+                continue;
+            }
+            if let Some(spot) = &own
+                && !self.tissue.name_spot(spot)
+            {
+                return Err(Trouble::Full);
+            }
+            if same {
+                spots[i] = own;
+            } else {
+                spots.push(own);
+            }
+            let known = if same { count } else { i + 1 };
+            for (j, other) in spots[..known].iter().enumerate() {
+                let (Some(own), Some(other)) = (&own, other) else { continue };
+                // Always of the later one by the earlier one, so that rounding does not tell when it was found.
+                let (a, b, later, earlier) = if i < j { (j, i, other, own) } else { (i, j, own, other) };
+                let between = self.tissue.between(later, earlier);
+                mutual[a * count + b] = between;
+                mutual[b * count + a] = between.transpose();
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Companion for Sewing<'_> {
+    fn surface(&self) -> Option<usize> {
+        self.thread.map(|_| self.surface)
+    }
+
+    fn swept(&self) -> Option<[&[Point3<f64>]; 2]> {
+        Some([self.tissue.before(), self.tissue.positions()])
+    }
+
+    fn stops(&self, way: [&[Point3<f64>]; 2]) -> Option<usize> {
+        let (material, needle) = (self.thread?, self.room.needle?);
+        needle_thread_contact::passes(self.solid, material.radius, self.start, &needle, way)
+    }
+
+    fn is_sharp(&self, triangle: u32, rim: usize) -> bool {
+        self.tissue.is_sharp(triangle, rim)
+    }
+
+    fn tolerance(&self) -> Option<Tolerance> {
+        Some(TOLERANCE)
+    }
+
+    fn tie(&mut self, at: &Iterate, ties: &mut Vec<Tie>) -> Result<(), Trouble> {
+        let needle = self.room.needle.unwrap_or(self.start.needle);
+        let mobility = Mobility::new(self.solid, &needle, self.dt).ok_or(Trouble::NoInertia)?;
+        self.room.left = self.residual(&needle);
+        let free = mobility.answer(&self.room.left);
+        self.room.mobility = Some(mobility);
+        self.room.joints.clear();
+        self.room.directions.clear();
+        if self.thread.is_some() {
+            for pair in joints::swage(self.solid, &needle, at, self.start.swage_turn) {
+                self.push(pair, &free, ties);
+            }
+        }
+        self.room.layout.grips = ties.len();
+        for grip in self.around.grips {
+            let wanted = between(&grip.from, &grip.to, self.fractions[1]);
+            for pair in joints::grip(&needle, &wanted, grip) {
+                self.push(pair, &free, ties);
+            }
+        }
+        self.room.layout.channel = ties.len();
+        for index in 0..self.start.channel.len() {
+            let pair = self.pass(&needle, at, index);
+            self.push(pair, &free, ties);
+        }
+        self.room.layout.tip = None;
+        if let Some(pair) = self.tip(&needle) {
+            self.room.layout.tip = Some(ties.len());
+            self.push(pair, &free, ties);
+        }
+        self.room.layout.sides = ties.len();
+        for index in 0..self.room.sides.len() {
+            let pair = self.side(&needle, &self.room.sides[index]);
+            self.push(pair, &free, ties);
+        }
+        self.room.layout.strands = ties.len();
+        if let Some(material) = self.thread {
+            for index in 0..self.room.strands.len() {
+                let strand = self.room.strands[index];
+                let pair =
+                    needle_thread_contact::contact(self.solid, material, (self.start, &needle), at, &strand);
+                self.push(pair, &free, ties);
+            }
+        }
+        if self.room.forces.len() == ties.len() {
+            ties.iter_mut().zip(&self.room.forces).for_each(|(tie, force)| tie.force = *force);
+        }
+        Ok(())
+    }
+
+    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
+        self.mutual(links)?;
+        let count = links.len();
+        let rows = 3 * count;
+        let Workspace { joints, answers, mutual, spots, directions, mobility, .. } = &mut *self.room;
+        let Some(mobility) = mobility else { return Err(Trouble::NoInertia) };
+        answers.clear();
+        answers.extend(joints.iter().map(|joint| joint.needle.map(|load| mobility.answer(&load))));
+        let directions = |link: &Link| match link {
+            Link::Tie(tie) => directions[*tie],
+            Link::Surface(_, directions) => *directions,
+        };
+        for (i, link) in links.iter().enumerate() {
+            let own = directions(link);
+            if let (Link::Surface(..), Some(spot)) = (link, &spots[i]) {
+                let since_step = self.tissue.displaced_when(spot, self.step_began);
+                let since_part = self.tissue.displaced_before(spot);
+                for (k, by) in [since_step, since_part, since_part].iter().enumerate() {
+                    giving.base[3 * i + k] = own[k].dot(by);
+                }
+            }
+            for (j, other) in links[..=i].iter().enumerate() {
+                let toward = directions(other);
+                let both = spots[i].is_some() && spots[j].is_some();
+                for (k, m) in (0..3).flat_map(|k| (0..3).map(move |m| (k, m))) {
+                    let mut value = 0.0;
+                    if let (Link::Tie(a), Link::Tie(b)) = (link, other) {
+                        value += joints[*a].needle[k].dot(&answers[*b][m]);
+                    }
+                    if both {
+                        value += own[k].dot(&(mutual[i * count + j] * toward[m]));
+                    }
+                    let (row, column) = (3 * i + k, 3 * j + m);
+                    giving.compliance[column * rows + row] = value;
+                    giving.compliance[row * rows + column] = value;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble> {
+        let Workspace { joints, directions, spots, needle, mobility, left, forces: kept, .. } =
+            &mut *self.room;
+        let mut load = *left;
+        kept.clear();
+        kept.resize(joints.len(), [0.0; 3]);
+        for (link, force) in links.iter().zip(forces) {
+            let Link::Tie(tie) = *link else { continue };
+            kept[tie] = *force;
+            for (row, force) in joints[tie].needle.iter().zip(force) {
+                load += row * *force;
+            }
+        }
+        let (Some(mobility), Some(needle)) = (mobility, needle) else { return Err(Trouble::NoInertia) };
+        let by = mobility.answer(&load);
+        let (way, turn) = (by.fixed_rows::<3>(0).norm(), by.fixed_rows::<3>(3).norm());
+        if !(way <= WAY_MAX && turn <= TURN_MAX) {
+            return Err(Trouble::TooFar);
+        }
+        *needle = joints::carried(needle, &by);
+        let on_tissue = links.iter().zip(forces).zip(&*spots).filter_map(|((link, force), spot)| {
+            let directions = match link {
+                Link::Tie(tie) => &directions[*tie],
+                Link::Surface(_, directions) => directions,
+            };
+            Some((spot.as_ref().copied()?, -vector(directions, force)))
+        });
+        self.tissue.deform(on_tissue);
+        Ok(way.max(turn * self.solid.shape().radius))
+    }
+
+    fn finish(&mut self, links: &[Link], forces: &[[f64; 3]]) {
+        self.room.press(links, forces);
+    }
+}
+
+/// What the needle's sides came to at the end of a part.
+pub(super) fn touched(room: &Workspace, tied: &[Tied], contacts: &mut Vec<NeedleContact>) {
+    contacts.clear();
+    for (index, side) in room.sides.iter().enumerate() {
+        let tie = room.layout.sides + index;
+        let force = tied[tie].force;
+        if force[0] > 0.0 {
+            let [_, t1, t2] = room.directions[tie];
+            contacts.push(NeedleContact {
+                sample: side.sample,
+                force: room.force(tied, tie),
+                drawn: (t1 * force[1] + t2 * force[2]) * -joints::COMPLIANCE,
+            });
+        }
+    }
+}
+
+/// What strands on the needle came to at the end of a part.
+pub(super) fn crossed(room: &Workspace, tied: &[Tied], contacts: &mut Vec<StrandContact>) {
+    let first = room.layout.strands;
+    let forces =
+        (0..room.strands.len()).map(|index| (tied[first + index].force, room.directions[first + index]));
+    needle_thread_contact::remember(&room.strands, forces, contacts);
+}
+
+fn vector(directions: &[Vector3<f64>; 3], force: &[f64; 3]) -> Vector3<f64> {
+    directions[0] * force[0] + directions[1] * force[1] + directions[2] * force[2]
+}
+
+/// The length of channel that a place stands for \[m\]: half of the way to either neighbour in its bite, and all of that
+/// to a tip in the tissue.
+pub(super) fn share_of_channel(state: &SutureState, index: usize, needle_length: f64) -> f64 {
+    let own = &state.channel[index];
+    let neighbour = |other: Option<&super::state::ChannelPoint>| {
+        other.filter(|other| other.bite == own.bite).map(|other| (other.along - own.along).abs())
+    };
+    let before = index.checked_sub(1).and_then(|before| neighbour(state.channel.get(before)));
+    let after = neighbour(state.channel.get(index + 1));
+    let ahead = match (after, &state.tip) {
+        (Some(way), _) => 0.5 * way,
+        (None, Tip::Inside(_) | Tip::Leaving(..)) if index + 1 == state.channel.len() => {
+            (needle_length - own.along).max(0.0)
+        }
+        _ => 0.0,
+    };
+    ahead + 0.5 * before.unwrap_or(0.0)
+}
+
+/// Between two poses.
+fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, share: f64) -> Isometry3<f64> {
+    from.try_lerp_slerp(to, share, 1e-12).unwrap_or(*to)
+}

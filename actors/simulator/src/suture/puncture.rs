@@ -1,0 +1,306 @@
+//! What becomes of the tip at the end of a part of a step: it meets the surface, the surface gives, the channel grows with
+//! it, it comes out, it goes back. And what becomes of the channel when needle and thread go on through it.
+
+use nalgebra::{Point3, Vector3};
+
+use super::joints::COMPLIANCE;
+use super::needle_tissue::{crossed, touched};
+use super::state::{BITES_MAX, Bite, CHANNEL_MAX, ChannelPoint, Event, SutureState, Tip};
+use super::tissue::{Place, Way};
+use super::{EVENTS_MAX, Suture, SutureError};
+use crate::suture_thread::PARTED;
+
+/// What is farther from the surface than this does not touch it any longer \[m\].
+const OFF: f64 = 1e-7;
+/// A tip that has gone less far than this has not gone on \[m\].
+const ON: f64 = 1e-10;
+
+impl Suture {
+    /// Whether a free tip came in through the surface on its way; then it touches it there.
+    pub(super) fn meets(&mut self) -> Result<bool, SutureError> {
+        if self.trial.tip != Tip::Free || self.would_go_back() {
+            return Ok(false);
+        }
+        let from = self.trial.needle.pose() * self.solid.point(self.solid.shape().length());
+        let Some(to) = self.tip_at_iterate() else { return Ok(false) };
+        let Some(crossing) = self.tissue.comes_in(&from, &to) else { return Ok(false) };
+        if !self.tissue.name(&crossing.place) {
+            return Err(SutureError::Full);
+        }
+        self.trial.tip = Tip::Touching(crossing.place, crossing.triangle);
+        self.trial.tip_force = Vector3::zeros();
+        let at = self.tissue.now(&crossing.place);
+        self.event(Event::Touched(at));
+        Ok(true)
+    }
+
+    fn tip_at_iterate(&self) -> Option<Point3<f64>> {
+        Some(self.room.needle?.pose() * self.solid.point(self.solid.shape().length()))
+    }
+
+    /// Whether the free tip has gone back into the hole that it came out of.
+    fn would_go_back(&self) -> bool {
+        let (Some(point), Some(site)) = (self.trial.channel.last(), self.room.sites.last()) else {
+            return false;
+        };
+        self.bite(point.bite).is_some_and(|bite| bite.exit.is_some())
+            && self.trial.channel.len() == self.room.sites.len()
+            && site.edge.is_none()
+            && site.along > self.solid.shape().length()
+    }
+
+    fn bite(&self, number: u32) -> Option<&Bite> {
+        self.trial.bites.iter().find(|bite| bite.number == number)
+    }
+
+    pub(super) fn event(&mut self, event: Event) {
+        if self.events.len() < EVENTS_MAX {
+            self.events.push(event);
+        }
+    }
+
+    /// Makes what the island has found the state at the end of the part.
+    pub(super) fn commit(&mut self, dt: f64, gravity: &Vector3<f64>) -> Result<(), SutureError> {
+        let Some(needle) = self.room.needle else { return Ok(()) };
+        // Momenta by the forces, so that what they are is what was given; places as the island found them.
+        let mut impulse = nalgebra::Vector6::zeros();
+        for (joint, tied) in self.room.joints.iter().zip(self.island.tied()) {
+            for (row, force) in joint.needle.iter().zip(tied.force) {
+                impulse += row * (force * dt);
+            }
+        }
+        let weight = gravity * (self.solid.mass() * dt);
+        self.trial.needle.momentum += impulse.fixed_rows::<3>(0) + weight;
+        self.trial.needle.angular_momentum += impulse.fixed_rows::<3>(3);
+        (self.trial.needle.center, self.trial.needle.rotation) = (needle.center, needle.rotation);
+        if let Some(thread) = &mut self.trial.thread {
+            thread.clone_from(self.island.trial());
+        }
+        touched(&self.room, self.island.tied(), &mut self.trial.needle_contacts);
+        crossed(&self.room, self.island.tied(), &mut self.trial.strand_contacts);
+        self.trial.presses.clone_from(&self.room.presses);
+        self.slide();
+        self.tip_goes_on()?;
+        self.go_back()?;
+        self.cut()?;
+        self.pass_through();
+        // The forces of what is there no longer are gone with it.
+        self.tissue.deform(self.trial.forces_on_tissue());
+        Ok(())
+    }
+
+    /// Takes over what slides past the places of the channel, and their forces.
+    fn slide(&mut self) {
+        let first = self.room.layout.channel;
+        for index in 0..self.trial.channel.len() {
+            let tied = self.island.tied()[first + index];
+            let force = self.room.force(self.island.tied(), first + index);
+            let site = self.room.sites[index];
+            let point = &mut self.trial.channel[index];
+            (point.along, point.force) = (site.along, force);
+            // What sticks stays where it stuck; what slides is where it would stick with the force that it has.
+            if tied.gives_way[0] {
+                point.stuck = site.along - COMPLIANCE * tied.force[0];
+            }
+        }
+    }
+
+    fn tip_goes_on(&mut self) -> Result<(), SutureError> {
+        let Some(tie) = self.room.layout.tip else {
+            self.trial.tip_force = Vector3::zeros();
+            return Ok(());
+        };
+        let Some(place) = self.trial.tip.place().copied() else { return Ok(()) };
+        self.trial.tip_force = self.room.force(self.island.tied(), tie);
+        let tied = self.island.tied()[tie];
+        let (force, off) = (tied.force[0], tied.gap[0] - COMPLIANCE * tied.force[0]);
+        let gives_way = tied.gives_way[0];
+        let slides = tied.gives_way[1] || tied.gives_way[2];
+        let tip = self.trial.needle.pose() * self.solid.point(self.solid.shape().length());
+        let length = self.solid.shape().length();
+        match self.trial.tip {
+            Tip::Free => {}
+            Tip::Touching(..) if gives_way && force > 0.0 && off < -ON => {
+                let number = self.trial.bites_so_far;
+                let triangle = match self.trial.tip {
+                    Tip::Touching(_, triangle) => triangle,
+                    _ => 0,
+                };
+                self.open_bite(Bite {
+                    number,
+                    entry: (place, triangle),
+                    exit: None,
+                    entry_force: force,
+                    exit_force: 0.0,
+                })?;
+                let pose = self.trial.needle.pose();
+                let along = self.solid.nearest(&pose.inverse_transform_point(&self.tissue.now(&place)));
+                let along = along.min(length);
+                let (stuck, force_there) = (along, Vector3::zeros());
+                self.add_to_channel(ChannelPoint { place, along, stuck, force: force_there, bite: number })?;
+                self.event(Event::Entered { bite: number, force });
+                self.go_to(&place, &tip)?;
+            }
+            Tip::Touching(..) if force <= 0.0 && off > OFF => self.free(),
+            Tip::Touching(..) if slides && force > 0.0 => {
+                let (place, triangle) = self.tissue.nearest(&tip);
+                self.trial.tip = Tip::Touching(self.named(place)?, triangle);
+            }
+            Tip::Touching(..) => {}
+            Tip::Inside(_) if gives_way && off.abs() > ON => self.go_to(&place, &tip)?,
+            Tip::Inside(_) => {}
+            Tip::Leaving(_, triangle) if gives_way && force < 0.0 && off > ON => {
+                let number = self.trial.channel.last().map_or(0, |point| point.bite);
+                if let Some(bite) = self.trial.bites.iter_mut().find(|bite| bite.number == number) {
+                    bite.exit = Some((place, triangle));
+                    bite.exit_force = -force;
+                }
+                let (along, force_there) = (length - off, Vector3::zeros());
+                // Two places next to each other, cut before and after the surface sprang back, would pinch the needle.
+                let near = |point: &ChannelPoint| along - point.along < 0.5 * self.resistance.spacing;
+                let only = self.trial.channel.iter().filter(|point| point.bite == number).count() < 2;
+                if !only && self.trial.channel.last().is_some_and(near) {
+                    self.trial.channel.pop();
+                }
+                self.add_to_channel(ChannelPoint {
+                    place,
+                    along,
+                    stuck: along,
+                    force: force_there,
+                    bite: number,
+                })?;
+                self.event(Event::Left { bite: number, force: -force });
+                self.free();
+            }
+            Tip::Leaving(..) if off < -OFF => self.go_to(&place, &tip)?,
+            Tip::Leaving(..) => {}
+        }
+        Ok(())
+    }
+
+    fn free(&mut self) {
+        self.trial.tip = Tip::Free;
+        self.trial.tip_force = Vector3::zeros();
+    }
+
+    fn named(&mut self, place: Place) -> Result<Place, SutureError> {
+        if self.tissue.name(&place) { Ok(place) } else { Err(SutureError::Full) }
+    }
+
+    /// The tip is in the tissue, or at its surface from inside, straight on from a place of it.
+    fn go_to(&mut self, from: &Place, tip: &Point3<f64>) -> Result<(), SutureError> {
+        let tangent = self.trial.needle.pose() * self.solid.tangent(self.solid.shape().length());
+        let ahead = (tip - self.tissue.now(from)).dot(&tangent) > 0.0;
+        self.trial.tip = match self.tissue.walk(from, tip) {
+            Way::Ends(place) => Tip::Inside(self.named(place)?),
+            Way::Leaves(place, triangle) if ahead => Tip::Leaving(self.named(place)?, triangle),
+            // Back out where it came in; its channel knows.
+            Way::Leaves(place, _) => Tip::Inside(self.named(place)?),
+        };
+        Ok(())
+    }
+
+    fn open_bite(&mut self, bite: Bite) -> Result<(), SutureError> {
+        if self.trial.bites.len() >= BITES_MAX {
+            // The oldest that nothing is in.
+            let inside = |bite: &Bite| self.trial.channel.iter().any(|point| point.bite == bite.number);
+            let Some(done) = self.trial.bites.iter().position(|bite| !inside(bite)) else {
+                return Err(SutureError::Full);
+            };
+            self.trial.bites.remove(done);
+        }
+        self.trial.bites.push(bite);
+        self.trial.bites_so_far += 1;
+        Ok(())
+    }
+
+    fn add_to_channel(&mut self, point: ChannelPoint) -> Result<(), SutureError> {
+        if self.trial.channel.len() >= CHANNEL_MAX {
+            return Err(SutureError::Full);
+        }
+        let place = self.named(point.place)?;
+        self.trial.channel.push(ChannelPoint { place, ..point });
+        Ok(())
+    }
+
+    /// Empties the channel in front of a tip that has gone back.
+    fn go_back(&mut self) -> Result<(), SutureError> {
+        let length = self.solid.shape().length();
+        while let Some(point) = self.trial.channel.last().copied() {
+            if point.along <= length {
+                break;
+            }
+            let closed = self.bite(point.bite).is_some_and(|bite| bite.exit.is_some());
+            match self.trial.tip {
+                Tip::Free | Tip::Touching(..) if closed => {
+                    // Through the hole that it had come out of.
+                    self.trial.channel.pop();
+                    if let Some(bite) = self.trial.bites.iter_mut().find(|bite| bite.number == point.bite) {
+                        bite.exit = None;
+                    }
+                    self.trial.tip_force = Vector3::zeros();
+                    let tip = self.trial.needle.pose() * self.solid.point(length);
+                    self.event(Event::Back { bite: point.bite });
+                    self.go_to(&point.place, &tip)?;
+                }
+                Tip::Inside(_) | Tip::Leaving(..) => {
+                    self.trial.channel.pop();
+                    if !self.trial.channel.iter().any(|other| other.bite == point.bite) {
+                        self.event(Event::Withdrawn { bite: point.bite });
+                        self.free();
+                    }
+                }
+                _ => break,
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets the channel grow behind a tip that has gone on.
+    fn cut(&mut self) -> Result<(), SutureError> {
+        let Tip::Inside(_) = self.trial.tip else { return Ok(()) };
+        let length = self.solid.shape().length();
+        let pose = self.trial.needle.pose();
+        while let Some(last) = self.trial.channel.last().copied() {
+            let along = last.along + self.resistance.spacing;
+            if along > length {
+                break;
+            }
+            let Way::Ends(place) = self.tissue.walk(&last.place, &(pose * self.solid.point(along))) else {
+                break;
+            };
+            self.add_to_channel(ChannelPoint {
+                place,
+                along,
+                stuck: along,
+                force: Vector3::zeros(),
+                bite: last.bite,
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Forgets the places that needle and thread have left behind.
+    fn pass_through(&mut self) {
+        // A place at the very end of the thread has lost it, and one at either end of what has been cut off.
+        let lost = |state: &SutureState, point: &ChannelPoint| {
+            let Some(thread) = &state.thread else { return point.along <= 0.0 };
+            let arc = -point.along;
+            thread.pieces().enumerate().any(|(piece, [begin, end])| {
+                let near = 1e-6 * (end - begin);
+                let is_at_begin = piece > 0 && arc <= begin + near && arc > begin - 0.5 * PARTED;
+                is_at_begin || (arc >= end - near && arc < end + 0.5 * PARTED)
+            })
+        };
+        while let Some(index) = self.trial.channel.iter().position(|point| lost(&self.trial, point)) {
+            let point = self.trial.channel.remove(index);
+            if !self.trial.channel.iter().any(|other| other.bite == point.bite) {
+                self.event(Event::Through { bite: point.bite });
+            }
+        }
+        // Where the tip still is, there is a channel behind it.
+        if self.trial.channel.is_empty() && matches!(self.trial.tip, Tip::Inside(_) | Tip::Leaving(..)) {
+            self.free();
+        }
+    }
+}

@@ -1,0 +1,299 @@
+//! Which edges may touch what during a step: boxes around runs of neighbouring edges first, then capsules.
+
+use nalgebra::{Point3, Vector3};
+use trocar_collision::continuous::{Sweep, edge_edge, segment_face};
+use trocar_collision::primitive::{Segment, closest_segments};
+
+use super::{Motion, Obstacle, Shape};
+use crate::suture_thread::state::{ContactKey, PARTED};
+
+/// Neighbouring edges that share a box.
+const RUN: usize = 8;
+/// Centre lines that come nearer than this part of the sum of the radii are passing through each other.
+const CORE: f64 = 0.3;
+
+/// Two things that may touch during the step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Candidate {
+    pub key: ContactKey,
+}
+
+/// An axis-aligned box \[m\].
+#[derive(Clone, Copy, Debug)]
+struct Bounds {
+    min: Vector3<f64>,
+    max: Vector3<f64>,
+}
+
+impl Bounds {
+    fn empty() -> Self {
+        Self { min: Vector3::repeat(f64::INFINITY), max: Vector3::repeat(f64::NEG_INFINITY) }
+    }
+
+    fn add(&mut self, point: &Point3<f64>, by: f64) {
+        self.min = self.min.inf(&(point.coords - Vector3::repeat(by)));
+        self.max = self.max.sup(&(point.coords + Vector3::repeat(by)));
+    }
+
+    fn overlaps(&self, other: &Self) -> bool {
+        (0..3).all(|axis| self.min[axis] <= other.max[axis] && other.min[axis] <= self.max[axis])
+    }
+}
+
+/// Finds candidates, and keeps the room that it needs.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Candidates {
+    pub found: Vec<Candidate>,
+    boxes: Vec<Bounds>,
+    arcs: Vec<f64>,
+}
+
+impl Candidates {
+    /// Edges that come within `slack` of each other or of an obstacle while each node moves no further than its
+    /// `reach`. Edges of one strand nearer along it than `apart` cannot touch: the strand would have to be folded.
+    #[expect(clippy::too_many_arguments, reason = "lists that belong to the step")]
+    pub fn find(
+        &mut self,
+        positions: &[Point3<f64>],
+        reach: &[f64],
+        rest_lengths: &[f64],
+        radius: f64,
+        slack: f64,
+        obstacles: &[Obstacle],
+        motions: &[Motion],
+    ) {
+        self.found.clear();
+        let edges = positions.len() - 1;
+        self.boxes.clear();
+        self.arcs.clear();
+        self.arcs.push(0.0);
+        for rest in rest_lengths {
+            let rest = if *rest > 0.0 { *rest } else { PARTED };
+            self.arcs.push(self.arcs.last().copied().unwrap_or(0.0) + rest);
+        }
+        let room = radius + 0.5 * slack;
+        for first in (0..edges).step_by(RUN) {
+            let mut bounds = Bounds::empty();
+            for node in first..=(first + RUN).min(edges) {
+                bounds.add(&positions[node], room + reach[node]);
+            }
+            self.boxes.push(bounds);
+        }
+        for a in 0..self.boxes.len() {
+            for b in a..self.boxes.len() {
+                if self.boxes[a].overlaps(&self.boxes[b]) {
+                    self.pairs(positions, reach, a, b, room, radius);
+                }
+            }
+        }
+        for (index, (obstacle, motion)) in obstacles.iter().zip(motions).enumerate() {
+            self.with_obstacle(positions, reach, index, obstacle, motion, room);
+        }
+        self.found.sort_unstable();
+    }
+
+    fn pairs(
+        &mut self,
+        positions: &[Point3<f64>],
+        reach: &[f64],
+        a: usize,
+        b: usize,
+        room: f64,
+        radius: f64,
+    ) {
+        let edges = positions.len() - 1;
+        let arcs = &self.arcs;
+        let joins = |edge: &usize| joins(arcs, *edge);
+        let run = |of: usize| (RUN * of..(RUN * (of + 1)).min(edges)).filter(joins);
+        for first in run(a) {
+            let middle = Point3::from((positions[first].coords + positions[first + 1].coords) * 0.5);
+            let half = 0.5 * (positions[first + 1] - positions[first]).norm();
+            let moved = reach[first].max(reach[first + 1]);
+            for second in run(b) {
+                // Half a turn of the tightest bend, in which opposite sides touch, is π/2 diameters along the strand.
+                let along = if second > first { arcs[second] - arcs[first + 1] } else { 0.0 };
+                if along < 2.5 * radius || (second < first + 3 && along < 0.5 * PARTED) {
+                    continue;
+                }
+                let other = (positions[second].coords + positions[second + 1].coords) * 0.5;
+                let reached = half
+                    + 0.5 * (positions[second + 1] - positions[second]).norm()
+                    + moved
+                    + reach[second].max(reach[second + 1])
+                    + 2.0 * room;
+                if (middle.coords - other).norm_squared() <= reached * reached {
+                    let key = ContactKey { with: 0, edge: first as u32, feature: second as u32 };
+                    self.found.push(Candidate { key });
+                }
+            }
+        }
+    }
+
+    fn with_obstacle(
+        &mut self,
+        positions: &[Point3<f64>],
+        reach: &[f64],
+        index: usize,
+        obstacle: &Obstacle,
+        motion: &Motion,
+        room: f64,
+    ) {
+        let edges = positions.len() - 1;
+        let with = 1 + index as u32;
+        let arcs = &self.arcs;
+        if let Shape::HalfSpace { normal } = &obstacle.shape {
+            for (pose, later) in [(&motion.from, false), (&motion.to, true)] {
+                let (normal, origin) = (pose.rotation * normal, pose.translation.vector);
+                for edge in (0..edges).filter(|edge| joins(arcs, *edge)) {
+                    // The last edge of a thread answers for both of its ends.
+                    for end in 0..=u32::from(edge + 1 == edges || !joins(arcs, edge + 1)) {
+                        let node = edge + end as usize;
+                        let key = ContactKey { with, edge: edge as u32, feature: end };
+                        if normal.dot(&(positions[node].coords - origin)) <= room + reach[node]
+                            && (!later || !self.found.contains(&Candidate { key }))
+                        {
+                            self.found.push(Candidate { key });
+                        }
+                    }
+                }
+            }
+            return;
+        }
+        for_each_feature(obstacle, motion, |feature, bounds| {
+            for run in 0..self.boxes.len() {
+                if !self.boxes[run].overlaps(&bounds) {
+                    continue;
+                }
+                for edge in (RUN * run..(RUN * (run + 1)).min(edges)).filter(|edge| joins(arcs, *edge)) {
+                    let mut own = Bounds::empty();
+                    for node in [edge, edge + 1] {
+                        own.add(&positions[node], room + reach[node]);
+                    }
+                    if own.overlaps(&bounds) {
+                        self.found.push(Candidate { key: ContactKey { with, edge: edge as u32, feature } });
+                    }
+                }
+            }
+        });
+    }
+}
+
+/// Whether an edge is part of a thread, by where its nodes are along it.
+fn joins(arcs: &[f64], edge: usize) -> bool {
+    arcs[edge + 1] - arcs[edge] < 0.5 * PARTED
+}
+
+/// The boxes that the parts of an obstacle sweep.
+fn for_each_feature(obstacle: &Obstacle, motion: &Motion, mut visit: impl FnMut(u32, Bounds)) {
+    let poses = [&motion.from, &motion.to];
+    let mut bounds = Bounds::empty();
+    match &obstacle.shape {
+        Shape::Sphere { radius } => {
+            poses.iter().for_each(|pose| bounds.add(&Point3::from(pose.translation.vector), *radius));
+            visit(0, bounds);
+        }
+        Shape::Capsule { ends, radius } => {
+            for pose in poses {
+                ends.iter().for_each(|end| bounds.add(&(pose * end), *radius));
+            }
+            visit(0, bounds);
+        }
+        Shape::HalfSpace { .. } => {}
+        Shape::Mesh { from, to, triangles, radius } => {
+            for (index, corners) in triangles.iter().enumerate() {
+                let mut bounds = Bounds::empty();
+                for &corner in corners {
+                    let corner = corner as usize;
+                    for (pose, fraction) in poses.iter().zip(motion.fractions) {
+                        let place = from[corner].coords.lerp(&to[corner].coords, fraction);
+                        bounds.add(&(*pose * Point3::from(place)), *radius);
+                    }
+                }
+                visit(index as u32, bounds);
+            }
+        }
+    }
+}
+
+/// How near to each other centre lines may come \[m\].
+pub(crate) fn centre_separation(radius: f64) -> f64 {
+    CORE * 2.0 * radius
+}
+
+/// Whether two edges stay further apart than `separation` \[m\] for being further apart at the beginning than they can
+/// come nearer: no point of one moves against a point of the other by more than the nodes do.
+fn apart(first: &Sweep<Segment>, second: &Sweep<Segment>, separation: f64) -> bool {
+    let mut way = 0.0_f64;
+    for a in 0..2 {
+        for b in 0..2 {
+            let moved = (first.to[a] - first.from[a]) - (second.to[b] - second.from[b]);
+            way = way.max(moved.norm_squared());
+        }
+    }
+    // A hundredth more than rounding needs.
+    let least = (way.sqrt() + separation) * 1.01;
+    closest_segments(&first.from, &second.from).distance_squared > least * least
+}
+
+/// Whether the edge of `key` passes through the other one, or through the obstacle, on the way from `from` to `to`.
+pub(crate) fn passed_through(
+    key: &ContactKey,
+    from: &[Point3<f64>],
+    to: &[Point3<f64>],
+    radius: f64,
+    obstacles: &[Obstacle],
+    motions: &[Motion],
+) -> bool {
+    let edge = key.edge as usize;
+    let swept = |edge: usize| Sweep { from: [from[edge], from[edge + 1]], to: [to[edge], to[edge + 1]] };
+    // What was that near at the beginning is not stopped: it is on its way out.
+    let hit = |found: Option<trocar_collision::continuous::Impact>| found.is_some_and(|at| at.time > 0.0);
+    // Most pairs are decided by how far they are apart at the beginning.
+    let edges = |other: &Sweep<Segment>, separation: f64| {
+        let own = swept(edge);
+        !apart(&own, other, separation) && hit(edge_edge(&own, other, separation))
+    };
+    if key.with == 0 {
+        return edges(&swept(key.feature as usize), centre_separation(radius));
+    }
+    let index = key.with as usize - 1;
+    let (obstacle, motion) = (&obstacles[index], &motions[index]);
+    match &obstacle.shape {
+        Shape::HalfSpace { .. } => false,
+        Shape::Sphere { radius: of } => {
+            let centre = |pose: &nalgebra::Isometry3<f64>| [Point3::from(pose.translation.vector); 2];
+            let other = Sweep { from: centre(&motion.from), to: centre(&motion.to) };
+            edges(&other, CORE * (radius + of))
+        }
+        Shape::Capsule { ends, radius: of } => {
+            let other =
+                Sweep { from: ends.map(|end| motion.from * end), to: ends.map(|end| motion.to * end) };
+            edges(&other, CORE * (radius + of))
+        }
+        Shape::Mesh { from: before, to: after, triangles, radius: of } => {
+            let Some(corners) = triangles.get(key.feature as usize) else { return false };
+            let at = |pose: &nalgebra::Isometry3<f64>, fraction: f64| {
+                corners.map(|k| {
+                    pose * Point3::from(before[k as usize].coords.lerp(&after[k as usize].coords, fraction))
+                })
+            };
+            let other = Sweep {
+                from: at(&motion.from, motion.fractions[0]),
+                to: at(&motion.to, motion.fractions[1]),
+            };
+            hit(segment_face(&swept(edge), &other, CORE * (radius + of)))
+        }
+    }
+}
+
+/// The same of a triangle of a surface that gives way, by its corners before and after.
+pub(crate) fn passed_through_face(
+    edge: usize,
+    [from, to]: [&[Point3<f64>]; 2],
+    radius: f64,
+    corners: [[Point3<f64>; 3]; 2],
+) -> bool {
+    let own = Sweep { from: [from[edge], from[edge + 1]], to: [to[edge], to[edge + 1]] };
+    let other = Sweep { from: corners[0], to: corners[1] };
+    segment_face(&own, &other, CORE * radius).is_some_and(|at| at.time > 0.0)
+}

@@ -1,0 +1,353 @@
+//! What a place of three rows may do: force as a function of where its sides are, for every kind of place that the dense
+//! problem of an island knows. Each of them gives way a little, so each force is a function, and Newton's method finds it.
+
+use super::Law;
+
+/// A rule.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Rule {
+    /// Surfaces that push each other along the first row, and hold each other across it by friction.
+    Contact { friction: f64 },
+    /// The same where one of them gives way beyond a push of `most` \[N\].
+    Skin { friction: f64, most: f64 },
+    /// Every row holds with a force in its bounds \[N\], or gives way with one of them.
+    Within { least: [f64; 3], most: [f64; 3] },
+    /// A line in a channel: held across, in the last two rows; along the first it sticks up to `base` \[N\] and `friction`
+    /// times what presses across, and slides with that.
+    Passes { base: f64, friction: f64 },
+}
+
+/// What a place does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum ContactState {
+    Contact(Law),
+    /// It pushes with all that it may; across, it does as a contact would.
+    Gives(Law),
+    Within([Bound; 3]),
+    /// It sticks.
+    Stays,
+    /// It slides, pushed this way (1 or −1), where this presses across, unit or zero.
+    Slides(f64, [f64; 2]),
+}
+
+impl ContactState {
+    /// Whether the same rows hold here as there.
+    pub fn is_like(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Slides(one, _), Self::Slides(other, _)) => one == other,
+            _ => self == other,
+        }
+    }
+
+    /// One row of it as in `next`.
+    pub fn exchanged(&self, next: &Self) -> Self {
+        let (Self::Within(before), Self::Within(next)) = (self, next) else { return *next };
+        let mut bounds = *before;
+        if let Some(row) = (0..3).find(|&row| before[row] != next[row]) {
+            bounds[row] = next[row];
+        }
+        Self::Within(bounds)
+    }
+
+    /// Which rows have a force as large as it may be.
+    pub fn gives_way(&self) -> [bool; 3] {
+        match self {
+            Self::Contact(Law::Open) => [true; 3],
+            Self::Contact(Law::Sticks) | Self::Stays => [false; 3],
+            Self::Contact(Law::Slides { .. }) => [false, true, true],
+            Self::Gives(law) => {
+                let slides = matches!(law, Law::Slides { .. });
+                [true, slides, slides]
+            }
+            Self::Within(bounds) => bounds.map(|bound| bound != Bound::Free),
+            Self::Slides(..) => [true, false, false],
+        }
+    }
+}
+
+/// Where a force is between its bounds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Bound {
+    Free,
+    Least,
+    Most,
+}
+
+/// One equation of a Newton step on a place: a combination of its rows is zero with a combination of forces.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Equation {
+    /// The three rows for one unit of the unknown \[N\].
+    pub force: [f64; 3],
+    /// Weights of the three rows.
+    pub along: [f64; 3],
+    /// How far it gives way in addition \[m/N\].
+    pub yields: f64,
+}
+
+const UNIT: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+impl Rule {
+    /// Holds with any force.
+    pub const HELD: Self = Self::Within { least: [f64::NEG_INFINITY; 3], most: [f64::INFINITY; 3] };
+
+    /// Whether what it does is a matter of bounds, and not of a surface.
+    pub fn is_bounded(&self) -> bool {
+        matches!(self, Self::Within { .. } | Self::Passes { .. })
+    }
+
+    /// Force \[N\] of a place whose sides are `apart` \[m\] and which gives way by `yields` \[m/N\], and what it does.
+    pub fn of(&self, apart: [f64; 3], yields: [f64; 3]) -> ([f64; 3], ContactState) {
+        match *self {
+            Self::Contact { friction } => {
+                let (force, law) = Law::of(apart, friction, yields[0]);
+                (force, ContactState::Contact(law))
+            }
+            Self::Skin { friction, most } => {
+                let deepest = [apart[0].max(-most * yields[0]), apart[1], apart[2]];
+                let (force, law) = Law::of(deepest, friction, yields[0]);
+                let gives = apart[0] < deepest[0];
+                (force, if gives { ContactState::Gives(law) } else { ContactState::Contact(law) })
+            }
+            Self::Within { least, most } => {
+                let mut bounds = [Bound::Free; 3];
+                let force = std::array::from_fn(|k| {
+                    let wanted = -apart[k] / yields[k];
+                    if wanted > most[k] {
+                        bounds[k] = Bound::Most;
+                        most[k]
+                    } else if wanted < least[k] {
+                        bounds[k] = Bound::Least;
+                        least[k]
+                    } else {
+                        wanted
+                    }
+                });
+                (force, ContactState::Within(bounds))
+            }
+            Self::Passes { base, friction } => {
+                let wanted: [f64; 3] = std::array::from_fn(|k| -apart[k] / yields[k]);
+                let across = wanted[1].hypot(wanted[2]);
+                let most = base + friction * across;
+                if wanted[0].abs() <= most {
+                    return (wanted, ContactState::Stays);
+                }
+                let unit = |k: usize| if across > 0.0 { wanted[k] / across } else { 0.0 };
+                let way = wanted[0].signum();
+                ([way * most, wanted[1], wanted[2]], ContactState::Slides(way, [unit(1), unit(2)]))
+            }
+        }
+    }
+
+    /// What a place does that holds with `force` \[N\] and whose sides are `apart` \[m\].
+    pub fn begin(&self, force: [f64; 3], apart: [f64; 3], yields: [f64; 3]) -> ContactState {
+        match *self {
+            Self::Contact { friction } | Self::Skin { friction, .. } => {
+                ContactState::Contact(Law::begin(force, apart, friction, yields[0]))
+            }
+            Self::Within { .. } => self.of(std::array::from_fn(|k| -force[k] * yields[k]), yields).1,
+            Self::Passes { base, friction } => {
+                let across = force[1].hypot(force[2]);
+                let most = base + friction * across;
+                if force[0].abs() < most * (1.0 - 1e-9) || force[0] == 0.0 {
+                    ContactState::Stays
+                } else {
+                    let unit = |k: usize| if across > 0.0 { force[k] / across } else { 0.0 };
+                    ContactState::Slides(force[0].signum(), [unit(1), unit(2)])
+                }
+            }
+        }
+    }
+
+    /// What a place is taken to do next that was taken to do `before` and would do `found`: see [`Law::next`].
+    pub fn next(&self, before: ContactState, found: ContactState) -> ContactState {
+        match (*self, before, found) {
+            (Self::Contact { friction }, ContactState::Contact(before), ContactState::Contact(found)) => {
+                ContactState::Contact(before.next(found, friction))
+            }
+            (Self::Skin { friction, .. }, ContactState::Gives(before), ContactState::Gives(found)) => {
+                ContactState::Gives(before.next(found, friction))
+            }
+            (Self::Skin { friction, .. }, ContactState::Contact(before), ContactState::Contact(found)) => {
+                ContactState::Contact(before.next(found, friction))
+            }
+            (Self::Passes { .. }, ContactState::Slides(before, _), ContactState::Slides(way, _))
+                if before * way < 0.0 =>
+            {
+                ContactState::Stays
+            }
+            // From one bound to the other it comes by where it holds.
+            (Self::Within { .. }, ContactState::Within(before), ContactState::Within(found)) => {
+                let far = |k: usize| before[k] != Bound::Free && found[k] != before[k];
+                ContactState::Within(std::array::from_fn(|k| if far(k) { Bound::Free } else { found[k] }))
+            }
+            _ => found,
+        }
+    }
+
+    /// Equations of a place that does this and gives way `softness` times as much, and the part of its force that is
+    /// known.
+    pub fn linearise(
+        &self,
+        doing: ContactState,
+        yields: [f64; 3],
+        softness: f64,
+        mut equation: impl FnMut(Equation),
+    ) -> [f64; 3] {
+        let more = yields.map(|yields| (softness - 1.0) * yields);
+        match (*self, doing) {
+            (Self::Contact { friction } | Self::Skin { friction, .. }, ContactState::Contact(law)) => {
+                match law {
+                    Law::Open => {}
+                    Law::Sticks => {
+                        for unit in UNIT {
+                            equation(Equation { force: unit, along: unit, yields: more[0] });
+                        }
+                    }
+                    Law::Slides { along: [x, y], share } => {
+                        let force = [1.0, -friction * x, -friction * y];
+                        equation(Equation { force, along: UNIT[0], yields: more[0] });
+                        // Across its slide a place is held the more the less it slides.
+                        if friction > 0.0 && share > 1e-9 {
+                            let across = [0.0, -y, x];
+                            let yields = (softness / share - 1.0) * yields[0];
+                            equation(Equation { force: across, along: across, yields });
+                        }
+                    }
+                }
+            }
+            (Self::Skin { friction, most }, ContactState::Gives(law)) => {
+                let Law::Slides { along: [x, y], share } = law else {
+                    for unit in [UNIT[1], UNIT[2]] {
+                        equation(Equation { force: unit, along: unit, yields: more[0] });
+                    }
+                    return [most, 0.0, 0.0];
+                };
+                if friction > 0.0 && share > 1e-9 {
+                    let across = [0.0, -y, x];
+                    let yields = (softness / share - 1.0) * yields[0];
+                    equation(Equation { force: across, along: across, yields });
+                }
+                return [most, -friction * most * x, -friction * most * y];
+            }
+            (Self::Within { least, most }, ContactState::Within(bounds)) => {
+                let mut known = [0.0; 3];
+                for k in 0..3 {
+                    match bounds[k] {
+                        Bound::Free => equation(Equation { force: UNIT[k], along: UNIT[k], yields: more[k] }),
+                        Bound::Least => known[k] = least[k],
+                        Bound::Most => known[k] = most[k],
+                    }
+                }
+                return known;
+            }
+            (Self::Passes { base, friction }, ContactState::Slides(way, across)) => {
+                for k in 1..3 {
+                    let mut force = UNIT[k];
+                    force[0] = way * friction * across[k - 1];
+                    equation(Equation { force, along: UNIT[k], yields: more[k] });
+                }
+                return [way * base, 0.0, 0.0];
+            }
+            // A place that holds; what belongs to another rule never meets it.
+            _ => {
+                for k in 0..3 {
+                    equation(Equation { force: UNIT[k], along: UNIT[k], yields: more[k] });
+                }
+            }
+        }
+        [0.0; 3]
+    }
+
+    /// The force that it would answer with if nothing but itself gave way, by `own` \[m/N\], and it held with `force` \[N\]
+    /// over a `gap` \[m\].
+    pub fn wanted(&self, force: [f64; 3], gap: [f64; 3], own: [f64; 3]) -> [f64; 3] {
+        let held = std::array::from_fn(|k| force[k] - gap[k] / own[k]);
+        self.confined(held)
+    }
+
+    /// The force that is nearest to this one and allowed.
+    pub fn confined(&self, force: [f64; 3]) -> [f64; 3] {
+        match *self {
+            Self::Contact { friction } | Self::Skin { friction, .. } => {
+                let normal = force[0].max(0.0);
+                let normal = if let Self::Skin { most, .. } = *self { normal.min(most) } else { normal };
+                let most = friction * normal;
+                let size = (force[1] * force[1] + force[2] * force[2]).sqrt();
+                let scale = if size > most { most / size } else { 1.0 };
+                [normal, force[1] * scale, force[2] * scale]
+            }
+            Self::Within { least, most } => std::array::from_fn(|k| force[k].max(least[k]).min(most[k])),
+            Self::Passes { base, friction } => {
+                let most = base + friction * force[1].hypot(force[2]);
+                [force[0].max(-most).min(most), force[1], force[2]]
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{DMatrix, DVector};
+    use rand::{Rng, SeedableRng};
+
+    use super::*;
+
+    const RULES: [Rule; 5] = [
+        Rule::Contact { friction: 0.4 },
+        Rule::Skin { friction: 0.4, most: 1.0 },
+        Rule::Within { least: [-1.0, f64::NEG_INFINITY, -0.5], most: [0.0, f64::INFINITY, 0.5] },
+        Rule::HELD,
+        Rule::Passes { base: 0.3, friction: 0.4 },
+    ];
+
+    #[test]
+    fn every_rule_as_it_is_linearised_gives_the_force_that_it_gives() {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(3);
+        for rule in RULES {
+            for _ in 0..200 {
+                let apart = std::array::from_fn(|_| random.random_range(-3e-6..3e-6));
+                let yields = if rule.is_bounded() { [1e-6, 2e-6, 2e-6] } else { [1e-6; 3] };
+                let (force, doing) = rule.of(apart, yields);
+                let gap: [f64; 3] = std::array::from_fn(|k| apart[k] + yields[k] * force[k]);
+                let mut equations = Vec::new();
+                let known = rule.linearise(doing, yields, 1.0, |equation| equations.push(equation));
+                let columns =
+                    DMatrix::from_fn(3, equations.len(), |row, column| equations[column].force[row]);
+                let rest = DVector::from_fn(3, |row, _| force[row] - known[row]);
+                let sizes = if equations.is_empty() {
+                    DVector::zeros(0)
+                } else {
+                    columns.clone().svd(true, true).solve(&rest, 1e-12).expect("solved")
+                };
+                let left = if equations.is_empty() { rest } else { rest - &columns * &sizes };
+                assert!(left.amax() < 1e-9, "{rule:?} {doing:?}: {left}");
+                for (equation, size) in equations.iter().zip(sizes.iter()) {
+                    let row: f64 = (0..3).map(|k| equation.along[k] * gap[k]).sum();
+                    assert!((row + equation.yields * size).abs() < 1e-15, "{rule:?} {doing:?}");
+                }
+                for (k, gives) in doing.gives_way().into_iter().enumerate() {
+                    assert!(gives || gap[k].abs() < 1e-15, "{rule:?} {doing:?}: row {k} is {}", gap[k]);
+                }
+                let again = rule.confined(force);
+                assert!((0..3).all(|k| (again[k] - force[k]).abs() < 1e-12), "{rule:?}: {force:?}");
+                let began = rule.begin(force, apart, yields);
+                let touches = !matches!(doing, ContactState::Contact(Law::Open));
+                assert!(!touches || !matches!(began, ContactState::Contact(Law::Open)), "{rule:?} {doing:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn from_one_bound_to_the_other_a_place_holds_in_between() {
+        let rule = RULES[2];
+        let [least, most] =
+            [Bound::Least, Bound::Most].map(|bound| ContactState::Within([bound, Bound::Free, bound]));
+        assert_eq!(rule.next(least, most), ContactState::Within([Bound::Free; 3]));
+        assert!(least.is_like(&least) && !least.is_like(&most));
+        let once = ContactState::Within([Bound::Most, Bound::Free, Bound::Least]);
+        assert_eq!(least.exchanged(&most), once);
+        let slides = |way: f64| ContactState::Slides(way, [1.0, 0.0]);
+        assert_eq!(RULES[4].next(slides(1.0), slides(-1.0)), ContactState::Stays);
+        assert!(slides(1.0).is_like(&ContactState::Slides(1.0, [0.0, 1.0])));
+    }
+}

@@ -1,0 +1,286 @@
+//! A thread that is cut, or breaks: two threads from there on, whose ends are a diameter apart, so that they do not touch. What
+//! was between them is gone, as what blades have crushed.
+//!
+//! The cut is where it was made, to within half a radius: edges are divided there. Ends are left as they were otherwise:
+//! position, velocity, twist and tension of what is left change by nothing, only what was tied together is so no longer.
+
+use nalgebra::{Point3, Vector3};
+
+use super::state::{ContactKey, ContactMemory, ThreadState};
+use super::{Thread, ThreadError};
+
+/// What a cut leaves on either side is no shorter, in radii: shorter ones have nothing that could bend.
+const LEAST: f64 = 4.0;
+/// A node that is nearer to where an end is to be becomes that end, in radii: no edge is shorter.
+const NEAR: f64 = 0.5;
+
+/// Where a thread is cut.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CutAt {
+    /// On which edge.
+    pub edge: usize,
+    /// At which share of it.
+    pub share: f64,
+}
+
+/// Where nodes and edges are to be found after a cut.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Parted {
+    /// Of each former node, unless it is gone.
+    pub nodes: Vec<Option<u32>>,
+    /// Of each former edge that is whole.
+    pub edges: Vec<Option<u32>>,
+    /// Where each node is: on which former edge, at which share of it; the very last node at the end of the last edge.
+    pub at: Vec<CutAt>,
+}
+
+impl Parted {
+    /// What nodes are of which the former ones were `before`, one value each \[m\].
+    #[must_use]
+    pub fn places(&self, before: &[Point3<f64>]) -> Vec<Point3<f64>> {
+        self.at.iter().map(|at| between(before, at)).collect()
+    }
+}
+
+fn between(points: &[Point3<f64>], at: &CutAt) -> Point3<f64> {
+    // A node to the bit.
+    match at.share {
+        0.0 => points[at.edge],
+        1.0 => points[at.edge + 1],
+        share => points[at.edge].lerp(&points[at.edge + 1], share),
+    }
+}
+
+impl Thread {
+    /// Cuts it. `None` where it is cut already, or less than two diameters would be left on a side.
+    ///
+    /// # Errors
+    /// It would have more nodes than a thread may have. It is then what it was.
+    pub fn cut(&mut self, at: CutAt) -> Result<Option<Parted>, ThreadError> {
+        self.state.cut(self.material.radius, at)
+    }
+}
+
+impl ThreadState {
+    /// The same of the state of a thread of `radius` \[m\].
+    ///
+    /// # Errors
+    /// As [`Thread::cut`].
+    pub fn cut(&mut self, radius: f64, at: CutAt) -> Result<Option<Parted>, ThreadError> {
+        let Some((state, parted)) = parted(self, radius, at) else { return Ok(None) };
+        state.check(radius)?;
+        *self = state;
+        Ok(Some(parted))
+    }
+}
+
+/// Nodes of what is left on one side, as lengths from its outer end \[m\], of those that there were; it is `end` long \[m\], or
+/// a little less.
+fn side(lengths: &[f64], end: f64, radius: f64) -> Vec<f64> {
+    let mut kept: Vec<f64> = lengths.iter().copied().take_while(|at| *at <= end).collect();
+    // The outer end is one of them: a side is longer than that.
+    if kept.last().is_some_and(|last| end - last > NEAR * radius) {
+        kept.push(end);
+    }
+    if let [first, last] = kept[..] {
+        kept.insert(1, 0.5 * (first + last));
+    }
+    kept
+}
+
+fn parted(state: &ThreadState, radius: f64, cut: CutAt) -> Option<(ThreadState, Parted)> {
+    if !state.joins(cut.edge) || !(0.0..=1.0).contains(&cut.share) {
+        return None;
+    }
+    let [first, last] = state.threads().find(|[first, last]| (*first..*last).contains(&cut.edge))?;
+    let mut arcs = vec![0.0];
+    arcs.extend(state.rest_lengths[first..last].iter().scan(0.0, |arc, rest| {
+        *arc += rest;
+        Some(*arc)
+    }));
+    let length = arcs[last - first];
+    let at = arcs[cut.edge - first] + cut.share * state.rest_lengths[cut.edge];
+    if at.min(length - at) < LEAST * radius {
+        return None;
+    }
+    let before = side(&arcs, at - radius, radius);
+    let lengths: Vec<f64> = arcs.iter().rev().map(|arc| length - arc).collect();
+    let mut after = side(&lengths, length - at - radius, radius);
+    after.reverse();
+    // Back to edges and shares. Arcs of nodes are what they were, but for rounding from the other end.
+    let place = |arc: f64| {
+        let near = 1e-9 * length;
+        let edge = arcs.partition_point(|node| *node <= arc + near).clamp(1, arcs.len() - 1) - 1;
+        let share = (arc - arcs[edge]) / state.rest_lengths[first + edge];
+        let share = if share * state.rest_lengths[first + edge] <= near { 0.0 } else { share };
+        let is_end = arc + near >= length;
+        CutAt { edge: first + edge, share: if is_end { 1.0 } else { share } }
+    };
+    let own = |node: usize| CutAt { edge: node, share: 0.0 };
+    let count = state.positions.len();
+    let mut nodes: Vec<CutAt> = (0..first).map(own).collect();
+    nodes.extend(before.iter().map(|arc| place(*arc)));
+    let end = nodes.len() - 1;
+    nodes.extend(after.iter().map(|from_end| place(length - from_end)));
+    nodes.extend((last + 1..count).map(own));
+    if let Some(node) = nodes.last_mut()
+        && node.share == 0.0
+        && node.edge + 1 == count
+    {
+        *node = CutAt { edge: node.edge - 1, share: 1.0 };
+    }
+    Some(rebuilt(state, nodes, end))
+}
+
+/// The state with these nodes, and nothing between node `end` and the next.
+fn rebuilt(state: &ThreadState, at: Vec<CutAt>, end: usize) -> (ThreadState, Parted) {
+    let mut to = ThreadState::default();
+    let count = state.positions.len();
+    let mut parted = Parted { nodes: vec![None; count], edges: vec![None; count - 1], at: Vec::new() };
+    let node_of = |at: &CutAt| match at.share {
+        0.0 => Some(at.edge),
+        1.0 => Some(at.edge + 1),
+        _ => None,
+    };
+    for (index, place) in at.iter().enumerate() {
+        let node = node_of(place);
+        if let Some(node) = node {
+            parted.nodes[node] = Some(index as u32);
+        }
+        to.positions.push(between(&state.positions, place));
+        let [from, next] = [0, 1].map(|k| state.velocities[place.edge + k]);
+        to.velocities.push(if place.share == 1.0 { next } else { from.lerp(&next, place.share) });
+        let is_end = index == end || index == end + 1;
+        to.twists.push(node.filter(|_| !is_end).map_or(0.0, |node| state.twists[node]));
+        let Some(following) = at.get(index + 1) else { break };
+        if index == end {
+            to.rest_lengths.push(0.0);
+            to.directors.push(Vector3::x());
+            to.spins.push(0.0);
+            to.tensions.push(0.0);
+            continue;
+        }
+        // An edge begins where its node is.
+        let edge = if place.share == 1.0 { place.edge + 1 } else { place.edge };
+        let from = if place.share == 1.0 { 0.0 } else { place.share };
+        let until = if following.edge == edge { following.share } else { 1.0 };
+        if (from, until) == (0.0, 1.0) {
+            parted.edges[edge] = Some(index as u32);
+        }
+        to.rest_lengths.push(state.rest_lengths[edge] * (until - from));
+        to.directors.push(state.directors[edge]);
+        to.spins.push(state.spins[edge]);
+        to.tensions.push(state.tensions[edge]);
+    }
+    to.contacts = state.contacts.iter().filter_map(|contact| renumbered(contact, &parted.edges)).collect();
+    to.contacts.sort_unstable_by_key(|contact| contact.key);
+    parted.at = at;
+    (to, parted)
+}
+
+/// What a contact remembers, under its new name; nothing of an edge that is whole no longer.
+fn renumbered(contact: &ContactMemory, edges: &[Option<u32>]) -> Option<ContactMemory> {
+    let now = |edge: u32| edges.get(edge as usize).copied().flatten();
+    let edge = now(contact.key.edge)?;
+    let feature = if contact.key.with == 0 { now(contact.key.feature)? } else { contact.key.feature };
+    Some(ContactMemory { key: ContactKey { edge, feature, ..contact.key }, ..*contact })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::suture_thread::ThreadMaterial;
+
+    fn thread(edges: usize, length: f64) -> ThreadState {
+        let points: Vec<_> =
+            (0..=edges).map(|k| Point3::new(length * k as f64 / edges as f64, 0.0, 0.0)).collect();
+        let mut state = ThreadState::at_rest(&points);
+        for (k, velocity) in state.velocities.iter_mut().enumerate() {
+            *velocity = Vector3::new(0.0, k as f64, 0.0);
+        }
+        state
+    }
+
+    #[test]
+    fn a_cut_is_where_it_was_made_and_its_ends_are_a_diameter_apart() {
+        let radius = ThreadMaterial::silk_2_0().radius;
+        for share in [0.0, 0.02, 0.3, 0.5, 0.97, 1.0] {
+            let before = thread(20, 0.04);
+            let mut state = before.clone();
+            let parted = state.cut(radius, CutAt { edge: 7, share }).expect("sound").expect("a cut");
+            let pieces: Vec<_> = state.threads().collect();
+            assert_eq!(pieces.len(), 2, "{share}");
+            let [end, begin] = [pieces[0][1], pieces[1][0]];
+            let middle = state.positions[end].x.midpoint(state.positions[begin].x);
+            let wanted = 0.002 * (7.0 + share);
+            assert!((middle - wanted).abs() <= 0.5 * radius, "{share}: at {middle} m of {wanted} m");
+            let gap = state.positions[begin].x - state.positions[end].x;
+            assert!((2.0 - 1e-9..=3.0).contains(&(gap / radius)), "{share}: {gap} m");
+            // What is left is as long as it lies.
+            for [first, last] in pieces {
+                let (long, lies): (f64, f64) = (
+                    state.rest_lengths[first..last].iter().sum(),
+                    state.positions[last].x - state.positions[first].x,
+                );
+                assert!((long - lies).abs() < 1e-12, "{share}");
+            }
+            for (node, now) in parted.nodes.iter().enumerate() {
+                if let Some(now) = now {
+                    assert_eq!(state.positions[*now as usize], before.positions[node]);
+                    assert_eq!(state.velocities[*now as usize], before.velocities[node]);
+                }
+            }
+            assert_eq!(parted.places(&before.positions), state.positions);
+        }
+    }
+
+    #[test]
+    fn no_piece_is_shorter_than_two_diameters_and_each_can_bend() {
+        let radius = ThreadMaterial::silk_2_0().radius;
+        let mut state = thread(10, 0.03);
+        for share in [0.0, 0.1, 0.19] {
+            assert_eq!(state.cut(radius, CutAt { edge: 0, share }), Ok(None), "{share}");
+            assert_eq!(state.cut(radius, CutAt { edge: 9, share: 1.0 - share }), Ok(None), "{share}");
+        }
+        for share in [0.21, 0.9] {
+            let mut one = state.clone();
+            one.cut(radius, CutAt { edge: 0, share }).expect("sound").expect("a cut");
+            assert!(one.threads().all(|[first, last]| last - first >= 2), "{share}");
+        }
+        // Until nothing is left that could be cut.
+        let mut cuts = 0;
+        let longest = |state: &ThreadState| {
+            let edges = (0..state.rest_lengths.len()).filter(|edge| state.joins(*edge));
+            edges.max_by(|a, b| state.rest_lengths[*a].total_cmp(&state.rest_lengths[*b]))
+        };
+        while let Some(edge) = longest(&state) {
+            if state.cut(radius, CutAt { edge, share: 0.5 }).expect("sound").is_none() {
+                break;
+            }
+            cuts += 1;
+            assert!(cuts < 100);
+        }
+        assert!(cuts > 8, "{cuts}");
+        assert_eq!(state.cut(radius, CutAt { edge: 10_000, share: 0.5 }), Ok(None));
+        let parting = (0..state.rest_lengths.len()).find(|edge| !state.joins(*edge)).expect("one");
+        assert_eq!(state.cut(radius, CutAt { edge: parting, share: 0.5 }), Ok(None));
+    }
+
+    #[test]
+    fn contacts_of_whole_edges_keep_what_they_remember() {
+        let radius = ThreadMaterial::silk_2_0().radius;
+        let mut state = thread(20, 0.04);
+        let contact = |with, edge, feature| ContactMemory {
+            key: ContactKey { with, edge, feature },
+            force: Vector3::x() * f64::from(edge),
+            drawn: Vector3::zeros(),
+        };
+        state.contacts = vec![contact(0, 2, 15), contact(0, 9, 17), contact(1, 12, 5), contact(2, 9, 0)];
+        let parted = state.cut(radius, CutAt { edge: 9, share: 0.5 }).expect("sound").expect("a cut");
+        let now = |edge: usize| parted.edges[edge].expect("whole");
+        let found: Vec<_> =
+            state.contacts.iter().map(|of| (of.key.with, of.key.edge, of.key.feature)).collect();
+        assert_eq!(found, [(0, 2, now(15)), (1, now(12), 5)]);
+        assert_eq!(state.contacts[1].force.x, 12.0);
+    }
+}

@@ -1,0 +1,221 @@
+//! Which contacts are near, and how deep they are.
+
+use nalgebra::{Point3, Vector3};
+
+use super::coupled_body::Companion;
+use super::{Active, Failure, Island, TieOf};
+use crate::linear_algebra::block_banded::Cell;
+use crate::suture_thread::contact::{
+    Law, Rows, Side, nearest_on_obstacle, nearest_segments, place, tangents,
+};
+use crate::suture_thread::state::{ContactKey, ContactMemory};
+use crate::suture_thread::{Surroundings, ThreadMaterial};
+
+/// What sinks deeper than this part of a diameter asks for shorter steps.
+const DEPTH_MAX: f64 = 0.15;
+
+impl Island {
+    /// The candidates that are near, as rows, with the forces of the last time: those with other strands and with the elastic
+    /// body in `dense` for now, those with obstacles in `sprung`. `ahead` is for how long it is expected to go on as it does \[s\].
+    pub(super) fn gather(
+        &mut self,
+        material: &ThreadMaterial,
+        around: &Surroundings,
+        ahead: f64,
+        companion: &mut impl Companion,
+    ) -> Result<(), Failure> {
+        self.moved.clear();
+        self.moved.extend((0..self.at.positions.len()).map(|node| {
+            let by = self.at.positions[node] - self.trial.positions[node];
+            Cell::new(by.x, by.y, by.z, self.at.turns.get(node).copied().unwrap_or(0.0))
+        }));
+        self.expected.clear();
+        self.expected.extend(self.trial.velocities.iter().enumerate().map(|(node, velocity)| {
+            let by = velocity * ahead;
+            Cell::new(by.x, by.y, by.z, self.trial.spins.get(node).copied().unwrap_or(0.0) * ahead)
+        }));
+        self.dense.clear();
+        self.sprung.clear();
+        self.near.clear();
+        let surface = companion.surface();
+        for index in 0..self.candidates.found.len() {
+            let key = self.candidates.found[index].key;
+            if surface.is_some_and(|surface| key.with as usize == surface + 1) {
+                self.note_near(material, around, key, companion);
+            } else if let Some(active) = self.contact(material, around, key) {
+                let list = if key.with == 0 { &mut self.dense } else { &mut self.sprung };
+                list.push(active);
+            }
+        }
+        if let Some(surface) = surface {
+            self.touch_elastic(material, around.obstacles[surface].friction);
+        }
+        self.ties.clear();
+        companion.tie(&self.at, &mut self.ties).map_err(|why| Failure { node: 0, why })?;
+        let Self { ties, dense, .. } = self;
+        dense.extend(ties.iter().enumerate().map(|(number, tie)| Active {
+            key: ContactKey { with: u32::MAX, edge: 0, feature: number as u32 },
+            rows: tie.rows,
+            friction: 0.0,
+            // What the rod has moved already is in the gap.
+            offset: tie.gap,
+            force: tie.force,
+            compliance: 0.0,
+            law: Law::Open,
+            next: Law::Open,
+            surface: Point3::origin(),
+            drawn: [0.0; 2],
+            gives: None,
+            tie: Some(TieOf { number, rule: tie.rule, yields: tie.yields }),
+        }));
+        Ok(())
+    }
+
+    fn contact(&self, material: &ThreadMaterial, around: &Surroundings, key: ContactKey) -> Option<Active> {
+        let edge = key.edge as usize;
+        let of = |edge: usize| [self.at.positions[edge], self.at.positions[edge + 1]];
+        let room = |edge: usize| self.reach[edge].max(self.reach[edge + 1]);
+        let radius = material.radius;
+        let side = |edge: usize, along: f64, arm: Vector3<f64>| Side {
+            edge,
+            along,
+            arm,
+            tangent: self.at.tangents[edge],
+            length: self.at.lengths[edge],
+        };
+        if key.with == 0 {
+            let other = key.feature as usize;
+            let (first, second) = (of(edge), of(other));
+            let [s, t] = nearest_segments(&first, &second);
+            let between = place(&first, s) - place(&second, t);
+            let distance = between.norm();
+            let gap = distance - 2.0 * radius;
+            if gap > room(edge) + room(other) || distance.is_nan() || distance < 1e-9 {
+                return None;
+            }
+            let normal = between / distance;
+            let [t1, t2] = tangents(&normal, &self.at.tangents[edge]);
+            let rows = Rows::new(
+                &side(edge, s, normal * -radius),
+                Some(&side(other, t, normal * radius)),
+                [normal, t1, t2],
+            );
+            return Some(self.remembered(
+                key,
+                rows,
+                material.friction,
+                gap,
+                None,
+                material.contact_compliance,
+            ));
+        }
+        let index = key.with as usize - 1;
+        let obstacle = &around.obstacles[index];
+        let found = nearest_on_obstacle(&obstacle.shape, &self.motions[index], key.feature, &of(edge))?;
+        let gap = found.distance - radius;
+        let way = (found.surface[1] - found.surface[0]).norm();
+        if gap > room(edge) + way {
+            return None;
+        }
+        let [t1, t2] = tangents(&found.normal, &self.at.tangents[edge]);
+        let rows = Rows::new(&side(edge, found.along, found.normal * -radius), None, [found.normal, t1, t2]);
+        let compliance = 0.5 * material.contact_compliance;
+        Some(self.remembered(key, rows, obstacle.friction, gap, Some(found.surface), compliance))
+    }
+
+    pub(super) fn remembered(
+        &self,
+        key: ContactKey,
+        rows: Rows,
+        friction: f64,
+        gap: f64,
+        surface: Option<[Point3<f64>; 2]>,
+        compliance: f64,
+    ) -> Active {
+        let of = |list: &[ContactMemory]| {
+            list.binary_search_by_key(&key, |memory| memory.key).ok().map(|place| list[place])
+        };
+        // The force of the last iteration, but drawn from where it stuck when the step began.
+        let force = of(&self.former).map_or(Vector3::zeros(), |memory| memory.force);
+        let drawn = of(&self.trial.contacts).map_or(Vector3::zeros(), |memory| memory.drawn);
+        let apart = rows.apart(&self.moved);
+        let carried = surface.map_or(Vector3::zeros(), |[from, to]| to - from);
+        let slipped = |k: usize| drawn.dot(&rows.directions[k]) + apart[k] - carried.dot(&rows.directions[k]);
+        let normal = force.dot(&rows.directions[0]).max(0.0);
+        let held = [force.dot(&rows.directions[1]), force.dot(&rows.directions[2])];
+        let size = held[0].hypot(held[1]);
+        let scale = if size > friction * normal { friction * normal / size } else { 1.0 };
+        let offset = [gap, slipped(1), slipped(2)];
+        let expected = rows.apart(&self.expected);
+        let expected: [f64; 3] = std::array::from_fn(|k| offset[k] + expected[k]);
+        let force = [normal, held[0] * scale, held[1] * scale];
+        let law = Law::begin(force, expected, friction, compliance);
+        Active {
+            key,
+            rows,
+            friction,
+            offset,
+            force,
+            compliance,
+            law,
+            next: law,
+            surface: surface.map_or_else(Point3::origin, |[_, to]| to),
+            drawn: [0.0; 2],
+            gives: None,
+            tie: None,
+        }
+    }
+
+    /// How deep the contacts are where they ended \[m\].
+    pub(super) fn penetration(&self, material: &ThreadMaterial, around: &Surroundings) -> f64 {
+        self.contacts().fold(0.0, |most, contact| {
+            // An elastic surface has given way since it was measured: what is left is what the contact itself does.
+            let gap = match contact.gives {
+                Some(_) => -contact.compliance * contact.force[0],
+                None => self.gap(material, around, &contact.key, &self.at.positions),
+            };
+            f64::max(most, -gap)
+        })
+    }
+
+    /// An edge that has come deep into something, whether that was taken for a contact or not, and deeper than it was.
+    pub(super) fn sunk(
+        &self,
+        material: &ThreadMaterial,
+        around: &Surroundings,
+        companion: &impl Companion,
+    ) -> Option<usize> {
+        let deep = -DEPTH_MAX * material.diameter();
+        let surface = companion.surface();
+        let gives = |key: &ContactKey| surface.is_some_and(|surface| key.with as usize == surface + 1);
+        let sunk = |key: &ContactKey| {
+            if gives(key) {
+                return false;
+            }
+            let gap = self.gap(material, around, key, &self.at.positions);
+            gap < deep && gap < self.gap(material, around, key, &self.trial.positions)
+        };
+        let found = self.candidates.found.iter().find(|candidate| sunk(&candidate.key));
+        found.map(|candidate| candidate.key.edge as usize)
+    }
+
+    /// Between the surfaces of two things at the end of the part, the thread being where these `positions` say \[m\].
+    fn gap(
+        &self,
+        material: &ThreadMaterial,
+        around: &Surroundings,
+        key: &ContactKey,
+        positions: &[Point3<f64>],
+    ) -> f64 {
+        let of = |edge: u32| [positions[edge as usize], positions[edge as usize + 1]];
+        if key.with == 0 {
+            let (first, second) = (of(key.edge), of(key.feature));
+            let [s, t] = nearest_segments(&first, &second);
+            return (place(&first, s) - place(&second, t)).norm() - 2.0 * material.radius;
+        }
+        let index = key.with as usize - 1;
+        let shape = &around.obstacles[index].shape;
+        nearest_on_obstacle(shape, &self.motions[index], key.feature, &of(key.edge))
+            .map_or(0.0, |found| found.distance - material.radius)
+    }
+}

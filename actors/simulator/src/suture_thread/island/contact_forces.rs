@@ -1,0 +1,395 @@
+//! Contact forces of the rod as it is linearised at an iterate.
+//!
+//! A contact with an obstacle touches two neighbouring nodes: what it answers is a spring within the band of the rod's
+//! matrix, once it is known whether it is open, sticks or slides. So these are found by Newton's method on the law
+//! itself (the active sets of Alart, Curnier 1991; Hintermüller, Ito, Kunisch 2002), each iteration one factorisation
+//! along the rod, however many they are. Contacts of strands with each other are such springs as well, between nodes that are
+//! far apart along the rod: each iteration is one factorisation of a sparse matrix then.
+//!
+//! Contacts with what gives way are coupled through that, and ties with companions through these: they are solved as one
+//! dense problem through the compliance of all of them, strands that push each other included, and in turn with the springs
+//! of obstacles. Where these turns do not end the obstacles that are touched become part of the dense problem. Strands that are springs beside a dense problem were tried: where a tied strand pulls on its knot the two go
+//! in circles.
+
+use super::coupled_body::{Companion, Tied};
+use super::{Active, Failure, Island, Nearest, TOLERANCE};
+use crate::linear_algebra::block_banded::{Cell, LANES};
+use crate::simd::dispatch::wide;
+use crate::suture_thread::contact::{CONTACTS_MAX, Law, Rule, SOFTENING};
+use crate::suture_thread::{ThreadReport, Trouble};
+
+/// Factorisations in search of what contacts that are springs do at most.
+const ROUNDS_MAX: usize = 10;
+/// Where those go in circles, with each of [`SOFTENING`] at most.
+const SOFTENED_ROUNDS_MAX: usize = 8;
+/// The same two where strands that push each other are among them.
+const KNOTTED_ROUNDS_MAX: (usize, usize) = (24, 20);
+/// Times that the contacts that are springs and the dense problem are solved in turn at most.
+const TURNS_MAX: usize = 5;
+/// A place does not change what it does for less \[N\]: `TOLERANCE` of a thread that gives way by a metre per newton, as
+/// one of 2-0 silk in steps of a millisecond does.
+const FORCE_TOLERANCE: f64 = 1e-9;
+/// Ties that are further from obeying their rules ask for shorter steps \[m\].
+const TIE_ERROR_MAX: f64 = 1e-7;
+/// What is further away from another strand than this once forces of the last time have moved it is no contact \[m\].
+const NEAR: f64 = 3e-5;
+
+impl Island {
+    /// Solves the linearised island: leaves the change of the iterate in `moved` and forces in the contacts.
+    pub(super) fn answer(
+        &mut self,
+        companion: &mut impl Companion,
+        report: &mut ThreadReport,
+    ) -> Result<(), Failure> {
+        // With the forces of the last time the rod moves nearly as it will; what it then stays away from is no contact.
+        self.with_obstacles = self.sprung.len();
+        self.factorise(1.0)?;
+        self.settle(report)?;
+        let moved = &self.moved;
+        self.dense.retain(|contact| {
+            contact.tie.is_some()
+                || contact.force[0] > 0.0
+                || contact.offset[0] + contact.rows.apart(moved)[0] < NEAR
+        });
+        let mut contacts = self.dense.iter().filter(|contact| contact.tie.is_none());
+        if let Some(beyond) = contacts.nth(CONTACTS_MAX) {
+            return Err(Failure { node: beyond.key.edge as usize, why: Trouble::TooManyContacts });
+        }
+        // Beside ties and what gives way strands are part of the dense problem.
+        if self.dense.iter().all(Active::is_of_strands) {
+            self.sprung.append(&mut self.dense);
+        }
+        if self.is_knotted() {
+            self.factorise(1.0)?;
+            self.settle(report)?;
+        }
+        self.dense.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
+        self.join(companion)?;
+        if !self.take_turns(report)? && self.draw_in() {
+            self.factorise(1.0)?;
+            self.settle(report)?;
+            self.join(companion)?;
+            self.take_turns(report)?;
+        }
+        self.take_ties()?;
+        for contact in self.dense.iter_mut().chain(&mut self.sprung) {
+            // Drawn as far as it gives way, whether it sticks or slides.
+            contact.drawn = [-contact.compliance * contact.force[1], -contact.compliance * contact.force[2]];
+        }
+        Ok(())
+    }
+
+    /// Solves the dense problem and the contacts that are springs in turn. Whether each ended at what the other ended at.
+    fn take_turns(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
+        for _ in 0..TURNS_MAX {
+            if self.dense.is_empty() {
+                return Ok(true);
+            }
+            self.pose();
+            report.sweeps += self.problem.solve(self.sweeps_max.max(1), TOLERANCE);
+            for (place, contact) in self.dense.iter_mut().enumerate() {
+                contact.force.copy_from_slice(&self.problem.force[3 * place..][..3]);
+            }
+            if self.settle(report)? {
+                return Ok(true);
+            }
+            self.measure();
+            if self.problem.error() <= TOLERANCE {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Makes contacts with obstacles that push, or are about to, part of the dense problem: where what is tied is tied next to
+    /// one of them, the two go in circles. Whether there are any.
+    fn draw_in(&mut self) -> bool {
+        let before = self.dense.len();
+        let Self { sprung, dense, moved, .. } = self;
+        sprung.retain(|contact| {
+            let apart = contact.offset[0] + contact.rows.apart(moved)[0];
+            let is_near = contact.force[0] > 0.0 || contact.next != Law::Open || apart < NEAR;
+            if is_near {
+                dense.push(contact.clone());
+            }
+            !is_near
+        });
+        self.with_obstacles = self.sprung.len();
+        self.dense.sort_unstable_by_key(|contact| (contact.rows.first(), contact.key));
+        self.dense.len() > before
+    }
+
+    /// Whether strands push each other within the rod's matrix.
+    fn is_knotted(&self) -> bool {
+        self.sprung.len() > self.with_obstacles
+    }
+
+    /// The factors of the rod's matrix with the springs of the contacts, so many times as soft.
+    fn factorise(&mut self, softness: f64) -> Result<(), Failure> {
+        self.added.clear(self.right.len());
+        for contact in &mut self.sprung {
+            contact.law = contact.next;
+        }
+        let (obstacles, strands) = self.sprung.split_at(self.with_obstacles);
+        for contact in obstacles {
+            let yields = softness * contact.compliance;
+            contact.law.add(&contact.rows, contact.friction, yields, &mut self.added);
+        }
+        let added = (!obstacles.is_empty()).then_some(&self.added);
+        let found = if strands.is_empty() {
+            self.factors.find(&self.matrix, added)
+        } else {
+            let couples = strands.iter().map(|contact| [contact.key.edge, contact.key.feature]);
+            self.sparse.analyse(self.right.len(), couples);
+            self.sparse.begin(&self.matrix, added);
+            for (number, contact) in strands.iter().enumerate() {
+                if contact.law != Law::Open {
+                    let yields = softness * contact.compliance;
+                    let (blocks, slanted) = contact.law.blocks(&contact.rows, contact.friction, yields);
+                    self.sparse.add_couple(number, &blocks, slanted);
+                }
+            }
+            self.sparse.factorise()
+        };
+        found.map_err(|node| Failure {
+            node,
+            why: if self.at.positions[node].iter().all(|x| x.is_finite()) {
+                Trouble::NotPositive
+            } else {
+                Trouble::NotFinite
+            },
+        })
+    }
+
+    /// Moves the rod with the factors that there are: with the dense problem's forces and those of springs so many times as
+    /// soft.
+    fn carry(&mut self, softness: f64) {
+        self.moved.clone_from(&self.right);
+        for contact in &self.dense {
+            contact.rows.push(&contact.force, &mut self.moved);
+        }
+        for contact in &self.sprung {
+            let yields = softness * contact.compliance;
+            let force = contact.law.linear(contact.offset, contact.friction, yields);
+            contact.rows.push(&force, &mut self.moved);
+        }
+        if self.is_knotted() {
+            self.sparse.solve(&mut self.moved);
+        } else {
+            self.factors.solve(&mut self.moved);
+        }
+    }
+
+    /// Moves the rod with the forces of the dense problem as they are until the contacts that are springs obey their law,
+    /// beginning with the factors that there are. Whether those were the right ones. Where none are found, what came nearest
+    /// to the laws of strands is left.
+    fn settle(&mut self, report: &mut ThreadReport) -> Result<bool, Failure> {
+        let knotted = self.is_knotted();
+        let (rounds, softened) = if knotted { KNOTTED_ROUNDS_MAX } else { (ROUNDS_MAX, SOFTENED_ROUNDS_MAX) };
+        let mut first = true;
+        let mut left = if knotted { self.sweeps_max } else { usize::MAX };
+        self.nearest.error = f64::INFINITY;
+        let plain = std::iter::once((1.0, rounds));
+        for (softness, most) in plain.chain(SOFTENING.map(|softness| (softness, softened))) {
+            for _ in 0..most {
+                if left == 0 {
+                    break;
+                }
+                if !first {
+                    report.sweeps += 1;
+                    left -= 1;
+                    self.factorise(softness)?;
+                }
+                self.carry(softness);
+                let error = self.error(softness);
+                if error <= TOLERANCE && softness == 1.0 {
+                    return Ok(first);
+                }
+                first = false;
+                if error <= TOLERANCE {
+                    break;
+                }
+                if knotted && softness == 1.0 && error < self.nearest.error {
+                    self.nearest.take(error, &self.moved, &self.sprung);
+                }
+            }
+        }
+        if self.nearest.error.is_finite() {
+            self.moved.clone_from(&self.nearest.moved);
+            for (contact, force) in self.sprung.iter_mut().zip(&self.nearest.forces) {
+                contact.force = *force;
+            }
+        }
+        Ok(false)
+    }
+
+    /// How far contacts that are springs, so many times as soft, are from their law \[m\], and what they are taken to be next.
+    /// What is near enough is moved on by that much.
+    fn error(&mut self, softness: f64) -> f64 {
+        let (mut changed, mut off) = (false, false);
+        self.rest.clear();
+        self.rest.resize(self.right.len(), Cell::zeros());
+        for contact in &mut self.sprung {
+            let by = contact.rows.apart(&self.moved);
+            let apart: [f64; 3] = std::array::from_fn(|k| contact.offset[k] + by[k]);
+            let yields = softness * contact.compliance;
+            let linear = contact.law.linear(apart, contact.friction, yields);
+            let (force, law) = Law::of(apart, contact.friction, yields);
+            let lacking: [f64; 3] = std::array::from_fn(|k| force[k] - linear[k]);
+            contact.force = force;
+            if lacking != [0.0; 3] {
+                let size = lacking[0].abs().max(lacking[1].abs()).max(lacking[2].abs());
+                let same = std::mem::discriminant(&law) == std::mem::discriminant(&contact.law);
+                changed |= !same && size > FORCE_TOLERANCE;
+                off = true;
+                contact.rows.push(&lacking, &mut self.rest);
+            }
+            contact.next = contact.law.next(law, contact.friction);
+        }
+        if !off {
+            return 0.0;
+        }
+        let knotted = self.is_knotted();
+        if changed && !knotted {
+            return f64::INFINITY;
+        }
+        // What is lacking moves the rod on, and the places by how much they are away from their law.
+        if knotted {
+            self.sparse.solve(&mut self.rest);
+        } else {
+            self.factors.solve(&mut self.rest);
+        }
+        let mut largest = 0.0_f64;
+        for contact in &self.sprung {
+            if contact.next != Law::Open {
+                let by = contact.rows.apart(&self.rest);
+                largest = by.iter().fold(largest, |most, by| most.max(by.abs()));
+            }
+        }
+        if largest <= TOLERANCE {
+            for (moved, rest) in self.moved.iter_mut().zip(&self.rest) {
+                *moved += rest;
+            }
+        }
+        largest
+    }
+
+    /// Where the places of the dense problem are, with their forces.
+    fn measure(&mut self) {
+        for (place, contact) in self.dense.iter().enumerate() {
+            let apart = contact.rows.apart(&self.moved);
+            for k in 0..3 {
+                self.problem.force[3 * place + k] = contact.force[k];
+                self.problem.gap[3 * place + k] =
+                    contact.offset[k] + apart[k] + contact.yields()[k] * contact.force[k];
+            }
+        }
+        self.give_way();
+    }
+
+    /// The dense problem: the compliance of its places through the rod and its springs, column by column.
+    fn pose(&mut self) {
+        let places = self.dense.len();
+        let rows = 3 * places;
+        self.problem.clear(places);
+        for contact in &self.dense {
+            self.problem.rules.push(contact.rule());
+            self.problem.yields.push(contact.yields());
+        }
+        let slanted = self.added.slanted;
+        let nodes = self.right.len();
+        let begin = self.dense.first().map_or(0, |contact: &Active| contact.rows.first());
+        let begin = begin.min(nodes.saturating_sub(1));
+        for first in (0..rows).step_by(LANES).take_while(|_| nodes > 0) {
+            let columns = first..(first + LANES).min(rows);
+            let from = self.dense[first / 3].rows.first().min(nodes - 1);
+            self.lanes.clear();
+            self.lanes.resize(nodes, [[0.0; LANES]; 4]);
+            for column in columns.clone() {
+                let of = &self.dense[column / 3].rows;
+                for k in 0..of.used {
+                    let cell = &mut self.lanes[of.nodes[k] as usize];
+                    for axis in 0..4 {
+                        cell[axis][column - first] += of.cells[column % 3][k][axis];
+                    }
+                }
+            }
+            // In their order along the thread, none of the places that are still to be read lies before the first; what
+            // is not symmetric has to be read everywhere.
+            let (until, skipped) = if slanted { (begin, 0) } else { (from, first / 3) };
+            self.factors.solve_lanes(&mut self.lanes, from, until);
+            let (dense, lanes, compliance) = (&self.dense, &self.lanes, &mut self.problem.compliance);
+            wide(
+                #[inline(always)]
+                || {
+                    for (place, contact) in dense.iter().enumerate().skip(skipped) {
+                        for k in 0..3 {
+                            let apart = contact.rows.apart_lanes(k, lanes);
+                            for (column, value) in columns.clone().zip(apart) {
+                                compliance[column * rows + 3 * place + k] = value;
+                            }
+                        }
+                    }
+                },
+            );
+        }
+        if !slanted {
+            for column in 0..rows {
+                for row in column + 1..rows {
+                    self.problem.compliance[row * rows + column] =
+                        self.problem.compliance[column * rows + row];
+                }
+            }
+        }
+        for (place, contact) in self.dense.iter().enumerate() {
+            for k in 0..3 {
+                self.problem.compliance[(3 * place + k) * (rows + 1)] += contact.yields()[k];
+            }
+        }
+        self.add_giving();
+        self.measure();
+    }
+    /// What the ties came to; refused where they do not obey their rules.
+    fn take_ties(&mut self) -> Result<(), Failure> {
+        if self.ties.is_empty() {
+            self.tied.clear();
+            return Ok(());
+        }
+        self.tied.resize(self.ties.len(), Tied::default());
+        for (place, contact) in self.dense.iter().enumerate() {
+            let Some(tie) = &contact.tie else { continue };
+            if self.problem.error_of(place) > TIE_ERROR_MAX {
+                return Err(Failure { node: 0, why: Trouble::Unsettled });
+            }
+            let gap = self.problem.gap(place);
+            let apart = std::array::from_fn(|k| gap[k] - tie.yields[k] * contact.force[k]);
+            let gives_way = tie.rule.of(apart, tie.yields).1.gives_way();
+            self.tied[tie.number] = Tied { force: contact.force, gap, gives_way };
+        }
+        Ok(())
+    }
+}
+
+impl Nearest {
+    fn take(&mut self, error: f64, moved: &[Cell], contacts: &[Active]) {
+        self.error = error;
+        self.moved.clear();
+        self.moved.extend_from_slice(moved);
+        self.forces.clear();
+        self.forces.extend(contacts.iter().map(|contact| contact.force));
+    }
+}
+
+impl Active {
+    fn is_of_strands(&self) -> bool {
+        self.tie.is_none() && self.key.with == 0
+    }
+
+    fn rule(&self) -> Rule {
+        self.tie.map_or(Rule::Contact { friction: self.friction }, |tie| tie.rule)
+    }
+
+    fn yields(&self) -> [f64; 3] {
+        self.tie.map_or([self.compliance; 3], |tie| tie.yields)
+    }
+}

@@ -1,0 +1,288 @@
+//! Contacts with a body that gives way: what one of them pushes in, others feel.
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use trocar_collision::primitive::{closest_on_triangle, closest_segments};
+
+use super::coupled_body::{Companion, ComplianceRows, Link};
+use super::{Active, Failure, Island};
+use crate::suture_thread::contact::{Rows, Side, tangents};
+use crate::suture_thread::elastic::{ElasticBody, Press, SurfacePlace};
+use crate::suture_thread::state::ContactKey;
+use crate::suture_thread::{Shape, Surroundings, ThreadMaterial, Trouble};
+
+/// Contacts of one place of an edge with a body that gives way at most: the bottom of a groove and both of its sides.
+const SIDES: usize = 3;
+/// Places that are nearer to each other than this are one, in radii of the thread.
+const SAME: f64 = 0.2;
+/// Places of an edge that may touch a triangle.
+const PLACES: u32 = 4;
+/// A sharp rim touches for itself where it is nearer than the places of the edge that always do by this much, in radii.
+const RIDGE: f64 = 0.3;
+/// What is deeper in a body than this is in it, and not on it, in radii of the thread.
+const DEEP: f64 = 2.0;
+
+/// A triangle of a body that gives way near to a place of an edge.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Near {
+    key: ContactKey,
+    /// It is touched already.
+    is_known: bool,
+    place: SurfacePlace,
+    /// On the edge, 0 to 1.
+    along: f64,
+    /// In the world \[m\].
+    point: Point3<f64>,
+    /// From there to the edge, unit.
+    normal: Vector3<f64>,
+    distance: f64,
+}
+
+/// Places at which companions move, and how they give way there.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Joined {
+    /// Which contacts, and what they are to the companion.
+    places: Vec<usize>,
+    pub links: Vec<Link>,
+    pub forces: Vec<[f64; 3]>,
+    base: Vec<f64>,
+    compliance: Vec<f64>,
+}
+
+impl Island {
+    /// Takes down a triangle that is near to an edge. Two places of an edge touch, its first end and its middle, always the
+    /// same: of an edge that lies flat on a triangle every place is nearest, and one that jumps from end to end would not let
+    /// the step come to its end. Where a sharp rim of a triangle is clearly nearer than these, that touches too.
+    pub(super) fn note_near(
+        &mut self,
+        material: &ThreadMaterial,
+        around: &Surroundings,
+        key: ContactKey,
+        companion: &impl Companion,
+    ) {
+        let obstacle = &around.obstacles[key.with as usize - 1];
+        let Shape::Mesh { from: points, triangles, .. } = &obstacle.shape else { return };
+        let Some(&nodes) = triangles.get(key.feature as usize) else { return };
+        let corners = nodes.map(|node| obstacle.to * points[node as usize]);
+        let outwards = (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
+        let edge = key.edge as usize;
+        let [from, to] = [self.at.positions[edge], self.at.positions[edge + 1]];
+        let reach = self.reach[edge].max(self.reach[edge + 1]) + material.radius;
+        let mut nearest = f64::INFINITY;
+        let note = |island: &mut Self, which: u32, along: f64, point: Point3<f64>, weights: [f64; 3]| {
+            let way = from.coords.lerp(&to.coords, along) - point.coords;
+            let mut distance = way.norm();
+            let Some(mut normal) = way.try_normalize(1e-12) else { return };
+            // Below a face it has sunk in; below an edge of one it may be beside the body.
+            if way.dot(&outwards) < 0.0 && weights.iter().all(|weight| *weight > 0.0) {
+                if distance > DEEP * material.radius {
+                    return;
+                }
+                (distance, normal) = (-distance, -normal);
+            }
+            if distance > reach {
+                return;
+            }
+            let key = ContactKey { feature: PLACES * key.feature + which, ..key };
+            let is_known = island.former.binary_search_by_key(&key, |memory| memory.key).is_ok();
+            let place = SurfacePlace { nodes, weights };
+            island.near.push(Near { key, is_known, place, along, point, normal, distance });
+        };
+        // The last edge touches with both of its ends.
+        let last = edge + 2 == self.at.positions.len();
+        for (which, along) in [(0, 0.0), (1, 0.5), (3, 1.0)].into_iter().take(if last { 3 } else { 2 }) {
+            let touching = from + (to - from) * along;
+            let found = closest_on_triangle(&touching, &corners);
+            nearest = nearest.min((touching - found.point).norm());
+            note(self, which, along, found.point, found.weights);
+        }
+        let mut ridge: Option<(f64, f64, Point3<f64>, [f64; 3])> = None;
+        for (rim, (k, m)) in [(0, 1), (1, 2), (2, 0)].into_iter().enumerate() {
+            if !companion.is_sharp(key.feature, rim) {
+                continue;
+            }
+            let found = closest_segments(&[from, to], &[corners[k], corners[m]]);
+            let [along, on_rim] = found.along;
+            let distance = found.distance_squared.sqrt();
+            if (0.02..=0.98).contains(&along) && ridge.is_none_or(|(known, ..)| distance < known) {
+                let mut weights = [0.0; 3];
+                (weights[k], weights[m]) = (1.0 - on_rim, on_rim);
+                ridge = Some((distance, along, corners[k] + (corners[m] - corners[k]) * on_rim, weights));
+            }
+        }
+        if let Some((distance, along, point, weights)) = ridge
+            && distance < nearest - RIDGE * material.radius
+        {
+            note(self, 2, along, point, weights);
+        }
+    }
+
+    /// The contacts of the edges with a body that gives way, of Coulomb's coefficient `friction`: of triangles that are
+    /// touched at the same place one, and rather one that was touched before.
+    pub(super) fn touch_elastic(&mut self, material: &ThreadMaterial, friction: f64) {
+        self.near.sort_unstable_by(|a, b| {
+            let order = |near: &Near| (near.key.edge, near.key.feature % PLACES, !near.is_known);
+            let first = order(a).cmp(&order(b));
+            first.then(a.distance.total_cmp(&b.distance)).then(a.key.cmp(&b.key))
+        });
+        let mut begin = self.dense.len();
+        for index in 0..self.near.len() {
+            let near = self.near[index];
+            let edge = near.key.edge as usize;
+            let place_on_edge = |key: &ContactKey| (key.edge, key.feature % PLACES);
+            if self
+                .dense
+                .get(begin)
+                .is_some_and(|first| place_on_edge(&first.key) != place_on_edge(&near.key))
+            {
+                begin = self.dense.len();
+            }
+            let own = &self.dense[begin..];
+            let same = |other: &Active| (other.surface - near.point).norm() < SAME * material.radius;
+            if own.len() >= SIDES || own.iter().any(same) {
+                continue;
+            }
+            let side = Side {
+                edge,
+                along: near.along,
+                arm: near.normal * -material.radius,
+                tangent: self.at.tangents[edge],
+                length: self.at.lengths[edge],
+            };
+            let [t1, t2] = tangents(&near.normal, &self.at.tangents[edge]);
+            let rows = Rows::new(&side, None, [near.normal, t1, t2]);
+            let compliance = 0.5 * material.contact_compliance;
+            let gap = near.distance - material.radius;
+            let remembered =
+                self.remembered(near.key, rows, friction, gap, Some([near.point; 2]), compliance);
+            self.dense.push(Active { gives: Some(near.place), ..remembered });
+        }
+    }
+
+    /// Finds how companions give way at their ties and contacts.
+    pub(super) fn join(&mut self, companion: &mut impl Companion) -> Result<(), Failure> {
+        let Joined { places, links, base, compliance, .. } = &mut self.joined;
+        places.clear();
+        links.clear();
+        for (index, contact) in self.dense.iter().enumerate() {
+            let link = match (&contact.tie, contact.gives) {
+                (Some(tie), _) => Link::Tie(tie.number),
+                (None, Some(place)) => Link::Surface(place, contact.rows.directions),
+                (None, None) => continue,
+            };
+            places.push(index);
+            links.push(link);
+        }
+        let rows = 3 * places.len();
+        for (list, length) in [(&mut *base, rows), (&mut *compliance, rows * rows)] {
+            list.clear();
+            list.resize(length, 0.0);
+        }
+        companion.join(links, ComplianceRows { base, compliance }).map_err(|why| Failure { node: 0, why })
+    }
+
+    /// Adds how companions give way to the problem's compliance.
+    pub(super) fn add_giving(&mut self) {
+        let Joined { places, compliance, .. } = &self.joined;
+        let (own, rows) = (3 * places.len(), self.problem.force.len());
+        for (column, first) in places.iter().enumerate() {
+            for (row, second) in places.iter().enumerate() {
+                for (k, m) in (0..3).flat_map(|k| (0..3).map(move |m| (k, m))) {
+                    self.problem.compliance[(3 * first + m) * rows + 3 * second + k] +=
+                        compliance[(3 * column + m) * own + 3 * row + k];
+                }
+            }
+        }
+    }
+
+    /// Adds to the gaps how far companions give way to the forces as they are.
+    pub(super) fn give_way(&mut self) {
+        let Joined { places, base, compliance, .. } = &self.joined;
+        let own = 3 * places.len();
+        for (row, index) in places.iter().enumerate() {
+            for k in 0..3 {
+                let mut gap = base[3 * row + k];
+                for (column, other) in places.iter().enumerate() {
+                    for m in 0..3 {
+                        gap += compliance[(3 * column + m) * own + 3 * row + k]
+                            * self.problem.force[3 * other + m];
+                    }
+                }
+                self.problem.gap[3 * index + k] += gap;
+            }
+        }
+    }
+
+    /// The forces of the links as they are.
+    pub(super) fn link_forces(&mut self) {
+        let Joined { places, forces, .. } = &mut self.joined;
+        forces.clear();
+        forces.extend(places.iter().map(|index| self.dense[*index].force));
+    }
+}
+
+/// An elastic body that a thread is tied around, during one step.
+pub(crate) struct TiedAround<'a> {
+    pub body: &'a ElasticBody,
+    /// Its place in the list of obstacles, and in the world.
+    pub obstacle: usize,
+    pub world_from_body: Isometry3<f64>,
+    /// What presses it at the end of the last part.
+    pub presses: Vec<Press>,
+}
+
+impl TiedAround<'_> {
+    fn in_body(&self, vector: &Vector3<f64>) -> Vector3<f64> {
+        self.world_from_body.rotation.inverse_transform_vector(vector)
+    }
+}
+
+impl Companion for TiedAround<'_> {
+    fn surface(&self) -> Option<usize> {
+        Some(self.obstacle)
+    }
+
+    /// Gaps were measured to the surface as it was when the step began; how far the thread has slid is counted from the
+    /// beginning of the part.
+    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
+        let rows = 3 * links.len();
+        let on_surface = |link: &Link| match link {
+            Link::Surface(place, directions) => Some((*place, directions.map(|of| self.in_body(&of)))),
+            Link::Tie(_) => None,
+        };
+        for (place, link) in links.iter().enumerate() {
+            let Some((at, directions)) = on_surface(link) else { continue };
+            let from_rest = self.body.displacement(&at, self.body.presses());
+            let since = self.body.displacement(&at, &self.presses);
+            for (k, moved) in [from_rest, since, since].into_iter().enumerate() {
+                giving.base[3 * place + k] = directions[k].dot(&moved);
+            }
+            for (other, link) in links[..=place].iter().enumerate() {
+                let Some((by, toward)) = on_surface(link) else { continue };
+                let block = self.body.between(&at, &by);
+                for (k, direction) in directions.iter().enumerate() {
+                    let along = block.tr_mul(direction);
+                    for (m, toward) in toward.iter().enumerate() {
+                        let (row, column) = (3 * place + k, 3 * other + m);
+                        giving.compliance[column * rows + row] = along.dot(toward);
+                        giving.compliance[row * rows + column] = along.dot(toward);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn advance(&mut self, _links: &[Link], _forces: &[[f64; 3]]) -> Result<f64, Trouble> {
+        // It has given way in the problem, and is deformed by what presses it when the step is over.
+        Ok(0.0)
+    }
+
+    fn finish(&mut self, links: &[Link], forces: &[[f64; 3]]) {
+        self.presses.clear();
+        for (link, force) in links.iter().zip(forces).filter(|(_, force)| force[0] > 0.0) {
+            let Link::Surface(at, [n, t1, t2]) = link else { continue };
+            let on_rod = n * force[0] + t1 * force[1] + t2 * force[2];
+            self.presses.push(Press { at: *at, force: self.in_body(&-on_rod) });
+        }
+    }
+}

@@ -1,0 +1,501 @@
+//! One step of a thread and all of its contacts together: Newton iterations on the implicit rod, each of them ending in
+//! contact forces that obey Coulomb's law for the rod as it is linearised there.
+// One index walks several arrays.
+#![allow(clippy::needless_range_loop)]
+
+pub(crate) mod active_contacts;
+mod boundary;
+pub(crate) mod contact_forces;
+pub(crate) mod coupled_body;
+mod elastic;
+
+use nalgebra::{Point3, Vector3};
+
+use coupled_body::{Companion, Link, Tie, Tied, Tolerance};
+pub(crate) use elastic::TiedAround;
+
+use super::contact::{
+    Candidates, Complementarity, Law, Motion, Rows, Rule, passed_through, passed_through_face,
+};
+use super::discrete_elastic_rod::{Iterate, assemble};
+use super::elastic::SurfacePlace;
+use super::state::{ContactKey, ContactMemory, ThreadState};
+use super::{Reaction, Surroundings, ThreadMaterial, ThreadReport, ThreadStepError, Trouble};
+use crate::linear_algebra::block_banded::{Added, BlockBand, Cell, Factors, LaneCell};
+use crate::linear_algebra::block_sparse_lu::BlockSparse;
+
+/// Linearised solutions of one part of a step at most.
+const ITERATIONS_MAX: usize = 6;
+/// A part of a step is not divided more often than this.
+const HALVINGS_MAX: u32 = 8;
+/// Parts of one step at most.
+const PARTS_MAX: usize = 512;
+/// Lengths of edges that differ from what their tension says by more than this ask for another iteration.
+const LENGTH_TOLERANCE: f64 = 2e-4;
+/// And by more than this for shorter steps.
+const LENGTH_ERROR_MAX: f64 = 2e-2;
+/// A place obeys its law when it would not have to move further than this for it \[m\].
+const TOLERANCE: f64 = 1e-9;
+
+/// A contact that is solved for.
+#[derive(Clone, Debug)]
+struct Active {
+    key: ContactKey,
+    rows: Rows,
+    friction: f64,
+    /// Between the surfaces, and how far they have been drawn from where they stick, before this iteration \[m\].
+    offset: [f64; 3],
+    force: [f64; 3],
+    compliance: f64,
+    /// Of a contact with an obstacle: as it is in the factors, and as it will be in the next ones.
+    law: Law,
+    next: Law,
+    /// On the obstacle \[m\].
+    surface: Point3<f64>,
+    drawn: [f64; 2],
+    /// On a surface that gives way.
+    gives: Option<SurfacePlace>,
+    /// Of what it is a place, when it is no contact.
+    tie: Option<TieOf>,
+}
+
+/// What a place of a companion is that is no contact of the rod.
+#[derive(Clone, Copy, Debug)]
+struct TieOf {
+    /// In the companion's list.
+    number: usize,
+    rule: Rule,
+    yields: [f64; 3],
+}
+
+/// What came nearest to the laws of the contacts.
+#[derive(Clone, Debug, Default)]
+struct Nearest {
+    /// How far it is away from them \[m\].
+    error: f64,
+    moved: Vec<Cell>,
+    forces: Vec<[f64; 3]>,
+}
+
+/// Room for a step.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Island {
+    /// Over the contacts of one linearised solution at most.
+    pub sweeps_max: usize,
+    trial: ThreadState,
+    at: Iterate,
+    matrix: BlockBand,
+    added: Added,
+    factors: Factors,
+    /// The factors of a rod whose strands push each other.
+    sparse: BlockSparse,
+    /// Contacts in `sprung` that are with obstacles; those after them are of strands with each other. None of these means
+    /// that the factors are those near the diagonal.
+    with_obstacles: usize,
+    nearest: Nearest,
+    right: Vec<Cell>,
+    moved: Vec<Cell>,
+    expected: Vec<Cell>,
+    last: Vec<Cell>,
+    rest: Vec<Cell>,
+    lanes: Vec<LaneCell>,
+    reach: Vec<f64>,
+    motions: Vec<Motion>,
+    candidates: Candidates,
+    /// Contacts with what gives way, ties, and contacts of strands with each other beside those.
+    dense: Vec<Active>,
+    /// Contacts that are springs in the rod's matrix: with obstacles, and of strands with each other.
+    sprung: Vec<Active>,
+    former: Vec<ContactMemory>,
+    problem: Complementarity,
+    hold_forces: Vec<Vector3<f64>>,
+    hold_torques: Vec<f64>,
+    reactions: Vec<Reaction>,
+    /// Triangles of what gives way that are near to edges.
+    near: Vec<elastic::Near>,
+    joined: elastic::Joined,
+    ties: Vec<Tie>,
+    tied: Vec<Tied>,
+}
+
+/// What went wrong in a part of the step, and where.
+pub(crate) struct Failure {
+    pub node: usize,
+    pub why: Trouble,
+}
+
+impl Island {
+    pub fn new(sweeps_max: usize) -> Self {
+        Self { sweeps_max, ..Self::default() }
+    }
+
+    pub fn hold_forces(&self) -> &[Vector3<f64>] {
+        &self.hold_forces
+    }
+
+    pub fn hold_torques(&self) -> &[f64] {
+        &self.hold_torques
+    }
+
+    pub fn reactions(&self) -> &[Reaction] {
+        &self.reactions
+    }
+
+    /// What the ties of the last iteration came to, in the order in which the companion gave them.
+    pub fn tied(&self) -> &[Tied] {
+        &self.tied
+    }
+
+    /// Where companions move and the forces there, of the last iteration.
+    pub fn links(&self) -> (&[Link], &[[f64; 3]]) {
+        (&self.joined.links, &self.joined.forces)
+    }
+
+    /// The rod at the end of the parts so far.
+    pub fn trial(&self) -> &ThreadState {
+        &self.trial
+    }
+
+    /// Begins a step of a rod that is as `state` says.
+    pub fn begin(&mut self, state: &ThreadState, around: &Surroundings) {
+        self.trial.clone_from(state);
+        self.hold_forces.clear();
+        self.hold_forces.resize(around.holds.len(), Vector3::zeros());
+        self.hold_torques.clear();
+        self.hold_torques.resize(around.twist_holds.len(), 0.0);
+        self.reactions.clear();
+        self.reactions.resize(around.obstacles.len(), Reaction::default());
+    }
+
+    /// Takes the state on by `dt`, or leaves it as it is.
+    pub fn step(
+        &mut self,
+        material: &ThreadMaterial,
+        state: &mut ThreadState,
+        dt: f64,
+        around: &Surroundings,
+        companion: &mut impl Companion,
+    ) -> Result<ThreadReport, ThreadStepError> {
+        self.begin(state, around);
+        let mut report = ThreadReport::default();
+        // Time in units of the shortest part, so that the parts add up exactly.
+        let whole = 1_u32 << HALVINGS_MAX;
+        let (mut done, mut part) = (0_u32, whole);
+        while done < whole {
+            part = part.min(whole - done);
+            let fractions = [f64::from(done) / f64::from(whole), f64::from(done + part) / f64::from(whole)];
+            let divisible = part > 1 && report.parts < PARTS_MAX;
+            let length = dt * (fractions[1] - fractions[0]);
+            match self.part(material, length, fractions, around, divisible, &mut report, companion) {
+                Ok(()) => {
+                    companion.finish(&self.joined.links, &self.joined.forces);
+                    self.finish(material, length, fractions, around);
+                    done += part;
+                    report.parts += 1;
+                    // A part is as long as the place it begins at allows: 1, 2, 4 … of the shortest.
+                    while done < whole && part < whole && done % (2 * part) == 0 {
+                        part *= 2;
+                    }
+                }
+                Err(failure) if !divisible => {
+                    return Err(ThreadStepError::Diverged {
+                        node: failure.node,
+                        time: dt * fractions[0],
+                        why: failure.why,
+                        shortest: length,
+                    });
+                }
+                Err(_) => part /= 2,
+            }
+        }
+        self.tell(material, around, &mut report);
+        std::mem::swap(&mut self.trial, state);
+        Ok(report)
+    }
+
+    /// What is to be said of the rod at the end of a step.
+    pub fn tell(&self, material: &ThreadMaterial, around: &Surroundings, report: &mut ThreadReport) {
+        report.contacts = self.contacts().filter(|contact| contact.force[0] > 0.0).count();
+        let strains = self.at.lengths.iter().zip(&self.trial.rest_lengths).filter(|(_, rest)| **rest > 0.0);
+        report.strain_max =
+            strains.fold(0.0, |most, (length, rest)| f64::max(most, (length / rest - 1.0).abs()));
+        report.penetration_max = self.penetration(material, around);
+    }
+
+    /// Finds the end of one part of the step; `divisible` says whether it might be shorter.
+    #[expect(clippy::too_many_arguments, reason = "a step, a part of it and what is around it")]
+    pub fn part(
+        &mut self,
+        material: &ThreadMaterial,
+        dt: f64,
+        fractions: [f64; 2],
+        around: &Surroundings,
+        divisible: bool,
+        report: &mut ThreadReport,
+        companion: &mut impl Companion,
+    ) -> Result<(), Failure> {
+        companion.begin(dt);
+        let diameter = material.diameter();
+        let tolerance = companion.tolerance().unwrap_or(Tolerance {
+            free: (0.1 * diameter, LENGTH_TOLERANCE),
+            touching: (0.1 * diameter, LENGTH_TOLERANCE),
+            moved_at_most: f64::INFINITY,
+            iterations: ITERATIONS_MAX,
+        });
+        self.at.begin(&self.trial);
+        self.motions.clear();
+        self.motions.extend(around.obstacles.iter().map(|obstacle| Motion::of(obstacle, fractions)));
+        self.reach.clear();
+        let speeds = self.trial.velocities.iter().map(|v| 1.2 * dt * v.norm() + 0.1 * diameter);
+        self.reach.extend(speeds);
+        for hold in around.holds {
+            let left = 1.0 - fractions[0];
+            let way =
+                (hold.to - self.trial.positions[hold.node]).norm() * (fractions[1] - fractions[0]) / left;
+            self.reach[hold.node] = self.reach[hold.node].max(1.1 * way);
+        }
+        self.seek(material, around);
+        self.former.clone_from(&self.trial.contacts);
+        self.tied.clear();
+        for iteration in 0..tolerance.iterations {
+            report.iterations += 1;
+            self.linearise(material, dt, fractions, around);
+            self.gather(material, around, if iteration == 0 { dt } else { 0.0 }, companion)?;
+            self.answer(companion, report)?;
+            let damped = self.damp(iteration);
+            let of_rod = self.advance(material)?;
+            let of_companion = self.advance_companion(companion)?;
+            let largest = of_rod.max(of_companion);
+            self.guard(material, around, companion)?;
+            let error = self.length_error(material);
+            let touches = self.contacts().any(|contact| contact.force[0] > 0.0);
+            let (moved, length) = if touches { tolerance.touching } else { tolerance.free };
+            if error.1 < length && largest < moved && !damped {
+                break;
+            }
+            if iteration + 1 < tolerance.iterations {
+                continue;
+            }
+            if error.1 > LENGTH_ERROR_MAX {
+                return Err(Failure { node: error.0, why: Trouble::Strain });
+            }
+            // A rod whose contacts come and go ends where it is.
+            if (if touches { of_companion } else { largest }) > tolerance.moved_at_most {
+                return Err(Failure { node: error.0, why: Trouble::Wanders });
+            }
+            // What came near in the last iterate only has not been solved for.
+            if let Some(node) = self.sunk(material, around, companion).filter(|_| divisible) {
+                return Err(Failure { node, why: Trouble::PassedThrough });
+            }
+        }
+        Ok(())
+    }
+
+    /// Moves the companion by the forces that were found.
+    fn advance_companion(&mut self, companion: &mut impl Companion) -> Result<f64, Failure> {
+        self.link_forces();
+        companion.advance(&self.joined.links, &self.joined.forces).map_err(|why| Failure { node: 0, why })
+    }
+
+    fn seek(&mut self, material: &ThreadMaterial, around: &Surroundings) {
+        if self.trial.positions.is_empty() {
+            self.candidates.found.clear();
+            return;
+        }
+        self.candidates.find(
+            &self.trial.positions,
+            &self.reach,
+            &self.trial.rest_lengths,
+            material.radius,
+            0.2 * material.diameter(),
+            around.obstacles,
+            &self.motions,
+        );
+        if !around.spared.is_empty() {
+            let spared = |key: &ContactKey| {
+                around.spared.iter().any(|spared| {
+                    key.with as usize == spared.obstacle + 1
+                        && (spared.edges[0]..=spared.edges[1]).contains(&(key.edge as usize))
+                })
+            };
+            self.candidates.found.retain(|candidate| !spared(&candidate.key));
+        }
+    }
+
+    /// The rod's matrix and forces at the iterate, with what holds and pulls it.
+    fn linearise(&mut self, material: &ThreadMaterial, dt: f64, fractions: [f64; 2], around: &Surroundings) {
+        let nodes = self.at.positions.len();
+        self.matrix.clear(nodes);
+        self.right.clear();
+        self.right.resize(nodes, Cell::zeros());
+        assemble(material, &self.trial, &self.at, dt, &around.gravity, &mut self.matrix, &mut self.right);
+        for load in around.loads {
+            for k in 0..3 {
+                self.right[load.node][k] += load.force[k];
+            }
+        }
+        let share = (fractions[1] - fractions[0]) / (1.0 - fractions[0]);
+        for hold in around.holds {
+            let (pull, stiffness) = self.pull(hold, share);
+            let mut diagonal = self.matrix.diagonal[hold.node].fixed_view_mut::<3, 3>(0, 0);
+            diagonal += stiffness;
+            for k in 0..3 {
+                self.right[hold.node][k] += pull[k];
+            }
+        }
+        for hold in around.twist_holds {
+            let edge = hold.edge;
+            let stiffness = boundary::twist_hold_stiffness(material, self.trial.rest_lengths[edge]);
+            self.right[edge][3] += stiffness * self.turn_left(hold, share);
+            self.matrix.diagonal[edge][(3, 3)] += stiffness;
+        }
+    }
+
+    /// All contacts that are solved for.
+    fn contacts(&self) -> impl Iterator<Item = &Active> {
+        self.dense.iter().chain(&self.sprung).filter(|contact| contact.tie.is_none())
+    }
+
+    /// Halves a change of the iterate that takes back the one before: contacts whose places jump between two edges, or turn
+    /// with a free end, would swing to and fro for ever. Whether it did.
+    fn damp(&mut self, iteration: usize) -> bool {
+        if iteration == 0 {
+            self.last.clear();
+        }
+        let place = |cell: &Cell| Vector3::new(cell[0], cell[1], cell[2]);
+        let (mut both, mut now, mut before) = (0.0, 0.0, 0.0);
+        for (moved, last) in self.moved.iter().map(place).zip(self.last.iter().map(place)) {
+            both += moved.dot(&last);
+            now += moved.norm_squared();
+            before += last.norm_squared();
+        }
+        let damped = both < -0.5 * before && now > 0.25 * before;
+        if damped {
+            self.moved.iter_mut().for_each(|moved| *moved *= 0.5);
+        }
+        self.last.clone_from(&self.moved);
+        damped
+    }
+
+    /// Moves the iterate; returns how far the furthest node moved \[m\].
+    fn advance(&mut self, material: &ThreadMaterial) -> Result<f64, Failure> {
+        let at = &mut self.at;
+        let change =
+            |moved: &[Cell], node: usize| Vector3::new(moved[node][0], moved[node][1], moved[node][2]);
+        for edge in 0..at.tangents.len() {
+            let rest = self.trial.rest_lengths[edge];
+            if !self.trial.joins(edge) {
+                continue;
+            }
+            let by = at.tangents[edge].dot(&(change(&self.moved, edge + 1) - change(&self.moved, edge)));
+            at.tensions[edge] = material.axial_stiffness / rest * (at.lengths[edge] + by - rest);
+        }
+        let mut largest = 0.0_f64;
+        let edges = at.turns.len();
+        for node in 0..at.positions.len() {
+            let by = change(&self.moved, node);
+            let size = by.norm();
+            if !size.is_finite() || !self.moved[node][3].is_finite() {
+                return Err(Failure { node, why: Trouble::NotFinite });
+            }
+            largest = largest.max(size);
+            at.positions[node] += by;
+            if node < edges {
+                at.turns[node] += self.moved[node][3];
+            }
+        }
+        at.follow(&self.trial);
+        self.former.clear();
+        let contacts = self.dense.iter().chain(&self.sprung).filter(|contact| contact.tie.is_none());
+        self.former.extend(contacts.filter(|contact| contact.force[0] > 0.0).map(|contact| {
+            let drawn = contact.rows.vector(&[0.0, contact.drawn[0], contact.drawn[1]]);
+            ContactMemory { key: contact.key, force: contact.rows.vector(&contact.force), drawn }
+        }));
+        self.former.sort_unstable_by_key(|memory| memory.key);
+        Ok(largest)
+    }
+
+    /// Refuses an iterate that has passed through something; looks further where it moved further than foreseen.
+    fn guard(
+        &mut self,
+        material: &ThreadMaterial,
+        around: &Surroundings,
+        companion: &impl Companion,
+    ) -> Result<(), Failure> {
+        let mut further = false;
+        for node in 0..self.at.positions.len() {
+            let way = (self.at.positions[node] - self.trial.positions[node]).norm();
+            if way > self.reach[node] {
+                self.reach[node] = 1.5 * way;
+                further = true;
+            }
+        }
+        if further {
+            self.seek(material, around);
+        }
+        let (from, to) = (&self.trial.positions, &self.at.positions);
+        // An edge next to one that is spared reaches with its end into what that one is in.
+        let beside_spared = |key: &ContactKey| {
+            around.spared.iter().any(|spared| {
+                let edge = key.edge as usize;
+                key.with as usize == spared.obstacle + 1
+                    && (edge + 1 == spared.edges[0] || edge == spared.edges[1] + 1)
+            })
+        };
+        for candidate in self.candidates.found.iter().filter(|candidate| !beside_spared(&candidate.key)) {
+            let key = &candidate.key;
+            let face = companion
+                .swept()
+                .filter(|_| companion.surface().is_some_and(|surface| key.with as usize == surface + 1))
+                .zip(around.face(key));
+            let passed = match face {
+                Some((swept, nodes)) => {
+                    let corners = swept.map(|nodes_at| nodes.map(|node| nodes_at[node as usize]));
+                    passed_through_face(key.edge as usize, [from, to], material.radius, corners)
+                }
+                None => passed_through(key, from, to, material.radius, around.obstacles, &self.motions),
+            };
+            if passed {
+                return Err(Failure { node: candidate.key.edge as usize, why: Trouble::PassedThrough });
+            }
+        }
+        match companion.stops([from, to]) {
+            Some(node) => Err(Failure { node, why: Trouble::PassedThrough }),
+            None => Ok(()),
+        }
+    }
+
+    /// The edge whose length differs most from what its tension says, and by how much of it.
+    fn length_error(&self, material: &ThreadMaterial) -> (usize, f64) {
+        let mut worst = (0, 0.0);
+        for (edge, length) in self.at.lengths.iter().enumerate() {
+            let rest = self.trial.rest_lengths[edge];
+            if !self.trial.joins(edge) {
+                continue;
+            }
+            let error = (length / rest - 1.0 - self.at.tensions[edge] / material.axial_stiffness).abs();
+            // Not a number is the worst of all.
+            if error > worst.1 || error.is_nan() {
+                worst = (edge, if error.is_nan() { f64::INFINITY } else { error });
+            }
+        }
+        worst
+    }
+
+    /// Makes the iterate the state at the end of the part, and adds what holds and obstacles feel.
+    pub fn finish(&mut self, material: &ThreadMaterial, dt: f64, fractions: [f64; 2], around: &Surroundings) {
+        self.feel(material, fractions, around);
+        let state = &mut self.trial;
+        for node in 0..state.positions.len() {
+            state.velocities[node] = (self.at.positions[node] - state.positions[node]) / dt;
+        }
+        for edge in 0..state.spins.len() {
+            state.spins[edge] = self.at.turns[edge] / dt;
+        }
+        state.positions.clone_from(&self.at.positions);
+        state.directors.clone_from(&self.at.directors);
+        state.twists.clone_from(&self.at.twists);
+        state.tensions.clone_from(&self.at.tensions);
+        state.contacts.clone_from(&self.former);
+    }
+}

@@ -1,0 +1,235 @@
+//! A soft body that a thread lies on and that somebody else moves: the nodes of its surface as mass points that give way to
+//! the thread within the step ([`GhostNode`]), in one problem with it. What the thread gives them is told afterwards, so that
+//! whoever moves the body can be given the same numbers: action and reaction are the same impulses.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Point3, Vector3};
+use trocar_dynamics::coupling::external_nodes::{GhostMoved, GhostNode};
+
+use super::Trouble;
+use super::elastic::SurfacePlace;
+use super::island::coupled_body::{Companion, ComplianceRows, Link};
+
+/// Cosine of the angle between faces beyond which they meet in a ridge: 40°.
+const SHARP: f64 = 0.77;
+
+/// The surface of such a body, and what becomes of it in a step. In the frame of the thread.
+#[derive(Clone, Debug, Default)]
+pub struct SoftSurface {
+    triangles: Vec<[u32; 3]>,
+    /// Of each triangle, which is beyond each rim.
+    beyond: Vec<[Option<u32>; 3]>,
+    /// And whether the two meet there in a ridge.
+    sharp: Vec<[bool; 3]>,
+    normals: Vec<Vector3<f64>>,
+    /// Where the nodes are when the step begins, and as the part does \[m\].
+    start: Vec<Point3<f64>>,
+    began: Vec<Point3<f64>>,
+    /// The nodes as the part begins.
+    now: Vec<GhostNode>,
+    /// Where they would be at the end of the part if nobody touched them \[m\], and how far they go for a force \[m/N\].
+    free: Vec<Point3<f64>>,
+    yields: Vec<f64>,
+    /// Where they are at the iterate \[m\].
+    at: Vec<Point3<f64>>,
+    /// Forces on the nodes \[N\].
+    forces: Vec<Vector3<f64>>,
+    /// How fast each is put right in this step \[m/s\].
+    drift: Vec<Vector3<f64>>,
+    /// How long the part is \[s\].
+    part: f64,
+    moved: Vec<GhostMoved>,
+}
+
+impl SoftSurface {
+    /// Has these nodes and triangles when a step begins: those of the obstacle, in their order. During the step each node is
+    /// moved at a velocity of `drift` \[m/s\], if there are any, beside what it does by itself: where it was taken to be may not
+    /// be where it is, and a surface that jumped could jump past the thread.
+    pub fn begin(
+        &mut self,
+        guests: impl Iterator<Item = GhostNode>,
+        drift: impl Iterator<Item = Vector3<f64>>,
+        triangles: &[[u32; 3]],
+    ) {
+        self.drift.clear();
+        self.drift.extend(drift);
+        self.now.clear();
+        self.now.extend(guests);
+        self.drift.resize(self.now.len(), Vector3::zeros());
+        self.start.clear();
+        self.start.extend(self.now.iter().map(|guest| guest.position));
+        self.began.clone_from(&self.start);
+        self.at.clone_from(&self.start);
+        self.moved.clear();
+        self.moved.resize(self.now.len(), GhostMoved::default());
+        self.tell();
+        if self.triangles != triangles {
+            self.triangles.clear();
+            self.triangles.extend_from_slice(triangles);
+            self.find_neighbours();
+        }
+        self.find_ridges();
+    }
+
+    fn find_neighbours(&mut self) {
+        // Neighbours run along a rim in opposite directions.
+        let mut across = BTreeMap::new();
+        for (index, triangle) in self.triangles.iter().enumerate() {
+            for k in 0..3 {
+                across.insert((triangle[(k + 1) % 3], triangle[k]), index as u32);
+            }
+        }
+        let beyond = |triangle: &[u32; 3]| {
+            [0, 1, 2].map(|k| across.get(&(triangle[k], triangle[(k + 1) % 3])).copied())
+        };
+        self.beyond = self.triangles.iter().map(beyond).collect();
+    }
+
+    fn find_ridges(&mut self) {
+        let Self { triangles, start, normals, sharp, beyond, .. } = self;
+        normals.clear();
+        normals.extend(triangles.iter().map(|triangle| {
+            let [a, b, c] = triangle.map(|node| start.get(node as usize).copied().unwrap_or_default());
+            (b - a).cross(&(c - a)).try_normalize(0.0).unwrap_or_else(Vector3::zeros)
+        }));
+        sharp.clear();
+        sharp.extend(beyond.iter().zip(&*normals).map(|(beyond, own)| {
+            beyond.map(|other| other.is_none_or(|other| normals[other as usize].dot(own) < SHARP))
+        }));
+    }
+
+    /// What has become of the nodes in the step.
+    #[must_use]
+    pub fn moved(&self) -> &[GhostMoved] {
+        &self.moved
+    }
+
+    fn tell(&mut self) {
+        for (moved, guest) in self.moved.iter_mut().zip(&self.now) {
+            (moved.position, moved.velocity, moved.path) = (guest.position, guest.velocity, guest.path);
+        }
+    }
+
+    /// How far a place has come from where these nodes were \[m\], by where they go if nobody touches them.
+    fn drift(&self, place: &SurfacePlace, from: &[Point3<f64>]) -> Vector3<f64> {
+        let of = |(node, weight): (&u32, f64)| (self.free[*node as usize] - from[*node as usize]) * weight;
+        place.nodes.iter().zip(place.weights).map(of).sum()
+    }
+
+    /// How far a place goes for a force at another one, in any direction \[m/N\].
+    fn between(&self, place: &SurfacePlace, other: &SurfacePlace) -> f64 {
+        let mut sum = 0.0;
+        for (node, weight) in place.nodes.iter().zip(place.weights) {
+            for (by, share) in other.nodes.iter().zip(other.weights) {
+                if node == by {
+                    sum += weight * share * self.yields[*node as usize];
+                }
+            }
+        }
+        sum
+    }
+
+    /// Forces on the nodes by those of the links on the thread.
+    fn gather(&mut self, links: &[Link], forces: &[[f64; 3]]) {
+        self.forces.clear();
+        self.forces.resize(self.now.len(), Vector3::zeros());
+        for (link, force) in links.iter().zip(forces).filter(|(_, force)| force[0] > 0.0) {
+            let Link::Surface(place, [n, t1, t2]) = link else { continue };
+            let on_thread = n * force[0] + t1 * force[1] + t2 * force[2];
+            for (node, weight) in place.nodes.iter().zip(place.weights) {
+                self.forces[*node as usize] -= on_thread * weight;
+            }
+        }
+    }
+}
+
+/// It in a step.
+pub(crate) struct LyingOn<'a> {
+    pub surface: &'a mut SoftSurface,
+    /// Its place in the list of obstacles.
+    pub obstacle: usize,
+}
+
+impl Companion for LyingOn<'_> {
+    fn surface(&self) -> Option<usize> {
+        Some(self.obstacle)
+    }
+
+    fn begin(&mut self, dt: f64) {
+        let soft = &mut *self.surface;
+        soft.part = dt;
+        soft.free.clear();
+        soft.yields.clear();
+        soft.began.clear();
+        for (guest, drift) in soft.now.iter().zip(&soft.drift) {
+            let mut alone = *guest;
+            alone.go(dt, &Vector3::zeros());
+            soft.began.push(guest.position);
+            soft.free.push(alone.position + drift * dt);
+            soft.yields.push(guest.mobility / (1.0 + dt * dt * guest.stiffness * guest.mobility) * dt * dt);
+        }
+        soft.at.clone_from(&soft.free);
+    }
+
+    fn is_sharp(&self, triangle: u32, rim: usize) -> bool {
+        self.surface.sharp.get(triangle as usize).is_some_and(|rims| rims[rim])
+    }
+
+    fn swept(&self) -> Option<[&[Point3<f64>]; 2]> {
+        Some([&self.surface.began, &self.surface.at])
+    }
+
+    /// Gaps were measured to the surface as it was when the step began, slides are counted from the beginning of the part.
+    fn join(&mut self, links: &[Link], giving: ComplianceRows<'_>) -> Result<(), Trouble> {
+        let soft = &*self.surface;
+        let rows = 3 * links.len();
+        for (row, link) in links.iter().enumerate() {
+            let Link::Surface(place, directions) = link else { continue };
+            let drifts = [soft.drift(place, &soft.start), soft.drift(place, &soft.began)];
+            for (k, direction) in directions.iter().enumerate() {
+                giving.base[3 * row + k] = -direction.dot(&drifts[k.min(1)]);
+            }
+            for (column, other) in links.iter().enumerate() {
+                let Link::Surface(by, toward) = other else { continue };
+                let goes = soft.between(place, by);
+                if goes == 0.0 {
+                    continue;
+                }
+                for (k, direction) in directions.iter().enumerate() {
+                    for (m, toward) in toward.iter().enumerate() {
+                        giving.compliance[(3 * column + m) * rows + 3 * row + k] =
+                            goes * direction.dot(toward);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn advance(&mut self, links: &[Link], forces: &[[f64; 3]]) -> Result<f64, Trouble> {
+        let soft = &mut *self.surface;
+        soft.gather(links, forces);
+        let mut most = 0.0_f64;
+        for (node, force) in soft.forces.iter().enumerate() {
+            let to = soft.free[node] + force * soft.yields[node];
+            most = most.max((to - soft.at[node]).norm());
+            soft.at[node] = to;
+        }
+        if most.is_finite() { Ok(most) } else { Err(Trouble::NotFinite) }
+    }
+
+    fn finish(&mut self, links: &[Link], forces: &[[f64; 3]]) {
+        let soft = &mut *self.surface;
+        soft.gather(links, forces);
+        let of_nodes = soft.now.iter_mut().zip(&soft.forces).zip(&soft.drift).zip(&mut soft.moved);
+        for (((guest, force), drift), moved) in of_nodes {
+            let impulse = force * soft.part;
+            guest.go(soft.part, &impulse);
+            guest.position += drift * soft.part;
+            moved.impulse += impulse;
+            moved.work += impulse.dot(&guest.velocity);
+        }
+        soft.tell();
+    }
+}

@@ -1,0 +1,244 @@
+//! Everything a thread needs to continue bit for bit.
+
+use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::ThreadError;
+use super::bishop_frame::{perpendicular, transport};
+use crate::clone_in_place::clones_in_place;
+
+/// Nodes of a thread at most.
+pub const NODES_MAX: usize = 4096;
+
+/// What lies between two edges of different threads \[m\]: more than any thread is long.
+pub(crate) const PARTED: f64 = 1e3;
+
+/// The whole state of a thread of `n` nodes and `n − 1` edges; or of several threads, whose nodes follow one after the other.
+/// The edge from the last node of one to the first of the next joins nothing: it has no length, mass or stiffness.
+#[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ThreadState {
+    /// Of the nodes, in the world \[m\].
+    pub positions: Vec<Point3<f64>>,
+    /// Of the nodes \[m/s\].
+    pub velocities: Vec<Vector3<f64>>,
+    /// Of the edges, without strain \[m\]; 0 of one that joins nothing.
+    pub rest_lengths: Vec<f64>,
+    /// A direction across each edge that turns with its material; unit.
+    pub directors: Vec<Vector3<f64>>,
+    /// How far each edge's director is turned from that of the edge before \[rad\], whole turns included; one for each
+    /// node, that of the ends is 0.
+    pub twists: Vec<f64>,
+    /// How fast each edge turns about itself \[rad/s\].
+    pub spins: Vec<f64>,
+    /// Of the edges \[N\]; positive where pulled.
+    pub tensions: Vec<f64>,
+    /// What the contacts remember, in the order of their keys.
+    pub contacts: Vec<ContactMemory>,
+}
+
+clones_in_place!(ThreadState {
+    positions,
+    velocities,
+    rest_lengths,
+    directors,
+    twists,
+    spins,
+    tensions,
+    contacts,
+});
+
+/// Which two things are in contact.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct ContactKey {
+    /// 0 for another edge of the thread, else 1 + the obstacle's place in the list.
+    pub with: u32,
+    /// Edge of the thread.
+    pub edge: u32,
+    /// The other edge, or the triangle of the obstacle.
+    pub feature: u32,
+}
+
+/// What a contact remembers from step to step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ContactMemory {
+    /// Of what.
+    pub key: ContactKey,
+    /// On the edge, by the other, in the world \[N\].
+    pub force: Vector3<f64>,
+    /// How far the surfaces have been drawn from where they stick, in the world \[m\]: static friction is a place, not a
+    /// velocity.
+    pub drawn: Vector3<f64>,
+}
+
+impl ThreadState {
+    /// A thread at rest, without strain or twist, through `positions` \[m\].
+    #[must_use]
+    pub fn at_rest(positions: &[Point3<f64>]) -> Self {
+        let n = positions.len();
+        let edges = n.saturating_sub(1);
+        let mut state = Self {
+            positions: positions.to_vec(),
+            velocities: vec![Vector3::zeros(); n],
+            rest_lengths: positions.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect(),
+            directors: Vec::with_capacity(edges),
+            twists: vec![0.0; n],
+            spins: vec![0.0; edges],
+            tensions: vec![0.0; edges],
+            ..Self::default()
+        };
+        let mut last: Option<(Vector3<f64>, Vector3<f64>)> = None;
+        for pair in positions.windows(2) {
+            let tangent = (pair[1] - pair[0]).try_normalize(0.0).unwrap_or_else(Vector3::x);
+            let director = last.map_or_else(
+                || perpendicular(&Vector3::z(), &tangent),
+                |(before, director)| perpendicular(&transport(&before, &tangent, &director), &tangent),
+            );
+            state.directors.push(director);
+            last = Some((tangent, director));
+        }
+        state
+    }
+
+    /// Several threads at rest, each through its own positions \[m\], one after the other.
+    #[must_use]
+    pub fn of_several(threads: &[&[Point3<f64>]]) -> Self {
+        let mut all = Self::default();
+        for positions in threads {
+            let one = Self::at_rest(positions);
+            if !all.positions.is_empty() {
+                all.rest_lengths.push(0.0);
+                all.directors.push(Vector3::x());
+                all.spins.push(0.0);
+                all.tensions.push(0.0);
+            }
+            all.positions.extend(one.positions);
+            all.velocities.extend(one.velocities);
+            all.rest_lengths.extend(one.rest_lengths);
+            all.directors.extend(one.directors);
+            all.twists.extend(one.twists);
+            all.spins.extend(one.spins);
+            all.tensions.extend(one.tensions);
+        }
+        all
+    }
+
+    /// Whether an edge is part of a thread, and not what lies between the ends of two.
+    #[must_use]
+    pub fn joins(&self, edge: usize) -> bool {
+        self.rest_lengths.get(edge).is_some_and(|rest| *rest > 0.0)
+    }
+
+    /// Nodes of each thread, first and last.
+    pub fn threads(&self) -> impl Iterator<Item = [usize; 2]> + '_ {
+        let last = self.positions.len().saturating_sub(1);
+        let breaks = || (0..last).filter(|edge| self.rest_lengths[*edge] == 0.0);
+        std::iter::once(0)
+            .chain(breaks().map(|edge| edge + 1))
+            .zip(breaks().chain([last]))
+            .map(<[usize; 2]>::from)
+    }
+
+    /// Edges that join something, each with where along the thread it begins and ends, without strain, from the first node
+    /// \[m\]; those of different threads are further apart than any thread is long.
+    pub fn spans(&self) -> impl Iterator<Item = (usize, [f64; 2])> + '_ {
+        let spans = self.rest_lengths.iter().enumerate().scan(0.0, |arc, (edge, rest)| {
+            let begin = *arc;
+            *arc += if *rest > 0.0 { *rest } else { PARTED };
+            Some((edge, [begin, *arc], *rest > 0.0))
+        });
+        spans.filter(|(_, _, joins)| *joins).map(|(edge, span, _)| (edge, span))
+    }
+
+    /// Where along the thread each of several begins and ends, as [`ThreadState::spans`] of its edges \[m\].
+    pub(crate) fn pieces(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let mut spans = self.spans().peekable();
+        std::iter::from_fn(move || {
+            let (_, [begin, mut end]) = spans.next()?;
+            while let Some((_, [_, further])) = spans.next_if(|(_, [next, _])| *next == end) {
+                end = further;
+            }
+            Some([begin, end])
+        })
+    }
+
+    /// Where along the thread each node is, without strain, from the first one \[m\]; nodes of different threads are further
+    /// apart than any thread is long.
+    pub(crate) fn arcs(&self) -> Vec<f64> {
+        let mut arcs = Vec::with_capacity(self.positions.len());
+        arcs.push(0.0);
+        for rest in &self.rest_lengths {
+            arcs.push(arcs[arcs.len() - 1] + if *rest > 0.0 { *rest } else { PARTED });
+        }
+        arcs
+    }
+
+    /// Length without strain \[m\].
+    #[must_use]
+    pub fn rest_length(&self) -> f64 {
+        self.rest_lengths.iter().sum()
+    }
+
+    /// Refuses a state that no thread of this radius can be in; lists every bad element.
+    pub(crate) fn check(&self, radius: f64) -> Result<(), ThreadError> {
+        let n = self.positions.len();
+        if !(3..=NODES_MAX).contains(&n) {
+            return Err(ThreadError::Nodes(n));
+        }
+        for (list, found, expected) in [
+            ("velocities", self.velocities.len(), n),
+            ("rest_lengths", self.rest_lengths.len(), n - 1),
+            ("directors", self.directors.len(), n - 1),
+            ("twists", self.twists.len(), n),
+            ("spins", self.spins.len(), n - 1),
+            ("tensions", self.tensions.len(), n - 1),
+        ] {
+            if found != expected {
+                return Err(ThreadError::Length { list, found, expected });
+            }
+        }
+        let place = |i: &usize| {
+            self.positions[*i].iter().chain(self.velocities[*i].iter()).all(|x| x.is_finite())
+                && self.twists[*i].is_finite()
+        };
+        let edge = |i: &usize| {
+            *i + 1 == n
+                || (self.directors[*i].iter().all(|x| x.is_finite())
+                    && self.spins[*i].is_finite()
+                    && self.tensions[*i].is_finite())
+        };
+        let mut bad: Vec<_> = (0..n).filter(|i| !place(i)).collect();
+        if bad.is_empty() {
+            // Directors follow from positions: of one bad node they are all bad.
+            bad = (0..n).filter(|i| !edge(i)).collect();
+        }
+        if !bad.is_empty() {
+            return Err(ThreadError::NotFinite(bad));
+        }
+        let short = |i: &usize| {
+            let length = (self.positions[i + 1] - self.positions[*i]).norm();
+            let rest = self.rest_lengths[*i];
+            let is_none = rest.is_nan() || rest.is_infinite() || (rest < 0.01 * radius && rest != 0.0);
+            length < 0.01 * radius || is_none
+        };
+        let bad: Vec<_> = (0..n - 1).filter(short).collect();
+        if !bad.is_empty() {
+            return Err(ThreadError::NoLength(bad));
+        }
+        if let Some([first, last]) = self.threads().find(|[first, last]| last - first < 2) {
+            return Err(ThreadError::Nodes(last + 1 - first));
+        }
+        let folded = |i: &usize| {
+            if !self.joins(i - 1) || !self.joins(*i) {
+                return false;
+            }
+            let (e, f) =
+                (self.positions[*i] - self.positions[i - 1], self.positions[i + 1] - self.positions[*i]);
+            e.dot(&f) < -0.99 * e.norm() * f.norm()
+        };
+        let bad: Vec<_> = (1..n - 1).filter(folded).collect();
+        if !bad.is_empty() {
+            return Err(ThreadError::Folded(bad));
+        }
+        Ok(())
+    }
+}

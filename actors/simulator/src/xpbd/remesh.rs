@@ -1,0 +1,111 @@
+//! A body of positions that follows its mesh: constraints of what has changed are derived anew and take groups that are free
+//! about them, all else stays where it is.
+
+use nalgebra::Point3;
+use trocar_dynamics::faulty::Faulty;
+use trocar_dynamics::particles::State;
+
+use super::constraint::{Bend, Distance};
+use super::{Xpbd, tetrahedra};
+use crate::mass_spring::{Followed, Network, NetworkError, Patch};
+
+/// Tetrahedra that have got other corners, or are new.
+#[derive(Clone, Copy)]
+pub struct SplitTets<'a> {
+    /// All nodes at rest \[m\].
+    pub rest: &'a [Point3<f64>],
+    /// Corners of all.
+    pub tets: &'a [[u32; 4]],
+    /// Which have changed, ascending; new ones are numbered behind all others, and all of them are named.
+    pub changed: &'a [u32],
+}
+
+impl Xpbd {
+    /// Follows a network that has followed its mesh: cloth that is cut, torn or burned. `carry` gives new nodes a state,
+    /// `stays` says which nodes are pinned. How many constraints were put in, taken out or given other numbers.
+    ///
+    /// # Errors
+    /// A state that does not fit.
+    pub fn follow_network(
+        &mut self,
+        network: &Network,
+        followed: &Followed,
+        patch: &Patch<'_, 3>,
+        stays: impl Fn(u32) -> bool,
+        carry: impl FnOnce(&mut State),
+    ) -> Result<usize, NetworkError> {
+        let masses = &network.masses;
+        self.own.resize(masses.len(), 0.0);
+        patch.stale.iter().for_each(|&node| self.own[node as usize] = masses[node as usize]);
+        self.grow(masses.len(), patch.stale, stays, carry)?;
+        let edges = |node: u32| patch.edges(node);
+        self.distances.follow(&network.springs, |spring| Distance::from(spring), &followed.springs, edges);
+        self.bends.follow(&network.hinges, |hinge: &Bend| *hinge, &followed.hinges, edges);
+        Ok(followed.springs.count() + followed.hinges.count())
+    }
+
+    /// Follows tetrahedra that have been halved or have parted. Each is as stiff and as long as its shape at rest is; `carry`
+    /// gives new nodes a state, `stays` says which nodes are pinned. How many tetrahedra were put in.
+    ///
+    /// # Errors
+    /// Those without volume, or with corners that are not there; nothing has changed then. A state that does not fit.
+    pub fn split(
+        &mut self,
+        split: &SplitTets<'_>,
+        stays: impl Fn(u32) -> bool,
+        carry: impl FnOnce(&mut State),
+    ) -> Result<usize, NetworkError> {
+        let SplitTets { rest, changed, tets } = *split;
+        let nodes = rest.len();
+        let among = |bad: &dyn Fn(&[u32; 4]) -> bool| {
+            let is_bad = |number: &u32| tets.get(*number as usize).is_none_or(bad);
+            let all: Vec<u32> = changed.iter().copied().filter(is_bad).collect();
+            Faulty { count: all.len(), first: all.into_iter().take(16).collect() }
+        };
+        among(&|tet| tet.iter().any(|&node| node as usize >= nodes))
+            .refuse(|faulty| NetworkError::Nodes { kind: "tetrahedron", nodes, faulty })?;
+        among(&|tet| {
+            let volume = tetrahedra::volume_of(rest, tet);
+            volume.is_nan() || volume <= tetrahedra::LEAST
+        })
+        .refuse(|faulty| NetworkError::NoExtent { kind: "tetrahedron", faulty })?;
+        let mut stale = Vec::new();
+        for &number in changed {
+            let tet = tets[number as usize];
+            stale.extend(self.tets.put(rest, number, tet).into_iter().flatten());
+            stale.extend(tet);
+        }
+        stale.sort_unstable();
+        stale.dedup();
+        self.grow(nodes, &stale, stays, carry)?;
+        Ok(changed.len())
+    }
+
+    /// New nodes, and others whose mass is another.
+    fn grow(
+        &mut self,
+        nodes: usize,
+        stale: &[u32],
+        stays: impl Fn(u32) -> bool,
+        carry: impl FnOnce(&mut State),
+    ) -> Result<(), NetworkError> {
+        carry(&mut self.state);
+        let State { positions, velocities } = &self.state;
+        for (what, given) in [("positions", positions.len()), ("velocities", velocities.len())] {
+            if given != nodes {
+                return Err(NetworkError::Length { what, given, expected: nodes });
+            }
+        }
+        self.masses.resize(nodes, 0.0);
+        self.mobility.resize(nodes, 0.0);
+        for &node in stale {
+            match (self.pinned.binary_search(&node), stays(node)) {
+                (Err(at), true) => self.pinned.insert(at, node),
+                (Ok(at), false) => drop(self.pinned.remove(at)),
+                _ => {}
+            }
+            self.weigh(node);
+        }
+        Ok(())
+    }
+}
