@@ -10,9 +10,9 @@ use freezing_support::{Build, GRAVITY, positions, two};
 use nalgebra::{Point3, Vector3};
 use stage::{Stage, scene};
 use trocar_scene::{Activation, BuildContext, ControllerError, Doubtful, Frozen, VertexPositions};
-use trocar_simulator::controller::Plume;
 use trocar_simulator::controller::{
-    BleedingController, FluidController, LiquidState, SmokeController, VesselState, VitalSignsController,
+    BleedingController, FluidController, LiquidState, Plume, SmokeController, VesselState,
+    VitalSignsController,
 };
 
 fn fluid(context: &BuildContext<'_>) -> Result<FluidController, ControllerError> {
