@@ -14,10 +14,9 @@ use rapier3d_f64::pipeline::PhysicsWorld;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::cauchy_stress;
-use trocar_dynamics::soft_body::Deformable;
 use trocar_dynamics::soft_body::method::{Measures, StepContext};
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
-use trocar_dynamics::soft_body::{SoftController, SoftMethod};
+use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{Component, ComponentError, Snapshot, SoftAbilities};
 

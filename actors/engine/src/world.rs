@@ -30,17 +30,14 @@ use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
 pub use trocar_dynamics::rigid_world::FLOOR;
-use trocar_dynamics::rigid_world::Wrench;
-use trocar_dynamics::rigid_world::check;
+use trocar_dynamics::rigid_world::{Wrench, check};
 
-use crate::EngineError;
 use crate::anticipate::first_obstacle;
-use crate::contacts;
 use crate::conversion::{pose_from_rapier, pose_to_rapier, vector_from_rapier, vector_to_rapier};
 use crate::grasper::Grasper;
 use crate::penalty::{Penalties, Trail};
 use crate::settings::EngineSettings;
-use crate::shapes;
+use crate::{EngineError, contacts, shapes};
 
 /// Most bodies besides instruments.
 pub const BODIES_MAX: usize = 4096;

@@ -8,9 +8,8 @@ use nalgebra::{Point3, Vector3};
 use proptest::prelude::*;
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
-use trocar_dynamics::tet_mesh::Sweep;
 use trocar_dynamics::tet_mesh::{
-    Birth, BoxCells, MeshRules, Moving, Slit, Stars, TetMesh, Volume, VolumeChange, box_cells,
+    Birth, BoxCells, MeshRules, Moving, Slit, Stars, Sweep, TetMesh, Volume, VolumeChange, box_cells,
 };
 use trocar_simulator::cutting::{Sheet, TopologyChange};
 use trocar_simulator::mass_spring::{

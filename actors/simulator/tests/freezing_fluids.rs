@@ -9,7 +9,8 @@ use nalgebra::{Point3, Vector3};
 use trocar_scene::{Activation, BuildContext, ControllerError, Frozen, OutOfValidity, VertexPositions};
 use trocar_simulator::controller::Plume;
 use trocar_simulator::controller::{
-    BleedingController, FluidController, LiquidState, SmokeController, VesselState, VitalSignsController,
+    BleedingController, FluidController, LiquidState, Plume, SmokeController, VesselState,
+    VitalSignsController,
 };
 
 fn fluid(context: &BuildContext<'_>) -> Result<FluidController, ControllerError> {

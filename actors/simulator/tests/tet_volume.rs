@@ -6,10 +6,9 @@ use std::collections::BTreeSet;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
-use trocar_dynamics::tet_mesh::Sweep;
 use trocar_dynamics::tet_mesh::{
-    BoxCells, MeshRules, Moving, RefineError, Slit, TetMesh, Volume, VolumeChange, VolumeError, box_cells,
-    refined,
+    BoxCells, MeshRules, Moving, RefineError, Slit, Sweep, TetMesh, Volume, VolumeChange, VolumeError,
+    box_cells, refined,
 };
 use trocar_simulator::mass_spring::{
     Config, Input, Integrator, MassSpring, Network, TooLarge, VolumeMaterial,

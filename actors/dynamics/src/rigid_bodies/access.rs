@@ -10,8 +10,7 @@ use trocar_scene::snapshot::Snapshot;
 
 use crate::instrument::mechanism::MechanismState;
 use crate::rigid_world::Scheduling;
-use crate::soft_body::contact::RigidContacts;
-use crate::soft_body::contact::SoftContacts;
+use crate::soft_body::contact::{RigidContacts, SoftContacts};
 
 /// The bodies that the world moves: those that are dynamic now, and the instruments. Naming them leaves the poses
 /// of all others to others.

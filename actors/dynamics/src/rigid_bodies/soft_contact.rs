@@ -7,8 +7,7 @@ use trocar_scene::snapshot::Snapshot;
 use trocar_scene::time::SimTime;
 
 use super::RigidBodiesController;
-use crate::rigid_world::Wrench;
-use crate::rigid_world::{World, WorldError};
+use crate::rigid_world::{World, WorldError, Wrench};
 use crate::soft_body::contact::RigidContacts;
 use crate::soft_body::contact::rigid::motion;
 use crate::soft_body::contact::tracking::answers;

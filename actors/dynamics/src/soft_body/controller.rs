@@ -14,8 +14,6 @@ use trocar_scene::{
     Snapshot, Tick, Velocity,
 };
 
-use super::Deformable;
-use super::SoftMethod;
 use super::contact::SoftContacts;
 use super::contact::penalty::{self, RespondingBody};
 use super::contact::tracking::{self, Shape, Surroundings};
@@ -26,6 +24,7 @@ use super::instrument_rods::{Rod, rods_of_all};
 use super::jaws::is_blade;
 use super::method::{Measures, Step, StepContext, finite_vertices};
 use super::rod_contact::{COLLISIONS_MAX, Touch, collision, touches};
+use super::{Deformable, SoftMethod};
 use crate::picking::{DrivenVertex, Jaws, Pick};
 
 struct Body<M> {

@@ -11,9 +11,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::Sweep;
 use super::topology::{Birth, FaceOf, Volume, VolumeChange, VolumeError};
-use super::{mean_ratio, shape};
+use super::{Sweep, mean_ratio, shape};
 use trocar_scene::mesh::tet_faces::OPPOSITE;
 
 /// Parts of the mean edge than which no edge becomes shorter.

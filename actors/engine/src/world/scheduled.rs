@@ -7,8 +7,7 @@ use trocar_dynamics::instrument::grasp::Hold;
 use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
-use trocar_dynamics::rigid_world::Wrench as Push;
-use trocar_dynamics::rigid_world::{Inertia, Scheduling, ToolView, World};
+use trocar_dynamics::rigid_world::{Inertia, Scheduling, ToolView, World, Wrench as Push};
 use trocar_scene::components::{
     Collision, Detection, Instrument, InstrumentTarget, Pose, RigidBody, Shape, Velocity,
 };

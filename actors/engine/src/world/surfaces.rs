@@ -7,14 +7,12 @@ use rapier3d_f64::dynamics::RigidBodyHandle;
 use trocar_scene::components::{Collision, Motion, Pose, RigidBody, Velocity};
 use trocar_scene::entity::Entity;
 
-use trocar_dynamics::rigid_world::Wrench;
-use trocar_dynamics::rigid_world::{Inertia, mass_properties};
+use trocar_dynamics::rigid_world::{Inertia, Wrench, mass_properties};
 
 use super::{Body, RigidWorld};
-use crate::EngineError;
 use crate::conversion::{point_from_rapier, pose_to_rapier, rotation_from_rapier, vector_to_rapier};
 use crate::penalty::{self, Known, Terms, Trail};
-use crate::shapes;
+use crate::{EngineError, shapes};
 
 impl RigidWorld {
     /// Adds a body that is a surface, in place of the one that the entity had. It falls and turns like what the surface

@@ -7,9 +7,9 @@ use trocar_dynamics::instrument::grasp::Hold;
 use trocar_dynamics::instrument::local_model::Obstacle;
 use trocar_dynamics::instrument::state::InstrumentState;
 use trocar_dynamics::instrument::target_track::TargetTrack;
-use trocar_dynamics::rigid_world::Wrench as Push;
-use trocar_dynamics::rigid_world::{FLOOR, Inertia, Scheduling, ToolView, World, check};
-use trocar_dynamics::rigid_world::{WorldError, mass_properties};
+use trocar_dynamics::rigid_world::{
+    FLOOR, Inertia, Scheduling, ToolView, World, WorldError, Wrench as Push, check, mass_properties,
+};
 use trocar_scene::{
     Collision, Detection, Entity, Instrument, InstrumentTarget, Motion, Pose, Primitive, RigidBody, Shape,
     SimTime, Velocity,

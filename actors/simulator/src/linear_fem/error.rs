@@ -2,8 +2,7 @@
 
 use thiserror::Error;
 
-use super::attachment::AttachmentError;
-use super::attachment::Handle;
+use super::attachment::{AttachmentError, Handle};
 use super::bounds::{REMOVED_MAX, ROWS_MAX};
 use super::compliance::PrecomputeError;
 

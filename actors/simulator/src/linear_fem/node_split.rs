@@ -8,8 +8,7 @@ use nalgebra::Vector3;
 use trocar_dynamics::elasticity::Elastic;
 use trocar_dynamics::tet_mesh::TetMesh;
 
-use super::attachment::Handle;
-use super::attachment::{Attachment, Hold};
+use super::attachment::{Attachment, Handle, Hold};
 use super::bounds::{BATCH, REMNANT, UNKNOWNS_MAX};
 use super::error::LinearFemError;
 use super::low_rank_update::{Change, Correction, Serving};

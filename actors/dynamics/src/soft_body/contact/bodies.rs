@@ -6,11 +6,10 @@ use std::collections::BTreeMap;
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use trocar_scene::{Entity, SimTime, Snapshot, Velocity};
 
-use super::ImpulseTotals;
 use super::penalty::RespondingBody;
 use super::rigid::RigidProxy;
 use super::tracking::{Place, Shape};
-use super::{ContactSums, SoftContacts};
+use super::{ContactSums, ImpulseTotals, SoftContacts};
 use crate::picking::DrivenVertex;
 use crate::soft_body::method::ContactParams;
 

@@ -15,10 +15,9 @@
 use nalgebra::{Isometry3, Vector3};
 use trocar_scene::{Entity, SimTime, Snapshot};
 
-use super::ImpulseTotals;
 use super::bodies::{AppliedImpulses, ContactTarget, Mover};
 use super::tracking::{ContactPair, FOUND_MAX, Shape, Surroundings, answers, rows};
-use super::{ContactSums, PersistentContact, SoftContacts};
+use super::{ContactSums, ImpulseTotals, PersistentContact, SoftContacts};
 use crate::picking::DrivenVertex;
 use crate::soft_body::method::ContactParams;
 

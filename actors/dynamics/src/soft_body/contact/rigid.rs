@@ -12,8 +12,7 @@ use trocar_scene::{Component, ComponentError, Entity, Frozen, SimTime, Snapshot,
 
 use super::SoftContacts;
 use super::bodies::AppliedImpulses;
-use crate::rigid_world::Inertia;
-use crate::rigid_world::{Wrench, most_across};
+use crate::rigid_world::{Inertia, Wrench, most_across};
 
 /// Impulses on a body that moves as a whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]

@@ -7,12 +7,10 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
-use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::SoftController;
-use trocar_dynamics::soft_body::SoftMethod;
 use trocar_dynamics::soft_body::instrument_rods::Rod;
 use trocar_dynamics::soft_body::method::{ContactParams, Measures, Outlook, Reshaped, StepContext};
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, OutOfValidity, Snapshot, SoftAbilities,

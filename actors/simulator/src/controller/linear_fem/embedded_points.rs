@@ -6,8 +6,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use trocar_collision::primitive::closest_on_triangle;
-use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::{PinnedBody, PinnedWith};
+use trocar_dynamics::soft_body::{Deformable, PinnedBody, PinnedWith};
 use trocar_dynamics::tet_mesh::TetMesh;
 use trocar_scene::{Component, ComponentError, Entity, Snapshot};
 

@@ -22,14 +22,13 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::elasticity::{Elastic, POISSON_MAX};
-use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::PinnedBody;
 use trocar_dynamics::soft_body::frozen::{FrozenPart, Refused};
 use trocar_dynamics::soft_body::grasp::Grips;
 use trocar_dynamics::soft_body::instrument_rods::{Rod, rods_of_all};
 use trocar_dynamics::soft_body::jaws::is_blade;
 use trocar_dynamics::soft_body::method::{Measures, StepContext, finite_vertices};
 use trocar_dynamics::soft_body::rod_contact::{COLLISIONS_MAX, Touch, collision};
+use trocar_dynamics::soft_body::{Deformable, PinnedBody};
 use trocar_dynamics::tet_mesh::{MeshRules, TetMesh};
 use trocar_scene::{
     Access, BuildContext, Collision, CollisionList, Commands, Component, ComponentError, Controller,

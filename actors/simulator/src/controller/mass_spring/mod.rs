@@ -6,11 +6,9 @@ pub mod factor_job;
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
-use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::SoftController;
-use trocar_dynamics::soft_body::SoftMethod;
 use trocar_dynamics::soft_body::method::{ContactParams, Measures, Reshaped, StepContext};
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_dynamics::tet_mesh::Stars;
 use trocar_scene::{Access, Commands, Entity, EntitySet, LineMesh, Snapshot};
 

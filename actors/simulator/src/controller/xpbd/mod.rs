@@ -14,11 +14,9 @@ use serde::{Deserialize, Serialize};
 use trocar_dynamics::coupling::external_nodes::ExternalNodesState;
 use trocar_dynamics::elasticity::Alteration;
 use trocar_dynamics::particles::State;
-use trocar_dynamics::soft_body::Deformable;
-use trocar_dynamics::soft_body::SoftController;
-use trocar_dynamics::soft_body::SoftMethod;
 use trocar_dynamics::soft_body::method::{ContactParams, Measures, Reshaped, Step, StepContext};
 use trocar_dynamics::soft_body::rod_contact::{Skin, Touch};
+use trocar_dynamics::soft_body::{Deformable, SoftController, SoftMethod};
 use trocar_scene::{
     Access, Commands, Component, ComponentError, Entity, EntitySet, LineMesh, Snapshot, SoftAbilities,
 };

@@ -7,9 +7,8 @@
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
-use super::KnotError;
 use super::classification::{Throw, factors, identify};
-use super::{Knot, KnotKind};
+use super::{Knot, KnotError, KnotKind};
 
 /// How far a thread's throws have been read.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
