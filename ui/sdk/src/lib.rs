@@ -72,7 +72,6 @@
 //! SI units everywhere; angles in radians; time is [`SimTime`](scene::SimTime), in seconds in files. Names say
 //! their frames: `tip_in_world`, `world_from_device`. No score is clinically validated.
 
-mod actors;
 pub mod app;
 pub mod assembly;
 pub mod branching;
@@ -93,7 +92,6 @@ pub mod prelude;
 pub mod recorded_hand;
 pub mod run;
 pub mod session;
-mod session_plan;
 pub mod soak;
 pub mod summary;
 pub mod templates;
