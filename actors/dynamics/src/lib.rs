@@ -33,12 +33,5 @@ use trocar_scene::{RegistryBuilder, RegistryError};
 /// When a name is already taken by another type.
 pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
     builder.register::<instrument::mechanism::MechanismState>()?;
-    builder.register::<soft_body::grasp::Grips>()?;
-    builder.register::<soft_body::contact::SoftContacts>()?;
-    builder.register::<soft_body::contact::RigidContacts>()?;
-    builder.register::<soft_body::coupling::CoupledBody>()?;
-    builder.register::<soft_body::coupling::CouplingGiven>()?;
-    builder.register::<soft_body::coupling::CouplingTaken>()?;
-    builder.register::<soft_body::PinnedBody>()?;
-    Ok(())
+    soft_body::register(builder)
 }

@@ -7,7 +7,6 @@ use crate::support::freezing::{Build, GRAVITY, positions, two};
 use crate::support::stage::{Stage, scene};
 use nalgebra::{Point3, Vector3};
 use trocar_scene::{Activation, BuildContext, ControllerError, Frozen, OutOfValidity, VertexPositions};
-use trocar_simulator::controller::Plume;
 use trocar_simulator::controller::{
     BleedingController, FluidController, LiquidState, Plume, SmokeController, VesselState,
     VitalSignsController,

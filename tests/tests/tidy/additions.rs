@@ -33,7 +33,7 @@ const ADDITIONS: [Addition; 4] = [
         what: "a soft method: extended position-based dynamics",
         types: &["Xpbd*"],
         own: &["/xpbd"],
-        most: 8,
+        most: 2,
         wanted: 2,
     },
     Addition {

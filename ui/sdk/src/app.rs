@@ -1,5 +1,7 @@
 //! The table of what a program knows: components, and kinds of controllers by the names that scenarios use.
 
+pub(crate) mod actors;
+
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::Path;
@@ -13,7 +15,7 @@ use trocar_scene::{
     BuildContext, Component, Controller, ControllerError, Registry, RegistryBuilder, RegistryError,
 };
 
-use crate::actors::ActorKind;
+use self::actors::ActorKind;
 use crate::device_kinds::DeviceKind;
 use crate::kind::joining;
 pub use crate::kind::{Arrange, Blueprint, ForHands, Kind, KindContext, KindInfo};

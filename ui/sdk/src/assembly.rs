@@ -8,14 +8,14 @@ use trocar_kernel::supervision::RuntimeClass;
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{Commands, EntityAllocator, SCENARIO_SPAWNER, SimTime};
 
-use crate::actors::ActorKind;
 use crate::app::App;
+use crate::app::actors::ActorKind;
 pub use crate::error::AssemblyError;
 use crate::hands::{HandPort, OpenedHand};
 use crate::kind::KindContext;
 use crate::options::RunOptions;
 use crate::play;
-use crate::session_plan::{Role, SessionPlan};
+use crate::session::plan::{Role, SessionPlan};
 
 /// A session and its hands, not yet running.
 pub struct Assembly {

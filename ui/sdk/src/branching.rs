@@ -11,8 +11,8 @@ use trocar_kernel::{BranchError as KernelError, SessionError};
 use trocar_scene::{Snapshot, Store};
 
 use crate::hands::{HandPort, OpenedHand, SteppedHand};
+use crate::session::plan::{Bound, SessionPlan};
 use crate::session::{Running, Session};
-use crate::session_plan::{Bound, SessionPlan};
 
 /// Why a session cannot begin again or be branched.
 #[derive(Debug, Error)]

@@ -77,7 +77,6 @@
 #[doc = include_str!("../../../docs/adding.md")]
 mod manual {}
 
-mod actors;
 pub mod app;
 pub mod assembly;
 pub mod branching;
@@ -98,7 +97,6 @@ pub mod prelude;
 pub mod recorded_hand;
 pub mod run;
 pub mod session;
-mod session_plan;
 pub mod soak;
 pub mod summary;
 pub mod templates;

@@ -2,6 +2,7 @@
 
 mod losses;
 mod pause;
+pub(crate) mod plan;
 
 pub use losses::doubts;
 

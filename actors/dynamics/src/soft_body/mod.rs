@@ -25,3 +25,20 @@ pub use controller::SoftController;
 pub use deformable::Deformable;
 pub use method::SoftMethod;
 pub use pinned::{PinnedBody, PinnedWith};
+
+use trocar_scene::{RegistryBuilder, RegistryError};
+
+/// Registers the components that every method of soft bodies shares.
+///
+/// # Errors
+/// When a name is already taken by another type.
+pub fn register(builder: &mut RegistryBuilder) -> Result<(), RegistryError> {
+    builder.register::<grasp::Grips>()?;
+    builder.register::<contact::SoftContacts>()?;
+    builder.register::<contact::RigidContacts>()?;
+    builder.register::<coupling::CoupledBody>()?;
+    builder.register::<coupling::CouplingGiven>()?;
+    builder.register::<coupling::CouplingTaken>()?;
+    builder.register::<PinnedBody>()?;
+    Ok(())
+}
