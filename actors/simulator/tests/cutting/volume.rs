@@ -418,7 +418,7 @@ fn a_membrane_that_has_burned_is_cut_and_one_that_was_cut_burns() {
     let springs = "membrane_stiffness = 60.0, bending_stiffness = 1e-6, density = 1.0";
     is_cut_as_a_membrane(
         &format!("mass_spring = {{ springs = {{ surface = {{ {springs} }} }}, damping = 10.0 }}"),
-        crate::parting::springs,
+        crate::cutting::volume::springs,
     );
     is_cut_as_a_membrane(
         &format!(

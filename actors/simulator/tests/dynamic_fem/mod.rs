@@ -1,0 +1,5 @@
+//! Implicit dynamic finite elements.
+
+mod controller;
+mod solver;
+mod topology_change;

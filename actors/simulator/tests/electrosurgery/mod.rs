@@ -1,0 +1,4 @@
+//! Heat, burns and removal.
+
+mod heat_and_cuts;
+mod solver;

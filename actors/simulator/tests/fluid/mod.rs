@@ -1,0 +1,5 @@
+//! Liquids and bleeding.
+
+mod bleeding;
+mod liquid;
+mod reference;

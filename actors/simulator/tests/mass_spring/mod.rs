@@ -1,0 +1,4 @@
+//! Masses and springs.
+
+mod reference;
+mod solver;

@@ -1,0 +1,4 @@
+//! Rigid bodies by momenta and impulses.
+
+mod controller;
+mod solver;

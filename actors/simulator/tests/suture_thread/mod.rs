@@ -1,0 +1,17 @@
+//! Suture threads and their knots.
+
+mod adaptive_segments;
+mod budget;
+mod contact;
+mod controller;
+mod cut;
+mod discrete_elastic_rod;
+mod elastic_body;
+mod group;
+mod island;
+mod knot;
+mod knot_hold;
+mod knot_slip_force;
+mod knot_turns;
+mod soft_support;
+mod tied_body;

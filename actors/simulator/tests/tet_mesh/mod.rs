@@ -1,0 +1,4 @@
+//! Tetrahedral meshes.
+
+mod mesh;
+mod topology;

@@ -1,0 +1,5 @@
+//! Position-based bodies.
+
+mod controller;
+mod reference;
+mod solver;
