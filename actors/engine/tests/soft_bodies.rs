@@ -202,7 +202,7 @@ fn what_has_no_future_is_stopped_and_what_is_no_volume_is_refused() {
 fn what_the_engine_moves_is_not_cauterised() {
     let burning = format!("{}\ncauterised = {{}}\n", soft("constraints", 0.3));
     let store = scene(&pad(&burning));
-    let context = stage::context(&store, Default::default(), 1);
+    let context = crate::stage::context(&store, Default::default(), 1);
     let Err(error) = ElectrosurgeryController::new(&context) else { panic!("it burns") };
     let error = error.to_string();
     assert!(error.contains("'pad'") && error.contains("'engine_soft'"), "{error}");
