@@ -1,9 +1,9 @@
-//! What an instrument may touch before the next tick: what is near it, or else what its colliders meet when cast
-//! along the tip's velocity.
+//! Predicted contacts of an instrument before the next tick: the nearest surface, or else the first hit of its
+//! colliders when cast along the tip's velocity.
 //!
-//! At 500 Hz the contacts that the solver predicts suffice. At 10 Hz a hand travels centimetres between two
-//! ticks, and haptics must know of a wall before the engine meets it. A tip at rest may start at any time, so what is
-//! near counts as well, whichever way the tip moves now.
+//! At 500 Hz the solver's predicted contacts suffice. At 10 Hz a hand travels centimetres between two ticks, and
+//! haptics must know of a wall before the engine reaches it. A tip at rest may start at any time, so near surfaces
+//! count as well, whatever the current direction of motion.
 
 use nalgebra::Vector3;
 use rapier3d_f64::parry::bounding_volume::BoundingVolume;
@@ -15,15 +15,15 @@ use trocar_dynamics::instrument::local_model::Obstacle;
 use crate::conversion::{vector_from_rapier, vector_to_rapier};
 use crate::grasper::Grasper;
 
-/// A path shorter than this is covered by the contacts that the solver predicts \[m\].
+/// A shorter path is covered by the solver's predicted contacts \[m\].
 const PATH_MIN: f64 = 0.0004;
-/// Longest path that is looked along \[m\].
+/// Maximum length of the cast \[m\].
 const PATH_MAX: f64 = 0.03;
 
 /// Speed that a hand may reach before an engine's next tick \[m/s\].
 const START_SPEED: f64 = 0.3;
 
-/// The first fixed surface that the instrument meets within `horizon_secs` if its tip keeps `velocity` and its
+/// The first fixed surface that the instrument reaches within `horizon_secs` if its tip keeps `velocity` and its
 /// rotation.
 pub(crate) fn first_obstacle(
     world: &PhysicsWorld,
@@ -42,7 +42,7 @@ pub(crate) fn first_obstacle(
     }
     let options = ShapeCastOptions {
         max_time_of_impact: path / speed,
-        // What it touches already and slides along is a contact, not an obstacle.
+        // A surface that it already touches and slides along is a contact, not an obstacle.
         stop_at_penetration: false,
         ..ShapeCastOptions::default()
     };
@@ -64,7 +64,7 @@ pub(crate) fn first_obstacle(
     first.map(|(_, obstacle)| obstacle)
 }
 
-/// The fixed surface that is nearest to the instrument, if one is within `reach` \[m\].
+/// The fixed surface nearest to the instrument, if one is within `reach` \[m\].
 fn nearest_obstacle(world: &PhysicsWorld, grasper: &Grasper, reach: f64) -> Option<Obstacle> {
     let fixed = |collider: &rapier3d_f64::geometry::Collider| {
         collider.parent().and_then(|body| world.bodies.get(body)).is_none_or(|body| body.is_fixed())

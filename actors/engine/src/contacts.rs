@@ -1,4 +1,4 @@
-//! Reads contacts out of Rapier: who touches whom, how deep, and with what force.
+//! Reads contacts out of Rapier: the pair, the depth and the force.
 
 use rapier3d_f64::dynamics::RigidBodySet;
 use rapier3d_f64::geometry::{Collider, ColliderSet, ContactManifold, ContactPair};
@@ -31,7 +31,7 @@ pub(crate) fn owner(collider: &Collider) -> (Entity, Primitive) {
     untag(collider.user_data)
 }
 
-/// Deepest penetration of a pair at the bodies' current poses \[m\]; `None` without contact points.
+/// Maximum penetration depth of a pair at the current poses \[m\]; `None` without contact points.
 pub(crate) fn depth_now(pair: &ContactPair, colliders: &ColliderSet) -> Option<f64> {
     let (first, second) = (colliders.get(pair.collider1)?, colliders.get(pair.collider2)?);
     let mut deepest: Option<f64> = None;
@@ -91,7 +91,7 @@ fn contacts_of(
     }
 }
 
-/// Mean of the solver's points, weighted by their impulses where there are any.
+/// Mean of the solver's points, weighted by impulse where there are impulses.
 fn center(manifold: &ContactManifold, bodies: &RigidBodySet) -> Option<Vector> {
     let contacts = &manifold.data.solver_contacts;
     let (mut sum, mut total) = (Vector::ZERO, 0.0);
@@ -105,9 +105,9 @@ fn center(manifold: &ContactManifold, bodies: &RigidBodySet) -> Option<Vector> {
     (total > 0.0).then(|| sum / total)
 }
 
-/// Rapier keeps the friction of a whole step as two numbers in a tangent basis of its own, and that of the last
-/// iteration both so and in world axes. The turn and scale from the one pair of numbers to the other, applied in
-/// world, gives the step's friction exactly. (Its basis is right-handed about the direction opposite to the normal.)
+/// Rapier keeps the friction of a whole step as two components in a tangent basis of its own, and that of the last
+/// iteration both in this basis and in world axes. The rotation and scale between the two pairs of components, applied
+/// in world, give the step's friction exactly. (The basis is right-handed about the direction opposite to the normal.)
 fn friction_impulse_on_second(manifold: &ContactManifold) -> Vector {
     let mut sum = Vector::ZERO;
     for contact in &manifold.data.solver_contacts {

@@ -1,4 +1,4 @@
-//! The one place where the scene's nalgebra types meet the glam types that Rapier speaks.
+//! Conversions between the scene's nalgebra types and Rapier's glam types; nothing else converts.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rapier3d_f64::math::{Matrix, Pose as RapierPose, Rotation, Vector};

@@ -1,8 +1,8 @@
-//! A hand-held instrument as dynamic bodies: the *palm* (the distal shaft) on the hand's virtual coupling, and
-//! jaws on a hinge.
+//! A hand-held instrument as dynamic bodies: the *palm* (the distal shaft) on the hand's virtual coupling, and jaws on
+//! a hinge.
 //!
-//! The instrument weighs nothing, as the hand carries it, but it has inertia. Its frame is that of
-//! [`Instrument`]: origin at the closed tip, +z distal, jaws opening along x.
+//! The instrument is weightless, because the hand carries it, but it has inertia. Its frame is that of [`Instrument`]:
+//! origin at the closed tip, +z distal, jaws opening along x.
 
 use nalgebra::{Point3, Vector3};
 use rapier3d_f64::dynamics::{
@@ -28,28 +28,28 @@ use crate::conversion::{isometry_from_rapier, isometry_to_rapier, vector_from_ra
 use crate::jaws::{JAW_MASS_SHARE, Jaws, jaw_count};
 use crate::settings::EngineSettings;
 
-/// Radii of gyration of an instrument about its own x, y and z \[m\]: the distal shaft with a little of the
-/// hand behind it, which also keeps the solver's mass ratios small.
+/// Radii of gyration of an instrument about its own x, y and z \[m\]: the distal shaft and a part of the hand, which
+/// also keeps the solver's mass ratios small.
 pub const GYRATION: [f64; 3] = [0.03, 0.03, 0.008];
 /// Length of the shaft that takes part in collisions, from the hinge backwards \[m\].
 const SHAFT_REACH: f64 = 0.1;
-/// Stiffness of the grasp constraint \[N/m\]: soft enough that two hands may hold one ring.
+/// Stiffness of the grasp constraint \[N/m\]: soft enough for two hands to hold one ring.
 const ASSIST_STIFFNESS: f64 = 2000.0;
-/// Lever that turns the grasp constraint's linear stiffness into an angular one \[m\].
+/// Lever arm that converts the grasp constraint's linear stiffness into an angular one \[m\].
 const ASSIST_LEVER: f64 = 0.004;
 
-/// The constraint that helps friction.
+/// The grasp constraint, which assists friction.
 #[derive(Clone, Copy, Debug)]
 struct Assist {
     joint: ImpulseJointHandle,
     body: RigidBodyHandle,
 }
 
-/// What of an instrument does not turn with its jaws: its shaft, and whatever its end is made of.
+/// The parts of an instrument that do not turn with its jaws: shaft and end effector.
 fn rigid_part(instrument: &Instrument) -> SharedShape {
     let radius = instrument.shaft_radius;
     let end = working_end(instrument);
-    // A rod that has neither jaws nor anything else there reaches to the tip.
+    // Without jaws and without an end effector the rod reaches to the tip.
     let front = if jaw_count(instrument) == 0 && end.is_empty() { 0.0 } else { instrument.jaw_length };
     let reach = SHAFT_REACH.min(instrument.shaft_length - front).max(2.0 * radius);
     let (near, far) = (-front - radius, -front - reach);
@@ -80,12 +80,12 @@ pub struct Grasper {
     palm: RigidBodyHandle,
     shaft: ColliderHandle,
     jaws: Jaws,
-    /// Which pair of collision groups it has.
+    /// Index of its pair of collision groups.
     pub(crate) slot: u32,
-    /// Samples of the hand.
+    /// Target samples of the hand.
     pub(crate) track: TargetTrack,
     set_point: SetPoint,
-    /// What it holds.
+    /// The body that it holds.
     pub(crate) hold: Option<Hold>,
     /// Normal force on each pad in the last step \[N\].
     pub(crate) pad_force: [f64; 2],
@@ -170,7 +170,7 @@ impl Grasper {
         }
     }
 
-    /// Takes the instrument's bodies and joints out of the world.
+    /// Removes the instrument's bodies and joints from the world.
     pub(crate) fn remove(self, world: &mut PhysicsWorld) {
         for jaw in &self.jaws.jaws {
             world.remove_body_with_colliders(jaw.body, true);
@@ -182,7 +182,7 @@ impl Grasper {
     pub fn entity(&self) -> Entity {
         self.entity
     }
-    /// How it is built.
+    /// Its geometry and mechanism.
     pub fn instrument(&self) -> &Instrument {
         &self.instrument
     }
@@ -190,7 +190,7 @@ impl Grasper {
     pub fn coupling(&self) -> &VirtualCoupling {
         &self.coupling
     }
-    /// What it holds by opposing contacts of both jaws.
+    /// The body that it holds by opposing contacts of both jaws.
     pub fn hold(&self) -> Option<&Hold> {
         self.hold.as_ref()
     }
@@ -198,11 +198,11 @@ impl Grasper {
     pub fn pad_force(&self) -> [f64; 2] {
         self.pad_force
     }
-    /// The newest sample of the hand.
+    /// The newest target sample.
     pub fn target(&self) -> Option<&InstrumentTarget> {
         self.track.newest()
     }
-    /// The sample before it.
+    /// The target sample before the newest.
     pub fn previous_target(&self) -> Option<&InstrumentTarget> {
         self.track.previous()
     }
@@ -215,7 +215,7 @@ impl Grasper {
         std::iter::once((None, self.shaft)).chain(jaws)
     }
 
-    /// Where it is and how it moves.
+    /// Pose, velocity and jaw opening.
     pub(crate) fn state(&self, world: &PhysicsWorld) -> InstrumentState {
         let body = &world.bodies[self.palm];
         let tip = body.position().translation;
@@ -233,7 +233,7 @@ impl Grasper {
     /// Applies the coupling and the drive for the step that starts at `now`.
     pub(crate) fn prepare(&mut self, world: &mut PhysicsWorld, settings: &EngineSettings, now: SimTime) {
         let state = self.state(world);
-        // As long as nobody holds it, it is braked where it is.
+        // Without a target the instrument is braked where it is.
         let (target, velocity) = match self.track.at(now, settings.extrapolation_secs_max) {
             Some((wanted, velocity)) => {
                 self.set_point.follow(&wanted, &velocity, &state.tip_in_world, settings.substep_secs)
@@ -265,7 +265,7 @@ impl Grasper {
         mean
     }
 
-    /// Follows the hold with the grasp constraint, where the instrument has one. `held` is the body of
+    /// Creates or removes the grasp constraint to match the hold, where the instrument has one. `held` is the body of
     /// the hold.
     pub(crate) fn update_assist(&mut self, world: &mut PhysicsWorld, held: Option<RigidBodyHandle>) {
         let (Some(hold), Some(body)) = (self.hold.as_mut(), held) else {
@@ -289,7 +289,7 @@ impl Grasper {
                 self.release_assist(world);
             }
         } else if self.instrument.grasp_assist && !hold.torn {
-            // A hold taken over from a snapshot keeps its anchor; a new one takes hold where it is.
+            // A hold restored from a snapshot keeps its anchor; a new one is anchored at the current pose.
             if !hold.assisted {
                 hold.anchor = now;
             }

@@ -1,9 +1,9 @@
-//! Two jaws on one hinge, opened and closed together by one drive of limited force, as the rod in the shaft of
-//! a laparoscopic grasper does it.
+//! Jaw mechanism of a laparoscopic grasper: two jaws on one hinge, opened and closed together by one drive of limited
+//! force, like the rod in the shaft.
 //!
-//! Each jaw turns on a revolute joint of the palm. The *drive* acts between the two jaws: a position servo of
-//! the full opening whose torque is limited. The *linkage* acts between each jaw and the palm: a stiff spring
-//! that keeps the jaws symmetric, so that a squeezed body cannot swing both of them aside.
+//! Each jaw turns on a revolute joint of the palm. The *drive* acts between the two jaws: a position servo on the full
+//! opening, with limited torque. The *linkage* acts between each jaw and the palm: a stiff spring that keeps the jaws
+//! symmetric, so that a squeezed body cannot swing both of them aside.
 
 use nalgebra::{Isometry3, Vector3};
 use rapier3d_f64::dynamics::{
@@ -25,12 +25,12 @@ use crate::settings::EngineSettings;
 
 /// Stiffness of the linkage, at the tip of a jaw \[N/m\].
 const LINKAGE_STIFFNESS: f64 = 3000.0;
-/// Moment about the other axes, in the same units.
+/// Moment of inertia about the other axes, in the same units.
 const GUIDED_MOMENT: f64 = 1.0;
 /// One jaw.
 #[derive(Clone, Copy, Debug)]
 pub struct Jaw {
-    /// Its body, whose frame is the instrument's while closed.
+    /// Its body; the frame coincides with the instrument's when the jaw is closed.
     pub body: RigidBodyHandle,
     /// Its blade.
     pub collider: ColliderHandle,
@@ -43,7 +43,7 @@ pub struct Jaws {
     /// Jaw A (at +x) and jaw B.
     pub jaws: Vec<Jaw>,
     drive: Option<ImpulseJointHandle>,
-    /// Where the drive is on its way to the target \[rad\].
+    /// Current set point of the drive, on its way to the target \[rad\].
     reference: f64,
     angle_max: f64,
     /// Torque limit of the drive about the hinge \[N·m\].
@@ -63,8 +63,8 @@ fn hinge_frame(jaw_length: f64) -> RapierPose {
 }
 
 impl Jaws {
-    /// Adds the jaws to the world around `palm`, which is at `world_from_instrument` and moves with the
-    /// given velocities (of the tip).
+    /// Adds the jaws to the world around `palm`, which is at `world_from_instrument` and moves with the given
+    /// velocities (of the tip).
     #[allow(clippy::too_many_arguments)]
     pub fn insert(
         world: &mut PhysicsWorld,
@@ -95,7 +95,7 @@ impl Jaws {
             angle_max: instrument.jaw_angle_max,
             torque_max,
             linkage: [linkage_stiffness, critical(linkage_stiffness, inertia_about_hinge)],
-            // The two jaws move against each other with half of the inertia of one.
+            // The relative motion of the two jaws has half the inertia of one.
             servo: [servo_stiffness, critical(servo_stiffness, inertia_about_hinge / 2.0)],
         };
         for jaw in 0..count {
@@ -154,14 +154,14 @@ impl Jaws {
             .build()
     }
 
-    /// Actual opening.
+    /// The measured opening.
     pub fn opening(&self, world: &PhysicsWorld, palm: RigidBodyHandle) -> JawOpening {
         let palm = &world.bodies[palm];
         let axis_in_world = isometry_from_rapier(palm.position()).rotation * Vector3::y();
         let turn = |jaw: &Jaw| {
             let body = &world.bodies[jaw.body];
             let relative = palm.rotation().inverse() * *body.rotation();
-            // Turns stay below half a revolution, so w > 0 picks the right branch.
+            // The relative rotation stays below half a revolution, so w > 0 picks the right branch.
             let sign = if relative.w < 0.0 { -1.0 } else { 1.0 };
             let angle = 2.0 * libm_atan2(sign * relative.y, sign * relative.w);
             let rate =
@@ -186,7 +186,8 @@ impl Jaws {
         }
     }
 
-    /// Moves the drive towards an opening of `target` \[rad\] at up to `rate_max` \[rad/s\] for the next step.
+    /// Moves the drive's set point towards an opening of `target` \[rad\] at up to `rate_max` \[rad/s\] for the next
+    /// step.
     pub fn drive_towards(
         &mut self,
         world: &mut PhysicsWorld,
@@ -230,18 +231,18 @@ impl Jaws {
         }
     }
 
-    /// Where the drive is on its way to its target \[rad\].
+    /// Current set point of the drive \[rad\].
     pub fn reference(&self) -> f64 {
         self.reference
     }
 
-    /// How far inside of the actual opening the drive's target lies \[rad\]; positive while squeezing.
+    /// How far the drive's target lies inside the measured opening \[rad\]; positive while squeezing.
     pub fn squeeze(&self, actual: JawOpening) -> f64 {
         actual.angle - self.reference
     }
 }
 
-/// The same bits on every machine, unlike the platform's own.
+/// `atan2` with the same bits on every machine, unlike the platform's.
 fn libm_atan2(y: f64, x: f64) -> f64 {
     nalgebra::RealField::atan2(y, x)
 }

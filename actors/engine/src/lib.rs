@@ -1,16 +1,17 @@
 //! Rapier as the physics-engine controller.
 //!
-//! [`RigidWorld`] is the plain algorithm: bodies, instruments, one [`step`](RigidWorld::step) at a time, no scene
-//! and no clock. [`EngineController`], which schedules it, is the controller of every
-//! [`World`](trocar_dynamics::rigid_world::World) of rigid bodies; how instruments follow hands, and when they hold something,
-//! is in [`trocar_dynamics::instrument`]. Nothing else in Trocar knows Rapier.
+//! [`RigidWorld`] is the plain simulation: bodies and instruments, advanced by [`step`](RigidWorld::step). It has no
+//! scene and no clock. [`EngineController`] schedules it, as [`RigidBodiesController`] does for every
+//! [`World`](trocar_dynamics::rigid_world::World) of rigid bodies. Hand following and the grasp rule are in
+//! [`trocar_dynamics::instrument`]. No other crate of Trocar uses Rapier.
 //!
 //! | file | what it holds |
 //! |---|---|
-//! | `world.rs`, `world/` | the world: bodies, steps, statistics, contacts that others find |
+//! | `world.rs`, `world/` | the world: bodies, steps, statistics, contacts from external detectors |
 //! | `grasper.rs`, `jaws.rs` | an instrument as palm, jaws, hinge and drive |
-//! | `contacts.rs`, `anticipate.rs`, `penalty.rs` | contacts for the collision list and for haptics, and those of others |
-//! | `soft.rs` | Rapier's soft volumes as a method beside ours |
+//! | `contacts.rs`, `anticipate.rs` | contacts for the collision list and for haptics |
+//! | `penalty.rs` | penalty contacts from external detectors |
+//! | `soft.rs` | Rapier's soft volumes as a soft-body method |
 //! | `shapes.rs`, `settings.rs`, `conversion.rs` | geometry, tuning, glam to nalgebra |
 //!
 //! # How to grasp
@@ -18,10 +19,10 @@
 //! For the default [`Instrument`](trocar_scene::components::Instrument) (jaws of 18 mm, blades 1.5 mm thick and
 //! 3 mm wide) and a ring of 3 mm tube:
 //!
-//! - **Where.** Put the tip 0.5–3 mm beyond the centre line of the tube, so that the tube lies that far behind
-//!   the ends of the blades; 1 mm is what the tests use. A ring that lies on a board leaves 1.5 mm below its
-//!   centre line: an instrument from above may go down to z = 0.5 mm. The instrument's x must point across the
-//!   tube (radially), its y along it.
+//! - **Where.** Put the tip 0.5–3 mm beyond the centre line of the tube, so that the tube lies that far behind the ends
+//!   of the blades; the tests use 1 mm. A ring that lies on a board has 1.5 mm of clearance below its centre line: an
+//!   instrument from above may go down to z = 0.5 mm. The instrument's x must point across the tube (radially), its y
+//!   along it.
 //! - **How wide.** The ends of the blades are `jaw_length · angle` apart: 5.4 mm at 0.3 rad, which clears the
 //!   tube by 1.2 mm either way; 9 mm at 0.5 rad. The inner blade's back is then 3.8 mm (0.3 rad) or 2.0 mm
 //!   (0.5 rad) from the centre of a ring that is gripped at its side, which clears a peg of 1 mm in the centre.
@@ -33,15 +34,15 @@
 //! - **How long.** The drive moves at up to 6 rad/s; 0.1 s after the target dropped to 0 the grip has settled, and
 //!   the [`Grasp`](trocar_scene::components::Grasp) component appears as soon as both pads press with 0.02 N.
 //!   It goes away 20 ms after they stopped.
-//! - **Two hands** on one ring need 60° between them, or the blades meet. The receiving hand may be off by 1 mm:
-//!   the hands' couplings (1,000 N/m) give way, and both feel it.
+//! - **Two hands** on one ring need 60° between them, or the blades collide. The receiving hand may be off by 1 mm: the
+//!   virtual couplings (1,000 N/m) yield, and both hands feel the force.
 //! - **Letting go.** Open by at least 0.05 rad more than the grip; 0.3 rad frees the ring for certain.
 //!
 //! # Limits
 //!
-//! The floor below the boards is the engine's own (`floor_height`). Instruments are weightless, as the hand carries
-//! them. A ring is sixteen capsules: its tube leaves the ideal circle by 77 µm either way. Bodies that are
-//! spawned after the engine's start are moved in the scene only under
+//! The engine has its own floor below the boards (`floor_height`). Instruments are weightless, because the hand carries
+//! them. A ring is sixteen capsules: its tube deviates from the ideal circle by 77 µm either way. The poses of bodies
+//! spawned after the engine's start are written to the scene only under
 //! [`claims_all_poses`](EngineSettings::claims_all_poses).
 
 pub mod anticipate;
@@ -64,10 +65,10 @@ pub use trocar_dynamics::rigid_bodies::RigidBodiesController;
 pub use trocar_dynamics::rigid_world::WorldError as EngineError;
 pub use world::{RigidWorld, WorldStatistics};
 
-/// Rapier as a controller of the scene: the one of all worlds of rigid bodies, with Rapier's in it.
+/// The controller of rigid bodies, with Rapier as its world.
 pub type EngineController = RigidBodiesController<RigidWorld>;
 
-/// Registers the components that the engine adds to those of the field.
+/// Registers the engine's components, [`MechanismState`] among them.
 ///
 /// # Errors
 /// When a name is already taken by another type.
@@ -76,7 +77,7 @@ pub fn register(builder: &mut trocar_scene::RegistryBuilder) -> Result<(), troca
     register_soft(builder)
 }
 
-/// Registers those of soft bodies alone.
+/// Registers the components of soft bodies only.
 ///
 /// # Errors
 /// When a name is already taken by another type.

@@ -1,8 +1,8 @@
-//! Contacts that others have found, as one-sided springs with friction between the bodies.
+//! Penalty contacts from external detectors: one-sided springs with Coulomb friction between the bodies.
 //!
-//! A detector says where two bodies touched in the scene that it read; since then they have moved on, and until its next
-//! list they move on further. So both points are fixed to their bodies, at the poses of *that* moment, and each step takes
-//! the depth between them as it is now: a detector at 100 Hz gives a contact that is followed at the rate of the engine.
+//! A detector reports where two bodies touched in the snapshot that it read. The bodies have moved since, and move on
+//! until its next list. So both contact points are fixed to their bodies, at the poses of *that* snapshot, and each
+//! step evaluates the current depth between them: a contact from a detector at 100 Hz is updated at the engine's rate.
 
 use std::collections::VecDeque;
 
@@ -15,18 +15,18 @@ use trocar_scene::time::SimTime;
 
 use crate::conversion::vector_to_rapier;
 
-/// Most contacts that are answered at a time; the deepest ones are.
+/// Maximum number of contacts answered at a time; the deepest are kept.
 pub const PENALTIES_MAX: usize = 512;
-/// Steps for which is known where a body was. What was found before that is forgotten.
+/// Steps for which past poses are kept. Contacts found before that are dropped.
 const TRAIL_STEPS: usize = 256;
-/// Share of the critical damping of a contact: it hardly bounces.
+/// Fraction of critical damping of a contact: it hardly bounces.
 const DAMPING_RATIO: f64 = 0.6;
-/// How often friction goes over all contacts in a step.
+/// Friction sweeps over all contacts per step.
 const FRICTION_SWEEPS: usize = 8;
-/// Largest share of the stiffness at which a spring that is integrated explicitly runs away.
+/// Maximum of stiffness × mobility × step²: a stiffer explicit spring becomes unstable.
 const STIFFNESS_SHARE_MAX: f64 = 0.25;
 
-/// Where a body was.
+/// Past poses of a body.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Trail(VecDeque<(SimTime, RapierPose)>);
 
@@ -38,64 +38,64 @@ impl Trail {
         self.0.push_back((now, pose));
     }
 
-    /// Where it was at a time: what the scene showed then. `None`: too long ago.
+    /// Its pose in the snapshot of that time. `None`: too long ago.
     fn at(&self, time: SimTime) -> Option<RapierPose> {
         let after = self.0.partition_point(|(then, _)| *then <= time);
         after.checked_sub(1).map(|index| self.0[index].1)
     }
 }
 
-/// What the world knows of an entity that takes part in a contact.
+/// The world's knowledge of an entity that takes part in a contact.
 pub(crate) enum Known<'a> {
-    /// A body that moves or may move, and where it has been.
+    /// A body that may move, and its past poses.
     Body(RigidBodyHandle, Option<&'a Trail>),
-    /// Something else: it stays where it was.
+    /// Any other entity: it does not move.
     Fixed,
 }
 
-/// What the engine adds to what a detector says of a contact.
+/// Contact parameters that the detector does not report.
 pub(crate) struct Terms {
-    /// Where the detector gives no force \[N/m\].
+    /// Used where the detector reports no force \[N/m\].
     pub(crate) stiffness: f64,
-    /// Coulomb's coefficient.
+    /// Coulomb friction coefficient.
     pub(crate) friction: f64,
-    /// How many contacts the two bodies have: they share the work.
+    /// Number of contacts between the two bodies: they share the stiffness.
     pub(crate) sharing: f64,
 }
 
 /// One of the two bodies of a contact.
 #[derive(Clone, Copy, Debug)]
 struct Side {
-    /// Which of those that move; `None`: it does not give way.
+    /// Index of the moving body; `None`: it is fixed.
     mover: Option<usize>,
-    /// The point, in the body's frame; in world where there is no body \[m\].
+    /// The contact point, in the body's frame, or in world without a body \[m\].
     point: Vector,
 }
 
-/// A contact between two bodies as a spring.
+/// A contact between two bodies, as a spring.
 #[derive(Clone, Copy, Debug)]
 struct Penalty {
     sides: [Side; 2],
-    /// From the first to the second, in the frame of the second, or else of the first, or else in world.
+    /// From the first to the second body, in the frame of the second, else of the first, else in world.
     normal: Vector,
     stiffness: f64,
     friction: f64,
     sharing: f64,
 }
 
-/// A contact that presses in this step.
+/// A contact with a normal force in this step.
 #[derive(Clone, Copy, Debug)]
 struct Pressed {
     penalty: usize,
     point: Vector,
     normal: Vector,
-    /// Largest impulse of friction \[N s\].
+    /// Maximum friction impulse \[N s\].
     limit: f64,
-    /// On the second body so far.
+    /// Accumulated friction impulse on the second body.
     rubbed: Vector,
 }
 
-/// A body while contacts press on it: what they give it goes into the step as forces, together with gravity.
+/// A body under contact: the contact impulses enter the step as forces, together with gravity.
 #[derive(Clone, Copy, Debug)]
 struct Mover {
     pose: RapierPose,
@@ -104,7 +104,7 @@ struct Mover {
     angular: Vector,
     inverse_mass: Vector,
     inverse_inertia: AngularInertia,
-    /// What gravity adds in this step.
+    /// Velocity that gravity adds in this step.
     falls: Vector,
     impulse: Vector,
     torque: Vector,
@@ -135,7 +135,7 @@ impl Mover {
         self.linear + self.angular.cross(point - self.centre)
     }
 
-    /// How much speed along `axis` it gets per impulse at `point` \[1/kg\].
+    /// Its mobility: change of speed along `axis` per impulse at `point` \[1/kg\].
     fn mobility(&self, point: Vector, axis: Vector) -> f64 {
         let lever = (point - self.centre).cross(axis);
         self.inverse_mass.dot(axis * axis) + lever.dot(self.inverse_inertia * lever)
@@ -150,12 +150,12 @@ impl Mover {
     }
 }
 
-/// All contacts that others have found.
+/// All contacts from external detectors.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Penalties {
     contacts: Vec<Penalty>,
     handles: Vec<RigidBodyHandle>,
-    // Of the present step.
+    // Those of the current step.
     movers: Vec<Mover>,
     pressed: Vec<Pressed>,
 }
@@ -166,7 +166,7 @@ impl Penalties {
         self.handles.clear();
     }
 
-    /// Fixes one more contact to its bodies, unless it was found too long ago or says nothing.
+    /// Fixes one more contact to its bodies, unless it is too old or has no depth.
     pub(crate) fn add<'a>(
         &mut self,
         collision: &Collision,
@@ -188,7 +188,7 @@ impl Penalties {
         }
         let points = collision.points_in_world.map(|point| vector_to_rapier(&point.coords));
         let sides = [self.side(first, points[0]), self.side(second, points[1])];
-        // What the detector makes of the depth is the stiffness that it has in mind.
+        // The detector's ratio of force to depth is the stiffness that it assumes.
         let own = collision.force_in_world.norm() / collision.depth;
         let given = collision.depth > 0.0 && own > 0.0;
         self.contacts.push(Penalty {
@@ -210,16 +210,16 @@ impl Penalties {
         Side { mover, point: pose.inverse().transform_point(point) }
     }
 
-    /// A body is gone: its contacts press nobody.
+    /// Drops the contacts of a body that was removed.
     pub(crate) fn forget(&mut self, body: RigidBodyHandle) {
         let Some(gone) = self.handles.iter().position(|known| *known == body) else { return };
         self.contacts.retain(|contact| contact.sides.iter().all(|side| side.mover != Some(gone)));
-        // The numbers of the others stay.
+        // The indices of the other bodies stay valid.
         self.handles[gone] = RigidBodyHandle::invalid();
     }
 
-    /// Presses bodies apart for one step, under that gravity \[m/s²\]: springs first, then friction within Coulomb's limit,
-    /// one contact after the other and some times over, since each changes how the others slide (projected Gauss-Seidel;
+    /// Separates bodies for one step, under this gravity \[m/s²\]: springs first, then friction within Coulomb's limit,
+    /// in several sweeps over the contacts, because each one changes the sliding of the others (projected Gauss-Seidel;
     /// Catto, "Iterative dynamics with temporal coherence", 2005).
     pub(crate) fn press(&mut self, bodies: &mut RigidBodySet, gravity: Vector, step_secs: f64) {
         if self.contacts.is_empty() {
@@ -249,7 +249,7 @@ impl Penalties {
 }
 
 impl Penalty {
-    /// How hard the spring presses, and where.
+    /// The spring's normal force and its point of application.
     fn press(&self, penalty: usize, movers: &mut [Mover], step_secs: f64) -> Option<Pressed> {
         let [first, second] = self.sides;
         let body = |side: Side| side.mover.map(|index| movers[index]);
@@ -276,8 +276,7 @@ impl Penalty {
         Some(Pressed { penalty, point, normal, limit: self.friction * impulse, rubbed: Vector::ZERO })
     }
 
-    /// Lets the bodies rub on each other, as far as that has not been done yet. What gravity adds in this step would make
-    /// them slide as well.
+    /// Adds the remaining friction impulse. Gravity's contribution in this step counts towards the sliding velocity.
     fn rub(&self, movers: &mut [Mover], pressed: &mut Pressed) {
         let [first, second] = self.sides.map(|side| side.mover.map(|index| movers[index]));
         let speed =

@@ -1,4 +1,4 @@
-//! Tuning of the physics engine, and the limits within which it holds.
+//! Settings of the physics engine, and their valid ranges.
 
 use nalgebra::Vector3;
 use rapier3d_f64::dynamics::{FrictionModel, IntegrationParameters, SpringCoefficients};
@@ -6,39 +6,39 @@ use serde::{Deserialize, Serialize};
 
 use crate::EngineError;
 
-/// What Rapier takes for the size of things \[m\]: its tolerances are in proportion.
+/// Rapier's length unit \[m\]: its tolerances are proportional to it.
 pub(crate) const LENGTH_UNIT: f64 = 0.01;
 
-/// How the world is stepped. The defaults are those under which grasping a 5 g ring by friction was measured.
+/// How the world is stepped. Grasping a 5 g ring by friction was measured with the defaults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EngineSettings {
     /// Length of one step of the solver \[s\].
     pub substep_secs: f64,
-    /// Iterations of the solver per step, for bodies that no instrument touches.
+    /// Solver iterations per step, for bodies that no instrument touches.
     pub solver_iterations: usize,
-    /// Iterations in addition for whatever an instrument touches.
+    /// Additional iterations for bodies that an instrument touches.
     pub grasp_iterations: usize,
-    /// Sweeps over all constraints in each of those iterations, in addition to one: they settle hinge, drive
-    /// and contact of a jaw against each other (with none a held ring creeps by 0.5 mm/s).
+    /// Additional sweeps over all constraints in each of those iterations: they balance hinge, drive and contact of a
+    /// jaw (with 0 a held ring creeps by 0.5 mm/s).
     pub grasp_sweeps: usize,
     /// Acceleration of gravity in world \[m/s²\].
     pub gravity_in_world: Vector3<f64>,
-    /// Height of the floor that catches what falls off the boards \[m\]; none when absent.
+    /// Height of the floor that catches bodies that fall off the boards \[m\]; absent: no floor.
     pub floor_height: Option<f64>,
-    /// Largest force of the coupling between a hand and its instrument \[N\].
+    /// Maximum force of the virtual coupling between a hand and its instrument \[N\].
     pub coupling_force_max: f64,
-    /// Largest rate at which the drive of the jaws opens or closes them \[rad/s\].
+    /// Maximum rate at which the jaw drive opens or closes the jaws \[rad/s\].
     pub jaw_rate_max: f64,
-    /// How far a target is carried on along its velocity when no newer one arrives \[s\].
+    /// Maximum time for which a target is extrapolated along its velocity when no newer one arrives \[s\].
     pub extrapolation_secs_max: f64,
-    /// Stiffness of contacts that others find and give no force to \[N/m\].
+    /// Stiffness of contacts whose detector reports no force \[N/m\].
     pub penalty_stiffness: f64,
-    /// Whether the engine claims the poses of all entities rather than of those that are dynamic at its start, so
-    /// that bodies may be spawned while it runs.
+    /// Whether the engine claims the poses of all entities rather than of those that are dynamic at its start, so that
+    /// bodies may be spawned while it runs.
     pub claims_all_poses: bool,
-    /// Names of instruments whose [`LocalContactModel`](trocar_scene::LocalContactModel) somebody else writes: hands feel
-    /// what that says, and the instruments stay on it.
+    /// Names of instruments whose [`LocalContactModel`](trocar_scene::LocalContactModel) another controller writes:
+    /// haptics render that model, and the instruments are kept on its surface.
     pub contact_models_by_others: Vec<String>,
 }
 
@@ -62,7 +62,7 @@ impl Default for EngineSettings {
 }
 
 impl EngineSettings {
-    /// Refuses what the solver cannot work with.
+    /// Rejects values that the solver cannot work with.
     ///
     /// # Errors
     /// [`EngineError::InvalidSetting`] names the first setting that is out of range.
@@ -104,10 +104,9 @@ impl EngineSettings {
             length_unit: LENGTH_UNIT,
             num_solver_iterations: self.solver_iterations,
             friction_model: FrictionModel::Coulomb,
-            // 1 mm: nothing moves further than that within a step, so that contacts exist before there is any
-            // penetration.
+            // 1 mm: no body moves further than that within a step, so that contacts exist before any penetration.
             normalized_prediction_distance: 0.1,
-            // Four points per plane do not carry a ring that rolls flat: its far side dips in by 0.15 mm.
+            // Four points per plane do not support a ring that rolls flat: its far side sinks in by 0.15 mm.
             contact_clustering: false,
             // 20 µm: reuse a manifold only while the bodies rest on each other; tubes roll on blades.
             normalized_contact_recycle_distance: 0.002,

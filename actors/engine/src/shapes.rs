@@ -50,7 +50,7 @@ pub fn parts(shape: &Shape) -> Vec<Part> {
                 pose: RapierPose::translation(0.0, 0.0, -thickness / 2.0),
                 shape: SharedShape::cuboid(*x, *y, thickness / 2.0),
             }];
-            // The round top ends at the peg's height, so that a ring finds its way over it.
+            // The round top ends at the peg's height, so that a ring can slide over it.
             let top = (peg_height - peg_radius).max(0.0);
             parts.extend(pegs.iter().map(|[px, py]| Part {
                 pose: RapierPose::translation(*px, *py, 0.0),
@@ -64,7 +64,7 @@ pub fn parts(shape: &Shape) -> Vec<Part> {
 /// A ring about z as a closed chain of capsules, whose mean radius is that of the circle.
 fn ring(ring_radius: f64, tube_radius: f64) -> SharedShape {
     let step = std::f64::consts::TAU / RING_SEGMENTS as f64;
-    // Vertices lie outside of the circle by as much as the middles of the chords lie inside.
+    // Vertices lie outside the circle by as much as the chords' midpoints lie inside.
     let vertex_radius = 2.0 * ring_radius / (1.0 + ComplexField::cos(step / 2.0));
     let vertex = |i: usize| {
         let angle = step * ((i % RING_SEGMENTS) as f64 + 0.5);
@@ -84,7 +84,7 @@ fn ring(ring_radius: f64, tube_radius: f64) -> SharedShape {
     )
 }
 
-/// Mass properties of a solid, homogeneous body of that shape: centre, mass and principal moments.
+/// Mass properties of a homogeneous solid of that shape: centre, mass and principal moments.
 pub fn mass_properties(shape: &Shape, mass: f64) -> MassProperties {
     let (com, moments) = match shape {
         Shape::Box { half_extents: [x, y, z] } => {
@@ -103,7 +103,7 @@ pub fn mass_properties(shape: &Shape, mass: f64) -> MassProperties {
             let transverse = mass * (big / 2.0 + 0.625 * small);
             (Vector3::zeros(), Vector3::new(transverse, transverse, mass * (big + 0.75 * small)))
         }
-        // The pegs weigh next to nothing.
+        // The mass of the pegs is negligible.
         Shape::PegBoard { half_extents: [x, y], thickness, .. } => {
             let z = thickness / 2.0;
             (
@@ -115,19 +115,19 @@ pub fn mass_properties(shape: &Shape, mass: f64) -> MassProperties {
     MassProperties::new(Vector::new(com.x, com.y, com.z), mass, Vector::new(moments.x, moments.y, moments.z))
 }
 
-/// Mass properties of what a surface encloses.
+/// Mass properties of the volume that a surface encloses.
 pub fn solid_properties(solid: &UnitSolid, mass: f64) -> MassProperties {
     let centre = Vector::new(solid.centre.x, solid.centre.y, solid.centre.z);
     MassProperties::with_inertia_matrix(centre, mass, matrix_to_rapier(&(solid.inertia * mass)))
 }
 
-/// A cylinder and two hemispheres, each with its share of the volume.
+/// A cylinder and two hemispheres, each with its fraction of the volume.
 fn capsule_moments(radius: f64, half_height: f64, mass: f64) -> Vector3<f64> {
     let (r2, length) = (radius * radius, 2.0 * half_height);
     let (cylinder_volume, ball_volume) = (length, 4.0 / 3.0 * radius);
     let cylinder = mass * cylinder_volume / (cylinder_volume + ball_volume);
     let ball = mass - cylinder;
-    // Hemispheres sit with their own centre 3/8 r beyond the cylinder's ends.
+    // The centroid of a hemisphere is 3/8 r beyond the cylinder's end.
     let offset = half_height * half_height + 0.75 * half_height * radius;
     let transverse = cylinder * (r2 / 4.0 + length * length / 12.0) + ball * (0.4 * r2 + offset);
     Vector3::new(transverse, transverse, cylinder * r2 / 2.0 + ball * 0.4 * r2)

@@ -1,10 +1,11 @@
-//! Rapier's soft volumes: tetrahedra by its own solvers, as one more method beside those of
-//! `trocar-simulator`, so that a scenario chooses between them by a line.
+//! Soft volumes by Rapier: tetrahedra, by Rapier's own solvers, as one more method beside those of `trocar-simulator`;
+//! a scenario selects the method in one line.
 //!
-//! Instruments touch, press and hold them as they do every soft body; a touch is a spring of the body's
-//! `contact_stiffness`, taken implicitly within each part of a step. What holds a body is told what the stress of the
-//! elements about it exerts. Rapier's solvers begin each step where the last one ended, which no scene holds: another
-//! life goes on from the same positions and velocities, to what its solvers leave open, not to the bit.
+//! Instruments touch, press and grasp these bodies as any soft body. A contact is a spring of the body's
+//! `contact_stiffness`, integrated implicitly within each substep. The force on grasping jaws is the stress of the
+//! elements around the held vertices. Rapier's solvers warm-start from the previous step, and that state is not in the
+//! scene: after a restart the body resumes from the same positions and velocities, within the solver's tolerance and
+//! not bit-identically.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use rapier3d_f64::dynamics::{
@@ -23,18 +24,18 @@ use trocar_scene::{Component, ComponentError, Snapshot, SoftAbilities};
 use crate::conversion::{point_from_rapier, vector_from_rapier, vector_to_rapier};
 use crate::settings::LENGTH_UNIT;
 
-/// How Rapier solves for the elements.
+/// Rapier's solver for the elements.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EngineSoftSolver {
-    /// Each element by constraints, swept over in turn: cheap, and softer than its modulus the fewer parts and sweeps.
+    /// Each element by constraints, solved in sweeps: cheap, and softer than its modulus with few substeps and sweeps.
     #[default]
     Constraints,
-    /// All elements at once by implicit finite elements.
+    /// All elements together by implicit finite elements.
     FiniteElements,
 }
 
-/// A soft volume of the engine: it needs a mesh of tetrahedra, and `anchors` where it is to be held.
+/// A soft volume of the engine. It needs a tetrahedral mesh, and `anchors` where it is to be fixed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct EngineSoftBody {
@@ -44,22 +45,22 @@ pub struct EngineSoftBody {
     pub poisson_ratio: f64,
     /// Density \[kg/m³\].
     pub density: f64,
-    /// By what it is solved.
+    /// The solver.
     pub solver: EngineSoftSolver,
-    /// Parts of a step, 1 to 100.
+    /// Substeps per step, 1 to 100.
     pub parts: u32,
-    /// Sweeps over the constraints in each part, 1 to 100; of finite elements there is no need for more than one.
+    /// Sweeps over the constraints per substep, 1 to 100; finite elements need only one.
     pub iterations: u32,
-    /// Damping of every motion \[1/s\].
+    /// Velocity damping \[1/s\].
     pub damping: f64,
-    /// Force per depth of a contact \[N/m\].
+    /// Contact stiffness: force per penetration depth \[N/m\].
     pub contact_stiffness: f64,
     /// Coulomb friction against instruments.
     pub friction: f64,
 }
 
 impl Default for EngineSoftBody {
-    /// A soft organ as `xpbd` has it.
+    /// The default organ of `xpbd`.
     fn default() -> Self {
         Self {
             young_modulus: 8e3,
@@ -94,26 +95,26 @@ impl Component for EngineSoftBody {
     }
 }
 
-/// One soft volume in a world of its own.
+/// One soft volume in a Rapier world of its own.
 pub struct EngineSoftMethod {
     kind: EngineSoftBody,
     world: PhysicsWorld,
     handle: SoftBodyHandle,
     mesh: TetMesh,
     masses: Vec<f64>,
-    /// Vertices that nothing moves, ascending.
+    /// Fixed vertices, ascending.
     pinned: Vec<u32>,
-    /// Vertices that jaws hold, ascending.
+    /// Vertices held by jaws, ascending.
     led: Vec<u32>,
     positions: Vec<Point3<f64>>,
     velocities: Vec<Vector3<f64>>,
 }
 
-/// A touch during a step.
+/// A contact with a rod during a step.
 struct Pressed {
-    /// Where its point was at the beginning \[m\].
+    /// The contact point at the beginning of the step \[m\].
     touched: Vector3<f64>,
-    /// How readily it yields, all touches on its vertices counted \[1/kg\].
+    /// Its mobility, with all contacts on its vertices counted \[1/kg\].
     yields: f64,
     impulse: Vector3<f64>,
 }
@@ -123,7 +124,7 @@ impl EngineSoftMethod {
         self.world.soft_bodies.get(self.handle).ok_or_else(|| "the engine has lost it".into())
     }
 
-    /// Brings what jaws hold up to date.
+    /// Updates the vertices that jaws hold.
     fn lead(&mut self, site: &StepContext<'_>) -> Result<(), String> {
         let wanted: Vec<u32> = site.led.iter().map(|led| led.vertex).collect();
         if wanted == self.led {
@@ -140,7 +141,7 @@ impl EngineSoftMethod {
         Ok(())
     }
 
-    /// How readily each touch yields; a vertex that several press on does so to all of them.
+    /// The mobility of each contact; contacts that share a vertex share its mobility.
     fn pressed(&self, touches: &[Touch]) -> Vec<Pressed> {
         let is_free =
             |node: &u32| self.pinned.binary_search(node).is_err() && self.led.binary_search(node).is_err();
@@ -160,7 +161,7 @@ impl EngineSoftMethod {
         joint(touch).map(|(node, share)| self.positions[node as usize].coords * share).sum()
     }
 
-    /// What a touch exerts in a part of `h` seconds that begins `since` seconds after the step \[N\].
+    /// Force of a contact \[N\] in a substep of `h` seconds that begins `since` seconds into the step.
     fn force(&self, touch: &Touch, pressed: &Pressed, since: f64, h: f64) -> Vector3<f64> {
         let EngineSoftBody { contact_stiffness, friction, .. } = self.kind;
         let slip: Vector3<f64> =
@@ -168,7 +169,7 @@ impl EngineSoftMethod {
                 - touch.velocity;
         let way = self.place(touch) - pressed.touched - touch.velocity * since;
         let (depth, speed) = (touch.depth - touch.normal.dot(&way), touch.normal.dot(&slip));
-        // The spring at the end of the part, by what it will have pushed away itself.
+        // The spring force at the end of the substep, its own effect on the motion included (implicit).
         let push =
             contact_stiffness * (depth - h * speed) / (1.0 + contact_stiffness * h * h * pressed.yields);
         let push = push.max(0.0);
@@ -180,7 +181,7 @@ impl EngineSoftMethod {
         touch.normal * push + if size > most { across * (most / size) } else { across }
     }
 
-    /// One part of a step. What is not finite is not taken over.
+    /// One substep. A non-finite result is discarded.
     fn part(&mut self) -> Result<(), String> {
         self.world.step();
         let quarantined = !self.world.physics_pipeline.quarantine().is_empty();
@@ -200,7 +201,7 @@ impl EngineSoftMethod {
     }
 }
 
-/// Nodes and shares of a touch.
+/// Nodes and weights of a contact.
 fn joint(touch: &Touch) -> impl Iterator<Item = (u32, f64)> {
     touch.nodes.into_iter().zip(touch.weights).filter(|(_, weight)| *weight != 0.0)
 }
@@ -221,7 +222,7 @@ impl SoftMethod for EngineSoftMethod {
         for (tet, volume) in mesh.tets().iter().zip(mesh.volumes()) {
             tet.iter().for_each(|&node| masses[node as usize] += kind.density * volume / 4.0);
         }
-        // What no element uses is held, and has to weigh something.
+        // Vertices that no element uses are fixed, and need some mass.
         let least = masses.iter().copied().filter(|mass| *mass > 0.0).fold(f64::INFINITY, f64::min);
         masses.iter_mut().filter(|mass| **mass == 0.0).for_each(|mass| *mass = least);
         let mut world = PhysicsWorld::default();

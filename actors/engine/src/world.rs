@@ -1,8 +1,7 @@
-//! Rigid bodies and instruments under gravity, contact and friction: Rapier, tuned for things of millimetres
-//! and grams.
+//! Rigid bodies and instruments under gravity, contact and friction: Rapier, tuned for millimetre and gram scales.
 //!
-//! A plain type: no scene, no actor, no clock. [`RigidWorld::step`] advances by one substep; two worlds that
-//! are given the same calls hold the same bits.
+//! A plain type: no scene, no actor, no clock. [`RigidWorld::step`] advances by one substep. Two worlds that receive
+//! the same calls have bit-identical states.
 
 mod scheduled;
 mod surfaces;
@@ -39,51 +38,51 @@ use crate::penalty::{Penalties, Trail};
 use crate::settings::EngineSettings;
 use crate::{EngineError, contacts, shapes};
 
-/// Most bodies besides instruments.
+/// Maximum number of bodies, instruments not counted.
 pub const BODIES_MAX: usize = 4096;
-/// Most instruments: each takes two of Rapier's 32 collision groups.
+/// Maximum number of instruments: each takes two of Rapier's 32 collision groups.
 pub const INSTRUMENTS_MAX: usize = 15;
 
 const GROUP_FIXED: u32 = 1 << 0;
 const GROUP_MOVING: u32 = 1 << 1;
-/// A body that moves this much slower than 0.5 mm/s for so long goes to sleep \[s\].
+/// A body slower than 0.5 mm/s for this long goes to sleep \[s\].
 const SLEEP_AFTER_SECS: f64 = 0.3;
 
-/// A body besides instruments.
+/// A body that is no instrument.
 #[derive(Clone, Debug)]
 struct Body {
     handle: RigidBodyHandle,
     colliders: Vec<ColliderHandle>,
     motion: Motion,
-    /// Where a kinematic body is on its way to.
+    /// Remaining motion of a kinematic body towards its target pose.
     travel: Option<Travel>,
-    /// Where a body was whose contacts others find.
+    /// Past poses, if an external detector finds the body's contacts.
     trail: Option<Trail>,
     friction: f64,
-    /// What others push it with, its torque about the origin of the world.
+    /// External wrench on the body; torque about the world origin.
     push: Wrench,
 }
 
-/// The way of a kinematic body.
+/// Motion of a kinematic body towards its target pose.
 #[derive(Clone, Copy, Debug)]
 struct Travel {
     to: RapierPose,
-    /// Steps left.
+    /// Steps that remain.
     steps: u32,
 }
 
-/// Figures since the world was built.
+/// Statistics since the world was built.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WorldStatistics {
     /// Steps taken.
     pub steps: u64,
-    /// Deepest penetration of any pair after any step \[m\].
+    /// Maximum penetration depth of any pair after any step \[m\].
     pub penetration_max: f64,
-    /// Steps in which some pair was deeper than 0.1 mm.
+    /// Steps after which some pair was deeper than 0.1 mm.
     pub steps_over_penetration_limit: u64,
 }
 
-/// Penetration that counts as too deep \[m\].
+/// Penetration depth that counts as too deep \[m\].
 pub const PENETRATION_LIMIT: f64 = 1e-4;
 
 /// A world of rigid bodies and instruments.
@@ -96,13 +95,13 @@ pub struct RigidWorld {
     now: SimTime,
     contacts: Vec<Contact>,
     pads: Vec<PadContact>,
-    /// What others have found.
+    /// Contacts from external detectors.
     penalties: Penalties,
     tools: BTreeMap<Entity, Trail>,
 }
 
 impl RigidWorld {
-    /// An empty world, apart from its floor, that stands at `now`.
+    /// A world at time `now`, empty except for its floor.
     ///
     /// # Errors
     /// [`EngineError::InvalidSetting`].
@@ -136,25 +135,25 @@ impl RigidWorld {
         })
     }
 
-    /// The settings it was made with.
+    /// The settings of this world.
     pub fn settings(&self) -> &EngineSettings {
         &self.settings
     }
-    /// The time at which it stands.
+    /// The current simulation time.
     pub fn now(&self) -> SimTime {
         self.now
     }
-    /// Figures since it was built.
+    /// Statistics since the world was built.
     pub fn statistics(&self) -> WorldStatistics {
         self.statistics
     }
 
-    /// Sets the time without simulating what lies between, after a pause that is too long to catch up with.
+    /// Sets the time without simulating the interval, after a pause that is too long to catch up with.
     pub fn skip_to(&mut self, time: SimTime) {
         self.now = time;
     }
 
-    /// Adds a body, in place of the one that the entity had.
+    /// Adds a body; replaces the entity's previous one.
     ///
     /// # Errors
     /// A component that is out of range, or [`EngineError::TooManyBodies`].
@@ -195,7 +194,7 @@ impl RigidWorld {
         Ok(())
     }
 
-    /// A body without colliders, in place of the one that the entity had.
+    /// Adds a body without colliders; replaces the entity's previous one.
     fn insert_rigid(
         &mut self,
         entity: Entity,
@@ -235,7 +234,7 @@ impl RigidWorld {
         Ok(handle)
     }
 
-    /// Adds an instrument, in place of the one that the entity had. `hold` is what it holds already.
+    /// Adds an instrument; replaces the entity's previous one. `hold` is a grasp to resume.
     ///
     /// # Errors
     /// A component that is out of range, or [`EngineError::TooManyInstruments`].
@@ -273,7 +272,7 @@ impl RigidWorld {
         Ok(())
     }
 
-    /// Takes a body or an instrument away; whether there was one.
+    /// Removes a body or an instrument. Returns whether it existed.
     pub fn remove(&mut self, entity: Entity) -> bool {
         if let Some(body) = self.bodies.remove(&entity) {
             let held_by: Vec<Entity> = self
@@ -303,8 +302,8 @@ impl RigidWorld {
         }
     }
 
-    /// Puts a body somewhere else, at the given velocity. A kinematic body travels there within `travel_secs`
-    /// (at least one step), pushing what is in its way.
+    /// Moves a body to a pose, at the given velocity. A kinematic body moves there within `travel_secs` (at least one
+    /// step) and pushes what is in its way.
     ///
     /// # Errors
     /// A pose or velocity that is out of range, or [`EngineError::Unknown`].
@@ -350,7 +349,7 @@ impl RigidWorld {
         Ok(())
     }
 
-    /// Gives an instrument the last two samples that another world had of its hand.
+    /// Restores an instrument's last two target samples, saved by another world.
     ///
     /// # Errors
     /// A target that is out of range, or [`EngineError::Unknown`].
@@ -362,7 +361,7 @@ impl RigidWorld {
         Ok(())
     }
 
-    /// Tells an instrument where its hand wants it.
+    /// Sets the target pose of an instrument.
     ///
     /// # Errors
     /// A target that is out of range, or [`EngineError::Unknown`].
@@ -376,7 +375,7 @@ impl RigidWorld {
     /// Advances by one substep.
     ///
     /// # Errors
-    /// [`EngineError::Diverged`]: those that it names have stayed where they were, all others have moved on.
+    /// [`EngineError::Diverged`]: the named bodies keep their previous state, all others have advanced.
     pub fn step(&mut self) -> Result<(), EngineError> {
         let step_secs = self.settings.substep_secs;
         for grasper in self.graspers.values_mut() {
@@ -399,7 +398,7 @@ impl RigidWorld {
         Ok(())
     }
 
-    /// Those that Rapier has just put aside; none if there is one among them that is none of ours.
+    /// The entities that Rapier has just quarantined; none if one of the quarantined bodies is unknown to this world.
     fn quarantined(&self) -> Vec<Entity> {
         let quarantine = self.physics.quarantine();
         let body = |handle: &RigidBodyHandle| self.bodies.iter().find(|(_, body)| body.handle == *handle);
@@ -446,7 +445,7 @@ impl RigidWorld {
                     let jaw_is_first = pair.collider1 == collider;
                     let other = if jaw_is_first { pair.collider2 } else { pair.collider1 };
                     let Some(other) = self.physics.colliders.get(other) else { continue };
-                    // The sum over manifolds of impulses on the second collider.
+                    // Sum over the manifolds of the impulses on the second collider.
                     let impulse = vector_from_rapier(pair.total_impulse());
                     let force = if jaw_is_first { impulse } else { -impulse } / step_secs;
                     pad_force[jaw] += force.norm();
@@ -460,7 +459,7 @@ impl RigidWorld {
                 }
             }
             grasper.pad_force = pad_force;
-            // Only what can be lifted is held; pegs and boards may be squeezed all the same.
+            // Only dynamic bodies can be held; pegs and boards may be squeezed without a grasp.
             let liftable = |entity: Entity| {
                 self.bodies.get(&entity).filter(|body| body.motion == Motion::Dynamic).map(|body| body.handle)
             };
@@ -490,7 +489,7 @@ impl RigidWorld {
         })
     }
 
-    /// Whether a body rests and costs nothing.
+    /// Whether a body sleeps (rests, and costs no computation).
     pub fn is_sleeping(&self, entity: Entity) -> bool {
         self.handle(entity)
             .and_then(|handle| self.physics.bodies.get(handle))
@@ -504,7 +503,7 @@ impl RigidWorld {
             .or_else(|| self.graspers.get(&entity).map(Grasper::palm))
     }
 
-    /// The bodies besides instruments, in entity order, with how they move.
+    /// All bodies except instruments, in entity order, with their motion type.
     pub fn bodies(&self) -> impl Iterator<Item = (Entity, Motion)> + '_ {
         self.bodies.iter().map(|(entity, body)| (*entity, body.motion))
     }
@@ -516,12 +515,12 @@ impl RigidWorld {
     pub fn grasper(&self, entity: Entity) -> Option<&Grasper> {
         self.graspers.get(&entity)
     }
-    /// Where an instrument is and how it moves.
+    /// Pose, velocity and jaw opening of an instrument.
     pub fn grasper_state(&self, entity: Entity) -> Option<InstrumentState> {
         self.graspers.get(&entity).map(|grasper| grasper.state(&self.physics))
     }
-    /// The wrench that an instrument exerts on its hand, about the tip, in world axes, averaged over the steps
-    /// since this was last asked.
+    /// The wrench that an instrument exerts on its hand, about the tip, in world axes, averaged over the steps since
+    /// the last call.
     pub fn take_wrench_on_hand(&mut self, entity: Entity) -> Option<WrenchOnHand> {
         self.graspers.get_mut(&entity).map(Grasper::take_wrench_on_hand)
     }
@@ -530,7 +529,7 @@ impl RigidWorld {
         Some(self.pose(instrument)?.isometry().inverse() * self.pose(body)?.isometry())
     }
 
-    /// The first fixed surface that an instrument meets within `horizon_secs` at its present velocity.
+    /// The first fixed surface that an instrument reaches within `horizon_secs` at its current velocity.
     pub fn obstacle(&self, entity: Entity, horizon_secs: f64) -> Option<Obstacle> {
         let grasper = self.graspers.get(&entity)?;
         let velocity = grasper.state(&self.physics).velocity.linear;

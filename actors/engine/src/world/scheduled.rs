@@ -1,4 +1,5 @@
-//! Rapier's world as the controller of rigid bodies schedules it.
+//! [`World`](trocar_dynamics::rigid_world::World) for Rapier's world, so that the rigid-body controller can schedule
+//! it.
 
 use nalgebra::Point3;
 use trocar_dynamics::instrument::contact::Contact;

@@ -1,4 +1,4 @@
-//! Bodies that are surfaces: what they touch is found by others.
+//! Bodies with a surface mesh, whose contacts external detectors find.
 
 use std::collections::BTreeMap;
 
@@ -15,8 +15,8 @@ use crate::penalty::{self, Known, Terms, Trail};
 use crate::{EngineError, shapes};
 
 impl RigidWorld {
-    /// Adds a body that is a surface, in place of the one that the entity had. It falls and turns like what the surface
-    /// encloses, and touches nothing by itself: its contacts are found by others ([`Self::set_penalties`]).
+    /// Adds a body with a surface mesh; replaces the entity's previous one. Its mass properties are those of the
+    /// enclosed volume. It has no colliders: detectors find its contacts ([`Self::set_penalties`]).
     ///
     /// # Errors
     /// A component that is out of range, a dynamic body whose surface encloses nothing, or
@@ -36,7 +36,7 @@ impl RigidWorld {
         };
         let handle = self.insert_rigid(entity, body, solid, pose, velocity)?;
         if let Some(rigid) = self.physics.bodies.get_mut(handle) {
-            // It may rest on what others find, which is gone without a word when they are.
+            // It may rest on detected contacts, which vanish without an event; so it never sleeps.
             rigid.activation_mut().normalized_linear_threshold = -1.0;
         }
         let mut trail = Trail::default();
@@ -47,9 +47,9 @@ impl RigidWorld {
         Ok(())
     }
 
-    /// Takes over the contacts that others have found between bodies of which at least one is a surface
-    /// ([`Self::insert_surface_body`]), in the place of those before: they press until others come. Of more than
-    /// [`PENALTIES_MAX`](penalty::PENALTIES_MAX) the deepest ones do.
+    /// Replaces all detected contacts between bodies of which at least one is a surface mesh
+    /// ([`Self::insert_surface_body`]). They act until the next call. Only the
+    /// [`PENALTIES_MAX`](penalty::PENALTIES_MAX) deepest ones act.
     pub fn set_penalties<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>) {
         let is_surface = |entity: &Entity| self.bodies.get(entity).is_some_and(|body| body.trail.is_some());
         let mut found: Vec<&Collision> =
@@ -70,7 +70,7 @@ impl RigidWorld {
         };
         self.penalties.clear();
         for contact in &found {
-            // As Rapier mixes them here; who has none takes the other's.
+            // Mixed as Rapier does; a body without friction uses the other's.
             let friction = match (friction(contact.a), friction(contact.b)) {
                 (Some(a), Some(b)) => ComplexField::sqrt(a * b),
                 (one, other) => one.or(other).unwrap_or_default(),
@@ -82,7 +82,7 @@ impl RigidWorld {
         }
     }
 
-    /// What others have found presses on the bodies in the step that comes.
+    /// Applies the detected contacts to the bodies for the next step.
     pub(super) fn press_surfaces(&mut self) {
         let step_secs = self.settings.substep_secs;
         for body in self.bodies.values().filter(|body| body.trail.is_some()) {
@@ -94,11 +94,11 @@ impl RigidWorld {
         self.penalties.press(&mut self.physics.bodies, self.physics.gravity, step_secs);
     }
 
-    /// Pushes a body in all steps until it is pushed otherwise: a force \[N\], and its torque about the origin of the world
-    /// \[N·m\].
+    /// Applies a constant wrench to a body from the next step on, until the next call: force \[N\], and torque about
+    /// the world origin \[N·m\].
     ///
     /// # Errors
-    /// [`EngineError::Unknown`]; a force that is none.
+    /// [`EngineError::Unknown`]; a non-finite force.
     pub fn push(&mut self, entity: Entity, push: &Wrench) -> Result<(), EngineError> {
         let body = self.bodies.get_mut(&entity).ok_or(EngineError::Unknown { entity })?;
         if !push.force.iter().chain(push.torque.iter()).all(|x| x.is_finite()) {
@@ -108,12 +108,12 @@ impl RigidWorld {
         Ok(())
     }
 
-    /// How a body gives way; `None` where it does not or there is none.
+    /// Mass and inertia of a body as seen by contacts; `None` for an immovable or unknown body.
     pub fn inertia(&self, entity: Entity) -> Option<Inertia> {
         let body = self.bodies.get(&entity).filter(|body| body.motion == Motion::Dynamic)?;
         let properties = &self.physics.bodies.get(body.handle)?.mass_properties().local_mprops;
         if properties.inv_mass <= 0.0 {
-            // Rapier weighs it in its first step.
+            // Rapier computes its mass in its first step.
             return None;
         }
         let turn = rotation_from_rapier(properties.principal_inertia_local_frame).to_rotation_matrix();
@@ -126,7 +126,7 @@ impl RigidWorld {
         })
     }
 
-    /// What pushes bodies acts in the step that comes.
+    /// Applies the external wrenches for the next step.
     pub(super) fn press_pushed(&mut self) {
         for body in self.bodies.values().filter(|body| body.push != Wrench::default()) {
             let Some(rigid) = self.physics.bodies.get_mut(body.handle) else { continue };
@@ -137,7 +137,7 @@ impl RigidWorld {
         }
     }
 
-    /// And no longer; what presses surfaces is looked at anew in every step.
+    /// Removes the external wrenches; detected contacts are evaluated anew in every step.
     pub(super) fn release_pushed(&mut self) {
         let pushed = |body: &&Body| body.push != Wrench::default() && body.trail.is_none();
         for body in self.bodies.values().filter(pushed) {
@@ -148,12 +148,12 @@ impl RigidWorld {
         }
     }
 
-    /// Whether somebody else finds contacts of any of its bodies.
+    /// Whether external detectors find contacts of any of its bodies.
     pub fn has_surfaces(&self) -> bool {
         self.bodies.values().any(|body| body.trail.is_some())
     }
 
-    /// Remembers where everything is that takes part in contacts which others find.
+    /// Records the poses of all bodies that take part in detected contacts.
     pub(super) fn leave_trails(&mut self) {
         let (now, bodies) = (self.now, &self.physics.bodies);
         let mut surfaces = false;
@@ -173,7 +173,7 @@ impl RigidWorld {
         }
     }
 
-    /// Contacts of a body that is gone press nobody.
+    /// Drops the contacts of a body that was removed.
     pub(super) fn forget(&mut self, handle: RigidBodyHandle) {
         self.penalties.forget(handle);
     }
