@@ -1,14 +1,14 @@
-//! Isotropic elasticity: its two constants, stress, and what becomes of elements.
+//! Isotropic elasticity: Young's modulus and Poisson's ratio, stress, and changes of an element's stiffness.
 //!
-//! Linear tetrahedra are over-stiff where they are coarse: a clamped beam five times as long as thick bends half as far as
-//! it should with two layers of them, and four fifths as far with four (`tests/linear_fem_reference.rs`). What is to give
-//! way as its modulus says takes some layers, or a modulus that was fitted on the mesh.
+//! Coarse linear tetrahedra are too stiff: a clamped beam five times as long as thick bends half as far as it should
+//! with two layers of elements, and four fifths as far with four (`tests/linear_fem_reference.rs`). A body that is to
+//! deform according to its modulus needs several layers, or a modulus fitted on the mesh.
 
 use nalgebra::Matrix3;
 use thiserror::Error;
 
-/// The largest ratio of Poisson that linear tetrahedra take: nearer to 0.5 they lock, that is, they bend far too little
-/// because every element by itself keeps its volume (Hughes 2000, ch. 4).
+/// The largest Poisson's ratio for linear tetrahedra. Closer to 0.5 they lock: they bend far too little, because each
+/// element preserves its volume separately (Hughes 2000, ch. 4).
 pub const POISSON_MAX: f64 = 0.45;
 
 /// Young's modulus and Poisson's ratio.
@@ -18,13 +18,13 @@ pub struct Elastic {
     poisson_ratio: f64,
 }
 
-/// Constants that are no material's.
+/// Constants that are no valid material.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum ElasticError {
-    /// Not a positive number.
+    /// Young's modulus is not positive.
     #[error("Young's modulus is {0} Pa: above 0 is valid")]
     YoungModulus(f64),
-    /// Outside what is stable, or where linear tetrahedra lock.
+    /// Poisson's ratio is unstable, or linear tetrahedra lock.
     #[error(
         "Poisson's ratio is {0}: above -1 and up to {POISSON_MAX} is valid; beyond it linear tetrahedra lock"
     )]
@@ -35,7 +35,7 @@ impl Elastic {
     /// Young's modulus \[Pa\], above 0, and Poisson's ratio, above −1 and up to [`POISSON_MAX`].
     ///
     /// # Errors
-    /// What is out of range.
+    /// The constant that is out of range.
     pub fn new(young_modulus: f64, poisson_ratio: f64) -> Result<Self, ElasticError> {
         if !(young_modulus > 0.0 && young_modulus.is_finite()) {
             return Err(ElasticError::YoungModulus(young_modulus));
@@ -72,25 +72,25 @@ impl Elastic {
     }
 }
 
-/// What has become of an element of tissue, a tetrahedron or a triangle.
+/// Change of an element of tissue, a tetrahedron or a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Alteration {
-    /// Times the stiffness it had; 0 when it is gone.
+    /// Factor of its stiffness; 0 when it is removed.
     pub stiffness: f64,
-    /// Times the length at rest that it had.
+    /// Factor of its rest length.
     pub length: f64,
 }
 
 impl Alteration {
-    /// As it was.
+    /// Unchanged.
     pub const NONE: Self = Self { stiffness: 1.0, length: 1.0 };
-    /// Gone.
+    /// Removed.
     pub const GONE: Self = Self { stiffness: 0.0, length: 1.0 };
 }
 
-/// Cauchy's stress \[Pa\] of a neo-Hookean material with Lamé's constants λ and μ \[Pa\] under a deformation gradient
-/// (Bonet, Wood 1997): that of linear elasticity for small strains, whatever the rotation. Of what is turned inside out it is
-/// that of what is pressed flat.
+/// Cauchy stress \[Pa\] of a neo-Hookean material with Lamé's constants λ and μ \[Pa\] under a deformation gradient
+/// (Bonet, Wood 1997). For small strains it is that of linear elasticity, for any rotation. For an inverted element it
+/// is that of a flattened one.
 #[must_use]
 pub fn cauchy_stress([lambda, mu]: [f64; 2], gradient: &Matrix3<f64>) -> Matrix3<f64> {
     let jacobian = gradient.determinant().max(1e-3);
@@ -98,8 +98,8 @@ pub fn cauchy_stress([lambda, mu]: [f64; 2], gradient: &Matrix3<f64>) -> Matrix3
     (left * mu + Matrix3::from_diagonal_element(lambda * jacobian.ln())) / jacobian
 }
 
-/// The stress of linear elasticity \[Pa\], with Lamé's constants λ and μ \[Pa\], under a deformation gradient that is near to 1:
-/// what it has of a rotation, which a linear displacement takes for a stretch, is left out.
+/// The stress of linear elasticity \[Pa\], with Lamé's constants λ and μ \[Pa\], under a deformation gradient close to
+/// the identity: the antisymmetric part, an infinitesimal rotation, is ignored.
 #[must_use]
 pub fn small_stress([lambda, mu]: [f64; 2], gradient: &Matrix3<f64>) -> Matrix3<f64> {
     let strain = (gradient + gradient.transpose()) * 0.5 - Matrix3::identity();

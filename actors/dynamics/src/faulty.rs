@@ -1,19 +1,19 @@
-//! Which elements of a list are wrong, for messages.
+//! Lists of invalid elements, for error messages.
 
-/// Bad elements that a message names; the others are counted.
+/// Invalid elements that a message lists; the others are only counted.
 const NAMED: usize = 16;
 
-/// Indices that share a fault: the first few by name, and how many there are.
+/// Indices with the same defect: the first few, and the count.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Faulty {
     /// The first 16, in ascending order.
     pub first: Vec<u32>,
-    /// All of them.
+    /// Their total number.
     pub count: usize,
 }
 
 impl Faulty {
-    /// Gathers those indices for which `bad` holds.
+    /// Collects the indices for which `bad` holds.
     pub fn among(count: usize, mut bad: impl FnMut(usize) -> bool) -> Self {
         let mut faulty = Self::default();
         for index in (0..count).filter(|&index| bad(index)) {
@@ -24,7 +24,7 @@ impl Faulty {
         }
         faulty
     }
-    /// An error where there are any.
+    /// Returns an error if there are any.
     pub fn refuse<E>(self, error: impl FnOnce(Self) -> E) -> Result<(), E> {
         if self.count == 0 { Ok(()) } else { Err(error(self)) }
     }

@@ -1,17 +1,17 @@
-//! What several worlds of bodies share: what a world of rigid bodies has to do, how instruments follow hands, the frame of every
-//! method of soft bodies, and what passes between bodies that touch or are coupled. It knows no method that moves a body.
+//! Shared dynamics of bodies: the trait for rigid-body worlds, instruments on virtual couplings, the common controller
+//! of all soft-body methods, and co-simulation coupling between bodies. It contains no method that moves a body.
 //!
 //! | Concept | Module |
 //! |---|---|
-//! | worlds of rigid bodies and instruments, whoever computes them | [`rigid_world`] |
-//! | the controller that schedules any of them | [`rigid_bodies`] |
-//! | how an instrument follows its hand, and when it holds something | [`instrument`] |
-//! | the frame of every method of soft bodies: rods, grips, contacts, couplings | [`soft_body`] |
-//! | nodes of slower bodies as faster ones meet them | [`coupling`] |
-//! | what the jaws hold of a surface | [`picking`] |
-//! | tetrahedral meshes: what is wrong with them, their boundary, how they come apart | [`tet_mesh`] |
+//! | rigid-body worlds with instruments, independent of the solver | [`rigid_world`] |
+//! | the controller that schedules such a world | [`rigid_bodies`] |
+//! | instruments on virtual couplings, and the grasp rule | [`instrument`] |
+//! | the common controller of soft-body methods: rods, grasps, contacts, couplings | [`soft_body`] |
+//! | co-simulation coupling: nodes of a slower body seen by a faster one | [`coupling`] |
+//! | picking: the part of a surface that jaws hold | [`picking`] |
+//! | tetrahedral meshes: defects, boundary, topology changes | [`tet_mesh`] |
 //! | isotropic elasticity | [`elasticity`] |
-//! | nodes that move, and what is wrong with them | [`particles`], [`faulty`] |
+//! | node state, and errors of a step | [`particles`], [`faulty`] |
 #![forbid(unsafe_code)]
 
 pub mod coupling;

@@ -1,10 +1,10 @@
-//! Nodes that move: their state, and what can be wrong with a step of them, whichever method takes it.
+//! Node state (positions and velocities), and the errors of a step, for every solver.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Where every node is, and how it moves: all that a solver needs to continue.
+/// Positions and velocities of all nodes: the complete state of a solver.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct State {
     /// One per node \[m\].
@@ -13,43 +13,43 @@ pub struct State {
     pub velocities: Vec<Vector3<f64>>,
 }
 
-/// Why a step was not taken. The state is what it was before it.
+/// Why a step was rejected. The state is unchanged.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum StepError {
-    /// Not a time.
+    /// A step length that is not positive and finite.
     #[error("a step of {0} s: above 0 and finite is valid")]
     Time(f64),
-    /// Longer than is safe, and the configuration says to refuse.
+    /// Longer than the safe step, with a configuration that rejects this.
     #[error("a step of {step} s is longer than the largest safe one, {safe} s")]
     TooLarge {
-        /// What was asked for \[s\].
+        /// The requested step \[s\].
         step: f64,
-        /// What would be safe \[s\].
+        /// The largest safe step \[s\].
         safe: f64,
     },
-    /// It would take too many parts.
+    /// It would need too many substeps.
     #[error("a step of {step} s takes {parts} parts of {safe} s; at most {most} are taken")]
     TooManyParts {
-        /// What was asked for \[s\].
+        /// The requested step \[s\].
         step: f64,
-        /// How many parts.
+        /// Number of substeps.
         parts: f64,
         /// The largest safe step \[s\].
         safe: f64,
         /// The limit.
         most: u32,
     },
-    /// An input names something that does not exist, or is not a number.
+    /// An input refers to something that does not exist, or is not finite.
     #[error("{what} {index}: {problem}")]
     Input {
-        /// Prescribed node, force or contact.
+        /// The kind of input: prescribed node, force or contact.
         what: &'static str,
-        /// Which of the list.
+        /// Its index in the list.
         index: usize,
         /// What is wrong with it.
         problem: &'static str,
     },
-    /// A node left for infinity.
+    /// The position or velocity of a node became non-finite.
     #[error("node {node} has a position or velocity that is not finite")]
     NotFinite {
         /// The first such node.

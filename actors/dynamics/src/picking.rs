@@ -1,10 +1,10 @@
-//! Picking: what the jaws of an instrument hold of a surface, the same for every method that deforms it.
+//! Picking: the triangles and vertices that an instrument's jaws hold, for every method that deforms the surface.
 //!
-//! The triangles that both jaws touch when they close are flagged with the instrument, and follow its pose rigidly from
-//! the start of each frame: their vertices become prescribed positions of whatever solver has the surface, and by what it
-//! knows of the matter those adjacent to them follow smoothly. Opening the jaws resets the flags. Jaws that have closed on
-//! nothing are a blunt rod, and take nothing until they have been opened. A triangle is held by one instrument: of two that
-//! want it, the one that came first keeps it, and a vertex between triangles of two instruments follows the earlier one.
+//! The triangles that both jaws touch while closing are flagged with the instrument, and follow its pose rigidly from
+//! the start of each frame. Their vertices become prescribed positions of the surface's solver, so the adjacent tissue
+//! follows smoothly by the solver's own mechanics. Opening the jaws clears the flags. Jaws that have closed on nothing
+//! act as a blunt rod, and take nothing until they have opened. One instrument holds a triangle: the first that took it
+//! keeps it, and a vertex between triangles of two instruments follows the earlier one.
 
 use std::collections::BTreeMap;
 
@@ -12,27 +12,27 @@ use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// A vertex that is held, and where it is in the frame of the instrument that holds it.
+/// A held vertex, and its position in the frame of the instrument that holds it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Held {
-    /// Which vertex.
+    /// The vertex.
     pub vertex: u32,
-    /// Where the instrument has it \[m\].
+    /// Its position in the instrument's frame \[m\].
     pub in_instrument: Point3<f64>,
 }
 
-/// What one instrument holds.
+/// The part of the surface that one instrument holds.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pick {
     /// The instrument.
     pub instrument: u64,
-    /// Triangles that it holds, ascending; of a line its segments.
+    /// Held triangles, ascending; of a line its segments.
     pub triangles: Vec<u32>,
-    /// Their vertices, ascending; without those that an earlier pick holds.
+    /// Their vertices, ascending, without those that an earlier pick holds.
     pub vertices: Vec<Held>,
 }
 
-/// All picks on one surface, in the order in which the jaws closed: this is the state, and all of it.
+/// All picks on one surface, in the order in which the jaws closed. This is the complete state.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Picks {
     /// One for each instrument that holds something.
@@ -42,31 +42,31 @@ pub struct Picks {
     pub shut: Vec<u64>,
 }
 
-/// An instrument at one frame.
+/// An instrument in one frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Jaws<'a> {
-    /// Which instrument.
+    /// The instrument.
     pub instrument: u64,
-    /// Where it is: world from instrument.
+    /// Its pose: world from instrument.
     pub pose_in_world: Isometry3<f64>,
-    /// Whether the jaws are as good as closed.
+    /// Whether the jaws are nearly closed.
     pub closed: bool,
-    /// Whether they still close.
+    /// Whether the jaws are closing.
     pub closing: bool,
     /// Triangles in contact with each jaw, in any order.
     pub touched: [&'a [u32]; 2],
 }
 
-/// A vertex that has to be somewhere at the end of the frame.
+/// A vertex with a prescribed position at the end of the frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DrivenVertex {
-    /// Which vertex.
+    /// The vertex.
     pub vertex: u32,
-    /// Where, in world \[m\].
+    /// The prescribed position, in world \[m\].
     pub position_in_world: Point3<f64>,
 }
 
-/// Why an instrument was not heard.
+/// Why an instrument was rejected.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum PickError {
     /// A triangle or corner that does not exist.
@@ -74,27 +74,27 @@ pub enum PickError {
         "triangle {triangle} touched by instrument {instrument} does not exist, or one of its corners ({triangles} triangles, {vertices} vertices)"
     )]
     Triangle {
-        /// Who touched it.
+        /// The instrument that touched it.
         instrument: u64,
-        /// Which.
+        /// The triangle.
         triangle: u32,
-        /// How many there are.
+        /// Number of triangles.
         triangles: usize,
-        /// How many vertices there are.
+        /// Number of vertices.
         vertices: usize,
     },
-    /// A pose that is nowhere.
+    /// A non-finite pose.
     #[error("the pose of instrument {0} is not finite")]
     Pose(u64),
 }
 
 impl Picks {
-    /// Brings flags up to date at the start of a frame: jaws that are open let go; jaws that close and hold nothing take the
-    /// triangles that both touch, if nobody has them. Those that are not known yet have closed just now. An instrument that
-    /// is not listed lets go.
+    /// Updates the flags at the start of a frame: open jaws release; closing jaws that hold nothing take the triangles
+    /// that both touch, unless another instrument holds them. A new instrument counts as just closed. An instrument
+    /// that is not listed releases.
     ///
     /// # Errors
-    /// When an instrument touches what does not exist or is nowhere; nothing has changed then.
+    /// When an instrument touches an element that does not exist or has a non-finite pose; nothing has changed then.
     pub fn update(
         &mut self,
         triangles: &[[u32; 3]],
@@ -158,7 +158,7 @@ impl Picks {
         Ok(())
     }
 
-    /// What an instrument holds.
+    /// The pick of an instrument.
     #[must_use]
     pub fn of(&self, instrument: u64) -> Option<&Pick> {
         self.picks.iter().find(|pick| pick.instrument == instrument)
@@ -171,7 +171,8 @@ impl Picks {
         self.picks.iter().find(holds).map(|pick| pick.instrument)
     }
 
-    /// Where the instruments have what they hold, in ascending order of vertices; `jaws` as in [`update`](Self::update).
+    /// Prescribed positions of all held vertices, in ascending order of vertices; `jaws` as in
+    /// [`update`](Self::update).
     #[must_use]
     pub fn led(&self, jaws: &[Jaws<'_>]) -> Vec<DrivenVertex> {
         let mut led = Vec::new();
@@ -186,7 +187,7 @@ impl Picks {
         led
     }
 
-    /// Triangles have other numbers now, or are gone; who holds none any longer holds nothing.
+    /// Renumbers or removes triangles; a pick without triangles is dropped.
     pub fn renumber(&mut self, kept: &[Option<u32>]) {
         for pick in &mut self.picks {
             let now = pick.triangles.iter().filter_map(|&triangle| *kept.get(triangle as usize)?);
@@ -196,9 +197,9 @@ impl Picks {
         self.picks.retain(|pick| !pick.triangles.is_empty());
     }
 
-    /// Brings the flags up to date after a change of topology: new triangles are held as those that they are a part of,
-    /// new vertices with them, and what a pick's triangles no longer have it lets go. `positions` are the new ones, at the
-    /// poses of `jaws`.
+    /// Updates the flags after a change of topology: new triangles and their vertices are held like their parents, and
+    /// vertices that a pick's triangles no longer use are released. `positions` are the new ones, at the poses of
+    /// `jaws`.
     pub fn follow(
         &mut self,
         parents: &[u32],
@@ -211,7 +212,7 @@ impl Picks {
         for pick in &mut self.picks {
             for (index, parent) in parents.iter().enumerate() {
                 if pick.triangles.binary_search(parent).is_ok() {
-                    // New ones have the highest numbers, in this order.
+                    // New triangles have the highest numbers, in this order.
                     pick.triangles.push((first_new + index) as u32);
                 }
             }

@@ -1,31 +1,30 @@
-//! What touches what, how deep, and with what force, as those tell it who move rigid bodies.
+//! Contacts between parts of bodies, with depth and force, as rigid-body worlds report them.
 
 use nalgebra::{Point3, Vector3};
 use trocar_scene::{Entity, Primitive};
 
-/// A contact between two parts of bodies: of all its points the mean position, the sum of forces and the largest
-/// depth.
+/// A contact between two parts: mean position of its points, sum of their forces and maximum depth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
     /// First entity and its part.
     pub a: (Entity, Primitive),
     /// Second entity and its part.
     pub b: (Entity, Primitive),
-    /// Where \[m\].
+    /// Position \[m\].
     pub point_in_world: Point3<f64>,
     /// Unit direction from `a` to `b`.
     pub normal_in_world: Vector3<f64>,
-    /// Penetration \[m\]; negative while apart.
+    /// Penetration depth \[m\]; negative while separated.
     pub depth: f64,
     /// Normal force on `b` \[N\].
     pub normal_force: f64,
     /// Friction on `b`, in world \[N\].
     pub friction_in_world: Vector3<f64>,
-    /// Coulomb coefficient in effect.
+    /// Coulomb friction coefficient in effect.
     pub friction_coefficient: f64,
-    /// Whether `a` cannot give way.
+    /// Whether `a` is immovable.
     pub a_is_fixed: bool,
-    /// Whether `b` cannot give way.
+    /// Whether `b` is immovable.
     pub b_is_fixed: bool,
 }
 
@@ -36,7 +35,7 @@ impl Contact {
         self.normal_in_world * self.normal_force + self.friction_in_world
     }
 
-    /// The same, seen from the other body.
+    /// The same contact with the bodies swapped.
     #[must_use]
     pub fn swapped(self) -> Self {
         Self {
@@ -50,21 +49,21 @@ impl Contact {
         }
     }
 
-    /// Orders contacts, whoever is first in them.
+    /// Orders contacts independently of which body is first.
     #[must_use]
     pub fn key(&self) -> (Entity, u64, Entity, u64) {
         (self.a.0, primitive_code(self.a.1), self.b.0, primitive_code(self.b.1))
     }
 }
 
-/// A number for a part of a body or of an instrument.
+/// A sort key for a part of a body or of an instrument.
 #[must_use]
 pub fn primitive_code(primitive: Primitive) -> u64 {
     match primitive {
         Primitive::Shape(index) => u64::from(index),
         Primitive::Jaw(jaw) => (1 << 32) | u64::from(jaw),
         Primitive::Shaft => 2 << 32,
-        // Rigid bodies have none of these.
+        // Rigid bodies have no such primitives.
         Primitive::Triangle(_) | Primitive::Tetrahedron(_) | Primitive::Segment(_) | Primitive::Vertex(_) => {
             0
         }

@@ -1,9 +1,9 @@
-//! Virtual coupling between a hand and the instrument that it holds (Colgate, Stanley, Brown 1995): a
-//! critically damped spring in six degrees of freedom, discretised for a fixed step.
+//! Virtual coupling between a hand and its instrument (Colgate, Stanley, Brown 1995): a critically damped spring in six
+//! degrees of freedom, discretised for a fixed step.
 //!
-//! The spring is explicit and the damper an exact exponential decay, so that the force in rest is exactly
-//! stiffness times displacement, whatever the step; both are limited to what the instrument's inertia carries
-//! stably in one step, and the wrench is bounded, so no jump of the target blows up.
+//! The spring is explicit and the damper an exact exponential decay, so the force at rest is exactly stiffness times
+//! displacement for any step length. Both are limited to what is stable with the instrument's inertia at that step, and
+//! the wrench is bounded, so no jump of the target makes it unstable.
 
 use nalgebra::{ComplexField, Isometry3, Vector3};
 use trocar_scene::components::Velocity;
@@ -17,8 +17,8 @@ pub struct Wrench {
     pub torque: Vector3<f64>,
 }
 
-/// Phase that the spring may advance in one step \[rad\]; the explicit scheme is stable below 2, with the
-/// damper on top below 1.
+/// Maximum phase advance of the spring per step \[rad\]; the explicit scheme is stable below 2, with the damper below
+/// 1.
 const PHASE_MAX: f64 = 0.5;
 
 /// The coupling of one instrument.
@@ -40,8 +40,8 @@ impl VirtualCoupling {
     /// A critically damped coupling for an instrument of `mass` \[kg\] with radii of `gyration` about its
     /// own x, y and z \[m\], at `stiffness` \[N/m\], for steps of `step_secs`.
     ///
-    /// Rotations get the natural frequency of the translation. A stiffness beyond what the mass carries stably
-    /// at that step is lowered to that: ask [`stiffness`](Self::stiffness) for the value in effect.
+    /// Rotations get the natural frequency of the translation. A stiffness that is unstable for the mass at that step
+    /// is reduced: [`stiffness`](Self::stiffness) returns the value in effect.
     pub fn new(mass: f64, gyration: Vector3<f64>, stiffness: f64, force_max: f64, step_secs: f64) -> Self {
         let stiffness = stiffness.min(mass * (PHASE_MAX / step_secs).powi(2));
         let critical = 2.0 * (stiffness * mass).sqrt();
@@ -80,7 +80,7 @@ impl VirtualCoupling {
         let slip = target_velocity.linear - actual_velocity.linear;
         let force = stretch * self.stiffness + slip * self.damping;
 
-        // The rotation from actual to target, seen from the instrument, whose inertia is diagonal there.
+        // Rotation from actual to target, in the instrument's frame, where its inertia is diagonal.
         let turn = (actual.rotation.inverse() * target.rotation).scaled_axis();
         let spin = actual.rotation.inverse() * (target_velocity.angular - actual_velocity.angular);
         let torque_in_instrument =
@@ -92,7 +92,7 @@ impl VirtualCoupling {
     }
 }
 
-/// The vector, shortened to `max` if it is longer.
+/// Clamps the norm of a vector to `max`.
 fn bounded(v: Vector3<f64>, max: f64) -> Vector3<f64> {
     let norm = v.norm();
     if norm > max { v * (max / norm) } else { v }
@@ -108,7 +108,7 @@ mod tests {
         VirtualCoupling::new(0.03, Vector3::new(0.03, 0.03, 0.008), stiffness, 20.0, STEP)
     }
 
-    /// A free point mass on the coupling, semi-implicit Euler as the solver does it.
+    /// A free point mass on the coupling, by the solver's semi-implicit Euler.
     fn settle(coupling: &VirtualCoupling, jump: f64, steps: usize) -> (f64, f64) {
         let (mut x, mut v, mut overshoot) = (0.0, 0.0, 0.0f64);
         let target = Isometry3::translation(jump, 0.0, 0.0);
@@ -162,7 +162,7 @@ mod tests {
         let actual = Isometry3::new(Vector3::zeros(), Vector3::new(0.0, 0.0, 1.0));
         let target = Isometry3::new(Vector3::zeros(), Vector3::new(0.02, 0.0, 0.0)) * actual;
         let wrench = coupling(1000.0).wrench(&target, &Velocity::default(), &actual, &Velocity::default());
-        // The transverse moments are alike, so the torque stays along the axis of the turn.
+        // The transverse moments are equal, so the torque stays along the rotation axis.
         assert!((wrench.torque - Vector3::new(0.02 * 1000.0 * 0.03f64.powi(2), 0.0, 0.0)).norm() < 1e-9);
     }
 }

@@ -1,46 +1,46 @@
-//! When an instrument holds a body: both jaws press on it from opposite sides.
+//! The grasp rule: an instrument holds a body when both jaws press on it from opposite sides.
 //!
-//! The rule is purely about contacts; whether friction alone or an additional grasp constraint keeps the body
-//! is decided by whoever steps the world.
+//! The rule depends on contacts only. The world that steps the body decides whether friction alone or an additional
+//! grasp constraint keeps it.
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_scene::entity::Entity;
 
-/// Least normal force per jaw that counts as holding \[N\].
+/// Minimum normal force per jaw that counts as holding \[N\].
 pub const HOLDING_FORCE_MIN: f64 = 0.02;
-/// Least cosine between a pad's closing direction and the force that it exerts.
+/// Minimum cosine between a pad's closing direction and its force.
 const OPPOSING_COSINE_MIN: f64 = 0.5;
-/// A grasp outlives flickering contacts for so long \[s\].
+/// Time without opposing contacts after which a grasp ends \[s\]; it bridges flickering contacts.
 pub const RELEASE_SECS: f64 = 0.02;
 
-/// What one jaw does to one body.
+/// Contact of one jaw with one body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PadContact {
-    /// Which jaw: 0 is A (at +x), 1 is B.
+    /// The jaw: 0 is A (at +x), 1 is B.
     pub jaw: usize,
-    /// The body that it touches.
+    /// The touched body.
     pub body: Entity,
     /// Normal force of the jaw on the body, in the instrument's frame \[N\].
     pub normal_force_in_instrument: Vector3<f64>,
 }
 
-/// A body held.
+/// A held body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hold {
     /// The body.
     pub held: Entity,
     /// `instrument_from_held` when the hold formed.
     pub anchor: Isometry3<f64>,
-    /// Whether a grasp constraint helps friction.
+    /// Whether a grasp constraint assists friction.
     pub assisted: bool,
-    /// Whether the grasp constraint gave way in this hold; it does not form again before the next one.
+    /// Whether the grasp constraint broke in this hold; only the next hold gets a new one.
     pub torn: bool,
-    /// For how long there have been no opposing contacts \[s\].
+    /// Time without opposing contacts so far \[s\].
     pub slack_secs: f64,
 }
 
-/// The body that both jaws press on from opposite sides; of several, the one pressed hardest, of equal ones the
-/// lowest.
+/// The body that both jaws press on from opposite sides; of several, the one with the largest force, of equal ones the
+/// lowest entity.
 pub fn opposed_body(contacts: &[PadContact]) -> Option<Entity> {
     let mut best: Option<(f64, Entity)> = None;
     for contact in contacts.iter().filter(|contact| contact.jaw == 0) {
@@ -56,7 +56,7 @@ pub fn opposed_body(contacts: &[PadContact]) -> Option<Entity> {
     best.map(|(_, body)| body)
 }
 
-/// Force of a jaw on a body along the jaw's closing direction \[N\]; zero unless it mainly points there.
+/// Force of a jaw on a body along the jaw's closing direction \[N\]; zero unless it points mainly that way.
 fn pressing_on(contacts: &[PadContact], jaw: usize, body: Entity) -> f64 {
     let closing = if jaw == 0 { -Vector3::x() } else { Vector3::x() };
     let force: Vector3<f64> = contacts
@@ -68,8 +68,8 @@ fn pressing_on(contacts: &[PadContact], jaw: usize, body: Entity) -> f64 {
     if along >= OPPOSING_COSINE_MIN * force.norm() { along } else { 0.0 }
 }
 
-/// Carries a hold on by one step of `step_secs`, in which `opposed` is what the jaws press on and
-/// `instrument_from_body` gives poses relative to the instrument.
+/// Advances a hold by one step of `step_secs`. `opposed` is the body between the jaws, `instrument_from_body` gives
+/// poses relative to the instrument.
 pub fn carry_on(
     hold: Option<Hold>,
     opposed: Option<Entity>,

@@ -1,9 +1,9 @@
-//! The local model of an instrument's contacts that haptics evaluate between two ticks of the world of bodies (Adachi,
-//! Kumano, Ogino 1995: intermediate representation; Mark et al. 1996).
+//! Local contact model of an instrument, evaluated by haptics between two ticks of the rigid world: an intermediate
+//! representation (Adachi, Kumano, Ogino 1995; Mark et al. 1996).
 //!
-//! Contacts with what cannot give way become planes, shifted to where they stop the *tip* (a push on the shaft
-//! stops the tip as well, as long as the instrument moves without turning). Contacts with what can give way,
-//! a held ring or the other instrument, become a constant force.
+//! Contacts with immovable bodies become planes, shifted to where they stop the *tip* (a contact on the shaft stops the
+//! tip as well, as long as the instrument moves without rotating). Contacts with movable bodies, a held ring or the
+//! other instrument, become a constant force.
 
 use nalgebra::Vector3;
 use trocar_scene::components::{ContactPlane, LocalContactModel};
@@ -14,23 +14,23 @@ use super::contact::Contact;
 use super::coupling::VirtualCoupling;
 use super::state::InstrumentState;
 
-/// Planes whose normals differ by less than about 18° are one plane.
+/// Planes whose normals differ by less than about 18° are merged.
 const SAME_PLANE_COSINE: f64 = 0.95;
-/// A surface further away than this is left out \[m\].
+/// Surfaces further away than this are omitted \[m\].
 const REACH: f64 = 0.0005;
 
-/// A surface on the way of an instrument.
+/// A surface in the way of an instrument.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Obstacle {
     /// Unit normal towards the instrument.
     pub normal_in_world: Vector3<f64>,
-    /// How far the instrument can still go against the normal \[m\].
+    /// How far the instrument can still move against the normal \[m\].
     pub gap: f64,
     /// Coulomb friction of the pair.
     pub friction: f64,
 }
 
-/// The local model of one instrument from all contacts of the step, and from what it is about to touch.
+/// Builds the local model of one instrument from the contacts of the step and from the predicted obstacle.
 pub fn local_contact_model(
     instrument: Entity,
     coupling: &VirtualCoupling,
@@ -46,7 +46,7 @@ pub fn local_contact_model(
         base_force: Vector3::zeros(),
         at,
     };
-    // Force and gap of each plane, for the choice of the most important ones.
+    // Force and gap of each plane, to select the most important ones.
     let mut weights = [(0.0, f64::INFINITY); 4];
     for contact in contacts {
         let Some(side) = Side::of(contact, instrument) else { continue };
@@ -85,7 +85,7 @@ fn plane_at(
     }
 }
 
-/// A contact as the instrument sees it.
+/// A contact in the instrument's view.
 struct Side {
     normal_to_instrument: Vector3<f64>,
     force_on_instrument: Vector3<f64>,
@@ -113,7 +113,7 @@ impl Side {
     }
 }
 
-/// Keeps the four planes with the largest force, of equal force the nearest; like planes count once.
+/// Keeps the four planes with the largest force, of equal force the nearest; merges similar planes.
 fn insert(
     planes: &mut [Option<ContactPlane>; 4],
     weights: &mut [(f64, f64); 4],

@@ -1,14 +1,14 @@
-//! Instruments that follow hands, whoever computes what they touch.
+//! Instruments on virtual couplings, independent of the world that simulates their contacts.
 //!
 //! | Concept | File |
 //! |---|---|
-//! | Where an instrument is, and how far its jaws are open | `state.rs` |
-//! | What the hand wants: samples, gaps, the spring between hand and instrument | `target_track.rs`, `set_point.rs`, `coupling.rs` |
-//! | Its jaws, and their drive | `jaw.rs` |
-//! | When it holds something | `grasp.rs` |
-//! | Contacts, and the model of them that haptics evaluates | `contact.rs`, `local_model.rs` |
-//! | Instruments whose contacts somebody else models | `felt.rs` |
-//! | What another life needs of the mechanism | `mechanism.rs` |
+//! | Pose of an instrument, opening of its jaws | `state.rs` |
+//! | Target of the hand: samples, gaps, virtual coupling | `target_track.rs`, `set_point.rs`, `coupling.rs` |
+//! | Jaws and their drive | `jaw.rs` |
+//! | Grasp rule | `grasp.rs` |
+//! | Contacts, and the local contact model for haptics | `contact.rs`, `local_model.rs` |
+//! | Instruments whose contacts another controller models | `../rigid_bodies/external_contact_model.rs` |
+//! | Mechanism state for a restart | `mechanism.rs` |
 
 pub mod contact;
 pub mod coupling;

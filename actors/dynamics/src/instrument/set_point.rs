@@ -1,20 +1,20 @@
-//! Where the coupling pulls an instrument: after the hand, and after a gap towards it at a bounded speed.
+//! Set point of the virtual coupling: follows the hand, and after a gap approaches it at a bounded speed.
 //!
-//! A world that was kept waiting, or that is a new one, finds the hand some centimetres further on. Pulled there at
-//! once, an instrument tears itself off from what it holds; it is led there instead, as fast as a hand would go.
+//! After a delay or a restart, a world finds the hand some centimetres further on. A coupling to the hand's pose would
+//! tear the instrument off what it holds; the set point moves there instead, at the speed of a hand.
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use trocar_scene::components::Velocity;
 
-/// How much faster than the hand it may go \[m/s\].
+/// Maximum speed relative to the hand \[m/s\].
 const LINEAR_SPEED: f64 = 0.3;
-/// The same for turning \[rad/s\].
+/// The same for rotation \[rad/s\].
 const ANGULAR_SPEED: f64 = 3.0;
-/// A new one starts at the hand if the instrument is as close as a loaded coupling leaves it \[m\], \[rad\].
+/// A new set point starts at the hand if the instrument is within the deflection of a loaded coupling \[m\], \[rad\].
 const START_GAP: f64 = 0.004;
 const START_TURN: f64 = 0.1;
 
-/// The pose that the coupling pulls to.
+/// The pose that the coupling pulls towards.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SetPoint {
     pose: Option<Isometry3<f64>>,
@@ -24,7 +24,7 @@ impl SetPoint {
     /// Pose and velocity for the next step of `step_secs`, for a hand at `wanted` that moves with `velocity`, and an
     /// instrument whose tip is at `tip`.
     ///
-    /// A hand that moves on without a gap is followed exactly.
+    /// A hand without a gap is followed exactly.
     pub fn follow(
         &mut self,
         wanted: &Isometry3<f64>,
@@ -61,7 +61,7 @@ fn is_close(tip: &Isometry3<f64>, wanted: &Isometry3<f64>) -> bool {
         && tip.rotation.angle_to(&wanted.rotation) <= START_TURN
 }
 
-/// The vector, shortened to `max`; `None` if it is not longer.
+/// The vector clamped to length `max`; `None` if it is not longer.
 fn bounded(v: Vector3<f64>, max: f64) -> Option<Vector3<f64>> {
     let norm = v.norm();
     (norm > max).then(|| v * (max / norm))

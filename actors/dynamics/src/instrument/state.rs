@@ -1,4 +1,4 @@
-//! Where an instrument is, how it moves, and how far its jaws are open.
+//! Pose and velocity of an instrument, and the opening of its jaws.
 
 use nalgebra::Isometry3;
 use trocar_scene::Velocity;
@@ -10,13 +10,13 @@ pub struct JawOpening {
     pub angle: f64,
     /// Its rate \[rad/s\].
     pub rate: f64,
-    /// How far the bisector of the jaws is off the shaft's axis, about +y \[rad\].
+    /// Angle between the jaws' bisector and the shaft's axis, about +y \[rad\].
     pub tilt: f64,
     /// Its rate \[rad/s\].
     pub tilt_rate: f64,
 }
 
-/// What suffices to continue with an instrument where another world left it.
+/// The state by which another world can continue with an instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct InstrumentState {
     /// `world_from_instrument`.
@@ -25,6 +25,6 @@ pub struct InstrumentState {
     pub velocity: Velocity,
     /// Jaws.
     pub opening: JawOpening,
-    /// Where the drive of the jaws is on its way to its target \[rad\].
+    /// Current set point of the jaw drive \[rad\].
     pub drive_reference: f64,
 }

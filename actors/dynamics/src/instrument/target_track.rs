@@ -1,14 +1,14 @@
-//! Where a hand wants its instrument between two samples: interpolation of the last two, bounded
-//! extrapolation beyond the newest, so that the coupling sees no stairs.
+//! Interpolation of a hand's target between its last two samples, and bounded extrapolation beyond the newest, so that
+//! the coupling sees no steps.
 
 use nalgebra::{Isometry3, UnitQuaternion};
 use trocar_scene::components::{InstrumentTarget, Velocity};
 use trocar_scene::time::SimTime;
 
-/// Two samples further apart than this are not joined by a line \[s\].
+/// Two samples further apart than this are not interpolated \[s\].
 const GAP_SECS_MAX: f64 = 0.25;
 
-/// The last two samples of a hand.
+/// The last two target samples of a hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TargetTrack {
     newest: Option<InstrumentTarget>,
@@ -16,7 +16,7 @@ pub struct TargetTrack {
 }
 
 impl TargetTrack {
-    /// Takes a sample; one that is not newer replaces the newest.
+    /// Adds a sample; one that is not newer replaces the newest.
     pub fn push(&mut self, sample: InstrumentTarget) {
         match self.newest {
             Some(newest) if sample.sampled_at > newest.sampled_at => {
@@ -27,7 +27,7 @@ impl TargetTrack {
         }
     }
 
-    /// A track of the last two samples.
+    /// From the last two samples.
     pub fn of(previous: Option<InstrumentTarget>, newest: Option<InstrumentTarget>) -> Self {
         Self { newest, previous }
     }
@@ -42,9 +42,9 @@ impl TargetTrack {
         self.newest.as_ref()
     }
 
-    /// Pose and velocity wanted at `time`; `None` before the first sample.
+    /// Interpolated pose and velocity at `time`; `None` before the first sample.
     ///
-    /// Beyond the newest sample it is carried on for at most `extrapolation_secs_max`, then held still.
+    /// The newest sample is extrapolated for at most `extrapolation_secs_max`, then held with zero velocity.
     pub fn at(&self, time: SimTime, extrapolation_secs_max: f64) -> Option<(Isometry3<f64>, Velocity)> {
         let newest = self.newest?;
         let ahead = seconds_between(newest.sampled_at, time);
@@ -63,7 +63,7 @@ impl TargetTrack {
         let share = (1.0 + ahead / span).clamp(0.0, 1.0);
         let (a, b) = (previous.tip_in_world, newest.tip_in_world);
         let step = b.translation - a.translation;
-        // Samples of one hand are close: the shorter arc is the one that it took.
+        // Samples of one hand are close: it took the shorter arc.
         let turn = (b.rotation * a.rotation.inverse()).scaled_axis();
         let pose = Isometry3::from_parts(
             (a.translation + step * share).into(),
@@ -73,7 +73,7 @@ impl TargetTrack {
     }
 }
 
-/// The sample carried along its velocity for `secs`.
+/// The sample extrapolated along its velocity for `secs`.
 fn carried(sample: &InstrumentTarget, secs: f64) -> Isometry3<f64> {
     let (pose, velocity) = (&sample.tip_in_world, &sample.velocity_in_world);
     Isometry3::from_parts(

@@ -1,4 +1,4 @@
-//! What the controller of rigid bodies declares that it reads and writes.
+//! Declared reads and writes of the rigid-body controller.
 
 use trocar_scene::access::{Access, EntitySet};
 use trocar_scene::components::{
@@ -12,8 +12,8 @@ use crate::instrument::mechanism::MechanismState;
 use crate::rigid_world::Scheduling;
 use crate::soft_body::contact::{RigidContacts, SoftContacts};
 
-/// The bodies that the world moves: those that are dynamic now, and the instruments. Naming them leaves the poses
-/// of all others to others.
+/// The bodies that the world moves: those that are dynamic now, and the instruments. Declaring them leaves the poses of
+/// all other entities to other controllers.
 pub(crate) fn moved_entities(scene: &Snapshot) -> Vec<Entity> {
     let mut moved: Vec<Entity> = scene
         .iter::<RigidBody>()
@@ -26,12 +26,12 @@ pub(crate) fn moved_entities(scene: &Snapshot) -> Vec<Entity> {
     moved
 }
 
-/// Rows that may be written; `None` for all.
+/// Rows that the controller may write; `None` for all.
 pub(crate) fn declared_rows(scene: &Snapshot, scheduling: &Scheduling) -> Option<Vec<Entity>> {
     (!scheduling.claims_all_poses).then(|| moved_entities(scene))
 }
 
-/// Whether the session knows of soft bodies that answer contacts.
+/// Whether the session registers soft bodies that answer contacts.
 pub(crate) fn meets_soft_bodies(scene: &Snapshot) -> bool {
     scene.registry().id::<RigidContacts>().is_some()
 }
@@ -46,7 +46,7 @@ pub(crate) fn declared_access(
     let instruments: Vec<Entity> = scene.iter::<Instrument>().map(|(entity, _)| entity).collect();
     let mut modelled = instruments.clone();
     modelled.retain(|entity| modelled_by_others.binary_search(entity).is_err());
-    // Where others model some, its own are those that are there at the start.
+    // If others model some, its own are those present at the start.
     let modelled = if modelled_by_others.is_empty() { on(modelled) } else { EntitySet::Of(modelled) };
     let access = Access::new()
         .reads::<RigidBody>()

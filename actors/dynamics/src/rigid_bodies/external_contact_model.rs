@@ -1,5 +1,5 @@
-//! Instruments whose contacts somebody else models: a hand feels what that model says, and the instrument follows the
-//! hand only as far as the model lets it, so that one does not see it sink into what the world of bodies does not know.
+//! Instruments whose contacts another controller models: haptics render that model, and the instrument is constrained
+//! by its planes, so that it does not sink into tissue that the rigid world does not contain.
 
 use trocar_scene::access::{Access, EntitySet};
 use trocar_scene::component::Component;
@@ -9,10 +9,10 @@ use trocar_scene::snapshot::Snapshot;
 
 use crate::rigid_world::WorldError;
 
-/// Sweeps over the planes: each brings the target nearer to where all of them allow it.
+/// Projection sweeps over the planes: each moves the target closer to the feasible region.
 const SWEEPS: usize = 16;
 
-/// The instruments of those names, sorted.
+/// The instruments of these names, sorted.
 ///
 /// # Errors
 /// [`WorldError::UnknownInstrument`].
@@ -32,7 +32,8 @@ pub fn modelled_by_others(scene: &Snapshot, names: &[String]) -> Result<Vec<Enti
     Ok(found)
 }
 
-/// Whether the model of an instrument's contacts is the world's own: where others have any, those that came later have none.
+/// Whether the rigid world itself writes an instrument's contact model. Where others model some instruments,
+/// instruments spawned later have none.
 pub fn is_modelled(access: &Access, instrument: Entity) -> bool {
     let declared = access.writes.iter().find(|(name, _)| *name == LocalContactModel::NAME);
     match declared {
@@ -41,8 +42,8 @@ pub fn is_modelled(access: &Access, instrument: Entity) -> bool {
     }
 }
 
-/// A target above all planes of a model: the nearest such place, if there is one (projections in turn; Bregman, 1965). Its
-/// velocity into a plane that holds it is none.
+/// Projects a target onto the half-spaces above all planes of a model: the nearest feasible point, if there is one
+/// (cyclic projections; Bregman, 1965). The velocity into an active plane is zero.
 pub fn held_by(model: &LocalContactModel, target: &InstrumentTarget) -> InstrumentTarget {
     let mut held = *target;
     for _ in 0..SWEEPS {
@@ -89,7 +90,7 @@ mod tests {
         let held = held_by(&model, &target);
         assert_eq!(held.tip_in_world.translation, Vector3::new(0.001, 0.0, 0.0));
         assert_eq!(held.velocity_in_world.linear, Vector3::new(0.1, 0.0, 0.0));
-        // A groove: only its bottom is above both.
+        // A groove: only points above its bottom line are above both planes.
         let sides = [Vector3::new(1.0, 0.0, 1.0), Vector3::new(-1.0, 0.0, 1.0)];
         for (slot, side) in model.planes.iter_mut().zip(sides) {
             *slot = Some(plane(side));

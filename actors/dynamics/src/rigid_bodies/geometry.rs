@@ -1,20 +1,20 @@
-//! What rigid bodies are made of, as the scene has it.
+//! The geometry of rigid bodies, as the scene stores it.
 
 use std::sync::Arc;
 
 use nalgebra::Point3;
 use trocar_scene::{Entity, Shape, Snapshot, SurfaceMesh, VertexPositions};
 
-/// What a body is made of.
+/// Geometry of a body.
 #[derive(Clone, Debug)]
 pub(crate) enum Geometry {
     Shape(Shape),
-    /// A surface that has been looked at: contacts are found by others.
+    /// A validated surface mesh: external detectors find its contacts.
     Surface(Arc<Vec<Point3<f64>>>, Arc<Vec<[u32; 3]>>),
 }
 
 impl Geometry {
-    /// Of an entity; a shape, where it has both.
+    /// The geometry of an entity; the analytic shape, where it has both.
     pub fn of(scene: &Snapshot, entity: Entity) -> Option<Self> {
         if let Some(shape) = scene.get::<Shape>(entity) {
             return Some(Self::Shape(shape.clone()));
@@ -23,7 +23,7 @@ impl Geometry {
         Some(Self::Surface(vertices.positions.clone(), surface.triangles.clone()))
     }
 
-    /// Whether an entity has any; asked in every tick, so that nothing is copied.
+    /// Whether an entity has geometry; copies nothing, because it is called in every tick.
     pub fn is_there(scene: &Snapshot, entity: Entity) -> bool {
         let surface =
             || scene.get::<VertexPositions>(entity).is_some() && scene.get::<SurfaceMesh>(entity).is_some();

@@ -1,9 +1,9 @@
-//! The controller that schedules the rigid world: reads bodies, instruments and targets from the scene, steps,
+//! The controller that schedules a rigid world: reads bodies, instruments and targets from the scene, steps the world,
 //! and writes poses, forces, contacts and grasps back.
 //!
-//! Everything that another life of it needs is in the scene: poses and velocities of bodies and tips
-//! ([`Pose`], [`Velocity`]), openings of jaws ([`JawState`]), what is held, at which anchor ([`Grasp`]), and, where
-//! the session registers it, the play of the mechanism ([`MechanismState`]).
+//! The scene holds everything that a restart needs: poses and velocities of bodies and tips ([`Pose`], [`Velocity`]),
+//! jaw openings ([`JawState`]), held bodies with their anchors ([`Grasp`]), and, where the session registers it, the
+//! play of the mechanism ([`MechanismState`]).
 
 pub(crate) mod access;
 pub mod external_contact_model;
@@ -35,17 +35,17 @@ use access::{declared_access, declared_rows, meets_soft_bodies, moved_entities};
 use external_contact_model::{held_by, modelled_by_others};
 use geometry::Geometry;
 
-/// Most contacts that the collision list carries; the deepest ones stay.
+/// Maximum number of contacts in the collision list; the deepest are kept.
 pub const COLLISIONS_MAX: usize = 256;
-/// Own writes that may still be on their way to the Model, per body.
+/// Maximum number of the controller's own pose writes in flight to the Model, per body.
 const WRITES_IN_FLIGHT: usize = 8;
-/// Longest pause that is caught up with \[s\]; of a longer one the rest is skipped.
+/// Longest pause that is caught up with \[s\]; the rest of a longer pause is skipped.
 const CATCH_UP_SECS_MAX: f64 = 0.2;
-/// Longest time that one tick simulates \[s\], or two of its periods if they are longer. The rest of a pause is left to
-/// the next ticks: a tick that computed all of it at once would be taken for a stall, on a machine that was busy anyway.
+/// Longest time that one tick simulates \[s\], or two of its periods if they are longer. The following ticks catch up
+/// with the rest of a pause: computing it all in one tick would look like a stall, on a machine that was busy anyway.
 const TICK_SECS_MAX: f64 = 0.02;
 
-/// Rigid bodies and instruments as a controller of the scene, by whatever world computes them.
+/// Rigid bodies and instruments as a controller of the scene, generic over the world that simulates them.
 pub struct RigidBodiesController<W: World> {
     me: Entity,
     pub(crate) world: W,
@@ -53,25 +53,25 @@ pub struct RigidBodiesController<W: World> {
     /// Length of one step \[s\].
     step_secs: f64,
     method: Detection,
-    /// Bodies and instruments whose rows it may write, sorted; all if absent.
+    /// Bodies and instruments whose rows it may write, sorted; `None`: all.
     pub(crate) declared: Option<Vec<Entity>>,
-    /// Instruments whose contacts somebody else models, sorted.
+    /// Instruments whose contacts another controller models, sorted.
     modelled_by_others: Vec<Entity>,
-    /// Up to which revision the scene has been looked through.
+    /// Scene revision up to which changes have been read.
     seen: Revision,
-    /// What each body was built from, and the poses written for it lately.
+    /// The components that each body was built from, and the poses recently written for it.
     pub(crate) bodies: BTreeMap<Entity, KnownBody>,
     instruments: BTreeMap<Entity, KnownInstrument>,
-    /// Lists of others, and when each changed.
+    /// Collision lists of other controllers, and when each changed.
     pub(crate) lists: Vec<(Entity, Option<Revision>)>,
     collisions_were_empty: bool,
-    /// Bodies that cannot be simulated, and why, of which the scene has not been told yet.
+    /// Bodies that cannot be simulated, with the reason, not yet reported to the scene.
     newly_frozen: Vec<(Entity, String)>,
-    /// Those of which the scene can be told so: the ones that were there at the start; sorted.
+    /// Bodies for which it may write [`Frozen`](trocar_scene::Frozen): those present at the start; sorted.
     may_be_told_frozen: Vec<Entity>,
-    /// Whether the session knows of soft bodies.
+    /// Whether the session has soft bodies that answer contacts.
     pub(crate) meets_soft_bodies: bool,
-    /// Bodies that soft ones push in this tick.
+    /// Bodies that receive impulses from soft bodies in this tick.
     pub(crate) pushed: Vec<Entity>,
 }
 
@@ -81,27 +81,27 @@ pub(crate) struct KnownBody {
     written: [Option<Pose>; WRITES_IN_FLIGHT],
     next_slot: usize,
     slept: bool,
-    /// Immovable, as it could not be simulated.
+    /// Made immovable, because it could not be simulated.
     pub(crate) frozen: bool,
-    /// What soft bodies are told of it, and whether they have been.
+    /// The state published to soft bodies, and whether it is up to date in the scene.
     pub(crate) contacts: Option<RigidContacts>,
     pub(crate) is_told: bool,
-    /// Before the steps of a tick: how it moved, what soft bodies push it with in them, and where it was.
+    /// Before the steps of a tick: its motion, the wrench from soft bodies during them, and its pose.
     pub(crate) before: Option<([Vector3<f64>; 2], Wrench, Pose)>,
 }
 
 struct KnownInstrument {
     instrument: Instrument,
-    /// When the target, and the model that holds it, changed last.
+    /// Revisions of the last change of the target, and of the contact model that constrains it.
     target_seen: [Option<Revision>; 2],
     grasp: Option<Grasp>,
 }
 
 impl<W: World> RigidBodiesController<W> {
     /// Builds the world from the scene.
-    ///
+    /// Builds the world from the scene.
     /// # Errors
-    /// What the scene or the settings have that cannot be simulated.
+    /// A component or setting that cannot be simulated.
     pub fn new(context: &BuildContext<'_>, settings: W::Settings) -> Result<Self, WorldError> {
         let scheduling = W::scheduling(&settings);
         let modelled_by_others = modelled_by_others(context.scene, &scheduling.contact_models_by_others)?;
@@ -127,12 +127,12 @@ impl<W: World> RigidBodiesController<W> {
         Ok(this)
     }
 
-    /// The world that it steps.
+    /// The world.
     pub fn world(&self) -> &W {
         &self.world
     }
 
-    /// Takes in what changed in the scene since the last time.
+    /// Reads the changes of the scene since the last call.
     fn take_in(&mut self, scene: &Snapshot, period_secs: f64) -> Result<(), WorldError> {
         self.drop_vanished(scene);
         let changed = scene.iter_changed::<RigidBody>(self.seen).map(|(entity, _)| entity);
@@ -202,7 +202,7 @@ impl<W: World> RigidBodiesController<W> {
             if surface_only {
                 return self.world.set_surface(entity, body);
             }
-            // Rebuilt where it is in the world, which may be ahead of the snapshot.
+            // Rebuilt at its pose in the world, which may be ahead of the snapshot.
             let pose = self.world.pose(entity).unwrap_or_else(|| scene.world_pose(entity).into());
             let velocity = self.world.velocity(entity).unwrap_or_default();
             return self.insert(entity, body, &geometry, &pose, &velocity);
@@ -227,7 +227,7 @@ impl<W: World> RigidBodiesController<W> {
         }
         let taken = self.insert(entity, body, &geometry, &pose, &velocity);
         if let Err(WorldError::NoVolume { .. }) = taken {
-            // One body that cannot be is no reason to stop the others.
+            // One body that cannot be simulated does not stop the others.
             self.bodies.insert(entity, known);
             return self.freeze(entity, &pose, WorldError::NoVolume { entity }.to_string());
         }
@@ -235,7 +235,7 @@ impl<W: World> RigidBodiesController<W> {
         taken
     }
 
-    /// Makes a body immovable where it is, as it cannot be simulated, and remembers to say so.
+    /// Makes a body that cannot be simulated immovable at its pose, and queues the report.
     fn freeze(&mut self, entity: Entity, pose: &Pose, reason: String) -> Result<(), WorldError> {
         let known = self.bodies.get_mut(&entity).ok_or(WorldError::Unknown { entity })?;
         known.frozen = true;
@@ -244,7 +244,7 @@ impl<W: World> RigidBodiesController<W> {
         self.insert(entity, &body, &geometry, pose, &Velocity::default())
     }
 
-    /// Brings the world to a time; bodies whose motion is none any more stay behind.
+    /// Advances the world to a time; bodies whose state would become non-finite are frozen.
     fn step_to(&mut self, time: SimTime) -> Result<(), WorldError> {
         while self.world.now() < time {
             let Err(error) = self.world.step() else { continue };
@@ -277,7 +277,7 @@ impl<W: World> RigidBodiesController<W> {
         }
     }
 
-    /// Contacts that others have found, once any of their lists is another one; not those that soft bodies answer.
+    /// Reads detected contacts, if any collision list has changed; without those that soft bodies answer.
     fn take_contacts(&mut self, scene: &Snapshot) {
         if !self.world.has_surfaces() {
             return;
@@ -298,7 +298,7 @@ impl<W: World> RigidBodiesController<W> {
         }
     }
 
-    /// A pose that is none of the world's own is a teleport.
+    /// A pose that the controller has not written itself is a teleport.
     fn take_pose(
         &mut self,
         scene: &Snapshot,
@@ -339,8 +339,8 @@ impl<W: World> RigidBodiesController<W> {
             let (state, hold) = match (self.world.tool(entity), resumed, target) {
                 (Some(tool), _, _) => (tool.state, tool.hold),
                 (None, Some(jaws), _) => (resumed_state(scene, entity, jaws), grasp.map(hold_of)),
-                // A new instrument starts where its hand is, or else where the scenario puts it: a slow world
-                // would otherwise tell haptics of its surroundings a whole tick late.
+                // A new instrument starts at its hand's target, or else at the scenario's pose: with a slow world
+                // haptics would otherwise receive its surroundings a whole tick late.
                 (None, None, Some(target)) => {
                     let opening = JawOpening { angle: target.jaw_angle, ..JawOpening::default() };
                     let state = InstrumentState {
@@ -391,7 +391,7 @@ impl<W: World> Controller for RigidBodiesController<W> {
         self.take_in(scene, tick.period.as_secs_f64())
             .map_err(|error| ControllerError::Scene(error.to_string()))?;
         let step_secs = self.step_secs;
-        // The world is brought up to the time of the tick; how far it is behind says how many steps that takes.
+        // Catch up to the tick's time; the lag determines the number of steps.
         let behind = tick.time.since(self.world.now()).as_secs_f64();
         if behind > CATCH_UP_SECS_MAX {
             let skipped = SimTime::from_secs_f64(behind - CATCH_UP_SECS_MAX);
@@ -400,7 +400,7 @@ impl<W: World> Controller for RigidBodiesController<W> {
         let at_once = (2.0 * tick.period.as_secs_f64()).clamp(TICK_SECS_MAX, CATCH_UP_SECS_MAX);
         let steps = (behind.min(at_once) / step_secs + 1e-6).floor();
         if steps > 0.0 {
-            // Half a step before the last one's end: what a step takes is rounded to whole nanoseconds.
+            // Half a step before the end of the last one: step lengths are rounded to whole nanoseconds.
             let until = self.world.now() + SimTime::from_secs_f64((steps - 0.5) * step_secs);
             let failed = |error: WorldError| ControllerError::Failed(error.to_string());
             self.apply_soft_impulses(scene, steps * step_secs).map_err(failed)?;
@@ -415,19 +415,19 @@ impl<W: World> Controller for RigidBodiesController<W> {
     }
 }
 
-/// A body that nothing moves.
+/// A static copy of a body.
 fn immovable(body: &RigidBody) -> RigidBody {
     RigidBody { motion: Motion::Static, ..body.clone() }
 }
 
-/// The history of a body that has been written by others only.
+/// The write history of a body whose pose only others have written.
 fn first_write(pose: Option<&Pose>) -> [Option<Pose>; WRITES_IN_FLIGHT] {
     let mut written = [None; WRITES_IN_FLIGHT];
     written[0] = pose.copied();
     written
 }
 
-/// The state of an instrument as an earlier life of the world left it in the scene.
+/// The state of an instrument that the world saved in the scene before a restart.
 fn resumed_state(scene: &Snapshot, entity: Entity, jaws: &JawState) -> InstrumentState {
     let mechanism = scene.get::<MechanismState>(entity);
     InstrumentState {

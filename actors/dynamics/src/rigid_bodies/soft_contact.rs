@@ -1,4 +1,5 @@
-//! What rigid bodies are given by soft ones that touch them ([`crate::soft_body::contact::rigid`]): they tell how they give way, and take it.
+//! Rigid side of contacts with soft bodies ([`crate::soft_body::contact::rigid`]): publishes inertia and applies the
+//! soft bodies' impulses.
 
 use trocar_scene::commands::Commands;
 use trocar_scene::components::Motion;
@@ -13,7 +14,8 @@ use crate::soft_body::contact::rigid::motion;
 use crate::soft_body::contact::tracking::answers;
 
 impl<W: World> RigidBodiesController<W> {
-    /// Brings up to date how bodies give way in steps of so many seconds. From when a body has told it soft ones answer for it.
+    /// Publishes the bodies' inertia for steps of this length \[s\]. Once it is published, soft bodies answer the
+    /// contacts.
     pub(crate) fn publish_inertia(&mut self, scene: &Snapshot, period_secs: f64) {
         if !self.meets_soft_bodies || period_secs <= 0.0 {
             return;
@@ -38,22 +40,22 @@ impl<W: World> RigidBodiesController<W> {
             (told.inertia, told.step) = (inertia, period_secs);
             known.is_told = false;
             if told.gives_way() != before {
-                // Another one answers its contacts.
+                // The soft bodies answer these contacts now.
                 self.lists.clear();
             }
         }
     }
 
-    /// Whether a soft body answers for both when it touches that one.
+    /// Whether the soft body of this pair answers the contact for both.
     pub(crate) fn is_answered_for(&self, scene: &Snapshot, one: Entity, other: Entity) -> bool {
         let contacts = self.bodies.get(&one).and_then(|known| known.contacts.as_ref());
         contacts.is_some_and(RigidContacts::gives_way) && answers(scene, other)
     }
 
-    /// Lets soft bodies push in the steps of the next so many seconds.
+    /// Applies the soft bodies' impulses over the steps of the next `secs` seconds.
     ///
     /// # Errors
-    /// A push that is none.
+    /// A non-finite impulse.
     pub(crate) fn apply_soft_impulses(&mut self, scene: &Snapshot, secs: f64) -> Result<(), WorldError> {
         for (entity, known) in &mut self.bodies {
             let Some(told) = known.contacts.as_mut().filter(|told| told.gives_way()) else { continue };
@@ -74,10 +76,10 @@ impl<W: World> RigidBodiesController<W> {
         Ok(())
     }
 
-    /// Nobody pushes any longer, after so many seconds; what else has moved them is looked at.
+    /// Ends the soft bodies' push after `secs` seconds, and estimates the acceleration by everything else.
     ///
     /// # Errors
-    /// A body that is gone.
+    /// A body that was removed.
     pub(crate) fn clear_soft_impulses(&mut self, secs: f64) -> Result<(), WorldError> {
         for (entity, known) in &mut self.bodies {
             let (Some(told), Some((before, push, pose))) = (&mut known.contacts, known.before.take()) else {
@@ -94,7 +96,7 @@ impl<W: World> RigidBodiesController<W> {
         self.pushed.drain(..).try_for_each(|entity| self.world.push(entity, &Wrench::default()))
     }
 
-    /// Tells soft bodies what has changed.
+    /// Writes changed contact states for the soft bodies.
     pub(crate) fn write_given(&mut self, now: SimTime, out: &mut Commands) {
         for (entity, known) in &mut self.bodies {
             if let Some(contacts) = known.contacts.as_mut().filter(|_| !known.is_told) {

@@ -1,4 +1,4 @@
-//! What the controller of rigid bodies tells the scene after its steps: poses, forces on hands, contacts, grasps.
+//! Writes the results of a tick to the scene: poses, forces on hands, contacts, grasps.
 
 use trocar_scene::commands::Commands;
 use trocar_scene::components::{
@@ -39,7 +39,7 @@ impl<W: World> RigidBodiesController<W> {
             if known.body.motion != Motion::Dynamic || undeclared || known.frozen {
                 continue;
             }
-            // What sleeps does not move: its last pose, with no velocity, is written once.
+            // A sleeping body does not move: its last pose, with zero velocity, is written once.
             let sleeps = self.world.is_sleeping(*entity);
             if sleeps && known.slept {
                 continue;
@@ -74,7 +74,7 @@ impl<W: World> RigidBodiesController<W> {
             };
             let state = tool.state;
             let is_modelled = is_modelled(&self.access, entity);
-            // One tick to get there, half a tick for haptics to hear of it.
+            // One tick to get there, half a tick until haptics receive it.
             let obstacle = self.world.obstacle(entity, 1.5 * period_secs);
             out.put(entity, in_parent(scene, entity, state.tip_in_world.into()));
             out.put(entity, state.velocity);
@@ -131,7 +131,7 @@ impl<W: World> RigidBodiesController<W> {
             collisions.sort_by(|a, b| b.depth.total_cmp(&a.depth));
             collisions.truncate(COLLISIONS_MAX);
         }
-        // An empty list that follows an empty list says nothing new.
+        // An empty list need not follow an empty list.
         if collisions.is_empty() && self.collisions_were_empty {
             return;
         }
@@ -141,7 +141,7 @@ impl<W: World> RigidBodiesController<W> {
     }
 }
 
-/// A pose in world as the entity's row has it: relative to its parent, if it has one.
+/// A world pose as the entity's row stores it: relative to its parent, if it has one.
 fn in_parent(scene: &Snapshot, entity: Entity, world_from_entity: Pose) -> Pose {
     match scene.get::<Parent>(entity) {
         Some(parent) => (scene.world_pose(parent.0).inverse() * world_from_entity.isometry()).into(),

@@ -1,4 +1,4 @@
-//! What a world of rigid bodies refuses.
+//! Errors of a world of rigid bodies.
 
 use thiserror::Error;
 use trocar_scene::{ComponentError, ControllerError, Entity};
@@ -26,34 +26,34 @@ pub enum WorldError {
         /// What would be valid.
         valid: &'static str,
     },
-    /// A setting names an instrument that there is none of.
+    /// A setting names an instrument that does not exist.
     #[error("contact_models_by_others: no instrument is called '{name}'; there are: {known}")]
     UnknownInstrument {
-        /// What it says.
+        /// The name in the setting.
         name: String,
-        /// What there is.
+        /// The instruments that exist.
         known: String,
     },
-    /// More instruments than the world admits.
+    /// More instruments than the world allows.
     #[error("{entity}: there are already {max} instruments, which is the limit")]
     TooManyInstruments {
-        /// The instrument that was refused.
+        /// The rejected instrument.
         entity: Entity,
         /// The limit.
         max: usize,
     },
-    /// More bodies than the world admits.
+    /// More bodies than the world allows.
     #[error("{entity}: there are already {max} bodies, which is the limit")]
     TooManyBodies {
-        /// The body that was refused.
+        /// The rejected body.
         entity: Entity,
         /// The limit.
         max: usize,
     },
-    /// A body that falls needs an inside.
+    /// A dynamic body needs a closed surface.
     #[error("{entity}: its surface encloses no volume; a dynamic body needs a closed one, or a shape")]
     NoVolume {
-        /// The body that was refused.
+        /// The rejected body.
         entity: Entity,
     },
     /// The entity is not in the simulation.
@@ -62,11 +62,11 @@ pub enum WorldError {
         /// The entity.
         entity: Entity,
     },
-    /// A step would have taken some to a pose or a velocity that is not a number: they are where they were before it.
-    /// Without them the world can go on.
+    /// A step would have given some bodies a non-finite pose or velocity: they keep their previous state. The world can
+    /// continue without them.
     #[error("a step took {} to a state that is not finite", named(entities))]
     Diverged {
-        /// Bodies and instruments; none where it is not known which.
+        /// These bodies and instruments; empty if they are not known.
         entities: Vec<Entity>,
     },
 }

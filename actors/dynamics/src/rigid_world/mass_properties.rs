@@ -1,11 +1,11 @@
-//! Mass properties of what a closed surface encloses.
+//! Mass properties of the volume enclosed by a surface (Mirtich 1996).
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// A homogeneous solid of mass 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnitSolid {
-    /// What the surface encloses \[m³\].
+    /// Enclosed volume \[m³\].
     pub volume: f64,
     /// Centre of mass \[m\].
     pub centre: Point3<f64>,
@@ -13,17 +13,17 @@ pub struct UnitSolid {
     pub inertia: Matrix3<f64>,
 }
 
-/// Share of the volume of the box around it below which a surface encloses nothing.
+/// Fraction of the bounding box's volume below which a surface encloses nothing.
 const FLAT: f64 = 1e-6;
 
-/// The solid within a closed surface: the sum over the tetrahedra between a point and every triangle, each with its sign
-/// (Mirtich, "Fast and accurate computation of polyhedral mass properties", 1996, whose integrals these are in closed form).
-/// A surface that is turned inside out encloses the same. `None`: it encloses no volume.
+/// The solid within a closed surface: the sum over the signed tetrahedra between a point and each triangle (Mirtich,
+/// "Fast and accurate computation of polyhedral mass properties", 1996, whose integrals these are in closed form). An
+/// inverted surface gives the same result. `None`: it encloses no volume.
 #[must_use]
 pub fn enclosed(vertices: &[Point3<f64>], triangles: &[[u32; 3]]) -> Option<UnitSolid> {
     let first = vertices.first()?;
     let (low, high) = vertices.iter().fold((*first, *first), |(low, high), at| (low.inf(at), high.sup(at)));
-    // About a point in the middle: far from the origin the sums would cancel.
+    // About the centre of the bounding box: far from the origin the sums would cancel.
     let middle = nalgebra::center(&low, &high);
     let mut six_volumes = 0.0;
     let mut first_moment = Vector3::zeros();
@@ -40,7 +40,7 @@ pub fn enclosed(vertices: &[Point3<f64>], triangles: &[[u32; 3]]) -> Option<Unit
     }
     let volume = six_volumes / 6.0;
     let size = high - low;
-    // Written so that a NaN encloses nothing.
+    // Written so that NaN counts as no volume.
     let encloses = volume.abs() > FLAT * size.x * size.y * size.z;
     if !encloses {
         return None;
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
     use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 
-    /// A box of these edges with a corner at the origin.
+    /// A box with these edge lengths and a corner at the origin.
     fn cuboid(size: Vector3<f64>) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
         let corner = |i: usize| {
             let bit = |k: usize| (i >> k & 1) as f64;
@@ -84,7 +84,7 @@ mod tests {
                 let turn = turn.to_rotation_matrix();
                 let expected = turn.matrix() * Matrix3::from_diagonal(&own) * turn.matrix().transpose();
                 assert!((solid.inertia - expected).norm() < 1e-12 * expected.norm().max(1.0));
-                // Inside out.
+                // Inverted.
                 triangles.iter_mut().for_each(|corners| corners.swap(1, 2));
             }
         }

@@ -1,4 +1,4 @@
-//! What a world of rigid bodies and instruments does, whoever computes it.
+//! Interface of a world of rigid bodies and instruments, independent of its solver.
 
 pub(crate) mod error;
 pub mod mass_properties;

@@ -1,4 +1,5 @@
-//! What a world of rigid bodies and instruments does, whoever computes it: the controller of rigid bodies schedules any.
+//! Interface of a world of rigid bodies and instruments, independent of its solver; the rigid-body controller schedules
+//! any.
 
 use nalgebra::{Matrix3, Point3};
 use serde::{Deserialize, Serialize};
@@ -16,73 +17,74 @@ use crate::instrument::local_model::Obstacle;
 use crate::instrument::state::InstrumentState;
 use crate::instrument::target_track::TargetTrack;
 
-/// A world's own floor reports its contacts under this entity.
+/// The entity under which the world's own floor reports its contacts.
 pub const FLOOR: Entity = Entity::of_writer(u16::MAX, u16::MAX);
 
-/// What the controller of a world has to know of its settings.
+/// Settings that the controller of a world needs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scheduling {
     /// Length of one step \[s\].
     pub substep_secs: f64,
-    /// By which method it finds contacts.
+    /// Its contact detection method.
     pub method: Detection,
     /// Whether it claims the poses of all entities rather than of those that are dynamic at its start.
     pub claims_all_poses: bool,
-    /// Names of instruments whose contacts somebody else models.
+    /// Names of instruments whose contacts another controller models.
     pub contact_models_by_others: Vec<String>,
 }
 
-/// How a body gives way to impulses.
+/// Mass properties of a body, as seen by impulses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Inertia {
-    /// One over its mass \[1/kg\]; 0: it does not.
+    /// Inverse mass \[1/kg\]; 0: immovable.
     pub mass_inverse: f64,
-    /// Its centre of mass, in its own frame \[m\].
+    /// Centre of mass, in the body's frame \[m\].
     pub centre_in_body: Point3<f64>,
-    /// The inverse of its inertia about that, in its own axes \[1/(kg·m²)\].
+    /// Inverse inertia tensor about the centre of mass, in the body's axes \[1/(kg·m²)\].
     pub inertia_inverse_in_body: Matrix3<f64>,
 }
 
 /// An instrument in a world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ToolView {
-    /// Where it is, and how it moves.
+    /// Pose, velocity and jaw opening.
     pub state: InstrumentState,
-    /// The coupling to its hand, in effect.
+    /// The virtual coupling to its hand.
     pub coupling: VirtualCoupling,
-    /// What it holds by opposing contacts of both jaws.
+    /// The body that it holds by opposing contacts of both jaws.
     pub hold: Option<Hold>,
     /// Normal force on the pads of jaw A and jaw B in the last step \[N\].
     pub pad_force: [f64; 2],
-    /// The last two samples of its hand.
+    /// The last two target samples of its hand.
     pub track: TargetTrack,
 }
 
-/// Rigid bodies and instruments, one step at a time. No scene, no actor, no clock: worlds of one kind that are given the same
-/// calls hold the same bits.
+/// Rigid bodies and instruments, advanced one step at a time. No scene, no actor, no clock: two worlds of one type that
+/// receive the same calls have bit-identical states.
 pub trait World: Send + Sized + 'static {
-    /// What it is made with.
+    /// Its settings.
     type Settings;
 
-    /// An empty world that stands at `now`.
+    /// An empty world at time `now`.
     ///
     /// # Errors
     /// A setting that is out of range.
     fn new(settings: Self::Settings, now: SimTime) -> Result<Self, WorldError>;
-    /// What its controller has to know of the settings.
+    /// The settings that its controller needs.
     fn scheduling(settings: &Self::Settings) -> Scheduling;
-    /// The time at which it stands.
+    /// The current simulation time.
     fn now(&self) -> SimTime;
-    /// Sets the time without simulating what lies between.
+    /// Sets the time without simulating the interval.
     fn skip_to(&mut self, time: SimTime);
     /// Advances by one step.
     ///
     /// # Errors
-    /// [`WorldError::Diverged`]: with those that it names made immovable the world can go on; with none it cannot.
+    /// [`WorldError::Diverged`]: the world can continue once the named bodies are made immovable; with none named it
+    /// cannot.
     fn step(&mut self) -> Result<(), WorldError>;
 
-    /// Adds a body, in place of the one that the entity had.
+    /// Adds a body; replaces the entity's previous one.
     ///
     /// # Errors
     /// A component that is out of range; too many bodies.
@@ -94,7 +96,7 @@ pub trait World: Send + Sized + 'static {
         pose: &Pose,
         velocity: &Velocity,
     ) -> Result<(), WorldError>;
-    /// Adds a body that is a surface, whose contacts others find ([`World::set_detected_contacts`]).
+    /// Adds a body with a surface mesh, whose contacts external detectors find ([`World::set_detected_contacts`]).
     ///
     /// # Errors
     /// As [`World::insert_body`]; a dynamic body whose surface encloses nothing.
@@ -106,7 +108,7 @@ pub trait World: Send + Sized + 'static {
         pose: &Pose,
         velocity: &Velocity,
     ) -> Result<(), WorldError>;
-    /// Adds an instrument, in place of the one that the entity had; `hold` is what it holds already.
+    /// Adds an instrument; replaces the entity's previous one. `hold` is a grasp to resume.
     ///
     /// # Errors
     /// A component that is out of range; too many instruments.
@@ -117,9 +119,9 @@ pub trait World: Send + Sized + 'static {
         state: &InstrumentState,
         hold: Option<Hold>,
     ) -> Result<(), WorldError>;
-    /// Takes a body or an instrument away; whether there was one.
+    /// Removes a body or an instrument. Returns whether it existed.
     fn remove(&mut self, entity: Entity) -> bool;
-    /// Puts a body somewhere else, at the given velocity. A kinematic body travels there within `travel_secs`.
+    /// Moves a body to a pose, at the given velocity. A kinematic body moves there within `travel_secs`.
     ///
     /// # Errors
     /// A pose or velocity that is out of range; no such body.
@@ -135,50 +137,50 @@ pub trait World: Send + Sized + 'static {
     /// # Errors
     /// A component that is out of range; no such body.
     fn set_surface(&mut self, entity: Entity, body: &RigidBody) -> Result<(), WorldError>;
-    /// Gives an instrument the last two samples that another world had of its hand.
+    /// Restores an instrument's last two target samples, saved by another world.
     ///
     /// # Errors
     /// A target that is out of range; no such instrument.
     fn set_track(&mut self, entity: Entity, track: TargetTrack) -> Result<(), WorldError>;
-    /// Tells an instrument where its hand wants it.
+    /// Sets the target pose of an instrument.
     ///
     /// # Errors
     /// A target that is out of range; no such instrument.
     fn set_target(&mut self, entity: Entity, target: InstrumentTarget) -> Result<(), WorldError>;
-    /// Whether somebody else finds contacts of any of its bodies.
+    /// Whether external detectors find contacts of any of its bodies.
     fn has_surfaces(&self) -> bool;
-    /// Contacts that others have found, in the place of those before.
+    /// Replaces all detected contacts.
     fn set_detected_contacts<'a>(&mut self, found: impl IntoIterator<Item = &'a Collision>);
 
-    /// Pushes a body in all steps until it is pushed otherwise: a force \[N\], and its torque about the origin of the world
-    /// \[N·m\]. One that sleeps wakes.
+    /// Applies a constant wrench to a body from the next step on, until the next call: force \[N\], and torque about
+    /// the world origin \[N·m\]. A sleeping body wakes.
     ///
     /// # Errors
-    /// No such body; a force that is none.
+    /// No such body; a non-finite force.
     fn push(&mut self, entity: Entity, push: &Push) -> Result<(), WorldError>;
-    /// How a body gives way; `None` where it does not or there is none.
+    /// Mass properties of a body as seen by contacts; `None` for an immovable or unknown body.
     fn inertia(&self, entity: Entity) -> Option<Inertia>;
 
     /// `world_from_body` of a body or an instrument.
     fn pose(&self, entity: Entity) -> Option<Pose>;
     /// Velocity of the origin of a body or an instrument.
     fn velocity(&self, entity: Entity) -> Option<Velocity>;
-    /// Whether a body rests and costs nothing.
+    /// Whether a body sleeps (rests, and costs no computation).
     fn is_sleeping(&self, entity: Entity) -> bool;
     /// An instrument.
     fn tool(&self, entity: Entity) -> Option<ToolView>;
-    /// The wrench that an instrument exerts on its hand, about the tip, in world axes, averaged over the steps since this was
-    /// last asked.
+    /// The wrench that an instrument exerts on its hand, about the tip, in world axes, averaged over the steps since
+    /// the last call.
     fn take_wrench_on_hand(&mut self, entity: Entity) -> Option<Wrench>;
-    /// The first fixed surface that an instrument meets within `horizon_secs`.
+    /// The first fixed surface that an instrument reaches within `horizon_secs`.
     fn obstacle(&self, entity: Entity, horizon_secs: f64) -> Option<Obstacle>;
     /// The contacts of the last step between bodies of which at least one is awake, in canonical order.
     fn contacts(&mut self) -> &[Contact];
-    /// Deepest penetration of any pair after any step \[m\].
+    /// Maximum penetration depth of any pair after any step \[m\].
     fn penetration_max(&self) -> f64;
 }
 
-/// Refuses a component that is out of range.
+/// Rejects a component that is out of range.
 ///
 /// # Errors
 /// [`WorldError::InvalidComponent`].

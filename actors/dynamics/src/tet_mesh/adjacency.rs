@@ -1,26 +1,26 @@
-//! Who is about each node: what follows a mesh where it has changed asks for nothing else of it.
+//! Node-to-element adjacency, updated incrementally when a mesh changes.
 
-/// Elements about each node, ascending: triangles or tetrahedra that are there.
+/// Present elements at each node, ascending: triangles or tetrahedra.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Stars {
     about: Vec<Vec<u32>>,
 }
 
 impl Stars {
-    /// Of elements by their numbers, ascending, over so many nodes; a node that there is none of is one more.
+    /// From numbered elements, in ascending order, and the node count; a node beyond it is added.
     pub fn new<const N: usize>(nodes: usize, elements: impl Iterator<Item = (u32, [u32; N])>) -> Self {
         let mut stars = Self { about: vec![Vec::new(); nodes] };
         elements.for_each(|(element, corners)| stars.add(element, &corners));
         stars
     }
 
-    /// The elements about a node; none about one that there is none of.
+    /// The elements at a node; empty for an unknown node.
     #[must_use]
     pub fn about(&self, node: u32) -> &[u32] {
         self.about.get(node as usize).map_or(&[], Vec::as_slice)
     }
 
-    /// An element that there is now.
+    /// Adds an element.
     pub fn add(&mut self, element: u32, corners: &[u32]) {
         let nodes = corners.iter().map(|&node| node as usize + 1).max().unwrap_or(0);
         if self.about.len() < nodes {
@@ -34,7 +34,7 @@ impl Stars {
         }
     }
 
-    /// An element that there is no longer.
+    /// Removes an element.
     pub fn remove(&mut self, element: u32, corners: &[u32]) {
         for &node in corners {
             let Some(star) = self.about.get_mut(node as usize) else { continue };

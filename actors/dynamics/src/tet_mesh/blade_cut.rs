@@ -1,10 +1,10 @@
-//! Cutting a volume along whatever path a blade takes. Edges that the blade's edge passes through between two ticks get a node
-//! where it does; where that would make too small or too flat an element, the path goes through the nearer end instead.
-//! Nodes on the path are marked, with the plane of the path there. Once the three nodes of a face are, and the path
-//! passes between the elements on its two sides, the face opens.
+//! Cutting a tetrahedral mesh along an arbitrary blade path. An edge that the blade crosses between two ticks is split
+//! at the crossing; if that would make an element too small or too flat, the path snaps to the nearer end node instead.
+//! Nodes on the path are marked with the path's local plane. Once all three nodes of a face are marked, and the path
+//! passes between the face's two elements, the face opens.
 //!
-//! So a blade that ends within an element leaves it whole until the blade goes on, and faces open behind it: no farther ahead than
-//! it has come, and behind it no element bridges the slit.
+//! So a blade that stops within an element leaves it whole until the blade goes on. Faces open behind the blade: never
+//! ahead of it, and no element bridges the slit behind it.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,47 +15,47 @@ use super::topology::{Birth, FaceOf, Volume, VolumeChange, VolumeError};
 use super::{Sweep, mean_ratio, shape};
 use trocar_scene::mesh::tet_faces::OPPOSITE;
 
-/// Parts of the mean edge than which no edge becomes shorter.
+/// Shortest edge, as a fraction of the mean edge length.
 const EDGE_SHARE_MIN: f64 = 0.2;
-/// The least mean ratio of elements that are made; of what is flatter already, no less.
+/// Minimum mean ratio of new elements; where the element is flatter already, its own.
 const MEAN_RATIO_MIN: f64 = 0.05;
-/// Cosine between planes that belong to one path.
+/// Minimum cosine between planes of the same path.
 const ALIGNED: f64 = 0.5;
-/// Elements beyond which nothing is halved any more.
+/// Element count above which no edge is split any more.
 const TETS_MAX: usize = 1 << 20;
 
 /// A node on the path of a blade.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mark {
-    /// Which.
+    /// The node.
     pub node: u32,
-    /// Normal of the path there, at rest.
+    /// Normal of the path at the node, in the rest shape.
     pub normal_in_rest: Vector3<f64>,
-    /// How far above the path the node is at rest \[m\]: what was too near to be halved is not quite on it.
+    /// Height of the node above the path at rest \[m\]: a node that the path snapped to is not exactly on it.
     pub height: f64,
 }
 
-/// What is known of paths that are not done yet.
+/// State of unfinished cuts.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Slit {
     /// By node, ascending.
     pub marks: Vec<Mark>,
-    /// Shortest edge that is made \[m\]; 0 before the first cut.
+    /// Shortest edge that a split may create \[m\]; 0 before the first cut.
     pub edge_min: f64,
 }
 
-/// Where the nodes are \[m\], and how far each has moved since the blades were where the sweeps begin \[m\].
+/// Current node positions \[m\], and their displacements since the beginning of the sweeps \[m\].
 #[derive(Clone, Debug, Default)]
 pub struct Moving {
-    /// Now.
+    /// Current positions.
     pub positions: Vec<Point3<f64>>,
-    /// Since then.
+    /// Displacements since then.
     pub moved: Vec<Vector3<f64>>,
 }
 
 impl Moving {
-    /// New nodes are where, and have moved as, what is between the ones that they come from.
+    /// Interpolates position and displacement of new nodes from their parent nodes.
     pub fn follow(&mut self, born: &[Birth]) {
         for birth in born {
             self.positions.push(birth.mix(&self.positions, |a, b, share| a + (b - a) * share));
@@ -78,7 +78,7 @@ impl Slit {
     }
 }
 
-/// Where a blade passes through an edge.
+/// Intersection of an edge with a blade's path.
 struct Crossing {
     share: f64,
     /// Distances of the two ends from the blade's path \[m\].
@@ -87,10 +87,10 @@ struct Crossing {
 }
 
 impl Volume {
-    /// Cuts where blades have swept. What it does is added to `change`; `nodes` follow.
+    /// Cuts along the sweeps. Adds the changes to `change` and updates `nodes`.
     ///
     /// # Errors
-    /// The mesh has grown as far as it may; then nothing has changed.
+    /// The mesh has reached its maximum size; nothing has changed then.
     pub fn cut(
         &mut self,
         nodes: &mut Moving,
@@ -125,7 +125,7 @@ impl Volume {
                 if edge.iter().any(is_on_path) {
                     continue;
                 }
-                // Others have been halved meanwhile.
+                // Other edges have been split meanwhile.
                 let born = change.born.len();
                 let quality = self.quality_of_halves(edge, crossing.share);
                 let node = if quality < MEAN_RATIO_MIN.min(self.quality_about(edge)) {
@@ -145,7 +145,7 @@ impl Volume {
         change.renamed.extend(opened.renamed);
         change.born.extend(opened.born);
         nodes.follow(&change.born[born..]);
-        // Where it has come apart, the path has passed.
+        // Where the mesh has come apart, the path has passed.
         for birth in &change.born[born..] {
             slit.marks.retain(|mark| mark.node != birth.of[0]);
         }
@@ -160,7 +160,7 @@ impl Volume {
         if count > 0.0 { sum / count } else { 0.0 }
     }
 
-    /// Edges that a blade has passed through on its way, each in the order of its ends.
+    /// Edges that the blades have crossed, each in the order of its ends.
     fn crossings(&self, nodes: &Moving, sweep: &Sweep) -> BTreeMap<[u32; 2], Crossing> {
         let reach = nodes.moved.iter().map(Vector3::norm).fold(0.0, f64::max);
         let ends = || sweep.before.iter().chain(&sweep.after);
@@ -193,7 +193,7 @@ impl Volume {
 
     fn crossing(&self, edge: [u32; 2], tet: u32, nodes: &Moving, sweep: &Sweep) -> Option<Crossing> {
         let [from, to] = edge.map(|node| nodes.positions[node as usize]);
-        // The blade's way through the tissue begins where that has been taken since.
+        // The blade's path relative to the tissue: the tissue's own motion is subtracted.
         let moved = edge.map(|node| nodes.moved[node as usize]);
         let moved = (moved[0] + moved[1]) / 2.0;
         let (before, after) = (sweep.before.map(|end| end + moved), sweep.after);
@@ -207,7 +207,7 @@ impl Volume {
         Some(Crossing { share, distances, normal_in_rest })
     }
 
-    /// The end that an edge is cut at rather than between its ends, if it is.
+    /// The end node that a crossing snaps to, if the edge is not to be split.
     fn snap(&self, [a, b]: [u32; 2], crossing: &Crossing, edge_min: f64) -> Option<usize> {
         let length = (self.rest[b as usize] - self.rest[a as usize]).norm();
         let [from, to] = [crossing.share * length, (1.0 - crossing.share) * length];
@@ -227,14 +227,14 @@ impl Volume {
         let place = a + (b - a) * crossing.share;
         let normal_in_rest = crossing.normal_in_rest;
         let height = normal_in_rest.dot(&(self.rest[node as usize] - place));
-        // The nearest of several planes is the one that it is on.
+        // Of several planes the node keeps the nearest one.
         let known = slit.find(node).filter(|mark| mark.height.abs() <= height.abs());
         if !known.is_some_and(|mark| mark.normal_in_rest.dot(&normal_in_rest).abs() > ALIGNED) {
             slit.put(Mark { node, normal_in_rest, height });
         }
     }
 
-    /// Faces with three marked nodes, one of them just now, between whose elements the path passes.
+    /// Faces with three marked nodes, at least one of them new, whose two elements the path separates.
     fn passed(&self, marked: &BTreeSet<u32>, slit: &Slit) -> Vec<FaceOf> {
         let about: BTreeSet<u32> =
             marked.iter().flat_map(|&node| self.around[node as usize].iter().copied()).collect();
@@ -249,7 +249,7 @@ impl Volume {
                 let [Some(one), Some(two), Some(three)] = marks else { continue };
                 if self.passes_between([one, two, three], &nodes, &beyond) {
                     let back = self.neighbours[next as usize].iter().position(|side| *side == Some(tet));
-                    // One side of it is enough.
+                    // One of its two sides suffices.
                     let other = (next, back.unwrap_or_default() as u8);
                     faces.insert((tet, corner as u8).min(other));
                 }
@@ -258,7 +258,7 @@ impl Volume {
         faces.into_iter().collect()
     }
 
-    /// Whether the path, as the nodes of a face know it, has the elements on the two sides of the face on its own two sides.
+    /// Whether the path, by the marks of a face's nodes, separates the two elements at the face.
     fn passes_between(&self, marks: [&Mark; 3], tet: &[u32; 4], beyond: &[u32; 4]) -> bool {
         let planes = marks.map(|mark| {
             let sign = if mark.normal_in_rest.dot(&marks[0].normal_in_rest) < 0.0 { -1.0 } else { 1.0 };
@@ -286,8 +286,8 @@ fn edges_of([a, b, c, d]: [u32; 4]) -> [[u32; 2]; 6] {
     [[a, b], [a, c], [a, d], [b, c], [b, d], [c, d]].map(|[x, y]| if x < y { [x, y] } else { [y, x] })
 }
 
-/// Where the way from one point to another leads through a triangle: the share of the way, the triangle's normal, and how far
-/// both are from its plane \[m\].
+/// Intersection of a segment with a triangle: the position along the segment as a fraction, the triangle's normal, and
+/// the distances of both ends from its plane \[m\].
 fn through(
     from: &Point3<f64>,
     to: &Point3<f64>,
@@ -296,7 +296,7 @@ fn through(
     let way = to - from;
     let normal = (b - a).cross(&(c - a)).try_normalize(0.0)?;
     let heights = [normal.dot(&(from - a)), normal.dot(&(to - a))];
-    // Half open: what lies on the surface belongs to one side of it.
+    // Half open: a point on the surface belongs to one side of it.
     if (heights[0] < 0.0) == (heights[1] < 0.0) {
         return None;
     }

@@ -1,5 +1,5 @@
-//! Boxes of regular cells, each cut into six tetrahedra about one diagonal (Kuhn 1960): what tests and procedural
-//! scenes begin with.
+//! Box meshes of regular cells, each cut into six tetrahedra around one diagonal (Kuhn 1960), for tests and procedural
+//! scenes.
 
 use nalgebra::{Point3, Vector3};
 
@@ -8,7 +8,7 @@ use nalgebra::{Point3, Vector3};
 pub struct BoxCells {
     /// Cells along x, y, z.
     pub cells: [usize; 3],
-    /// Size of the whole \[m\].
+    /// Size of the box \[m\].
     pub size: Vector3<f64>,
     /// Its smallest corner \[m\].
     pub origin: Point3<f64>,
@@ -23,8 +23,8 @@ impl BoxCells {
     }
 }
 
-/// Nodes and positively oriented elements of a box, six to a cell, all about the diagonal from its smallest to its
-/// largest corner, so that neighbours share faces.
+/// Nodes and positively oriented elements of a box, six per cell, all around the diagonal from its smallest to its
+/// largest corner, so that neighbouring cells share faces.
 #[must_use]
 pub fn box_cells(grid: &BoxCells) -> (Vec<Point3<f64>>, Vec<[u32; 4]>) {
     const SIX: [[usize; 4]; 6] =

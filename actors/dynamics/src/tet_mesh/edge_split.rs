@@ -1,11 +1,11 @@
-//! Halving: a new node on an edge, by which every element about the edge becomes two. Any number of edges, one after the
-//! other, leaves a mesh whose elements meet face to face.
+//! Edge splits: a new node on an edge splits every element at the edge in two. The mesh stays conforming after any
+//! number of splits.
 
 use super::mean_ratio;
 use super::topology::{Birth, Halved, Volume, VolumeChange};
 
 impl Volume {
-    /// The elements about an edge, ascending.
+    /// The elements at an edge, ascending.
     fn about([a, b]: [u32; 2], volume: &Self) -> Vec<u32> {
         let has_both = |tet: &u32| volume.tet(*tet).is_some_and(|nodes| nodes.contains(&b));
         let mut star: Vec<u32> = volume.around[a as usize].iter().copied().filter(has_both).collect();
@@ -13,7 +13,7 @@ impl Volume {
         star
     }
 
-    /// The least mean ratio of the elements that halving an edge would make.
+    /// Minimum mean ratio of the elements that splitting an edge would make.
     pub(super) fn quality_of_halves(&self, [a, b]: [u32; 2], share: f64) -> f64 {
         let between = self.rest[a as usize] + (self.rest[b as usize] - self.rest[a as usize]) * share;
         let mut least = f64::INFINITY;
@@ -26,8 +26,8 @@ impl Volume {
         least
     }
 
-    /// Puts a node a share of the way along an edge. Of every element about the edge the half at the first end keeps the number,
-    /// the other one gets a number behind all others. The new node.
+    /// Inserts a node at a fraction of an edge. Of every element at the edge the half at the first end keeps the
+    /// number; the other half is numbered after all others. Returns the new node.
     pub(super) fn halve(&mut self, [a, b]: [u32; 2], share: f64, change: &mut VolumeChange) -> u32 {
         let node = self.rest.len() as u32;
         let star = Self::about([a, b], self);
@@ -46,7 +46,7 @@ impl Volume {
             for (corner, &at) in nodes.iter().enumerate() {
                 let face = corner as u8;
                 if at == a {
-                    // What lies opposite to the first end is of the other half.
+                    // The face opposite to the first end belongs to the other half.
                     ends[0] = face;
                     halves[0][corner] = Some(child);
                     if let Some(beyond) = sides[corner] {

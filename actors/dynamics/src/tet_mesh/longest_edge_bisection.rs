@@ -1,5 +1,5 @@
-//! Finer elements where they are wanted: bisection of longest edges (Rivara 1984), so that the mesh stays one without
-//! hanging nodes, and no element gets worse than a fixed multiple of those it came from.
+//! Local mesh refinement by longest-edge bisection (Rivara 1984): the mesh stays conforming, and the element quality
+//! degrades by at most a fixed factor.
 
 use nalgebra::Point3;
 use thiserror::Error;
@@ -7,21 +7,21 @@ use thiserror::Error;
 /// Why a mesh was not refined.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum RefineError {
-    /// A corner that is none of the nodes.
+    /// A corner that is not a node.
     #[error("element {tet} has a corner that is none of the {nodes} nodes")]
     Corner {
-        /// Which element.
+        /// The element.
         tet: usize,
-        /// Nodes there are.
+        /// Number of nodes.
         nodes: usize,
     },
-    /// A node that is nowhere.
+    /// A non-finite node position.
     #[error("node {0} is not at a finite place")]
     NotFinite(usize),
-    /// It would be too large.
+    /// The refined mesh would be too large.
     #[error("edges as short as that need more than {nodes_max} nodes")]
     TooMany {
-        /// What is allowed.
+        /// Maximum number of nodes.
         nodes_max: usize,
     },
 }
@@ -29,21 +29,21 @@ pub enum RefineError {
 /// Nodes \[m\] and the corners of elements.
 pub type NodesAndTets = (Vec<Point3<f64>>, Vec<[u32; 4]>);
 
-/// The longest edge of an element; of equals always the same.
+/// The longest edge of an element; ties are broken by node numbers.
 type Edge = (f64, u32, u32);
 
 struct Refinement {
     nodes: Vec<Point3<f64>>,
     tets: Vec<[u32; 4]>,
-    /// Elements about each node.
+    /// Elements at each node.
     around: Vec<Vec<u32>>,
 }
 
-/// Bisects elements until no edge about their middles is longer than `edge_max` says for it \[m\]. Nodes keep their
-/// numbers, new ones follow; elements keep their orientation.
+/// Bisects elements until each one's longest edge is within `edge_max`, evaluated at the element's centroid \[m\].
+/// Nodes keep their numbers, new ones follow; elements keep their orientation.
 ///
 /// # Errors
-/// Corners or places that are none, more than `nodes_max` nodes.
+/// Invalid corners or positions, or more than `nodes_max` nodes.
 pub fn refined(
     nodes: &[Point3<f64>],
     tets: &[[u32; 4]],
@@ -63,7 +63,7 @@ pub fn refined(
         }
     }
     let mut mesh = Refinement { nodes: nodes.to_vec(), tets: tets.to_vec(), around };
-    // Elements that are split are looked at again, and so are their other halves, which come at the end.
+    // Split elements are checked again; their other halves come at the end.
     let mut index = 0;
     while index < mesh.tets.len() {
         let corners = mesh.tets[index].map(|node| mesh.nodes[node as usize].coords);
@@ -89,7 +89,7 @@ impl Refinement {
             for j in i + 1..4 {
                 let (a, b) = (corners[i].min(corners[j]), corners[i].max(corners[j]));
                 let square = (self.nodes[b as usize] - self.nodes[a as usize]).norm_squared();
-                // Equal but for rounding is equal.
+                // Lengths that differ by rounding only count as equal.
                 let longer = longest.is_none_or(|(most, c, d)| {
                     square > most * (1.0 + 1e-9) || (square > most * (1.0 - 1e-9) && (a, b) < (c, d))
                 });
@@ -101,13 +101,14 @@ impl Refinement {
         longest.unwrap_or((0.0, 0, 0))
     }
 
-    /// Elements about an edge.
+    /// Elements at an edge.
     fn star(&self, a: u32, b: u32) -> Vec<u32> {
         let has = |tet: &&u32| self.tets[**tet as usize].contains(&b);
         self.around[a as usize].iter().filter(has).copied().collect()
     }
 
-    /// Splits the longest edge of an element, or that of a neighbour about it, if that is longer, and so on: one bisection.
+    /// One bisection: splits the longest edge of an element, after any neighbour at that edge with a longer one
+    /// (recursively).
     fn bisect(&mut self, tet: usize) {
         let mut edge = self.longest(tet);
         loop {

@@ -1,8 +1,8 @@
-//! A tetrahedral mesh at rest, checked once, as solvers of continua take it: volumes, gradients of the shape functions,
-//! the boundary surface, masses.
+//! A validated tetrahedral mesh at rest, for continuum solvers: volumes, shape-function gradients, boundary surface,
+//! lumped masses.
 //!
-//! Meshes of other people come with bad elements. [`defects`] lists all of them with their numbers, [`TetMesh::new`]
-//! refuses a mesh that has any, [`TetMesh::repaired`] mends what can be mended and says what it did.
+//! Imported meshes have bad elements. [`defects`] lists all of them by number, [`TetMesh::new`] rejects a mesh that has
+//! any, [`TetMesh::repaired`] repairs what it can and reports the changes.
 
 pub(crate) mod adjacency;
 pub(crate) mod blade_cut;
@@ -25,7 +25,7 @@ pub use trocar_scene::mesh::tet_faces::surface;
 pub use trocar_scene::mesh::{BadTets as MeshError, Defect, MeshRules, Repairs, tet_defects as defects};
 pub use trocar_scene::mesh::{mean_ratio, tet_shape as shape};
 
-/// Tetrahedra of positive volume with all that follows from their shape at rest.
+/// Tetrahedra of positive volume, with all quantities that follow from the rest shape.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TetMesh {
     rest: Vec<Point3<f64>>,
@@ -37,10 +37,10 @@ pub struct TetMesh {
 }
 
 impl TetMesh {
-    /// Takes positions at rest \[m\] and positively oriented elements, and looks through all of them.
+    /// Takes rest positions \[m\] and positively oriented elements, and validates them.
     ///
     /// # Errors
-    /// [`MeshError`] with every defect there is.
+    /// [`MeshError`] with all defects.
     pub fn new(rest: &[Point3<f64>], tets: &[[u32; 4]], rules: &MeshRules) -> Result<Self, MeshError> {
         let defects = defects(rest, tets, rules);
         if defects.is_empty() {
@@ -50,12 +50,12 @@ impl TetMesh {
         }
     }
 
-    /// Mends what can be mended: inverted elements are turned, coincident nodes merged, elements without volume, slivers
-    /// and repeated elements dropped, as are nodes that no element uses. The numbering of what stays follows the old.
+    /// Repairs a mesh: reorients inverted elements, merges coincident nodes, drops degenerate elements, slivers and
+    /// duplicates, and nodes that no element uses. The remaining elements and nodes keep their order.
     ///
     /// # Errors
-    /// [`MeshError`] with the defects that cannot be mended: coordinates that are no numbers, corners that do not exist,
-    /// faces of more than two elements, elements that overlap, or nothing left.
+    /// [`MeshError`] with the defects that cannot be repaired: non-finite coordinates, corners that do not exist, faces
+    /// with more than two elements, overlapping elements, or an empty result.
     pub fn repaired(
         rest: &[Point3<f64>],
         tets: &[[u32; 4]],
@@ -65,11 +65,11 @@ impl TetMesh {
         Ok((Self::checked(rest, tets), repairs))
     }
 
-    /// What [`defects`] found nothing in.
+    /// From a mesh in which [`defects`] found nothing.
     fn checked(rest: Vec<Point3<f64>>, tets: Vec<[u32; 4]>) -> Self {
         let shapes: Vec<_> = tets.iter().map(|tet| shape(&rest, tet)).collect();
         let volumes = shapes.iter().map(|shape| shape.determinant() / 6.0).collect();
-        // Not singular: volumes are positive.
+        // Invertible: all volumes are positive.
         let inverse_shapes =
             shapes.iter().map(|shape| shape.try_inverse().unwrap_or_else(Matrix3::zeros)).collect();
         let surface = surface(&tets);
@@ -79,11 +79,11 @@ impl TetMesh {
         Self { rest, tets, volumes, inverse_shapes, surface, surface_nodes }
     }
 
-    /// The same elements, of other corners at the same places: behind the first `known` nodes come ones that are where the nodes
-    /// of `parents` are, each of them before itself.
+    /// The same elements with renumbered corners at the same positions: after the first `known` nodes come duplicates
+    /// of the nodes in `parents`, each parent before its duplicate.
     ///
     /// # Panics
-    /// When there are not as many elements, or corners or parents that there are none of.
+    /// When the number of elements differs, or a corner or parent does not exist.
     #[must_use]
     pub fn parted(&self, known: usize, parents: &[u32], tets: Vec<[u32; 4]>) -> Self {
         assert_eq!(tets.len(), self.tets.len(), "the same elements");
@@ -103,8 +103,8 @@ impl TetMesh {
         &self.rest
     }
 
-    /// Corners of the elements, positively oriented: the fourth lies where the counter-clockwise turn of the first three
-    /// points to.
+    /// Corners of the elements, positively oriented: the fourth lies on the side that the counter-clockwise normal of
+    /// the first three points to.
     #[must_use]
     pub fn tets(&self) -> &[[u32; 4]] {
         &self.tets
@@ -116,7 +116,7 @@ impl TetMesh {
         &self.volumes
     }
 
-    /// Inverses of the matrices of the edges from the first corner at rest \[1/m\]: with the same edges deformed as the
+    /// Inverse rest-edge matrices, of the edges from the first corner \[1/m\]: with the same deformed edges as the
     /// columns of D, D times this is the deformation gradient.
     #[must_use]
     pub fn inverse_shapes(&self) -> &[Matrix3<f64>] {
@@ -132,25 +132,25 @@ impl TetMesh {
         gradients(&self.inverse_shapes[tet])
     }
 
-    /// Triangles of the boundary, counter-clockwise seen from outside, in the order of the elements that they belong to.
+    /// Boundary triangles, counter-clockwise seen from outside, in the order of their elements.
     #[must_use]
     pub fn surface(&self) -> &[[u32; 3]] {
         &self.surface
     }
 
-    /// Nodes of the boundary, ascending.
+    /// Boundary nodes, ascending.
     #[must_use]
     pub fn surface_nodes(&self) -> &[u32] {
         &self.surface_nodes
     }
 
-    /// Volume of the whole \[m³\].
+    /// Total volume \[m³\].
     #[must_use]
     pub fn volume(&self) -> f64 {
         self.volumes.iter().sum()
     }
 
-    /// Mass of each node \[kg\], a quarter of each of its elements', for a density \[kg/m³\].
+    /// Lumped mass of each node \[kg\], a quarter of the mass of each of its elements, for a density \[kg/m³\].
     #[must_use]
     pub fn lumped_masses(&self, density: f64) -> Vec<f64> {
         let mut masses = vec![0.0; self.rest.len()];
@@ -162,8 +162,8 @@ impl TetMesh {
         masses
     }
 
-    /// The element that a point of the rest shape lies in, or is nearest to by its smallest barycentric weight, with the
-    /// weights; `None` for a mesh of no elements. Looks through all elements: for attaching things, not for every step.
+    /// The element that contains a point of the rest shape, or else the nearest by its smallest barycentric weight,
+    /// with the weights; `None` for an empty mesh. Searches all elements: for attaching things, not for every step.
     #[must_use]
     pub fn locate(&self, point: &Point3<f64>) -> Option<(usize, [f64; 4])> {
         let mut best: Option<(usize, [f64; 4], f64)> = None;
@@ -179,7 +179,7 @@ impl TetMesh {
     }
 }
 
-/// Gradients of the shape functions from the inverse of the matrix of edges.
+/// Shape-function gradients from the inverse of the edge matrix.
 pub fn gradients(inverse_shape: &Matrix3<f64>) -> [Vector3<f64>; 4] {
     let [b, c, d] = [0, 1, 2].map(|row| inverse_shape.row(row).transpose());
     [-(b + c + d), b, c, d]

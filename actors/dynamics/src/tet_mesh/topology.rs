@@ -1,6 +1,6 @@
-//! A volume that comes apart: elements are taken out (burned, vaporised), and faces between elements are opened (cut,
-//! torn). What follows from the mesh follows the change, where it is: neighbours, the boundary, shares of volume, and the
-//! nodes, of which every part that hangs by nothing but a node or an edge gets one of its own.
+//! Topology changes of a tetrahedral mesh: elements are removed (burned, vaporised), and faces between elements are
+//! opened (cut, torn). Derived data is updated locally: neighbours, boundary, nodal volumes, and nodes. Parts that stay
+//! connected only by a node or an edge are separated, with duplicate nodes.
 
 use std::collections::BTreeSet;
 
@@ -11,61 +11,61 @@ use thiserror::Error;
 use super::{MeshError, MeshRules, TetMesh};
 use trocar_scene::mesh::tet_faces::{OPPOSITE, faces};
 
-/// A face of an element: the element, and the corner that it is opposite to.
+/// A face of an element: the element, and the corner opposite to the face.
 pub type FaceOf = (u32, u8);
 
-/// Why a volume was not changed.
+/// Why a mesh was not changed.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum VolumeError {
-    /// An element that there is none of, or that is gone.
+    /// An element that does not exist or was removed.
     #[error("element {tet} is not there: {left} of {tets} are left")]
     NoElement {
-        /// Which.
+        /// The element.
         tet: u32,
-        /// Elements there are.
+        /// Elements that are left.
         left: usize,
-        /// Elements there were.
+        /// Elements at the beginning.
         tets: usize,
     },
-    /// A corner of an element that has four.
+    /// A corner other than 0 to 3.
     #[error("face {corner} of element {tet}: 0 to 3 are valid")]
     NoFace {
         /// Which element.
         tet: u32,
-        /// What was named.
+        /// The corner.
         corner: u8,
     },
-    /// The mesh has grown as far as it may.
+    /// The mesh has reached its maximum size.
     #[error("the mesh has {0} elements: it is cut no further")]
     Full(usize),
 }
 
-/// Where a new node comes from: a share of the way from one node to another, which for a node that came apart are the same.
+/// Origin of a new node: a fraction of the way between two nodes, which are equal for a duplicated node.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Birth {
-    /// From and to.
+    /// The two nodes.
     pub of: [u32; 2],
-    /// How far, 0 to 1.
+    /// The fraction, 0 to 1.
     pub share: f64,
 }
 
 impl Birth {
-    /// Of a node that was another one.
+    /// A duplicate of a node.
     pub(super) fn copy(of: u32) -> Self {
         Self { of: [of; 2], share: 0.0 }
     }
 
-    /// What the new node has, by what the two others have; `mix` gives a share of the way from the first to the second.
+    /// Interpolates a nodal value for the new node; `mix` interpolates between two values by a fraction.
     pub fn mix<T>(&self, values: &[T], mix: impl Fn(&T, &T, f64) -> T) -> T {
         let [from, to] = self.of.map(|node| &values[node as usize]);
         mix(from, to, self.share)
     }
 }
 
-/// An element that was halved.
+/// A split element.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Halved {
-    /// Which; its second end is the new node now.
+    /// The element; its second end is the new node now.
     pub tet: u32,
     /// The other half, in which the first end is the new node.
     pub child: u32,
@@ -74,42 +74,42 @@ pub struct Halved {
 }
 
 impl Halved {
-    /// Faces that are halved too: of the element, and the other half of each.
+    /// Faces that are split too: those of the element, each with its other half.
     pub fn faces(&self) -> impl Iterator<Item = (FaceOf, FaceOf)> + '_ {
         let corners = (0..4_u8).filter(|corner| !self.ends.contains(corner));
         corners.map(|corner| ((self.tet, corner), (self.child, corner)))
     }
 
-    /// The face that is of the other half now: what it was, and what it is.
+    /// The face that now belongs to the other half: before and after.
     #[must_use]
     pub fn moved_face(&self) -> [FaceOf; 2] {
         [(self.tet, self.ends[0]), (self.child, self.ends[0])]
     }
 }
 
-/// What a change has done, for those who keep something about the mesh.
+/// The effect of a topology change, for all data attached to the mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VolumeChange {
-    /// Elements that are gone.
+    /// Removed elements.
     pub removed: Vec<u32>,
-    /// New nodes, numbered behind all others in this order.
+    /// New nodes, numbered after all others in this order.
     pub born: Vec<Birth>,
-    /// Elements that were halved, in order.
+    /// Split elements, in order.
     pub halved: Vec<Halved>,
-    /// Elements whose corners are others now, ascending.
+    /// Elements with renumbered corners, ascending.
     pub renamed: Vec<u32>,
-    /// Faces that are of the boundary now and were not.
+    /// Faces that have become boundary faces.
     pub uncovered: Vec<FaceOf>,
-    /// Nodes of elements that were taken out.
+    /// Nodes of removed elements.
     pub loosened: BTreeSet<u32>,
 }
 
-/// Elements that may come apart. They keep their numbers, and so do nodes; new ones are numbered behind them.
+/// A tetrahedral mesh whose topology changes. Elements and nodes keep their numbers; new ones are numbered after them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Volume {
     pub(super) rest: Vec<Point3<f64>>,
     pub(super) tets: Vec<Option<[u32; 4]>>,
-    /// Element beyond the face opposite to each corner.
+    /// The neighbour at the face opposite to each corner.
     pub(super) neighbours: Vec<[Option<u32>; 4]>,
     pub(super) around: Vec<Vec<u32>>,
     pub(super) boundary: BTreeSet<FaceOf>,
@@ -119,7 +119,7 @@ pub struct Volume {
 }
 
 impl Volume {
-    /// Of a mesh.
+    /// From a mesh.
     #[must_use]
     pub fn new(mesh: &TetMesh) -> Self {
         let count = mesh.tets().len();
@@ -159,30 +159,30 @@ impl Volume {
         }
     }
 
-    /// Nodes at rest \[m\], those that no element uses any longer too.
+    /// Rest positions of all nodes \[m\], including those that no element uses any longer.
     #[must_use]
     pub fn rest(&self) -> &[Point3<f64>] {
         &self.rest
     }
 
-    /// Corners of an element; `None` where it is gone.
+    /// Corners of an element; `None` if it was removed.
     #[must_use]
     pub fn tet(&self, tet: u32) -> Option<[u32; 4]> {
         self.tets.get(tet as usize).copied().flatten()
     }
 
-    /// Elements that are there, with their numbers.
+    /// Present elements, with their numbers.
     pub fn tets(&self) -> impl Iterator<Item = (u32, [u32; 4])> {
         self.tets.iter().enumerate().filter_map(|(index, tet)| Some((index as u32, (*tet)?)))
     }
 
-    /// Volume that belongs to each node \[m³\]: a quarter of each of its elements'; times a density, its mass.
+    /// Nodal volume \[m³\]: a quarter of the volume of each of its elements; times the density it is the node's mass.
     #[must_use]
     pub fn shares(&self) -> &[f64] {
         &self.shares
     }
 
-    /// Elements that are there.
+    /// Number of present elements.
     #[must_use]
     pub fn left(&self) -> usize {
         self.left
@@ -193,7 +193,7 @@ impl Volume {
         self.boundary.iter().copied()
     }
 
-    /// Corners of a face, counter-clockwise seen from outside its element; `None` where there is none.
+    /// Corners of a face, counter-clockwise seen from outside its element; `None` if it does not exist.
     #[must_use]
     pub fn face(&self, (tet, corner): FaceOf) -> Option<[u32; 3]> {
         let nodes = self.tet(tet)?;
@@ -211,7 +211,7 @@ impl Volume {
         (0..self.around.len() as u32).filter(|&node| self.around[node as usize].is_empty()).collect()
     }
 
-    /// The mesh as it is now, without elements that are gone and nodes that nothing uses, and which node each of its own is,
+    /// The present mesh, without removed elements and unused nodes, and the original number of each of its nodes,
     /// ascending.
     ///
     /// # Errors
@@ -228,13 +228,13 @@ impl Volume {
         Ok((TetMesh::new(&rest, &tets, &rules)?, used))
     }
 
-    /// How many parts it is in, of elements that hang together by faces.
+    /// Number of parts connected by faces.
     #[must_use]
     pub fn pieces(&self) -> usize {
         self.parts().1
     }
 
-    /// The part of each element that is there, and how many there are.
+    /// The connected part of each present element, and the number of parts.
     fn parts(&self) -> (Vec<Option<u32>>, usize) {
         let mut part = vec![None; self.tets.len()];
         let mut count = 0;
@@ -257,7 +257,7 @@ impl Volume {
         (part, count as usize)
     }
 
-    /// Gives parts that hang together by no face but by nodes, nodes of their own; adds that to a change.
+    /// Duplicates the nodes that connect parts without a shared face; adds this to `change`.
     pub fn separate(&mut self, change: &mut VolumeChange) {
         let (part, _) = self.parts();
         let between =
@@ -267,21 +267,20 @@ impl Volume {
         self.split(nodes, change);
     }
 
-    /// Takes elements out; what hangs by nothing but a node or an edge then, gets nodes of its own.
+    /// Removes elements; parts that are then connected only by a node or an edge get duplicate nodes.
     ///
     /// # Errors
-    /// One of them is not there; then nothing has changed.
+    /// An element is not present; nothing has changed then.
     pub fn remove(&mut self, tets: &[u32]) -> Result<VolumeChange, VolumeError> {
         let mut change = self.take_out(tets)?;
         self.split(change.loosened.clone(), &mut change);
         Ok(change)
     }
 
-    /// Takes elements out and leaves all nodes as they are, those that nothing uses any longer too: a solver need not be
-    /// told of new ones.
+    /// Removes elements and keeps all nodes, including unused ones, so that a solver gets no new nodes.
     ///
     /// # Errors
-    /// One of them is not there; then nothing has changed.
+    /// An element is not present; nothing has changed then.
     pub fn take_out(&mut self, tets: &[u32]) -> Result<VolumeChange, VolumeError> {
         let mut going = tets.to_vec();
         going.sort_unstable();
@@ -303,16 +302,16 @@ impl Volume {
             }
         }
         self.left -= going.len();
-        // Of those that went together, faces between them are of nothing.
+        // Faces between elements that were removed together are no boundary.
         change.uncovered.retain(|(tet, _)| self.tets[*tet as usize].is_some());
         change.removed = going;
         Ok(change)
     }
 
-    /// Opens faces between elements; their nodes part where no other way around leads from side to side.
+    /// Opens faces between elements; their nodes are duplicated where the two sides are not otherwise connected.
     ///
     /// # Errors
-    /// An element that is not there, a corner that there is none of; then nothing has changed.
+    /// An element or a corner does not exist; nothing has changed then.
     pub fn open(&mut self, faces: &[FaceOf]) -> Result<VolumeChange, VolumeError> {
         for &(tet, corner) in faces {
             self.check(tet)?;
@@ -342,7 +341,7 @@ impl Volume {
         }
     }
 
-    /// An element loses a neighbour.
+    /// Removes an element from its neighbour.
     fn part(&mut self, tet: u32, from: u32, change: &mut VolumeChange) {
         let sides = &mut self.neighbours[tet as usize];
         if let Some(corner) = sides.iter().position(|next| *next == Some(from)) {
@@ -352,7 +351,7 @@ impl Volume {
         }
     }
 
-    /// Gives every part of the elements about a node, hanging together by faces at it, a node of its own.
+    /// Gives every face-connected part of the elements at a node its own duplicate of the node.
     fn split(&mut self, nodes: BTreeSet<u32>, change: &mut VolumeChange) {
         let mut renamed = BTreeSet::new();
         for node in nodes {
@@ -396,8 +395,8 @@ impl Volume {
         change.born.push(Birth::copy(node));
     }
 
-    /// Faces between elements that a straight edge has passed between on its way, from `before` to `after` \[m\]: those
-    /// between whose elements' middles the swept surface lies. `positions` of the nodes where they are now \[m\].
+    /// Faces that a straight edge has passed on its way from `before` to `after` \[m\]: those whose two elements'
+    /// centroids the swept surface separates. `positions`: current node positions \[m\].
     #[must_use]
     pub fn swept(
         &self,
@@ -424,8 +423,8 @@ impl Volume {
         found
     }
 
-    /// The face between elements across which the tension is the largest, with that \[Pa\], where `stress` is Cauchy's of
-    /// each element \[Pa\]; the criterion of Rankine: it tears where this is above the strength.
+    /// The interior face with the largest normal stress, and that stress \[Pa\]; `stress`: Cauchy stress of each
+    /// element \[Pa\]. Rankine's criterion: the face tears when the stress exceeds the strength.
     #[must_use]
     pub fn most_pulled(
         &self,
@@ -449,14 +448,14 @@ impl Volume {
     }
 }
 
-/// Whether the way from one point to another leads through a triangle.
+/// Whether a segment crosses a triangle.
 fn crosses(from: &Point3<f64>, to: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> bool {
     let way = to - from;
     let side = |p: &Point3<f64>, q: &Point3<f64>| way.dot(&(p - from).cross(&(q - from)));
     let sides = [side(a, b), side(b, c), side(c, a)];
     let normal = (b - a).cross(&(c - a));
     let heights = [normal.dot(&(from - a)), normal.dot(&(to - a))];
-    // Half open: what lies on the surface belongs to one side of it.
+    // Half open: a point on the surface belongs to one side of it.
     let passes = (heights[0] < 0.0) != (heights[1] < 0.0);
     passes && (sides.iter().all(|s| *s >= 0.0) || sides.iter().all(|s| *s <= 0.0))
 }
