@@ -1,50 +1,50 @@
-//! Nodes of other bodies that take part in a step: what is joined to them, what they keep out.
+//! External nodes in a step: nodes of other bodies that the stepped body is tied to or lies on.
 //!
-//! A guest is a mass point that somebody else moves between steps. Within one it flies by itself, and answers to what the
-//! body does to it with a mobility of its own; the impulses that it was given are told afterwards, so that whoever moves it
-//! can be given the same numbers.
+//! A guest is a mass point that another solver moves between steps. Within a step it moves freely, and responds to the
+//! body's impulses with its own mobility. The impulses are reported afterwards, so that the other solver applies
+//! exactly the same numbers.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::particles::StepError;
 
-/// Where ties name guests, numbers from here on name nodes of the bodies that are stepped together instead.
+/// In ties, numbers from here on refer to nodes of the bodies that are stepped together, not to guests.
 pub const OF_BODY: u32 = 1 << 31;
 
-/// A node of another body: a mass, held by a spring to the path that it would go if the body did to it what it is expected to.
+/// A node of another body: a mass, attached by a spring to its predicted path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GhostNode {
-    /// Where it is \[m\].
+    /// Position \[m\].
     pub position: Point3<f64>,
-    /// How it moves \[m/s\].
+    /// Velocity \[m/s\].
     pub velocity: Vector3<f64>,
-    /// One over its mass \[1/kg\]; 0 where nothing moves it.
+    /// Inverse mass \[1/kg\]; 0: immovable.
     pub mobility: f64,
-    /// What pulls at it \[N\], besides what moves it along its path.
+    /// External force \[N\], in addition to what moves it along its path.
     pub pull: Vector3<f64>,
-    /// Its path.
+    /// Its predicted path.
     pub path: Path,
-    /// Of the spring to the path \[N/m\].
+    /// Stiffness of the spring to the path \[N/m\].
     pub stiffness: f64,
 }
 
-/// A motion that is evenly accelerated for a while, and then even.
+/// A motion with constant acceleration for a while, then with constant velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Path {
-    /// Where it is now \[m\].
+    /// Current position \[m\].
     pub position: Point3<f64>,
-    /// How it moves now \[m/s\].
+    /// Current velocity \[m/s\].
     pub velocity: Vector3<f64>,
-    /// How that changes \[m/s²\].
+    /// Acceleration \[m/s²\].
     pub acceleration: Vector3<f64>,
-    /// For how long \[s\].
+    /// Remaining time of the acceleration \[s\].
     pub lasts: f64,
 }
 
 impl GhostNode {
-    /// One that nothing moves.
+    /// An immovable one.
     #[must_use]
     pub fn as_wall(self) -> Self {
         let path = Path { position: self.position, ..Path::default() };
@@ -58,7 +58,7 @@ impl GhostNode {
         }
     }
 
-    /// Goes on for `h` seconds, in which it is given an impulse \[N·s\].
+    /// Advances by `h` seconds with an impulse \[N·s\].
     pub fn go(&mut self, h: f64, impulse: &Vector3<f64>) {
         let mut path = self.path;
         let (velocity, mobility) = self.flies(h, self.position.coords, self.velocity, &mut path);
@@ -67,8 +67,8 @@ impl GhostNode {
         self.path = path;
     }
 
-    /// Its velocity after a part of a step in which nobody touches it, and how it follows who does \[1/kg\]. The spring to its
-    /// path, which goes on by the part, is as the end of the part has it.
+    /// Its velocity after a substep without contact forces, and its mobility \[1/kg\]. The spring to its path is
+    /// implicit; the path advances by the substep.
     fn flies(&self, h: f64, was: Vector3<f64>, moved: Vector3<f64>, path: &mut Path) -> (Vector3<f64>, f64) {
         let velocity = moved + path.go(h) + self.pull * (self.mobility * h);
         let loose = 1.0 / (1.0 + h * h * self.stiffness * self.mobility);
@@ -78,7 +78,7 @@ impl GhostNode {
 }
 
 impl Path {
-    /// Goes on by `h` seconds; how much faster it is then.
+    /// Advances by `h` seconds; returns the change of velocity.
     pub fn go(&mut self, h: f64) -> Vector3<f64> {
         let change = self.acceleration * h.min(self.lasts);
         self.lasts -= h.min(self.lasts);
@@ -88,123 +88,123 @@ impl Path {
     }
 }
 
-/// A spring and a damper of no length between a node of the body and a place among guests.
+/// A zero-length spring and damper between a node of the body and a point among guests.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tie {
-    /// Which node.
+    /// The node.
     pub node: u32,
-    /// Which guests, or nodes from [`OF_BODY`] on, and the weight of each; their sum is 1.
+    /// The guests, or nodes from [`OF_BODY`] on, with their weights; the sum is 1.
     pub guests: [(u32, f64); 4],
-    /// Force per stretch \[N/m\], above 0.
+    /// Stiffness: force per stretch \[N/m\], above 0.
     pub stiffness: f64,
-    /// Force per velocity of stretching \[N·s/m\].
+    /// Damping \[N·s/m\].
     pub damping: f64,
 }
 
-/// Keeps a node of the body on one side of a triangle of guests, by a spring that pushes and friction.
+/// A contact that keeps a node of the body on one side of a triangle of guests: a one-sided spring with friction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Press {
-    /// Which node.
+    /// The node.
     pub node: u32,
-    /// Which guests, and the weight of each; their sum is 1.
+    /// The guests, with their weights; the sum is 1.
     pub guests: [(u32, f64); 3],
-    /// The place that friction holds it to.
+    /// The point where friction makes it stick.
     pub anchor: [(u32, f64); 3],
-    /// To which side, unit.
+    /// Unit normal towards the allowed side.
     pub normal: Vector3<f64>,
-    /// How far from the triangle it is kept \[m\].
+    /// Distance kept from the triangle \[m\].
     pub thickness: f64,
-    /// Force per depth \[N/m\], above 0.
+    /// Stiffness: force per penetration depth \[N/m\], above 0.
     pub stiffness: f64,
-    /// Coulomb's coefficient.
+    /// Coulomb friction coefficient.
     pub friction: f64,
 }
 
-/// Everything of others that takes part in a step.
+/// All external nodes, ties and contacts of a step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ExternalNodes<'a> {
-    /// Nodes of others.
+    /// Nodes of other bodies.
     pub guests: &'a [GhostNode],
-    /// What joins the body to them.
+    /// Ties between the body and the guests.
     pub ties: &'a [Tie],
-    /// Where it lies on them.
+    /// Contacts with the guests' surface.
     pub presses: &'a [Press],
 }
 
-/// What has become of a guest in a step.
+/// Result of a step for a guest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct GhostMoved {
-    /// Where it is \[m\].
+    /// Position \[m\].
     pub position: Point3<f64>,
-    /// How it moves \[m/s\].
+    /// Velocity \[m/s\].
     pub velocity: Vector3<f64>,
-    /// How far along its path it is.
+    /// Its path, advanced by the step.
     pub path: Path,
-    /// What ties and presses gave it \[N·s\].
+    /// Impulse by ties and contacts \[N·s\].
     pub impulse: Vector3<f64>,
-    /// What work that was \[J\].
+    /// Work of that impulse \[J\].
     pub work: f64,
 }
 
-/// What has become of all of them.
+/// Results of a step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GhostImpulses {
-    /// Of each guest.
+    /// For each guest.
     pub guests: Vec<GhostMoved>,
-    /// Of each tie.
+    /// For each tie.
     pub ties: Vec<Tied>,
-    /// Of each press.
+    /// For each contact.
     pub presses: Vec<Pressed>,
 }
 
-/// What became of a tie.
+/// Result of a step for a tie.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Tied {
     /// Force on the body, averaged over the step \[N\].
     pub force: Vector3<f64>,
-    /// What it took from all motion and did not keep \[J\]: by damping, by implicit steps.
+    /// Dissipated energy \[J\]: by damping and by implicit integration.
     pub lost: f64,
 }
 
-/// What became of a press.
+/// Result of a step for a contact.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pressed {
     /// Force on the body, averaged over the step \[N\].
     pub force: Vector3<f64>,
-    /// Whether it pressed at the end.
+    /// Whether it was active at the end.
     pub holds: bool,
-    /// Whether it slid then.
+    /// Whether it was sliding at the end.
     pub slides: bool,
-    /// How far ahead of the node friction draws it then \[m\].
+    /// Displacement of the tangential spring ahead of the node \[m\].
     pub drawn: Vector3<f64>,
-    /// What it took from all motion and did not keep \[J\]: by friction, by implicit steps.
+    /// Dissipated energy \[J\]: by friction and by implicit integration.
     pub lost: f64,
 }
 
-/// What becomes of a company in a step, and room for it.
+/// Work arrays and results of a step with external nodes.
 #[derive(Clone, Debug, Default)]
 pub struct ExternalNodesState {
     /// Guests as nodes.
     places: Vec<[f64; 4]>,
-    /// Where they were when the part began.
+    /// Their positions at the beginning of the substep.
     before: Vec<[f64; 4]>,
-    /// Which node each tie holds.
+    /// The node of each tie.
     tied: Vec<u32>,
-    /// What ties and presses gave them in the part \[N·s\].
+    /// Impulses by ties and contacts in the substep \[N·s\].
     given: Vec<Vector3<f64>>,
-    /// Multipliers of the part \[N·s²\]: of ties, of presses along the normal and across it.
+    /// Lagrange multipliers of the substep \[N·s²\]: of ties, and of contacts in normal and tangential direction.
     ties: Vec<Vector3<f64>>,
     presses: Vec<(f64, Vector3<f64>)>,
-    /// How far apart what they join is when the part begins \[m\]: ties, then presses.
+    /// Separation at the beginning of the substep \[m\]: ties, then contacts.
     aparts: Vec<Vector3<f64>>,
     moved: GhostImpulses,
 }
 
-/// All nodes that take part in a part of a step, those of one body after another's, and guests.
+/// All nodes of a substep: those of one body after another, then the guests.
 pub(crate) struct Places<'a> {
     pub bodies: Vec<&'a mut [[f64; 4]]>,
     pub guests: &'a mut [[f64; 4]],
-    /// One over the squared part \[1/s²\].
+    /// One over the squared substep \[1/s²\].
     pub rate: f64,
 }
 
@@ -224,7 +224,7 @@ impl Places<'_> {
         if number < OF_BODY { &mut self.guests[number as usize] } else { self.body(number - OF_BODY) }
     }
 
-    /// How far a node is from a place among guests, and how the two yield to what pulls at them \[1/kg\].
+    /// Separation of a node from a point among guests, and the sum of their mobilities \[1/kg\].
     fn apart<const N: usize>(&mut self, node: u32, guests: &[(u32, f64); N]) -> (Vector3<f64>, f64) {
         let [x, y, z, mut yields] = *self.body(node);
         let mut apart = Vector3::new(x, y, z);
@@ -247,20 +247,20 @@ impl Places<'_> {
 }
 
 impl ExternalNodesState {
-    /// What has become of everybody in the last step.
+    /// Results of the last step.
     #[must_use]
     pub fn moved(&self) -> &GhostImpulses {
         &self.moved
     }
 
-    /// Before a step of which nobody knows yet whether it can be made.
+    /// Resets the results, before a step that may fail.
     pub fn forget(&mut self) {
         self.moved.guests.clear();
         self.moved.ties.clear();
         self.moved.presses.clear();
     }
 
-    /// What ties exerted on these nodes (ascending) in the last step \[N\].
+    /// Force of the ties on these nodes (ascending) in the last step \[N\].
     pub fn pull_on(&self, nodes: &[u32]) -> Vector3<f64> {
         let held =
             self.tied.iter().zip(&self.moved.ties).filter(|(node, _)| nodes.binary_search(node).is_ok());
@@ -269,10 +269,10 @@ impl ExternalNodesState {
 }
 
 impl ExternalNodes<'_> {
-    /// Looks through it, for bodies of so many nodes, a spare one of each counted.
+    /// Validates it for bodies with this many nodes, a spare node of each counted.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// The invalid entry.
     pub fn check(&self, nodes: usize) -> Result<(), StepError> {
         let wrong = |what, index, problem| Err(StepError::Input { what, index, problem });
         let guests = self.guests.len();
@@ -322,7 +322,7 @@ impl ExternalNodes<'_> {
         Ok(())
     }
 
-    /// At the beginning of a step.
+    /// Prepares a step.
     pub fn prepare(&self, scratch: &mut ExternalNodesState) {
         scratch.places.clear();
         scratch.places.extend(self.guests.iter().map(|guest| {
@@ -345,7 +345,7 @@ impl ExternalNodes<'_> {
         scratch.tied.extend(self.ties.iter().map(|tie| tie.node));
     }
 
-    /// At the beginning of a part of length `h` \[s\], before anything has moved.
+    /// Begins a substep of length `h` \[s\], before anything has moved.
     pub fn begin(&self, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState) {
         let ExternalNodesState { places, before, aparts, given, ties, presses, .. } = scratch;
         before.clone_from(places);
@@ -361,7 +361,7 @@ impl ExternalNodes<'_> {
         presses.resize(self.presses.len(), (0.0, Vector3::zeros()));
     }
 
-    /// Ghost nodes go on by themselves.
+    /// Predicts the guests' positions.
     pub fn predict(&self, h: f64, scratch: &mut ExternalNodesState) {
         let moving = self.guests.iter().zip(&mut scratch.moved.guests);
         for (place, (guest, moved)) in scratch.places.iter_mut().zip(moving) {
@@ -372,7 +372,7 @@ impl ExternalNodes<'_> {
         }
     }
 
-    /// One iteration.
+    /// One constraint iteration.
     pub fn project(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState) {
         let ExternalNodesState { places, aparts, ties, presses, .. } = scratch;
         let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
@@ -408,12 +408,12 @@ impl ExternalNodes<'_> {
         }
     }
 
-    /// At the end of a part.
+    /// Ends a substep.
     pub fn end(&self, h: f64, bodies: Vec<&mut [[f64; 4]]>, scratch: &mut ExternalNodesState, parts: f64) {
         let ExternalNodesState { places, before, given, ties, presses, aparts, moved, .. } = scratch;
         let mut all = Places { bodies, guests: places, rate: 1.0 / (h * h) };
-        // What the impulses did on all that they act on, with what springs keep the opposite of what is lost. By the ways that
-        // the ends went: what pulls at a light node and what holds it undo each other within a part.
+        // Work of the impulses on everything they act on; with the springs' energy its negative is the dissipated
+        // energy. Computed from displacements of the ends: opposing forces on a light node cancel within a substep.
         let taken =
             |impulse: &Vector3<f64>, then: &Vector3<f64>, now: &Vector3<f64>| impulse.dot(&(now - then)) / h;
         for (index, (tie, multiplier)) in self.ties.iter().zip(&*ties).enumerate() {

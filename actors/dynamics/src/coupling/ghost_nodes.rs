@@ -1,4 +1,4 @@
-//! Nodes of a slower body as a faster one meets them between two steps of it.
+//! Ghost nodes: the faster body's model of a slower body's nodes between two of the slower body's steps.
 
 use std::collections::VecDeque;
 
@@ -8,111 +8,112 @@ use thiserror::Error;
 
 use super::external_nodes::{ExternalNodes, GhostMoved, GhostNode, Path};
 
-/// Steps that are remembered at most.
+/// Maximum number of remembered steps.
 const PAST_MAX: usize = 512;
-/// In this time most of what the tank lacks is forgiven, as any body loses more by itself \[s\].
+/// Time constant in which a deficit of the energy tank is forgiven, since any body dissipates energy itself \[s\].
 const FORGIVEN: f64 = 0.5;
-/// Halvings of how far ghosts are put right, where not all of it can be paid.
+/// Bisection steps for the fraction of a correction that the tank can pay for.
 const HALVINGS: u32 = 16;
 
-/// Why news were not taken; the ghosts are as they were.
+/// Why a report was rejected; the ghosts are unchanged.
 #[derive(Clone, Copy, Debug, Error, PartialEq)]
 pub enum GhostsError {
-    /// Lists of another length.
+    /// A list of the wrong length.
     #[error("{what} of {found} nodes: there are {expected} ghosts")]
     Size {
-        /// What it is.
+        /// The list.
         what: &'static str,
-        /// Of how many it came.
+        /// Its length.
         found: usize,
-        /// Ghosts there are.
+        /// Number of ghosts.
         expected: usize,
     },
-    /// A number that is none, or out of range.
+    /// A value that is not finite, or negative.
     #[error("{0} is not a finite number, or below 0")]
     Number(&'static str),
 }
 
-/// What the slower body tells after a step, of the nodes that have ghosts.
+/// Report of the slower body after a step, for the nodes with ghosts.
 #[derive(Clone, Copy, Debug)]
 pub struct News<'a> {
-    /// Where they are \[m\].
+    /// Positions \[m\].
     pub positions: &'a [Point3<f64>],
-    /// How they move \[m/s\].
+    /// Velocities \[m/s\].
     pub velocities: &'a [Vector3<f64>],
-    /// How they would move after one more step in which they take what they took in the last \[m/s\].
+    /// Velocities after one more step with the impulses of the last \[m/s\].
     pub expected: &'a [Vector3<f64>],
-    /// How much faster they would move for each impulse more \[1/kg\]; 0 for one that is held. Rather too much than too little.
+    /// Mobility: change of velocity per additional impulse \[1/kg\]; 0 for a fixed node. An upper bound is safer than a
+    /// lower one.
     pub mobilities: &'a [f64],
-    /// The same without anything that holds them back but their masses \[1/kg\].
+    /// Inverse masses: the mobility without elastic restraint \[1/kg\].
     pub masses_inverse: &'a [f64],
-    /// What each took in the last step \[N·s\].
+    /// Impulses taken in the last step \[N·s\].
     pub last: &'a [Vector3<f64>],
-    /// [`Ghosts::work`] when it last took something \[J\].
+    /// [`Ghosts::work`] as of the last impulses taken \[J\].
     pub given_work: f64,
-    /// Work that all it took so far has done on it \[J\].
+    /// Total work of all impulses taken, on the slower body \[J\].
     pub received: f64,
-    /// [`Ghosts::steps`] when it last took something.
+    /// [`Ghosts::steps`] as of the last impulses taken.
     pub steps: u64,
     /// Length of its steps \[s\].
     pub step: f64,
 }
 
-/// A step of the faster body that the slower one has not been heard of since.
+/// A step of the faster body that the slower one has not reported on yet.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Past {
-    /// How long it was \[s\].
+    /// Its length \[s\].
     dt: f64,
-    /// What ghosts were given in it \[N·s\]; those that were given nothing left out.
+    /// Impulses on the ghosts \[N·s\]; zero ones omitted.
     given: Vec<(u32, Vector3<f64>)>,
 }
 
-/// Everything is in one frame that does not turn.
+/// Ghost nodes of one slower body; all quantities in one non-rotating frame.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ghosts {
     positions: Vec<Point3<f64>>,
     velocities: Vec<Vector3<f64>>,
     masses_inverse: Vec<f64>,
-    /// What the slower body does to each if nothing changes: its path, a pull \[N\], a spring to the path \[N/m\].
+    /// Predicted path of each ghost, with a force \[N\], and a spring to the path \[N/m\].
     paths: Vec<Path>,
     pulls: Vec<Vector3<f64>>,
     springs: Vec<f64>,
-    /// How far each has to go to be where its node is \[m\].
+    /// Position error of each ghost, still to be corrected \[m\].
     behind: Vec<Vector3<f64>>,
     given: Vec<Vector3<f64>>,
-    /// Steps so far, and the last of them, the oldest first.
+    /// Number of steps so far, and the most recent ones, oldest first.
     steps: u64,
     past: VecDeque<Past>,
-    /// Work done on the ghosts so far, and how much of that the slower body has taken the impulses of \[J\].
+    /// Total work on the ghosts, and the part of it whose impulses the slower body has taken \[J\].
     work: f64,
     given_work: f64,
-    /// What that was to it \[J\].
+    /// Work of those impulses on the slower body \[J\].
     received: f64,
-    /// What dampers and friction took \[J\].
+    /// Energy dissipated by dampers and friction \[J\].
     lost: f64,
-    /// What it has cost to put ghosts right \[J\].
+    /// Energy spent on correcting the ghosts \[J\].
     paid: f64,
     /// Sum of the magnitudes of all impulses so far \[N·s\].
     exchanged: f64,
 }
 
 impl Ghosts {
-    /// Of nodes that are here \[m\], at rest; until something is heard of them nothing moves them.
+    /// For nodes at rest at these positions \[m\]; immovable until the first report.
     ///
     /// # Errors
-    /// A place that is none.
+    /// A non-finite position.
     pub fn new(positions: &[Point3<f64>]) -> Result<Self, GhostsError> {
         let mut ghosts = Self::default();
         ghosts.more(positions)?;
         Ok(ghosts)
     }
 
-    /// More nodes, behind those there are.
+    /// Adds nodes, after the existing ones.
     ///
     /// # Errors
-    /// A place that is none.
+    /// A non-finite position.
     pub fn more(&mut self, positions: &[Point3<f64>]) -> Result<(), GhostsError> {
         finite("a place", positions.iter().flat_map(|at| at.iter()))?;
         self.positions.extend_from_slice(positions);
@@ -127,37 +128,37 @@ impl Ghosts {
         Ok(())
     }
 
-    /// How many there are.
+    /// Number of ghosts.
     #[must_use]
     pub fn count(&self) -> usize {
         self.positions.len()
     }
 
-    /// Where they are \[m\].
+    /// Positions \[m\].
     #[must_use]
     pub fn positions(&self) -> &[Point3<f64>] {
         &self.positions
     }
 
-    /// How they move \[m/s\].
+    /// Velocities \[m/s\].
     #[must_use]
     pub fn velocities(&self) -> &[Vector3<f64>] {
         &self.velocities
     }
 
-    /// All that each was given so far \[N·s\]: the slower body takes what of that it has not taken.
+    /// Cumulative impulse on each ghost \[N·s\]: the slower body applies the difference to what it has taken before.
     #[must_use]
     pub fn given(&self) -> &[Vector3<f64>] {
         &self.given
     }
 
-    /// Steps of the faster body so far.
+    /// Number of steps of the faster body.
     #[must_use]
     pub fn steps(&self) -> u64 {
         self.steps
     }
 
-    /// Work done on them so far \[J\].
+    /// Total work on the ghosts \[J\].
     #[must_use]
     pub fn work(&self) -> f64 {
         self.work
@@ -169,34 +170,35 @@ impl Ghosts {
         self.exchanged
     }
 
-    /// What may be spent on putting them right \[J\]. Of the work on them only that counts of which is known what it was to
-    /// the slower body.
+    /// Energy in the tank, available for corrections \[J\]. Counts only the part of the work on the ghosts for which
+    /// the work on the slower body is known.
     #[must_use]
     pub fn tank(&self) -> f64 {
         self.lost + self.given_work - self.received - self.paid
     }
 
-    /// How far the one is from its node that is furthest away \[m\].
+    /// Largest position error of any ghost \[m\].
     #[must_use]
     pub fn furthest_behind(&self) -> f64 {
         self.behind.iter().map(|behind| behind.norm()).fold(0.0, f64::max)
     }
 
-    /// How far each has to go to be where its node is \[m\].
+    /// Position error of each ghost, still to be corrected \[m\].
     #[must_use]
     pub fn behind(&self) -> &[Vector3<f64>] {
         &self.behind
     }
 
-    /// They have gone such a share of that within a step of the faster body, beside what [`met`](Self::met) is told of it.
+    /// Marks a fraction of the position error as corrected within a step of the faster body, apart from the results
+    /// passed to [`met`](Self::met).
     pub fn caught_up(&mut self, share: f64) {
         self.behind.iter_mut().for_each(|behind| *behind *= 1.0 - share);
     }
 
-    /// Takes what the slower body tells after a step.
+    /// Processes the slower body's report after a step.
     ///
     /// # Errors
-    /// Lists of another length, numbers that are none.
+    /// A list of the wrong length, or a non-finite value.
     pub fn hear(&mut self, news: &News<'_>) -> Result<(), GhostsError> {
         let expected = self.count();
         for (what, found) in [
@@ -219,7 +221,7 @@ impl Ghosts {
         if !positive.all(|value| *value >= 0.0 && value.is_finite()) {
             return Err(GhostsError::Number("a time or a mobility"));
         }
-        // What it has not taken yet happens to the ghosts once more, from where it begins.
+        // Replay the impulses that it has not taken yet, from its reported state.
         let since = self.steps.saturating_sub(news.steps) as usize;
         self.past.drain(..self.past.len().saturating_sub(since));
         let mut guests: Vec<GhostNode> = (0..expected).map(|node| expect(news, node)).collect();
@@ -242,11 +244,11 @@ impl Ghosts {
         Ok(())
     }
 
-    /// A step of the faster body is due: puts the ghosts right as far as that can be paid, and adds them to the guests. Ties
-    /// and presses name ghosts by their numbers here, `nodes` are the faster body's nodes where they are \[m\].
+    /// Begins a step of the faster body: corrects the ghosts as far as the tank pays, and adds them to the guests. Ties
+    /// and contacts refer to ghosts by their numbers here; `nodes` are the positions of the faster body's nodes \[m\].
     pub fn meet(&mut self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>], guests: &mut Vec<GhostNode>) {
-        // What it holds beyond what the springs do now is no use, and not all of it was motion once: what pulls a light node
-        // and what holds it undo each other in every step.
+        // Tank energy beyond the springs' current energy is of no use, and part of it never was kinetic: opposing
+        // forces on a light node cancel in every step.
         self.paid += (self.tank() - self.stored(company, nodes)).max(0.0);
         let tank = self.tank().max(0.0);
         let mut share = 1.0;
@@ -268,7 +270,7 @@ impl Ghosts {
         guests.extend(self.guests());
     }
 
-    /// As they are now, as guests.
+    /// The current ghosts, as guests.
     pub fn guests(&self) -> impl Iterator<Item = GhostNode> {
         (0..self.count()).map(|ghost| GhostNode {
             position: self.positions[ghost],
@@ -280,7 +282,7 @@ impl Ghosts {
         })
     }
 
-    /// What springs hold \[J\].
+    /// Energy stored in the springs \[J\].
     fn stored(&self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>]) -> f64 {
         let over = |node: u32, of: &[(u32, f64)]| {
             of.iter().fold(nodes[node as usize].coords, |sum, &(ghost, weight)| {
@@ -296,7 +298,7 @@ impl Ghosts {
         ties.sum::<f64>() + presses.sum::<f64>()
     }
 
-    /// What springs hold more when ghosts are put right by so much \[J\].
+    /// Increase of the springs' energy when a fraction of the position error is corrected \[J\].
     fn cost(&self, company: &ExternalNodes<'_>, nodes: &[Point3<f64>], share: f64) -> f64 {
         let place = |of: &[(u32, f64)]| -> [Vector3<f64>; 2] {
             of.iter().fold([Vector3::zeros(); 2], |[at, behind], &(ghost, weight)| {
@@ -318,8 +320,8 @@ impl Ghosts {
         ties.sum::<f64>() + presses.sum::<f64>()
     }
 
-    /// The faster body has made its step of `dt` seconds: what became of the ghosts as guests, and what its ties and presses
-    /// lost \[J\].
+    /// Ends a step of the faster body of `dt` seconds, with the guests' results and the energy that ties and contacts
+    /// dissipated \[J\].
     pub fn met(&mut self, dt: f64, guests: &[GhostMoved], lost: f64) {
         if self.past.len() == PAST_MAX {
             self.past.pop_front();
@@ -339,7 +341,7 @@ impl Ghosts {
         self.paid += self.tank().min(0.0) * (dt / FORGIVEN).min(1.0);
     }
 
-    /// Whether it fits a body of so many ghosts, with numbers that are some.
+    /// Checks it against a body with this many ghosts; all values must be finite.
     #[must_use]
     pub fn is_sound(&self, count: usize) -> bool {
         let vectors = [&self.velocities, &self.pulls, &self.behind, &self.given];
@@ -358,12 +360,12 @@ impl Ghosts {
     }
 }
 
-/// A node as the slower body expects it to move, from the moment of which it tells.
+/// A node with the motion that the slower body predicts from the time of its report.
 fn expect(news: &News<'_>, node: usize) -> GhostNode {
     let (mass_inverse, velocity) = (news.masses_inverse[node], news.velocities[node]);
     let mobility = news.mobilities[node].min(mass_inverse);
-    // A mass that nothing else holds goes on as it moves. One that is held is wherever the forces on it balance: it moves at
-    // once as it is expected to.
+    // A node whose mass nothing restrains continues its motion. A restrained node is at the equilibrium of its forces:
+    // it takes its predicted velocity at once.
     let loose = if mass_inverse > 0.0 { mobility / mass_inverse } else { 1.0 };
     let change = news.expected[node] - velocity;
     let per_step = if news.step > 0.0 { news.step.recip() } else { 0.0 };
@@ -373,7 +375,7 @@ fn expect(news: &News<'_>, node: usize) -> GhostNode {
         position: news.positions[node],
         velocity: begin,
         mobility: if mobility > 0.0 { mass_inverse } else { 0.0 },
-        // It is held against what it took in the last step: nothing moves where the two are in balance.
+        // Balance of the last step's impulse: in equilibrium nothing moves.
         pull: news.last[node] * -per_step,
         path: Path {
             position: news.positions[node],

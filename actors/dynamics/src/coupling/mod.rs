@@ -1,20 +1,22 @@
-//! Bodies of different methods at different rates: a membrane that is grown onto an organ, a band that lies about one.
+//! Co-simulation coupling of bodies with different methods and rates: a membrane grown onto an organ, a band around
+//! one.
 //!
-//! The faster body is stepped with [`Ghosts`] of the slower one's nodes, mass points as heavy as those are to push in a step
-//! of theirs. What joins the two, or keeps them apart, is part of the faster one's solver
-//! ([`ExternalNodes`](external_nodes::ExternalNodes)). What that gives the ghosts it owes the nodes, and the slower body
-//! takes the sum at its next step: action and reaction are the same numbers, so momentum is exchanged to rounding, whatever
-//! the rates and masses are, and whatever either body does when.
+//! The faster body is stepped with [`Ghosts`] of the slower one's nodes: mass points with the effective mass that a
+//! node shows in one of the slower body's steps. Ties and contacts between the two are part of the faster body's solver
+//! ([`ExternalNodes`](external_nodes::ExternalNodes)). The impulses on the ghosts accumulate, and the slower body takes
+//! the sum at its next step. Action and reaction are the same numbers, so momentum is exchanged to rounding, for any
+//! rates, masses and delays.
 //!
-//! Each step of the slower body puts the ghosts right. How they move then costs nothing: it is what the body does. Where they
-//! are then would stretch the springs anew, and that is paid out of a tank which what dampers and friction took has filled,
-//! and what the ghosts were given beyond what the body received (passivity by a tank: Franken, Stramigioli, Misra, Secchi,
-//! Macchelli 2011). What the tank cannot pay is made up for later, and what it lacks is forgiven within half a second or so.
+//! Each report of the slower body corrects the ghosts. Correcting velocities costs nothing: it is the body's own
+//! motion. Correcting positions would stretch the springs anew; this energy is paid from a tank that is filled by
+//! dissipation in dampers and friction, and by the difference between the work on the ghosts and on the body (passivity
+//! by an energy tank: Franken, Stramigioli, Misra, Secchi, Macchelli 2011). What the tank cannot pay is corrected
+//! later, and a deficit is forgiven within about half a second.
 //!
-//! A thread that lies on such a body has contacts far stiffer than those springs: its ghosts are put right at a velocity, within
-//! its own continuous tests, and not paid for (see `trocar-simulator`).
+//! A thread on such a body has contacts far stiffer than those springs: its ghosts are corrected with a velocity,
+//! within the thread's continuous collision tests, and without payment (see `trocar-simulator`).
 //!
-//! Stiff groups do not belong on both sides of that: needle, thread and what they rub on are stepped as one island.
+//! Do not put stiff groups on both sides of a coupling: needle, thread and what they rub on are stepped as one island.
 
 pub mod external_nodes;
 pub(crate) mod ghost_nodes;

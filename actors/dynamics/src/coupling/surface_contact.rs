@@ -1,4 +1,4 @@
-//! Where nodes of a faster body lie on the surface of a slower one.
+//! Contact between nodes of a faster body and the surface of a slower one.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -7,33 +7,34 @@ use trocar_collision::{Surface, pseudonormal};
 
 use super::external_nodes::{GhostMoved, Press, Pressed};
 
-/// Nodes deeper in the body than this are lost \[m\].
+/// Nodes deeper in the body than this are ignored \[m\].
 const DEEP: f64 = 0.01;
-/// Nodes nearer than this are listed before they press: who moves the surface is told in time what is to be expected \[m\].
+/// Nodes nearer than this are listed before they touch, so that the slower body predicts the motion there in time
+/// \[m\].
 const NEAR: f64 = 0.003;
 
-/// How the one lies on the other.
+/// Contact parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LyingRule {
-    /// How far nodes stay from the surface \[m\].
+    /// Distance of nodes from the surface \[m\].
     pub thickness: f64,
-    /// Force per depth of a node \[N/m\].
+    /// Stiffness: force per penetration depth of a node \[N/m\].
     pub stiffness: f64,
-    /// Coulomb's coefficient.
+    /// Coulomb friction coefficient.
     pub friction: f64,
 }
 
-/// Where a node holds on to the surface as long as friction lasts.
+/// The point on the surface where friction makes a node stick.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Anchor {
-    /// Of the faster body.
+    /// A node of the faster body.
     pub node: u32,
-    /// Vertices of the surface, and their weights.
+    /// Vertices of the surface, with their weights.
     pub at: [(u32, f64); 3],
 }
 
-/// Nodes on a surface that somebody else moves.
+/// Nodes in contact with another solver's surface.
 #[derive(Clone, Debug)]
 pub struct Lying {
     rule: LyingRule,
@@ -43,19 +44,19 @@ pub struct Lying {
 }
 
 impl Lying {
-    /// On a surface that bounds a volume, its triangles turned outwards.
+    /// For the surface of a volume, its triangles oriented outwards.
     #[must_use]
     pub fn new(rule: LyingRule, surface: &Surface<'_>) -> Self {
         Self { rule, surface: MovingSurface::new(surface), anchors: Vec::new() }
     }
 
-    /// Where nodes hold on, to continue from.
+    /// Stick points, to continue from.
     #[must_use]
     pub fn anchors(&self) -> &[Anchor] {
         &self.anchors
     }
 
-    /// Continues from there.
+    /// Continues from these stick points.
     pub fn hold(&mut self, anchors: &[Anchor]) {
         self.anchors.clear();
         let known = self.surface.surface().vertices().len();
@@ -66,8 +67,8 @@ impl Lying {
         self.anchors.sort_unstable_by_key(|anchor| anchor.node);
     }
 
-    /// Lists what presses in a step of `dt` seconds: the surface as it is now, the faster body's nodes that can lie on it,
-    /// where they are \[m\], and how they move \[m/s\].
+    /// Lists the contacts of a step of `dt` seconds, from the current surface, and the positions \[m\] and velocities
+    /// of the faster body's nodes that can lie on it.
     pub fn find(
         &mut self,
         surface: &Surface<'_>,
@@ -115,8 +116,8 @@ impl Lying {
         }
     }
 
-    /// After the step: who was pressed holds on to where it is, or as far ahead of where it slid to as friction draws it.
-    /// Presses as they were found, guests in the order of the surface's vertices, the faster body's nodes \[m\].
+    /// After the step: a contact sticks at its current point, or, while sliding, at the friction limit ahead of it.
+    /// Contacts as found, guests in the order of the surface's vertices, the faster body's nodes \[m\].
     pub fn met(
         &mut self,
         presses: &[Press],
@@ -137,7 +138,7 @@ impl Lying {
             let foot = press.guests.into_iter().map(place).sum::<Vector3<f64>>();
             let over = positions[press.node as usize].coords - foot;
             let ahead = foot + (over - press.normal * press.normal.dot(&over)) + pressed.drawn;
-            // In the plane of the triangle that it lies on: a little beyond its rim is still the same place.
+            // In the plane of its triangle: a little beyond the edge is still the same point.
             let [a, b, c] = press.guests.map(|(guest, _)| guests[guest as usize].position.coords);
             if let Some(at) = weights_in_plane(&[a, b, c], &ahead) {
                 let at = [0, 1, 2].map(|k| (press.guests[k].0, at[k]));
@@ -148,7 +149,7 @@ impl Lying {
     }
 }
 
-/// Weights of three corners whose mean is a place, or what is nearest to it in their plane.
+/// Barycentric weights of a point, projected into the plane of three corners.
 fn weights_in_plane([a, b, c]: &[Vector3<f64>; 3], place: &Vector3<f64>) -> Option<[f64; 3]> {
     let (u, v, w) = (b - a, c - a, place - a);
     let (uu, uv, vv) = (u.norm_squared(), u.dot(&v), v.norm_squared());

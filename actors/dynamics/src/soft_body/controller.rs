@@ -1,9 +1,9 @@
-//! The frame of every controller of soft bodies: whichever method moves a body, instruments touch, hold and cut it in the
-//! same way, what it exerts on them is told in the same list, and what its solver refuses stops that body alone.
+//! Common controller of all soft-body methods: whichever method moves a body, instruments touch, grasp and cut it in
+//! the same way, contact forces go to the same list, and a solver failure stops only that body.
 //!
-//! A method is a [`SoftMethod`]: how it is built from the scene, how it steps, what it measures. [`SoftController`] is the
-//! rest. In each tick and for each body: blades cut it, rods touch it, jaws take and let go, what detectors have found is
-//! answered, it steps, the scene is told.
+//! A method implements [`SoftMethod`]: its construction from the scene, its step, its measures. [`SoftController`] does
+//! the rest. In each tick, for each body: blade cuts, rod contacts, grasps, detected contacts, the step, and the writes
+//! to the scene.
 
 use std::sync::Arc;
 
@@ -32,17 +32,16 @@ struct Body<M> {
     method: M,
     is_pinned: Vec<bool>,
     grips: Grips,
-    /// If others are coupled with it.
+    /// State of the slower side of a coupling, if others are coupled with it.
     answering: Option<Answering>,
     frozen: bool,
     meets: StepInputs,
-    /// Of contacts that detectors have found: what is kept of them, the sum of the sizes of what they exert \[N\], and how
-    /// many press.
+    /// Detected contacts: their persistent state, the sum of the force magnitudes \[N\], and the number of active ones.
     contacts: SoftContacts,
     pressed: (f64, usize),
 }
 
-/// What meets a body in the present tick.
+/// Input of a body's step in the current tick.
 #[derive(Default)]
 struct StepInputs {
     world_from_body: Isometry3<f64>,
@@ -69,7 +68,7 @@ impl StepInputs {
     }
 }
 
-/// Steps every body that carries the component of a method.
+/// Steps all bodies that carry the component of a method.
 pub struct SoftController<M> {
     gravity_in_world: Vector3<f64>,
     bodies: Vec<Body<M>>,
@@ -79,10 +78,10 @@ pub struct SoftController<M> {
 }
 
 impl<M: SoftMethod> SoftController<M> {
-    /// Reads the bodies, and goes on from where an earlier life left them.
+    /// Reads the bodies, and resumes their state from the scene.
     ///
     /// # Errors
-    /// Names the body, and what is wrong with it.
+    /// The name of the body, and what is wrong with it.
     pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let (mut bodies, mut refused) = (Vec::new(), Vec::new());
         for entity in Deformable::carriers::<M::Kind>(context.scene) {
@@ -100,7 +99,7 @@ impl<M: SoftMethod> SoftController<M> {
         Ok(Self { gravity_in_world, bodies, refused, surroundings, registry })
     }
 
-    /// Answers what detectors have found of its bodies.
+    /// Answers the detected contacts of its bodies.
     fn answer_found(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) {
         let mut own = Vec::new();
         for of in self.bodies.iter_mut().filter(|of| !of.frozen) {
@@ -203,13 +202,13 @@ impl<M: SoftMethod> Controller for SoftController<M> {
     }
 }
 
-/// What a tick found out about contacts.
+/// Contact results of a tick.
 #[derive(Default)]
 struct Found {
     collisions: Vec<Collision>,
-    /// Deepest touch \[m\].
+    /// Maximum penetration depth \[m\].
     depth_max: f64,
-    /// Sums of the sizes of forces on the present body, of touches and of grips \[N\].
+    /// Sums of the force magnitudes on the current body, by rod contacts and by grasps \[N\].
     pushed: f64,
     pulled: f64,
 }
@@ -232,8 +231,8 @@ impl<M: SoftMethod> Body<M> {
         Ok(Self { body, method, is_pinned, grips, answering, frozen, meets, contacts, pressed })
     }
 
-    /// Whether all that others will read of it are numbers, whatever its solver looked at: one of them that is none would
-    /// have everything refused that this controller says.
+    /// Checks that all values which others will read of the body are finite: the Model rejects the controller's whole
+    /// batch for one non-finite value.
     fn is_finite(&self) -> Result<(), String> {
         finite_vertices(self.method.positions(), self.method.velocities())?;
         let touches = self.meets.touches.iter().zip(&self.meets.forces);
@@ -243,7 +242,7 @@ impl<M: SoftMethod> Body<M> {
         })
     }
 
-    /// Changes its shape, and finds out what meets it.
+    /// Applies topology changes, and collects the input of the step.
     fn begin(
         &mut self,
         gravity_in_world: &Vector3<f64>,
@@ -270,7 +269,7 @@ impl<M: SoftMethod> Body<M> {
         touches(&meets.rods, &self.method.skin(&self.body), period, &mut meets.touches);
         let led = self.hold(&meets.site(scene, tick), &meets.touches, out)?;
         meets.led = led;
-        // What is held goes where it is led, and what is anchored stays, whatever touches it.
+        // Held and anchored vertices have prescribed positions, whatever touches them.
         let (is_pinned, cut) = (&self.is_pinned, self.method.is_cut_by_blades());
         let StepInputs { rods, touches, led, .. } = &mut meets;
         touches.retain(|touch| {
@@ -300,14 +299,14 @@ impl<M: SoftMethod> Body<M> {
         self.body.freeze(&reason, tick, out);
     }
 
-    /// Tells everybody where it is after a step, and what it exerts.
+    /// Writes the body's state and contact forces after a step.
     fn end(&mut self, scene: &Snapshot, tick: &Tick<'_>, found: &mut Found, out: &mut Commands) {
         let entity = self.body.entity;
         self.body.write(self.method.positions(), self.method.velocities(), out);
         let site = self.meets.site(scene, tick);
         self.method.publish(&self.body, &site, out);
         for (touch, force) in site.touches.iter().zip(&self.meets.forces) {
-            // What it was near to, and did not come to.
+            // A near rod that did not touch.
             if touch.depth <= 0.0 && *force == Vector3::zeros() {
                 continue;
             }
@@ -330,7 +329,7 @@ impl<M: SoftMethod> Body<M> {
         }
     }
 
-    /// Lets jaws take and let go, and says where they have what they hold.
+    /// Takes and releases vertices, and returns the prescribed positions of the held ones.
     fn hold(
         &mut self,
         site: &StepContext<'_>,
@@ -357,8 +356,8 @@ impl<M: SoftMethod> Body<M> {
     }
 }
 
-/// A grip as everybody sees it. Its depth is how far the jaws have drawn what they hold from where it is at rest, so that
-/// force over depth is how stiff it feels.
+/// A grasp as a row of the collision list. Its depth is the displacement of the held vertices from their rest
+/// positions, so that force over depth is the stiffness felt.
 fn grip(
     body: &Deformable,
     positions: &[Point3<f64>],

@@ -1,4 +1,4 @@
-//! A deforming body as the scene has it, whichever method moves it.
+//! A deformable body as the scene stores it, for every method.
 
 use std::sync::Arc;
 
@@ -13,52 +13,52 @@ use super::PinnedBody;
 use super::coupling::CoupledBody;
 use crate::faulty::Faulty;
 
-/// A body with vertices that move.
+/// A body with moving vertices.
 #[derive(Clone, Debug)]
 pub struct Deformable {
-    /// Whose it is.
+    /// Its entity.
     pub entity: Entity,
     /// Its name, for messages and measures.
     pub name: String,
-    /// Vertices without any force, in its frame \[m\].
+    /// Rest positions of the vertices, in the body's frame \[m\].
     pub rest: Arc<Vec<Point3<f64>>>,
-    /// Vertices where they are, in its frame \[m\].
+    /// Current positions of the vertices, in the body's frame \[m\].
     pub positions: Arc<Vec<Point3<f64>>>,
     /// Velocities of the vertices \[m/s\].
     pub velocities: Arc<Vec<Vector3<f64>>>,
-    /// Its surface.
+    /// Its surface triangles.
     pub triangles: Arc<Vec<[u32; 3]>>,
-    /// Its volume, if it has one.
+    /// Its tetrahedra, if it is a volume.
     pub tets: Arc<Vec<[u32; 4]>>,
-    /// Its line, if it is one, and the radius of that \[m\].
+    /// Its segments, if it is a line.
     pub segments: Arc<Vec<[u32; 2]>>,
     /// Radius of the line \[m\].
     pub radius: f64,
-    /// Vertices that are held where they are, ascending.
+    /// Fixed vertices, ascending.
     pub pinned: Vec<u32>,
-    /// Where that is.
+    /// Their anchors.
     pub anchors: Anchors,
     /// Vertices that no element uses any longer, ascending: nothing touches them.
     pub loose: Vec<u32>,
-    /// Whether vertices have come apart: then some are where others are.
+    /// Whether vertices were duplicated: duplicates may coincide.
     pub is_parted: bool,
-    /// Whether the scene has its shape at rest already.
+    /// Whether the scene already has its rest shape.
     has_rest: bool,
 }
 
 impl Deformable {
-    /// Every entity that carries `T`, in order.
+    /// All entities that carry `T`, in order.
     pub fn carriers<T: Component>(scene: &Snapshot) -> Vec<Entity> {
         let mut carriers: Vec<Entity> = scene.iter::<T>().map(|(entity, _)| entity).collect();
         carriers.sort_unstable();
         carriers
     }
 
-    /// Reads a body. What is not there yet is as at rest.
+    /// Reads a body. Missing state is as at rest.
     ///
     /// # Errors
-    /// It has no vertices, numbers of them that do not go together, or elements that name others than there are; or it is
-    /// coupled or pinned, and cannot be.
+    /// It has no vertices, lists of different lengths, or elements with invalid vertices; or it is coupled or pinned by
+    /// a method that does not support it.
     pub fn read(scene: &Snapshot, entity: Entity) -> Result<Self, ControllerError> {
         let name = scene.name(entity);
         let wrong = |what: &str| ControllerError::Scene(format!("'{name}' {what}"));
@@ -122,7 +122,7 @@ impl Deformable {
         Ok(body)
     }
 
-    /// What jaws may hold of it: its triangles, or of a line its segments, with the last vertex of each twice.
+    /// The parts that jaws may hold: its triangles, or of a line its segments, with the last vertex of each twice.
     #[must_use]
     pub fn holdable(&self) -> Arc<Vec<[u32; 3]>> {
         if self.triangles.is_empty() {
@@ -132,13 +132,13 @@ impl Deformable {
         }
     }
 
-    /// Finds anew which of its vertices are held where they are.
+    /// Recomputes its fixed vertices from the anchors.
     pub fn anchor(&mut self) {
         let held = self.rest.iter().enumerate().filter(|(_, point)| self.anchors.hold(point));
         self.pinned = held.map(|(vertex, _)| vertex as u32).collect();
     }
 
-    /// The same of some of them, ascending, that are new or lie otherwise at rest.
+    /// The same for some vertices, ascending, that are new or have new rest positions.
     pub fn anchor_again(&mut self, vertices: &[u32]) {
         for &vertex in vertices {
             let held = self.rest.get(vertex as usize).is_some_and(|point| self.anchors.hold(point));
@@ -146,18 +146,18 @@ impl Deformable {
         }
     }
 
-    /// Says of a vertex whether no element uses it any longer.
+    /// Sets whether no element uses a vertex any longer.
     pub fn is_loose(&mut self, vertex: u32, is_loose: bool) {
         is_among(&mut self.loose, vertex, is_loose);
     }
 
-    /// Whether nothing moves a vertex.
+    /// Whether a vertex is immovable.
     #[must_use]
     pub fn is_staying(&self, vertex: u32) -> bool {
         [&self.pinned, &self.loose].into_iter().any(|list| list.binary_search(&vertex).is_ok())
     }
 
-    /// Vertices that nothing moves, ascending: held ones, and those that nothing uses.
+    /// Immovable vertices, ascending: fixed ones and unused ones.
     #[must_use]
     pub fn staying(&self) -> Vec<u32> {
         let mut staying: Vec<u32> = self.pinned.iter().chain(&self.loose).copied().collect();
@@ -166,7 +166,7 @@ impl Deformable {
         staying
     }
 
-    /// Of each vertex whether nothing moves it: it is held, or nothing uses it.
+    /// Whether each vertex is immovable: fixed or unused.
     #[must_use]
     pub fn stays(&self) -> Vec<bool> {
         let mut stays = vec![false; self.rest.len()];
@@ -174,7 +174,7 @@ impl Deformable {
         stays
     }
 
-    /// What a controller of deforming bodies reads and writes of them.
+    /// What a controller of deformable bodies reads and writes of them.
     pub fn access(bodies: &[Entity]) -> Access {
         let all = || EntitySet::Of(bodies.to_vec());
         Access::new()
@@ -189,7 +189,7 @@ impl Deformable {
             .writes::<Frozen>(all())
     }
 
-    /// Tells the scene where the body is.
+    /// Writes the body's state to the scene.
     pub fn write(&mut self, positions: &[Point3<f64>], velocities: &[Vector3<f64>], out: &mut Commands) {
         if !self.has_rest {
             out.put(self.entity, RestPositions { positions: self.rest.clone() });
@@ -201,18 +201,18 @@ impl Deformable {
         out.put(self.entity, VertexVelocities { velocities: self.velocities.clone() });
     }
 
-    /// Its shape at rest is another one from now on.
+    /// Marks the rest shape as changed.
     pub fn changed_topology(&mut self) {
         self.has_rest = false;
     }
 
-    /// Tells everybody that its solver had to stop it where it is.
+    /// Reports that the solver had to freeze the body.
     pub fn freeze(&self, reason: &dyn std::fmt::Display, tick: &Tick<'_>, out: &mut Commands) {
         out.put(self.entity, Frozen { reason: reason.to_string(), since: tick.time });
         out.event("frozen", self.entity, None, tick.time.as_secs_f64());
     }
 
-    /// A line that lies otherwise than the scene has it, and is at rest so.
+    /// Replaces the scene's line by another one, which is also its rest shape.
     pub fn lie(&mut self, nodes: Vec<Point3<f64>>) {
         self.segments = Arc::new((1..nodes.len() as u32).map(|end| [end - 1, end]).collect());
         self.velocities = Arc::new(vec![Vector3::zeros(); nodes.len()]);
@@ -222,13 +222,13 @@ impl Deformable {
         self.has_rest = false;
     }
 
-    /// Gravity in its frame \[m/s²\].
+    /// Gravity in the body's frame \[m/s²\].
     pub fn gravity(gravity_in_world: &Vector3<f64>, world_from_body: &Isometry3<f64>) -> Vector3<f64> {
         world_from_body.rotation.inverse() * gravity_in_world
     }
 }
 
-/// Whether elements name vertices that there are; else which do not.
+/// Checks that elements refer to existing vertices; the error names those that do not.
 fn within<const N: usize>(kind: &str, elements: &[[u32; N]], vertices: usize) -> Result<(), String> {
     let is_bad = |index: usize| elements[index].iter().any(|&vertex| vertex as usize >= vertices);
     Faulty::among(elements.len(), is_bad).refuse(|faulty| {
@@ -239,7 +239,7 @@ fn within<const N: usize>(kind: &str, elements: &[[u32; N]], vertices: usize) ->
     })
 }
 
-/// Puts it into an ascending list, or takes it out.
+/// Inserts a vertex into an ascending list, or removes it.
 fn is_among(list: &mut Vec<u32>, vertex: u32, is: bool) {
     match list.binary_search(&vertex) {
         Err(at) if is => list.insert(at, vertex),
@@ -248,7 +248,7 @@ fn is_among(list: &mut Vec<u32>, vertex: u32, is: bool) {
     }
 }
 
-/// Writes over a shared list, in place where nobody else has it.
+/// Overwrites a shared list, in place if it has no other owner.
 fn fill<T: Copy>(shared: &mut Arc<Vec<T>>, values: &[T]) {
     match Arc::get_mut(shared) {
         Some(own) if own.len() == values.len() => own.copy_from_slice(values),

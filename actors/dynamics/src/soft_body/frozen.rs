@@ -1,35 +1,35 @@
-//! Bodies that a controller cannot take up again.
+//! Bodies that a restarted controller cannot rebuild.
 //!
-//! A body that cannot be built when a session starts is a mistake of whoever wrote the scenario: the controller is refused
-//! with what is wrong, and so is the session. In a later life it is a body that has gone bad since, or that stands still
-//! already: it alone is frozen where the scene has it, and the others go on.
+//! A body that cannot be built when a session starts is an error in the scenario: the controller is rejected with the
+//! reason, and so is the session. After a restart it is a body that has become invalid, or is frozen already: it alone
+//! is frozen at its state in the scene, and the others go on.
 
 use trocar_scene::{BuildContext, Commands, ControllerError, Entity, Frozen, HeatFrozen, Measured, Tick};
 
-/// What of a body stands still.
+/// The frozen part of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FrozenPart {
     /// All of it.
     Body,
-    /// Its heat: whoever moves it says whether it moves.
+    /// Its temperature field; its soft-body controller decides about its motion.
     Heat,
 }
 
-/// A body that stands still because it could not be built.
+/// A body that is frozen because it could not be built.
 pub struct Refused {
-    /// Which.
+    /// The body.
     pub entity: Entity,
     name: String,
     still: FrozenPart,
-    /// What is wrong with it, until the scene has been told.
+    /// The reason, until it has been reported to the scene.
     untold: Option<String>,
 }
 
 impl Refused {
-    /// Takes a body that could not be built out of a later life.
+    /// Excludes a body that could not be rebuilt after a restart.
     ///
     /// # Errors
-    /// `error` itself in a first life, unless the scene has the body frozen already.
+    /// `error` itself at the first start, unless the scene has the body frozen already.
     pub fn of(
         context: &BuildContext<'_>,
         entity: Entity,
@@ -47,7 +47,7 @@ impl Refused {
         Ok(Self { entity, name: context.scene.name(entity), still, untold })
     }
 
-    /// Tells the scene once why it stands still, and the measures always that it does.
+    /// Reports the reason to the scene once, and counts the body as frozen in every tick's measures.
     pub fn tell(&mut self, tick: &Tick<'_>, measured: &mut Measured, out: &mut Commands) {
         if let Some(reason) = self.untold.take() {
             freeze(self.entity, self.still, reason, tick, out);
@@ -60,7 +60,7 @@ impl Refused {
     }
 }
 
-/// Tells everybody that something of a body had to be stopped.
+/// Reports that a part of a body had to be frozen.
 pub fn freeze(entity: Entity, still: FrozenPart, reason: String, tick: &Tick<'_>, out: &mut Commands) {
     let since = tick.time;
     match still {

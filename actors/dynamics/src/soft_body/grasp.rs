@@ -1,4 +1,4 @@
-//! What jaws hold of soft bodies, whichever method moves them.
+//! Grasps of soft bodies, for every method.
 
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use super::method::{Reshaped, StepContext};
 use super::rod_contact::Touch;
 use crate::picking::{Jaws, Picks};
 
-/// What instruments hold of a body: another life of whoever moves it goes on holding it.
+/// The grasps on a body: saved in the scene, so that they survive a restart.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Grips {
@@ -21,10 +21,10 @@ impl Component for Grips {
 }
 
 impl Grips {
-    /// Whether they can be of a body of so many vertices and parts that can be held.
+    /// Checks the grasps against a body with this many vertices and holdable parts.
     ///
     /// # Errors
-    /// What is held that there is not.
+    /// A held part that does not exist.
     pub(crate) fn fit(&self, vertices: usize, parts: usize) -> Result<(), String> {
         for pick in &self.picks.picks {
             let vertex =
@@ -40,7 +40,7 @@ impl Grips {
         Ok(())
     }
 
-    /// Follows a body that has another shape now.
+    /// Updates the grasps after a change of topology.
     pub fn follow(
         &mut self,
         reshaped: &Reshaped,
@@ -56,14 +56,14 @@ impl Grips {
         self.picks.follow(&reshaped.parents, triangles, positions, &jaws);
     }
 
-    /// How many vertices are held.
+    /// Number of held vertices.
     #[must_use]
     pub fn vertices(&self) -> usize {
         self.picks.picks.iter().map(|pick| pick.vertices.len()).sum()
     }
 }
 
-/// An instrument that holds: its number, its pose in the frame of a body, whether it is closed, what each jaw touches.
+/// A grasping instrument: its number, its pose in a body's frame, whether it is closed, the triangles at each jaw.
 pub struct Holder {
     instrument: u64,
     body_from_instrument: Isometry3<f64>,
@@ -73,7 +73,8 @@ pub struct Holder {
 }
 
 impl Holder {
-    /// All instruments that hold, with the triangles that their jaws touch; rods as [`super::instrument_rods::rods_of_all`] lists them.
+    /// All grasping instruments, with the triangles that their jaws touch; rods as
+    /// [`super::instrument_rods::rods_of_all`] lists them.
     #[must_use]
     pub fn all(site: &StepContext<'_>, touches: &[Touch], triangles: &[[u32; 3]]) -> Vec<Self> {
         let holders = site.scene.iter::<Instrument>().filter(|(_, instrument)| holds(instrument.kind));
@@ -97,7 +98,7 @@ impl Holder {
             .collect()
     }
 
-    /// As [`Picks`] wants it; "world" is the frame of the body.
+    /// In the form that [`Picks`] takes; "world" is the frame of the body.
     #[must_use]
     pub fn jaws(&self) -> Jaws<'_> {
         Jaws {
@@ -110,7 +111,7 @@ impl Holder {
     }
 }
 
-/// The triangles that touches are on, and those about the vertices that they are on.
+/// The triangles that rods touch, and those at the vertices that rods touch.
 fn touched<'a>(touches: impl Iterator<Item = &'a Touch>, triangles: &[[u32; 3]]) -> Vec<u32> {
     let (mut touched, mut vertices) = (Vec::new(), Vec::new());
     for touch in touches {

@@ -1,4 +1,4 @@
-//! Instruments as solvers meet them: rods with round ends, where they are and how they move.
+//! Instruments as collision geometry for soft bodies: capsules ("rods") with pose and velocity.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::shapes::{instrument_from_hinge, working_end};
@@ -6,13 +6,13 @@ use trocar_scene::{Entity, Instrument, Snapshot, Velocity};
 
 use super::jaws::{CLOSED, opening};
 
-/// Most of a shaft that takes part, from the hinge backwards \[m\].
+/// Maximum length of the shaft that takes part in contacts, from the hinge backwards \[m\].
 const SHAFT_REACH: f64 = 0.12;
 
-/// One rod of an instrument, in the frame that it was asked for.
+/// One rod of an instrument, in the requested frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rod {
-    /// Whose it is.
+    /// Its instrument.
     pub instrument: Entity,
     /// Its ends: nearer to the handle, nearer to the tip \[m\].
     pub ends: [Point3<f64>; 2],
@@ -20,12 +20,12 @@ pub struct Rod {
     pub radius: f64,
     /// Velocities of its ends \[m/s\].
     pub velocities: [Vector3<f64>; 2],
-    /// Whether it is one of two open jaws, which go to either side of what they are to take.
+    /// Whether it is one of two open jaws, which pass on either side of the tissue to be grasped.
     pub is_open_jaw: bool,
 }
 
-/// The rods of every instrument in the scene: shaft, and jaws or what else its end is made of, in the frame of a body at `world_from_body`, in the order
-/// of the instruments' entities. Clears `rods` first.
+/// The rods of all instruments in the scene: shaft, and jaws or other end effector, in the frame of a body at
+/// `world_from_body`, in the order of the instruments' entities. Clears `rods` first.
 pub fn rods_of_all(scene: &Snapshot, world_from_body: &Isometry3<f64>, rods: &mut Vec<Rod>) {
     rods.clear();
     let body_from_world = world_from_body.inverse();

@@ -1,4 +1,4 @@
-//! What a method of soft bodies is: how it is built from the scene, what it is given in a step, and what it tells.
+//! Interface of a soft-body method: its construction from the scene, the input of a step, and its results.
 
 use std::collections::BTreeMap;
 
@@ -10,70 +10,70 @@ use super::instrument_rods::Rod;
 use super::rod_contact::{Skin, Touch};
 use crate::picking::DrivenVertex;
 
-/// What meets a body in one tick; everything in the frame of the body.
+/// Input of a body's step; everything in the body's frame.
 #[derive(Clone, Copy)]
 pub struct StepContext<'a> {
     /// The scene that the tick reads.
     pub scene: &'a Snapshot,
     /// The tick.
     pub tick: &'a Tick<'a>,
-    /// Where the body is.
+    /// Pose of the body.
     pub world_from_body: &'a Isometry3<f64>,
     /// Gravity \[m/s²\].
     pub gravity: Vector3<f64>,
     /// The rods of all instruments.
     pub rods: &'a [Rod],
-    /// Where rods touch the body and push it.
+    /// Contacts of rods with the body.
     pub touches: &'a [Touch],
-    /// Forces on vertices that others have given the body \[N\].
+    /// External forces on vertices \[N\].
     pub forces: &'a [(u32, Vector3<f64>)],
-    /// Vertices that jaws hold, and where they have them at the end of the tick; ascending, none that is anchored.
+    /// Vertices held by jaws, with their prescribed positions at the end of the tick; ascending, without anchored ones.
     pub led: &'a [DrivenVertex],
 }
 
 impl StepContext<'_> {
-    /// How long the step is \[s\].
+    /// Length of the step \[s\].
     #[must_use]
     pub fn period_secs(&self) -> f64 {
         self.tick.period.as_secs_f64()
     }
 }
 
-/// What a change of shape did to the triangles of a body. Those that are new have the highest numbers.
+/// Effect of a topology change on a body's triangles. New triangles have the highest numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Reshaped {
-    /// The new number of each old triangle, where it is still there; `None` when all have the numbers they had.
+    /// New number of each old triangle, or `None` if it was removed; the list is absent when all keep their numbers.
     pub kept: Option<Vec<Option<u32>>>,
-    /// For each new triangle the one that it is a part of.
+    /// The parent of each new triangle.
     pub parents: Vec<u32>,
 }
 
 /// A method that moves the vertices of bodies.
 pub trait SoftMethod: Send + Sized + 'static {
-    /// The component by which a scene says that a body is moved by it.
+    /// The component by which a scene assigns a body to this method.
     type Kind: Component + Clone;
     /// The kind of its controller, for messages.
     const CONTROLLER: &'static str;
 
-    /// The solver of one body, where the scene says that the body is.
+    /// Builds the solver of one body, at its state in the scene.
     ///
     /// # Errors
     /// What is wrong with the body.
     fn build(kind: &Self::Kind, body: &mut Deformable, scene: &Snapshot) -> Result<Self, String>;
 
-    /// What it reads and writes besides what every soft body does.
+    /// Reads and writes in addition to those of every soft body.
     fn access(access: Access, _bodies: &[Entity]) -> Access {
         access
     }
 
-    /// Vertices now \[m\].
+    /// Vertex positions \[m\].
     fn positions(&self) -> &[Point3<f64>];
-    /// And how they move \[m/s\].
+    /// Vertex velocities \[m/s\].
     fn velocities(&self) -> &[Vector3<f64>];
-    /// What of it may be touched.
+    /// Its collision geometry.
     fn skin<'a>(&'a self, body: &'a Deformable) -> Skin<'a>;
 
-    /// How it answers contacts that detectors find; one without terms does not.
+    /// Parameters for contacts that detectors find; `None`: it does not answer them.
     fn terms(&self) -> Option<ContactParams<'_>> {
         None
     }
@@ -83,11 +83,11 @@ pub trait SoftMethod: Send + Sized + 'static {
         false
     }
 
-    /// Changes of its shape before anything touches it: cuts, elements that others have removed. `touches` and `led` of the
-    /// site are empty. Brings `body` up to date and tells the scene of its new meshes.
+    /// Topology changes at the beginning of the tick: cuts, elements that other controllers have removed. `touches` and
+    /// `led` of `site` are empty. Updates `body` and writes its new meshes to the scene.
     ///
     /// # Errors
-    /// Why it cannot go on.
+    /// Why the body cannot continue.
     fn reshape(
         &mut self,
         _body: &mut Deformable,
@@ -97,10 +97,10 @@ pub trait SoftMethod: Send + Sized + 'static {
         Ok(None)
     }
 
-    /// One step. Fills `forces` with what each touch exerts on the body \[N\].
+    /// One step. Fills `forces` with the force of each rod contact on the body \[N\].
     ///
     /// # Errors
-    /// Why it cannot go on; the body is where it was.
+    /// Why it cannot continue; the body keeps its previous state.
     fn step(
         &mut self,
         body: &Deformable,
@@ -108,15 +108,14 @@ pub trait SoftMethod: Send + Sized + 'static {
         forces: &mut Vec<Vector3<f64>>,
     ) -> Result<(), String>;
 
-    /// One step of all bodies that can make one; each says whether it did. Those that belong together are stepped together.
+    /// One step of all bodies that can be stepped; each stores its result. Coupled bodies are stepped together.
     fn step_all(steps: &mut [Step<'_, Self>]) {
         for step in steps {
             step.done = step.method.step(step.body, &step.site, &mut step.forces);
         }
     }
 
-    /// What is to be expected of the next step, after one; `active` are the vertices that others give something or
-    /// soon will.
+    /// Prediction for the next step, after a step; `active` are the vertices with present or imminent external forces.
     fn look_ahead(
         &mut self,
         _body: &Deformable,
@@ -126,29 +125,29 @@ pub trait SoftMethod: Send + Sized + 'static {
     ) {
     }
 
-    /// What the body exerts now on whoever holds these vertices \[N\]; ascending.
+    /// The force of the body on the jaws that hold these vertices \[N\]; ascending.
     fn pull_by(&mut self, held: &[u32]) -> Vector3<f64>;
 
-    /// What a later life needs besides positions and velocities.
+    /// State that a restart needs in addition to positions and velocities.
     fn publish(&mut self, _body: &Deformable, _site: &StepContext<'_>, _out: &mut Commands) {}
 
-    /// What is worth knowing of it.
+    /// Measures of the body.
     fn measure(&self, body: &Deformable, measures: &mut Measures<'_>);
 }
 
-/// Where a method puts its measures: `NAME.what`.
+/// Where a method records its measures: `NAME.what`.
 pub struct Measures<'a> {
     name: &'a str,
     values: &'a mut BTreeMap<String, f64>,
 }
 
 impl<'a> Measures<'a> {
-    /// Measures of the body of that name go here.
+    /// Measures of the body of that name.
     pub fn new(name: &'a str, values: &'a mut BTreeMap<String, f64>) -> Self {
         Self { name, values }
     }
 
-    /// Tells one; the unit is the end of its name. What is not a number is no measure.
+    /// Records a measure; the unit is the suffix of its name. Non-finite values are dropped.
     pub fn put(&mut self, what: &str, value: f64) {
         if !value.is_finite() {
             return;
@@ -157,43 +156,43 @@ impl<'a> Measures<'a> {
     }
 }
 
-/// A body that is about to be stepped.
+/// A body to be stepped.
 pub struct Step<'a, M> {
-    /// Who steps it.
+    /// Its method.
     pub method: &'a mut M,
     /// The body.
     pub body: &'a Deformable,
-    /// What meets it.
+    /// Its input.
     pub site: StepContext<'a>,
-    /// What each touch exerts on it \[N\], to be filled.
+    /// Force of each rod contact on it \[N\], to be filled.
     pub forces: Vec<Vector3<f64>>,
-    /// Whether it was stepped, or why not; then it is where it was.
+    /// Whether it was stepped, or the reason; then it keeps its previous state.
     pub done: Result<(), String>,
 }
 
-/// How a body answers.
+/// Contact parameters of a body.
 #[derive(Clone, Copy, Debug)]
 pub struct ContactParams<'a> {
-    /// One over the mass of each vertex, 0 where it is held \[1/kg\].
+    /// Inverse mass of each vertex, 0 where it is fixed \[1/kg\].
     pub masses_inverse: &'a [f64],
-    /// Force per depth of each contact \[N/m\].
+    /// Stiffness of each contact: force per depth \[N/m\].
     pub stiffness: f64,
-    /// Coulomb's coefficient.
+    /// Coulomb friction coefficient.
     pub friction: f64,
 }
 
-/// What is to be expected of the next step of a body.
+/// Prediction of a body's next step.
 #[derive(Clone, Debug, Default)]
 pub struct Outlook {
-    /// How all vertices would move after one more step like the last \[m/s\].
+    /// Velocities of all vertices after one more step like the last \[m/s\].
     pub expected: Vec<Vector3<f64>>,
-    /// How readily those that were asked for follow impulses that all of them are given alike \[1/kg\].
+    /// Mobility of the requested vertices under equal impulses on all of them \[1/kg\].
     pub yielding: Vec<f64>,
     /// Masses of all vertices \[kg\].
     pub masses: Vec<f64>,
 }
 
-/// Whether places and speeds are numbers; names the first vertex of which they are not.
+/// Checks that positions and velocities are finite; the error names the first vertex that is not.
 pub fn finite_vertices(positions: &[Point3<f64>], velocities: &[Vector3<f64>]) -> Result<(), String> {
     let place = positions.iter().position(|place| !place.iter().all(|x| x.is_finite()));
     let speed = || velocities.iter().position(|speed| !speed.iter().all(|x| x.is_finite()));

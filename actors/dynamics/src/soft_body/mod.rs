@@ -1,11 +1,11 @@
-//! The frame of every method of soft bodies: whichever method moves a body, instruments touch, hold and press it alike.
+//! Common controller of soft-body methods: whichever method moves a body, instruments touch, grasp and press it alike.
 //!
 //! | Concept | File |
 //! |---|---|
-//! | who schedules the bodies of a method | `controller.rs` |
-//! | what a method is, what it is given and what it tells | `method.rs` |
-//! | a body as the scene has it | `deformable.rs`, `pinned.rs`, `frozen.rs` |
-//! | instruments as rods, where these touch, what jaws hold | `instrument_rods.rs`, `rod_contact.rs`, `jaws.rs`, `grasp.rs` |
+//! | the controller that schedules the bodies of a method | `controller.rs` |
+//! | interface of a method: input and results of a step | `method.rs` |
+//! | a body's state in the scene | `deformable.rs`, `pinned.rs`, `frozen.rs` |
+//! | instruments as rods, their contacts, grasps | `instrument_rods.rs`, `rod_contact.rs`, `jaws.rs`, `grasp.rs` |
 //! | contacts that detectors find | `contact/` |
 //! | the slower side of a coupling | `coupling/` |
 

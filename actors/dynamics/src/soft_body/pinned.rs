@@ -1,29 +1,30 @@
-//! What has been driven into a soft body, as a scenario says it.
+//! Points of a soft body that are pinned to an instrument, a needle or a rigid body, as a scenario declares them.
 
 use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Component, ComponentError};
 
-/// Points of one organ that are pinned at most: each costs three sparse solves when it is first held and whenever the inverse
-/// is another one.
+/// Maximum number of pinned points per organ: each costs three sparse solves when it is first pinned and whenever the
+/// inverse changes.
 pub const PINS_MAX: usize = 32;
-/// What holds some points of an organ.
+/// Pinned points of an organ, and what they are pinned to.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PinnedWith {
     /// The name of an entity that has a pose: an instrument, a needle, a rigid body.
     pub entity: String,
-    /// Points inside of the organ, or on it, in its frame at rest \[m\]. They go with the entity from where it is at first.
+    /// Points inside the organ or on it, in its frame at rest \[m\]. They keep their initial positions relative to the
+    /// entity.
     #[schemars(with = "Vec<[f64; 3]>")]
     pub points: Vec<Point3<f64>>,
 }
 
-/// An organ of `linear_fem` into which something has been driven that leads points of its inside.
+/// An organ of `linear_fem` with points pinned to other entities.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PinnedBody {
-    /// By what.
+    /// The entities, with their points.
     pub with: Vec<PinnedWith>,
 }
 

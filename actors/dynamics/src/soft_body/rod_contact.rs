@@ -1,8 +1,8 @@
-//! Where rods touch a deforming body: every vertex within a rod, and for each rod the deepest place on the surface or the
-//! line, so that thin jaws between coarse vertices are felt as well. What has got deeper into a volume than its own radius
-//! is found there, and pushed back the way that is shortest. A rod whose axis goes through a sheet has been pressed farther
-//! into it than it is thick: the sheet belongs before its tip, wherever it has no hole. Open jaws go to either side of a sheet
-//! that they are to take, and are neither waited for nor pushed out.
+//! Contact of rods with a deformable body: every vertex within a rod, and for each rod the deepest point on the surface
+//! or the line, so that thin jaws between coarse vertices are felt as well. A rod deeper in a volume than its own
+//! radius is detected by its samples inside the volume, and pushed out along the shortest way. A rod whose axis crosses
+//! a sheet is pressed farther into it than its radius: the sheet is moved beyond the tip, except at a hole. Open jaws
+//! pass on either side of the sheet that they are to grasp: no look-ahead and no push-out for them.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_collision::primitive::{
@@ -12,57 +12,57 @@ use trocar_scene::{Collision, Detection, Entity, Primitive, SimTime};
 
 use super::instrument_rods::Rod;
 
-/// Most contacts that a controller tells the collision list; the deepest ones stay.
+/// Maximum number of contacts that a controller writes to the collision list; the deepest are kept.
 pub const COLLISIONS_MAX: usize = 64;
 
-/// One place where a rod touches.
+/// One contact of a rod.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Touch {
-    /// Which rod of the list.
+    /// Index of the rod.
     pub rod: usize,
-    /// Corners of what is touched; one vertex three times for a vertex, the last twice for a segment.
+    /// Corners of the touched feature; one vertex three times for a vertex, the last twice for a segment.
     pub nodes: [u32; 3],
-    /// Where on it: each in \[0, 1\], their sum 1.
+    /// Barycentric weights of the point: each in \[0, 1\], their sum 1.
     pub weights: [f64; 3],
     /// Unit direction from the rod to the body.
     pub normal: Vector3<f64>,
-    /// How deep \[m\]; negative of what is near to a rod that it may come to within a tick.
+    /// Penetration depth \[m\]; negative for a feature that the rod may reach within a tick.
     pub depth: f64,
-    /// Velocity of the rod there \[m/s\].
+    /// Velocity of the rod at the contact \[m/s\].
     pub velocity: Vector3<f64>,
-    /// Nearest place on the rod's axis \[m\].
+    /// Nearest point on the rod's axis \[m\].
     pub on_axis: Point3<f64>,
-    /// Index of the triangle or segment; of a vertex there is none.
+    /// Index of the triangle or segment; `None` for a vertex.
     pub element: Option<u32>,
 }
 
-/// What may be touched.
+/// Collision geometry of a body.
 #[derive(Clone, Copy, Debug)]
 pub struct Skin<'a> {
     /// Vertices \[m\].
     pub positions: &'a [Point3<f64>],
-    /// Surface.
+    /// Surface triangles.
     pub triangles: &'a [[u32; 3]],
-    /// Line.
+    /// Line segments.
     pub segments: &'a [[u32; 2]],
-    /// How far its surface is from what the vertices tell \[m\]: half the thickness of a cloth, the radius of a thread.
+    /// Distance of its surface from the vertices \[m\]: half the thickness of a cloth, the radius of a thread.
     pub thickness: f64,
-    /// Whether its triangles enclose a volume, from which everything is to be kept out.
+    /// Whether its triangles enclose a volume.
     pub closed: bool,
 }
 
-/// Places along a rod that are looked for within a volume.
+/// Sample points along a rod that are tested for being inside a volume.
 const SAMPLES: u32 = 5;
-/// A sheet or a line that is nearer to a rod than this share of its radius counts as touched: what springs back to the rod
-/// within a tick would be found behind its surface, be thrown off, and so on in every other tick. So does what the rod comes
-/// to within the tick, which it would have passed before the next.
+/// A sheet or a line closer to a rod than this fraction of the rod's radius counts as touched: if it sprang back to the
+/// rod within a tick it would be detected behind its surface and thrown off, and so on in every other tick. The same
+/// holds for anything that the rod reaches within the tick, and would have passed before the next.
 const AHEAD: f64 = 1.0;
-/// What is nearer to the axis of a rod than this is on it \[m\].
+/// A point nearer to the axis of a rod than this lies on it \[m\].
 const ON: f64 = 1e-12;
-/// How far the tip of a rod is followed that is through a sheet, besides how far it has come in this tick \[m\].
+/// How far beyond a sheet the tip of a rod is still tracked, in addition to its motion in this tick \[m\].
 const THROUGH: f64 = 0.01;
 
-/// Fills `touches` with every touch in a tick of `period` \[s\], by rod; each rod's vertices first.
+/// Fills `touches` with all contacts in a tick of `period` \[s\], by rod; each rod's vertices first.
 pub fn touches(rods: &[Rod], skin: &Skin<'_>, period: f64, touches: &mut Vec<Touch>) {
     touches.clear();
     for (index, rod) in rods.iter().enumerate() {
@@ -78,7 +78,7 @@ pub fn touches(rods: &[Rod], skin: &Skin<'_>, period: f64, touches: &mut Vec<Tou
     }
 }
 
-/// Where a rod is deepest within a volume that it does not touch from outside.
+/// The deepest point of a rod within a volume that it does not touch from outside.
 fn deepest_within(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
     let mut positions = skin.positions.iter();
     let first = *positions.next()?;
@@ -107,8 +107,8 @@ fn deepest_within(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
     within.max_by(|a, b| a.depth.total_cmp(&b.depth))
 }
 
-/// Where the axis of a rod meets the surface of a volume that it is not within: it ends on it, lies in it, or cuts a corner
-/// off. Such a place is no way from the axis, and which way it is pushed only the surface tells.
+/// Where the axis of a rod outside a volume meets its surface: it ends on it, lies in it, or cuts off a corner. The
+/// distance from the axis is then zero, so only the surface gives the direction of the push.
 fn on_surface(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
     let room = [rod.ends[0].inf(&rod.ends[1]), rod.ends[0].sup(&rod.ends[1])];
     skin.triangles.iter().enumerate().find_map(|(element, &nodes)| {
@@ -130,7 +130,7 @@ fn on_surface(index: usize, rod: &Rod, skin: &Skin<'_>) -> Option<Touch> {
     })
 }
 
-/// Whether a point is inside, by the solid angle that the surface fills about it (van Oosterom and Strackee 1983).
+/// Whether a point is inside, by the solid angle of the surface around it (van Oosterom and Strackee 1983).
 fn is_within(point: &Point3<f64>, skin: &Skin<'_>) -> bool {
     let angle: f64 = skin
         .triangles
@@ -145,18 +145,18 @@ fn is_within(point: &Point3<f64>, skin: &Skin<'_>) -> bool {
     angle > 2.0 * std::f64::consts::PI
 }
 
-/// Whether what a rod comes to is met before it is in it, and what it has gone through is held back.
+/// Whether look-ahead contacts, and contacts after a pass through, apply to this pair.
 fn looks_ahead(rod: &Rod, skin: &Skin<'_>) -> bool {
     !(skin.closed || rod.is_open_jaw)
 }
 
-/// How far from the axis of a rod something is that touches it, or may within a tick.
+/// Distance from the axis of a rod within which something touches it, or may within a tick.
 fn reach(rod: &Rod, skin: &Skin<'_>) -> f64 {
     let ahead = if looks_ahead(rod, skin) { AHEAD * rod.radius } else { 0.0 };
     rod.radius + skin.thickness + ahead
 }
 
-/// The box of what may touch a rod, with the way that it goes in the tick.
+/// Bounding box of possible contacts of a rod, including its motion in the tick.
 fn room(rod: &Rod, skin: &Skin<'_>, period: f64) -> [Point3<f64>; 2] {
     let period = if looks_ahead(rod, skin) { period } else { 0.0 };
     let [a, b] = rod.ends;
@@ -165,15 +165,15 @@ fn room(rod: &Rod, skin: &Skin<'_>, period: f64) -> [Point3<f64>; 2] {
     [a.inf(&b).inf(&c).inf(&d) - reach, a.sup(&b).sup(&c).sup(&d) + reach]
 }
 
-/// Whether a triangle is on one side of a box.
+/// Whether a triangle lies entirely on one side of a box.
 fn is_apart(corners: &[Point3<f64>; 3], [low, high]: &[Point3<f64>; 2]) -> bool {
     (0..3).any(|k| {
         corners.iter().all(|corner| corner[k] < low[k]) || corners.iter().all(|corner| corner[k] > high[k])
     })
 }
 
-/// The touch of a rod by what is nearest to its axis, if it is within reach, or if the rod comes there within the tick: `passes`
-/// says of the way of the place on the axis how near it leads to the other.
+/// The contact of a rod with the point nearest to its axis, if it is within reach, or if the rod gets there within the
+/// tick: `passes` returns how near the path of the axis point comes to the other.
 fn touch(
     rod: (usize, &Rod),
     skin: &Skin<'_>,
@@ -201,8 +201,8 @@ fn touch(
     Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element: None })
 }
 
-/// The touch of a rod whose axis goes through a sheet, so far from its end towards the handle: the sheet is to go on to its
-/// tip.
+/// The contact of a rod whose axis crosses a sheet at `along` from its handle end: the sheet is to be moved to the
+/// rod's tip.
 fn through(rod: (usize, &Rod), skin: &Skin<'_>, along: f64, period: f64) -> Option<Touch> {
     let (index, rod) = rod;
     let ahead = rod.ends[1] - rod.ends[0];
@@ -272,7 +272,7 @@ fn deepest_element(index: usize, rod: &Rod, skin: &Skin<'_>, period: f64) -> Opt
     deepest
 }
 
-/// A touch as everybody sees it: `a` is the instrument, `b` the body.
+/// A rod contact as a row of the collision list: `a` is the instrument, `b` the body.
 pub fn collision(
     touch: &Touch,
     rod: &Rod,
@@ -308,7 +308,7 @@ mod tests {
 
     const PERIOD: f64 = 1e-3;
 
-    /// Of one triangle, without thickness.
+    /// One triangle, without thickness.
     fn sheet(positions: &[Point3<f64>]) -> Skin<'_> {
         Skin { positions, triangles: &[[0, 1, 2]], segments: &[], thickness: 0.0, closed: false }
     }
@@ -375,7 +375,7 @@ mod tests {
         assert!(found.is_empty());
         touches(&[Rod { is_open_jaw: true, ..pressed(0.003) }], &skin, PERIOD, &mut found);
         assert!(found.is_empty(), "an open jaw goes to the other side");
-        // Nothing goes through where there is nothing.
+        // A hole: the rod crosses nothing.
         touches(&[rod([0.07, 0.07, -0.05], [0.07, 0.07, 0.01])], &skin, PERIOD, &mut found);
         assert!(found.is_empty());
     }
@@ -416,14 +416,14 @@ mod tests {
         };
         let mut found = Vec::new();
         let thin = |from: [f64; 3], to: [f64; 3]| Rod { radius: 0.0005, ..rod(from, to) };
-        // All of it is inside, its lower end the deepest: 4 mm below the top, 0.5 mm more with its radius.
+        // The whole rod is inside, its lower end the deepest: 4 mm below the top, 0.5 mm more with its radius.
         touches(&[thin([0.001, 0.002, 0.007], [0.001, 0.002, 0.006])], &skin, PERIOD, &mut found);
         assert_eq!(found.len(), 1);
         assert!((found[0].depth - 0.0045).abs() < 1e-12 && (found[0].normal + Vector3::z()).norm() < 1e-9);
         assert_eq!(found[0].velocity, Vector3::y());
         touches(&[thin([0.001, 0.002, 0.03], [0.001, 0.002, 0.012])], &skin, PERIOD, &mut found);
         assert!(found.is_empty());
-        // One whose axis ends on the surface is pushed out by its radius: on a face, an edge, a vertex; or lies in it.
+        // A rod whose axis ends on the surface (face, edge, vertex) or lies in it is pushed out by its radius.
         for (x, y, from) in
             [(0.001, 0.002, 0.03), (0.01, 0.002, 0.03), (0.01, 0.01, 0.03), (0.01, 0.01, 0.010)]
         {

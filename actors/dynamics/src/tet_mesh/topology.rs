@@ -341,7 +341,7 @@ impl Volume {
         }
     }
 
-    /// Removes an element from its neighbour.
+    /// Removes the neighbour `from` of an element; their face becomes a boundary face.
     fn part(&mut self, tet: u32, from: u32, change: &mut VolumeChange) {
         let sides = &mut self.neighbours[tet as usize];
         if let Some(corner) = sides.iter().position(|next| *next == Some(from)) {

@@ -1,5 +1,5 @@
-//! What contacts push. For the time of a step vertices are taken as free; of each body only those are looked at that touch.
-//! Rigid bodies move as a whole.
+//! Contact response of bodies. During a step vertices are treated as free; only the touched ones are considered. Rigid
+//! bodies move as a whole.
 
 use std::collections::BTreeMap;
 
@@ -13,19 +13,19 @@ use super::{ContactSums, ImpulseTotals, SoftContacts};
 use crate::picking::DrivenVertex;
 use crate::soft_body::method::ContactParams;
 
-/// What the bodies of a controller have given others so far: who, and to whom.
+/// Impulses that a controller's bodies have given others so far: giver, and receivers.
 pub(crate) struct AppliedImpulses {
     pub giver: Entity,
     pub vertices: Vec<ContactSums>,
     pub wholes: Vec<ImpulseTotals>,
 }
 
-/// A body that contacts push: one of the controller, or one that another moves.
+/// A body under contact: one of this controller, or of another.
 pub(crate) struct Mover<'a> {
     pub entity: Entity,
     pub friction: Option<f64>,
     pub stiffness: f64,
-    /// Until what it is given takes effect \[s\].
+    /// Time until its impulses take effect \[s\].
     pub step: f64,
     matter: Matter<'a>,
 }
@@ -35,41 +35,41 @@ enum Matter<'a> {
     RigidProxy(RigidProxy),
 }
 
-/// Where a contact pushes a mover.
+/// A contact point on a mover.
 #[derive(Clone, Copy)]
 pub(crate) struct ContactTarget {
-    /// The number of the mover.
+    /// Index of the mover.
     pub mover: usize,
-    /// Vertices by their places among those that are touched, and their shares.
+    /// Indices among the touched vertices, and their weights.
     nodes: [(usize, f64); 3],
-    /// Of one that moves as a whole.
+    /// The point, for a body that moves as a whole.
     at_in_world: Point3<f64>,
 }
 
-/// How the vertices of a body would move if nothing held them together.
+/// Touched vertices, as free masses.
 struct Vertices<'a> {
     rotation: UnitQuaternion<f64>,
     velocities: &'a [Vector3<f64>],
     masses_inverse: &'a [f64],
     before: Before<'a>,
     places: BTreeMap<u32, usize>,
-    /// In world \[m/s\], and one over their masses \[1/kg\].
+    /// Velocities in world \[m/s\], and inverse masses \[1/kg\].
     touched: Vec<(Vector3<f64>, f64)>,
 }
 
-/// What moves vertices before contacts do.
+/// Motion of vertices without contacts.
 enum Before<'a> {
     RespondingBody {
         led: &'a [DrivenVertex],
-        /// What gravity adds, in the body's frame \[m/s\].
+        /// Velocity that gravity adds, in the body's frame \[m/s\].
         falls: Vector3<f64>,
         period: f64,
-        /// In the body's frame \[N\], by vertex.
+        /// Forces in the body's frame \[N\], by vertex.
         forces: Vec<(u32, Vector3<f64>)>,
     },
     Remote {
         entity: Entity,
-        /// In world \[m/s\].
+        /// Velocity that gravity adds, in world \[m/s\].
         falls: Vector3<f64>,
         given: &'a [AppliedImpulses],
         taken: &'a [ContactSums],
@@ -77,7 +77,7 @@ enum Before<'a> {
 }
 
 impl Vertices<'_> {
-    /// How a vertex moves before contacts do \[m/s\], and one over its mass \[1/kg\].
+    /// Velocity of a vertex without contacts \[m/s\], and its inverse mass \[1/kg\].
     fn begin(&self, node: u32) -> (Vector3<f64>, f64) {
         let at = node as usize;
         let mut speed = self.velocities.get(at).copied().unwrap_or_default();
@@ -101,7 +101,7 @@ impl Vertices<'_> {
                 if mass > 0.0 {
                     speed += falls;
                 }
-                // What it has been given and has not taken yet moves it already.
+                // Impulses that it has not yet taken are included in its motion.
                 for AppliedImpulses { giver, vertices, .. } in given.iter() {
                     for sums in vertices.iter().filter(|sums| sums.body == Some(*entity)) {
                         speed += sums.of_vertex(node) * mass;
@@ -126,10 +126,10 @@ impl Vertices<'_> {
 }
 
 impl<'a> Mover<'a> {
-    /// A body of the controller that answers.
+    /// A body of this controller that answers contacts.
     pub fn of(body: &RespondingBody<'a>, period: f64) -> Self {
         let mut forces = body.forces.clone();
-        // Of one vertex they stay in their order.
+        // Forces on one vertex keep their order.
         forces.sort_by_key(|(vertex, _)| *vertex);
         let ContactParams { masses_inverse, stiffness, friction } = body.terms;
         let falls = body.gravity_in_body * period;
@@ -138,7 +138,7 @@ impl<'a> Mover<'a> {
         Self { entity: body.entity, friction: Some(friction), stiffness, step: 0.0, matter }
     }
 
-    /// A body of vertices that another controller moves, which has told its masses.
+    /// A deformable body of another controller that has published its masses.
     pub fn remote(
         (scene, entity): (&'a Snapshot, Entity),
         falls: &Vector3<f64>,
@@ -160,7 +160,7 @@ impl<'a> Mover<'a> {
         given: &[AppliedImpulses],
     ) -> Option<Self> {
         let matter = Matter::RigidProxy(RigidProxy::of(scene, entity, when, given)?);
-        // It is where what it has been given puts it, so that it answers at once.
+        // Its state includes the impulses not yet taken, so that it responds immediately.
         Some(Self { entity, friction: None, stiffness: f64::INFINITY, step: 0.0, matter })
     }
 
@@ -168,7 +168,7 @@ impl<'a> Mover<'a> {
         matches!(self.matter, Matter::RigidProxy(_))
     }
 
-    /// Where one is by now that moves as a whole, `world_from_body`, and how it moves.
+    /// Extrapolated pose `world_from_body` and velocity of a body that moves as a whole.
     pub fn whole_motion(&self) -> Option<(Isometry3<f64>, Velocity)> {
         match &self.matter {
             Matter::RigidProxy(whole) => Some((whole.pose, whole.of_origin())),
@@ -176,7 +176,7 @@ impl<'a> Mover<'a> {
         }
     }
 
-    /// To push it at a place; `mover` is its number. One that moves as a whole is pushed at `at_in_world`.
+    /// Prepares a contact point; `mover` is the body's index. A body that moves as a whole is pushed at `at_in_world`.
     pub fn hold(&mut self, mover: usize, place: &Place, at_in_world: &Point3<f64>) -> ContactTarget {
         let mut nodes = [(0, 0.0); 3];
         if let Matter::Vertices(vertices) = &mut self.matter {
@@ -187,7 +187,7 @@ impl<'a> Mover<'a> {
         ContactTarget { mover, nodes, at_in_world: *at_in_world }
     }
 
-    /// How much faster the place is for each impulse on it, along a direction and at most across it \[1/kg\].
+    /// Mobility of the point along a direction, and at most across it \[1/kg\].
     pub fn yields(&self, handle: &ContactTarget, normal: &Vector3<f64>) -> [f64; 2] {
         match &self.matter {
             Matter::RigidProxy(whole) => whole.yields(&handle.at_in_world, normal),
@@ -197,7 +197,7 @@ impl<'a> Mover<'a> {
         }
     }
 
-    /// How the place moves \[m/s\].
+    /// Velocity of the point \[m/s\].
     pub fn speed(&self, handle: &ContactTarget) -> Vector3<f64> {
         match &self.matter {
             Matter::RigidProxy(whole) => whole.speed(&handle.at_in_world),
@@ -207,7 +207,7 @@ impl<'a> Mover<'a> {
         }
     }
 
-    /// Gives the place an impulse \[N·s\].
+    /// Applies an impulse at the point \[N·s\].
     pub fn push(&mut self, handle: &ContactTarget, impulse: &Vector3<f64>) {
         match &mut self.matter {
             Matter::RigidProxy(whole) => whole.push(&handle.at_in_world, impulse),
@@ -240,7 +240,7 @@ impl ContactTarget {
     }
 }
 
-/// The vertices of a place, each once.
+/// The distinct vertices of a point.
 fn joint(place: &Place) -> impl Iterator<Item = (u32, f64)> {
     let ([a, b, c], [u, v, w]) = (place.nodes, place.weights);
     let first = u + if b == a { v } else { 0.0 } + if c == a { w } else { 0.0 };

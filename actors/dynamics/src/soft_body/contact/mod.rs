@@ -1,4 +1,4 @@
-//! Contacts that detectors find of soft bodies: followed from tick to tick, and answered for both sides.
+//! Contacts of soft bodies that detectors find: tracked from tick to tick, and answered for both bodies.
 
 pub(crate) mod bodies;
 pub(crate) mod penalty;

@@ -1,16 +1,17 @@
-//! What contacts that detectors have found exert: a penalty with damping, taken at the end of the step, and friction by a
-//! spring across it that slides where it is drawn beyond Coulomb's limit, for all contacts of a controller's bodies together.
+//! Penalty contact for detected contacts: an implicit spring and damper along the normal, and Coulomb friction by a
+//! tangential spring that slides at the friction limit. All contacts of a controller's bodies are solved together.
 //!
-//! Vertices are taken as free for the time of a step, with the force that their contacts exert on them; the stiffness `k` and the
-//! damping `c` of a contact of depth `d` are taken at the end of a step `h`, `F = k (d − h v) − c v`, so that whatever they
-//! are no vertex is turned back faster than it came. Contacts that share vertices are gone over a few times. Both sides of a
-//! contact get the same impulse.
+//! During a step vertices are treated as free, with their contact forces. The stiffness `k` and damping `c` of a
+//! contact of depth `d` are implicit in a step `h`: `F = k (d − h v) − c v`. So no vertex is thrown back faster than it
+//! came, whatever `k` and `c` are. Contacts that share vertices are solved in several sweeps. Both bodies of a contact
+//! get the same impulse.
 //!
-//! So a contact gives way a little more than its stiffness says, and a light vertex that friction holds may tremble by
-//! micrometres where its own matter swings within a step.
+//! So a contact is a little softer than its stiffness, and a light vertex held by friction may vibrate by micrometres
+//! where its own tissue oscillates within a step.
 //!
-//! What is deep when it begins to be in the other (a detector that is slow, or a fast body) is stopped there and then let out slowly: its
-//! spring begins where it was stopped, and that place goes back to the surface within a few hundredths of a second.
+//! A contact that is already deep when first detected (a slow detector, or a fast body) is stopped there and then
+//! released slowly: its spring starts at that depth, and its rest depth returns to the surface within a few hundredths
+//! of a second.
 
 use nalgebra::{Isometry3, Vector3};
 use trocar_scene::{Entity, SimTime, Snapshot};
@@ -21,33 +22,33 @@ use super::{ContactSums, ImpulseTotals, PersistentContact, SoftContacts};
 use crate::picking::DrivenVertex;
 use crate::soft_body::method::ContactParams;
 
-/// Times that all contacts are gone over.
+/// Sweeps over all contacts.
 const SWEEPS: usize = 10;
-/// Share of the critical damping of the vertices that touch.
+/// Fraction of critical damping of the touching vertices.
 const DAMPING_RATIO: f64 = 0.7;
-/// Time in which what has been stopped in the depth is let out \[s\].
+/// Time constant for the release of initially deep contacts \[s\].
 const LET_OUT: f64 = 0.05;
 
-/// A body of the controller that answers.
+/// A body of this controller that answers contacts.
 pub(crate) struct RespondingBody<'a> {
     pub entity: Entity,
     pub shape: Shape<'a>,
     pub terms: ContactParams<'a>,
     pub led: &'a [DrivenVertex],
     pub gravity_in_body: Vector3<f64>,
-    /// What acts on it in this tick, and what its contacts add, in its frame \[N\].
+    /// Forces on it in this tick; its contact forces are added, in its frame \[N\].
     pub forces: Vec<(u32, Vector3<f64>)>,
     pub memory: SoftContacts,
-    /// What its contacts exert, as the sum of their sizes \[N\], and how many press.
+    /// Sum of the magnitudes of its contact forces \[N\], and the number of active contacts.
     pub pressed: (f64, usize),
-    /// What others have answered for it \[N\].
+    /// Force by contacts that others have answered for it \[N\].
     pub taken: Vector3<f64>,
-    /// Whether there is something to tell.
+    /// Whether there is a change to publish.
     pub changed: bool,
 }
 
 impl RespondingBody<'_> {
-    /// Tells whoever answers for it how it gives way.
+    /// Publishes the masses by which another body answers for it.
     fn name(&mut self, period: f64) {
         let is_known = self.memory.step == period && *self.memory.masses_inverse == self.terms.masses_inverse;
         if !is_known {
@@ -66,20 +67,20 @@ struct Row {
     stiffness: f64,
     damping: f64,
     friction: f64,
-    /// Relative velocity of the places per impulse \[1/kg\], along the normal and at most across it, and the step that
-    /// forces are for \[s\].
+    /// Change of relative velocity per impulse \[1/kg\], along the normal and at most across it, and the step over
+    /// which forces act \[s\].
     yields: [f64; 2],
     step: f64,
     slack: f64,
     drawn: Vector3<f64>,
-    /// On the body \[N\].
+    /// Normal force on the body \[N\].
     normal: f64,
     across: Vector3<f64>,
-    /// What friction would have to hold beyond what it can \[N\].
+    /// The part of the friction spring's force beyond Coulomb's limit \[N\].
     beyond: Vector3<f64>,
 }
 
-/// Answers all contacts of a controller's bodies.
+/// Solves all contacts of a controller's bodies.
 pub(crate) fn answer<'a>(
     own: &mut [RespondingBody<'a>],
     surroundings: &mut Surroundings,
@@ -97,7 +98,7 @@ pub(crate) fn answer<'a>(
     if own.iter().all(|body| body.memory.contacts.is_empty()) {
         return;
     }
-    // Taken out, so that it can be read while contacts are brought up to date.
+    // Taken out, so that it can be read while contacts are updated.
     let given = |body: &mut RespondingBody<'_>| AppliedImpulses {
         giver: body.entity,
         vertices: std::mem::take(&mut body.memory.given),
@@ -116,7 +117,7 @@ pub(crate) fn answer<'a>(
     give(own, &rows, &pushed, now, period);
 }
 
-/// Takes what others have given and has not been taken.
+/// Takes the impulses that others have given and that were not taken yet.
 fn take(own: &mut [RespondingBody<'_>], scene: &Snapshot, period: f64) {
     let mine: Vec<Entity> = own.iter().map(|body| body.entity).collect();
     for (giver, contacts) in scene.iter::<SoftContacts>().filter(|(giver, _)| !mine.contains(giver)) {
@@ -139,7 +140,7 @@ fn take(own: &mut [RespondingBody<'_>], scene: &Snapshot, period: f64) {
     }
 }
 
-/// Takes over what detectors have found since they were listened to.
+/// Reads the detectors' lists since the last call.
 fn listen(
     own: &mut [RespondingBody<'_>],
     surroundings: &mut Surroundings,
@@ -150,7 +151,7 @@ fn listen(
     let mut is_named = vec![false; own.len()];
     for (writer, row) in rows(scene, me, now) {
         let [first, second] = [row.a, row.b].map(|entity| own.iter().position(|body| body.entity == entity));
-        // Who is named is known by his masses from now on, whoever answers.
+        // A body named in a contact publishes its masses from now on, whichever side answers.
         for index in [first, second].into_iter().flatten() {
             if !std::mem::replace(&mut is_named[index], true) {
                 own[index].name(period);
@@ -178,7 +179,7 @@ fn listen(
         let is_first_of_list = before != Some(row.detected_at);
         own[body].changed = true;
         if is_first_of_list {
-            // What is fixed to places goes with the list that told of it.
+            // Contacts fixed to points live until the next list of their detector.
             own[body].memory.contacts.retain(|held| held.is_followed() || held.writer != writer);
         }
         let of_other = match own.iter().find(|body| body.entity == other) {
@@ -200,7 +201,7 @@ fn listen(
     }
 }
 
-/// Finds where all contacts are now, and forgets those that are no longer.
+/// Computes the current geometry of all contacts, and drops those that have ended.
 fn meet<'a>(
     own: &mut [RespondingBody<'_>],
     surroundings: &mut Surroundings,
@@ -227,7 +228,7 @@ fn meet<'a>(
                     let new = || Mover::remote((scene, held.other), &falls, given);
                     match known.or_else(|| new().map(|new| add(movers, new))) {
                         Some(remote) => Some(remote),
-                        // It has not told its masses yet.
+                        // It has not published its masses yet.
                         None => {
                             kept += 1;
                             return true;
@@ -274,14 +275,14 @@ fn add<'a>(movers: &mut Vec<Mover<'a>>, mover: Mover<'a>) -> usize {
     movers.len() - 1
 }
 
-/// Tells both sides what they get; `pushed` are all movers, and whether each moves as a whole.
+/// Distributes the impulses to both sides; `pushed` are all movers, and whether each moves as a whole.
 fn give(own: &mut [RespondingBody<'_>], rows: &[Row], pushed: &[(Entity, bool)], now: SimTime, period: f64) {
     for row in rows {
         let force = row.met.normal_in_world * row.normal + row.across;
         let held = own[row.body].memory.contacts.get_mut(row.contact);
         if let Some(held) = held {
             held.presses = row.normal > 0.0;
-            // What slides is drawn as far as friction holds it.
+            // While sliding, the tangential spring stays at the friction limit.
             if row.stiffness > 0.0 {
                 let resists = row.stiffness * row.step + row.damping;
                 held.drawn += row.beyond * ((1.0 + resists * row.yields[1] * row.step) / row.stiffness);
@@ -308,7 +309,7 @@ fn give(own: &mut [RespondingBody<'_>], rows: &[Row], pushed: &[(Entity, bool)],
                     body.forces.extend(shares.map(|(node, weight)| (node, own_force * weight)));
                 }
                 Some(mover) if pushed[mover].1 => {
-                    // Where the soft body gets it, so that of angular momentum nothing is lost either.
+                    // At the soft body's contact point, so that angular momentum is conserved too.
                     let at = row.met.places[0].at_in_world;
                     let sums = ImpulseTotals::of(&mut own[row.body].memory.given_whole, pushed[mover].0);
                     sums.add(&(force * (sign * period)), &at);
@@ -324,7 +325,7 @@ fn give(own: &mut [RespondingBody<'_>], rows: &[Row], pushed: &[(Entity, bool)],
 }
 
 impl Row {
-    /// `None` where neither side gives way.
+    /// `None` if both sides are immovable.
     fn new(
         met: ContactPair,
         sides: [Option<usize>; 2],
@@ -343,7 +344,7 @@ impl Row {
             return None;
         }
         let all = || all().map(|(mover, _)| mover);
-        // Two that give way are springs one behind the other; of one that others move it is as stiff as this one.
+        // Two springs in series; a body of another controller is as stiff as this one.
         let compliance: f64 = all().map(|mover| mover.stiffness.recip()).sum();
         let frictions: Vec<f64> = all().filter_map(|mover| mover.friction).collect();
         let friction = frictions.iter().product::<f64>().powf(1.0 / frictions.len().max(1) as f64);
@@ -383,7 +384,7 @@ impl Row {
         }
     }
 
-    /// Once: what the contact exerts, all others as they are.
+    /// One Gauss-Seidel update of the contact's force.
     fn press(&mut self, movers: &mut [Mover<'_>]) {
         let normal = self.met.normal_in_world;
         let gives = self.yields[0] * self.step;

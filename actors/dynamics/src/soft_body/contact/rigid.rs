@@ -1,10 +1,10 @@
-//! Contacts of soft bodies with rigid ones. The soft body computes what both exert on each other, the rigid one giving way
-//! by the mass and the inertia that its controller tells; that controller takes the impulses and answers none of these contacts
-//! itself.
+//! Contacts of soft bodies with rigid ones. The soft body computes the contact force for both, with the mass and
+//! inertia that the rigid body's controller publishes; that controller takes the impulses and does not answer these
+//! contacts itself.
 //!
-//! What passes is a sum of impulses and one of their moments about the origin of the world, of which the rigid body takes what
-//! it has not taken: of momentum and of angular momentum it gets what the other loses, at whatever rates the two are, and
-//! whoever is late or begins another life. Of one whose steps are longer it takes them over the time of such a step, not at a blow.
+//! The exchanged quantities are the cumulative impulse and its cumulative moment about the world origin. The rigid body
+//! takes the difference to what it has taken before: momentum and angular momentum are conserved for any pair of rates,
+//! delays and restarts. Impulses from a soft body with longer steps are spread over such a step, not applied at once.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
@@ -14,46 +14,46 @@ use super::SoftContacts;
 use super::bodies::AppliedImpulses;
 use crate::rigid_world::{Inertia, Wrench, most_across};
 
-/// Impulses on a body that moves as a whole.
+/// Cumulative impulse on a body that moves as a whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ImpulseTotals {
-    /// Of or to whom.
+    /// The other body.
     pub body: Option<Entity>,
-    /// All so far, in world \[N·s\].
+    /// Cumulative impulse, in world \[N·s\].
     pub impulse: Vector3<f64>,
-    /// Their moments about the origin of the world \[N·m·s\].
+    /// Cumulative moment about the world origin \[N·m·s\].
     pub moment: Vector3<f64>,
 }
 
-/// What a rigid body has taken from one soft body.
+/// Impulses that a rigid body has taken from one soft body.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AppliedTotals {
-    /// What it has taken.
+    /// Impulses taken.
     pub taken: ImpulseTotals,
-    /// What it had been given when it looked last.
+    /// Impulses given, as of the last reading.
     pub seen: ImpulseTotals,
-    /// Over which time it is to take the rest \[s\].
+    /// Time over which it takes the rest \[s\].
     pub left: f64,
 }
 
-/// What a rigid body tells soft ones that touch it, and what it has taken from them.
+/// State that a rigid body publishes for soft ones in contact, and the impulses that it has taken from them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RigidContacts {
-    /// How it gives way.
+    /// Its mass properties.
     pub inertia: Inertia,
     /// Length of the steps in which it takes impulses \[s\].
     pub step: f64,
-    /// When it took some last: its pose and its velocity are those of then.
+    /// Time of its last step; its pose and velocity refer to it.
     pub time: SimTime,
-    /// What all else does to its motion, as an acceleration of its centre of mass \[m/s²\] and an angular one \[rad/s²\], in
-    /// world: what goes on, not blows. And the same of its last step with all that was in it.
+    /// Its acceleration by everything else, of the centre of mass \[m/s²\] and angular \[rad/s²\], in world: persistent
+    /// forces, without impacts.
     pub pull: [Vector3<f64>; 2],
-    /// See above.
+    /// The total of the last step, impacts included.
     pub last_pull: [Vector3<f64>; 2],
-    /// What it has taken, by giver.
+    /// Impulses taken, by giver.
     pub taken: Vec<AppliedTotals>,
 }
 
@@ -68,7 +68,7 @@ impl Component for RigidContacts {
 }
 
 impl ImpulseTotals {
-    /// Of one body among several; a new one if there is none.
+    /// The entry of a body; a new one if there is none.
     pub(crate) fn of(all: &mut Vec<Self>, body: Entity) -> &mut Self {
         let at = all.iter().position(|sums| sums.body == Some(body)).unwrap_or_else(|| {
             all.push(Self { body: Some(body), ..Self::default() });
@@ -77,7 +77,7 @@ impl ImpulseTotals {
         &mut all[at]
     }
 
-    /// One more, at a place in world.
+    /// Adds an impulse at a point in world.
     pub(crate) fn add(&mut self, impulse: &Vector3<f64>, at_in_world: &Point3<f64>) {
         self.impulse += impulse;
         self.moment += at_in_world.coords.cross(impulse);
@@ -89,15 +89,15 @@ impl ImpulseTotals {
 }
 
 impl RigidContacts {
-    /// Whether soft bodies answer for it.
+    /// Whether soft bodies answer its contacts.
     pub(crate) fn gives_way(&self) -> bool {
         self.inertia.mass_inverse > 0.0
     }
 
-    /// Learns what all else did to its motion in a step, as an acceleration and an angular one; whether that is news.
+    /// Updates the acceleration by everything else from a step, linear and angular; returns whether it changed.
     pub(crate) fn learn(&mut self, pull: [Vector3<f64>; 2]) -> bool {
         let before = std::mem::replace(&mut self.last_pull, pull);
-        // What goes on is in two steps one after the other.
+        // A persistent acceleration occurs in two consecutive steps.
         let goes_on = |side: usize| {
             let smaller = |a: f64, b: f64| if a * b > 0.0 { a.signum() * a.abs().min(b.abs()) } else { 0.0 };
             pull[side].zip_map(&before[side], smaller)
@@ -111,8 +111,8 @@ impl RigidContacts {
         is_news
     }
 
-    /// Takes what it has been given, over a time \[s\]: as a force \[N\], and its torque about the origin of the world \[N·m\].
-    /// `None` where nothing has changed.
+    /// Takes outstanding impulses over `time` \[s\]: as a force \[N\], and its torque about the world origin \[N·m\].
+    /// `None` if nothing has changed.
     pub(crate) fn take(&mut self, me: Entity, scene: &Snapshot, time: f64) -> Option<Wrench> {
         let (mut wrench, mut has_changed) = (Wrench::default(), false);
         for (giver, contacts) in scene.iter::<SoftContacts>() {
@@ -130,7 +130,7 @@ impl RigidContacts {
                     (seen.impulse, seen.moment) = (given.impulse, given.moment);
                 }
                 let [impulse, moment] = given.less(taken);
-                // A nanosecond: periods are whole ones.
+                // A nanosecond: periods are whole nanoseconds.
                 let share = if *left > time + 1e-9 { time / *left } else { 1.0 };
                 *left = (*left - time).max(0.0);
                 if share < 1.0 {
@@ -149,20 +149,20 @@ impl RigidContacts {
     }
 }
 
-/// How a rigid body moves: its centre of mass \[m/s\], and its angular velocity \[rad/s\], in world.
+/// Velocity of a rigid body's centre of mass \[m/s\], and its angular velocity \[rad/s\], in world.
 pub(crate) fn motion(inertia: &Inertia, pose: &Isometry3<f64>, of_origin: &Velocity) -> [Vector3<f64>; 2] {
     let lever = pose.rotation * inertia.centre_in_body.coords;
     [of_origin.linear + of_origin.angular.cross(&lever), of_origin.angular]
 }
 
 impl Inertia {
-    /// The inverse of its inertia, in world axes \[1/(kg·m²)\].
+    /// Inverse inertia tensor, in world axes \[1/(kg·m²)\].
     pub(crate) fn inverse_in_world(&self, pose: &Isometry3<f64>) -> Matrix3<f64> {
         let turn = pose.rotation.to_rotation_matrix();
         turn.matrix() * self.inertia_inverse_in_body * turn.matrix().transpose()
     }
 
-    /// What an impulse and its moment about the origin of the world do to the motion of a body.
+    /// Change of a body's linear and angular velocity by an impulse and its moment about the world origin.
     pub(crate) fn change(&self, pose: &Isometry3<f64>, given: [Vector3<f64>; 2]) -> [Vector3<f64>; 2] {
         let [impulse, moment] = given;
         let centre = (pose * self.centre_in_body).coords;
@@ -170,21 +170,21 @@ impl Inertia {
     }
 }
 
-/// A rigid body that contacts push.
+/// A rigid body under contact.
 pub(crate) struct RigidProxy {
-    /// `world_from_body`, where it is by now.
+    /// `world_from_body`, extrapolated to now.
     pub(crate) pose: Isometry3<f64>,
     centre: Point3<f64>,
     velocity: Vector3<f64>,
     spin: Vector3<f64>,
     mass_inverse: f64,
-    /// In world axes \[1/(kg·m²)\].
+    /// Inverse inertia tensor in world axes \[1/(kg·m²)\].
     inertia_inverse: Matrix3<f64>,
 }
 
 impl RigidProxy {
-    /// One whose controller takes impulses, for a step of `period` seconds that ends `now`. Since it was heard of last it has gone on as it moved, and what it has been given and has not taken yet moves it
-    /// already.
+    /// A body whose controller takes impulses, for a step of `period` seconds that ends `now`. Its state is
+    /// extrapolated since its last report, with the impulses that it has not taken yet.
     pub fn of(
         scene: &Snapshot,
         entity: Entity,
@@ -213,7 +213,7 @@ impl RigidProxy {
         let velocity = scene.get::<Velocity>(entity).copied().unwrap_or_default();
         let [linear, spin] = motion(inertia, &pose, &velocity);
         let [faster, more_spin] = inertia.change(&pose, late);
-        // Half of it, as it came little by little.
+        // Half of the change, because it accumulated gradually.
         let gone = (linear + (told.pull[0] * since + faster) * 0.5) * since;
         let turned = (spin + (told.pull[1] * since + more_spin) * 0.5) * since;
         let centre = pose * inertia.centre_in_body;
@@ -232,25 +232,25 @@ impl RigidProxy {
         Some(whole)
     }
 
-    /// How its origin moves.
+    /// Velocity of its origin.
     pub fn of_origin(&self) -> Velocity {
         let linear = self.speed(&self.pose.translation.vector.into());
         Velocity { linear, angular: self.spin }
     }
 
-    /// How much faster a place is for each impulse on it, along a direction, and at most across it \[1/kg\].
+    /// Mobility of a point along a direction, and at most across it \[1/kg\].
     pub fn yields(&self, at: &Point3<f64>, normal: &Vector3<f64>) -> [f64; 2] {
         let lever = (at - self.centre).cross_matrix();
         let feels = Matrix3::identity() * self.mass_inverse - lever * self.inertia_inverse * lever;
         [normal.dot(&(feels * normal)), most_across(&feels, normal)]
     }
 
-    /// How a place moves \[m/s\].
+    /// Velocity of a point \[m/s\].
     pub fn speed(&self, at: &Point3<f64>) -> Vector3<f64> {
         self.velocity + self.spin.cross(&(at - self.centre))
     }
 
-    /// Gives a place an impulse \[N·s\].
+    /// Applies an impulse at a point \[N·s\].
     pub fn push(&mut self, at: &Point3<f64>, impulse: &Vector3<f64>) {
         self.velocity += impulse * self.mass_inverse;
         self.spin += self.inertia_inverse * (at - self.centre).cross(impulse);

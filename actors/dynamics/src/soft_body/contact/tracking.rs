@@ -1,17 +1,19 @@
-//! Contacts that detectors find of soft bodies: what is kept of them from tick to tick, and where they are now.
+//! Persistent contacts of soft bodies: which detected contacts are tracked from tick to tick, and their current
+//! geometry.
 //!
-//! A detector says where two bodies touched in the scene that it read. Until its next list they move on, and once a sheet lies
-//! within a face there is no crossing left for it to find. So a vertex at a triangle is *followed*: from tick to tick the nearest
-//! place on that triangle and its neighbours is looked for, and it goes on for as long as it presses, has been found
-//! lately, and is over the face. All else (edges that cross, places on bodies without vertices) is fixed to the places that
-//! touched, until the detector's next list.
+//! A detector reports where two bodies touched in the snapshot that it read. They move on until its next list, and a
+//! sheet that lies entirely within a face has no crossing left to detect. So a vertex at a triangle is *followed*: each
+//! tick finds the nearest point on that triangle and its neighbours, and the contact persists while it presses, was
+//! found recently, and lies over the face. All other contacts (crossing edges, points on bodies without vertices) stay
+//! fixed to the points that touched, until the detector's next list.
 //!
-//! Of two soft bodies one side computes what they exert on each other ([`super::penalty`]): a controller that moves
-//! both, else that of the body with the lower name. What it has given the vertices of the other is a sum of impulses, of which
-//! the other takes what it has not taken, as in [`crate::soft_body::coupling::components`]: what one gets the other loses, whoever is late or begins
-//! another life. What passes across controllers comes a step late: thin sheets that meet at 0.2 m/s at 1 kHz are half a
-//! millimetre in each other before they part. Of a rigid body that a world of rigid bodies moves the soft one computes all
-//! in the same way ([`super::rigid`]); what else is not soft is a wall that moves as the scene says.
+//! Between two soft bodies one side computes the contact force ([`super::penalty`]): a controller that moves both, else
+//! that of the body with the lower name. It accumulates impulses on the other body's vertices; the other applies the
+//! difference to what it has taken before, as in [`crate::soft_body::coupling::components`]. So momentum is conserved
+//! for any delays and restarts. Impulses across controllers arrive a step late: thin sheets that collide at 0.2 m/s at
+//! 1 kHz overlap by half a millimetre before they separate. With a rigid body of a rigid world the soft body computes
+//! the contact in the same way ([`super::rigid`]); anything else that is not soft is a wall that moves as the scene
+//! says.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -28,87 +30,88 @@ use trocar_scene::{
 use super::{ImpulseTotals, RigidContacts};
 use crate::tet_mesh::Stars;
 
-/// Contacts of a body that are answered at a time.
+/// Maximum number of answered contacts of a body.
 pub const FOUND_MAX: usize = 256;
-/// What has neither been found nor pressed for so long is forgotten.
+/// A contact that has neither been found nor pressed for this long is dropped.
 const AGE_MAX: SimTime = SimTime(100_000_000);
-/// How far beside a face a followed vertex may be \[m\].
+/// How far beside a face a followed vertex may lie \[m\].
 const ASIDE: f64 = 1e-4;
-/// Cosine of the angle by which the direction of a followed contact may turn at once.
+/// Minimum cosine between consecutive directions of a followed contact.
 const TURN: f64 = 0.7;
-/// Cosine of the angle up to which two edges may part from the direction that one of their faces has: what lies flat on
-/// each other crosses with its edges in any direction.
+/// Cosine of the maximum angle between the direction of two crossing edges and a normal of their faces: the edges of
+/// bodies that lie flat on each other cross in any direction.
 const ACROSS: f64 = 0.5;
 
-/// A place of a body in a contact.
+/// The touched feature of a body in a contact.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Feature {
     /// A vertex.
     Vertex(u32),
-    /// Wherever on a triangle, or next to it, the other side is.
+    /// The point on a triangle, or on its neighbours, that is nearest to the other side.
     Triangle(u32),
-    /// A place between vertices.
+    /// A point between vertices, with barycentric weights.
     Between([u32; 3], [f64; 3]),
-    /// A place of a body without vertices, in its frame \[m\].
+    /// A point of a body without vertices, in its frame \[m\].
     InFrame(Point3<f64>),
 }
 
-/// A contact that is answered.
+/// A persistent contact.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PersistentContact {
-    /// Who found it.
+    /// The detector that found it.
     pub writer: Entity,
-    /// The other body, which may be the same one.
+    /// The other body; may be the same one.
     pub other: Entity,
-    /// On the body and on the other.
+    /// Features on the body and on the other.
     pub spots: [Feature; 2],
     /// Unit direction in which the body is pushed.
     pub normal_in_world: Vector3<f64>,
-    /// When it was found last, or pressed.
+    /// When it was last found, or pressed.
     pub seen: SimTime,
     /// Whether it pressed in the last tick.
     pub presses: bool,
-    /// Whether one was within the other then.
+    /// Whether one was inside the other then.
     pub is_in: bool,
-    /// Depth from which on its spring pushes \[m\]: what it had when they came into each other, and less from tick to tick.
+    /// Rest depth of its spring \[m\]: the depth at the first detection, released from tick to tick.
     pub slack: f64,
-    /// How far the body has been drawn across the other since it began to stick there \[m\], in world.
+    /// Displacement of the tangential spring: motion of the body across the other since it began to stick \[m\], in
+    /// world.
     pub drawn: Vector3<f64>,
 }
 
-/// Impulses that a body has given vertices of another or taken of them.
+/// Cumulative impulses that a body has given to vertices of another, or taken from them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ContactSums {
-    /// Of or to whom.
+    /// The other body.
     pub body: Option<Entity>,
-    /// Its vertices, ascending.
+    /// Vertices, ascending.
     pub vertices: Vec<u32>,
-    /// All so far, of each vertex, in world \[N·s\].
+    /// Cumulative impulse on each vertex, in world \[N·s\].
     pub sums: Vec<Vector3<f64>>,
 }
 
-/// What a soft body keeps of the contacts that others have found of it.
+/// Contact state of a soft body, for contacts that detectors find.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SoftContacts {
-    /// Those that it answers for, also for the other side.
+    /// The contacts that it answers, also for the other side.
     pub contacts: Vec<PersistentContact>,
-    /// Until when each detector has been listened to.
+    /// Up to which time each detector's list has been read.
     pub heard: Vec<(Entity, SimTime)>,
-    /// One over the mass of each vertex, 0 where it is held \[1/kg\]: for whoever answers for it.
+    /// Inverse mass of each vertex, 0 where it is fixed \[1/kg\], for bodies that answer its contacts.
     pub masses_inverse: Arc<Vec<f64>>,
     /// Length of its steps \[s\].
     pub step: f64,
-    /// What it has given the vertices of bodies of other controllers.
+    /// Impulses given to vertices of other controllers' bodies.
     pub given: Vec<ContactSums>,
-    /// What it has given bodies that move as a whole.
+    /// Impulses given to bodies that move as a whole.
     pub given_whole: Vec<ImpulseTotals>,
-    /// What of that which others have given it, it has taken.
+    /// Impulses taken from others.
     pub taken: Vec<ContactSums>,
-    /// Of all its contacts in the last tick, on it \[N\].
+    /// Sum of the forces of all its contacts in the last tick \[N\].
     pub force_in_world: Vector3<f64>,
 }
 impl Component for SoftContacts {
@@ -119,7 +122,7 @@ impl Component for SoftContacts {
 }
 
 impl ContactSums {
-    /// Of one body among several; a new one if there is none.
+    /// The entry of a body; a new one if there is none.
     pub(crate) fn of(all: &mut Vec<Self>, body: Entity) -> &mut Self {
         let at = all.iter().position(|sums| sums.body == Some(body)).unwrap_or_else(|| {
             all.push(Self { body: Some(body), ..Self::default() });
@@ -128,13 +131,13 @@ impl ContactSums {
         &mut all[at]
     }
 
-    /// The sum of one vertex \[N·s\], zero of one that got nothing.
+    /// Cumulative impulse on one vertex \[N·s\]; zero if it received none.
     pub(crate) fn of_vertex(&self, vertex: u32) -> Vector3<f64> {
         let at = self.vertices.binary_search(&vertex).ok();
         at.and_then(|at| self.sums.get(at)).copied().unwrap_or_default()
     }
 
-    /// The sum of one vertex.
+    /// Cumulative impulse on one vertex, mutable.
     pub(crate) fn at(&mut self, vertex: u32) -> &mut Vector3<f64> {
         self.sums.resize(self.vertices.len(), Vector3::zeros());
         let at = self.vertices.binary_search(&vertex).unwrap_or_else(|at| {
@@ -146,7 +149,7 @@ impl ContactSums {
     }
 }
 
-/// What answers are read from and written to.
+/// Reads and writes of the contact response.
 pub(crate) fn access(access: Access, registry: &Registry, bodies: &[Entity]) -> Access {
     access
         .reads::<CollisionList>()
@@ -163,7 +166,7 @@ pub(crate) fn answers(scene: &Snapshot, entity: Entity) -> bool {
         && scene.get::<Frozen>(entity).is_none()
 }
 
-/// A body as it is now, of this controller or of the scene.
+/// Current geometry of a body, from this controller or from the scene.
 #[derive(Clone)]
 pub(crate) struct Shape<'a> {
     pub world_from_body: Isometry3<f64>,
@@ -171,23 +174,23 @@ pub(crate) struct Shape<'a> {
     pub velocities: &'a [Vector3<f64>],
     pub triangles: Arc<Vec<[u32; 3]>>,
     pub segments: Arc<Vec<[u32; 2]>>,
-    /// Of one that moves as a whole.
+    /// Velocity of a body that moves as a whole.
     pub motion: Velocity,
 }
 
-/// A place on a body now.
+/// Current position of a point on a body.
 #[derive(Clone, Copy)]
 pub(crate) struct Place {
     pub nodes: [u32; 3],
-    /// Zero of a body without vertices.
+    /// Zero for a body without vertices.
     pub weights: [f64; 3],
     pub at_in_world: Point3<f64>,
-    /// By the motion of the body as a whole, its vertices not counted \[m/s\].
+    /// Velocity by the rigid motion of the body, without its vertices' velocities \[m/s\].
     pub carried: Vector3<f64>,
 }
 
 impl<'a> Shape<'a> {
-    /// Of a body of the scene.
+    /// A body of the scene.
     pub fn of(scene: &'a Snapshot, entity: Entity) -> Self {
         let vertices = scene.get::<VertexPositions>(entity);
         let velocities = scene.get::<VertexVelocities>(entity);
@@ -215,7 +218,7 @@ impl<'a> Shape<'a> {
         Some(Place { nodes, weights, at_in_world: at.into(), carried: self.carried(&at) })
     }
 
-    /// How a place moves \[m/s\].
+    /// Velocity of a point \[m/s\].
     pub fn speed(&self, place: &Place) -> Vector3<f64> {
         let shares = place.nodes.into_iter().zip(place.weights).filter(|(_, weight)| *weight != 0.0);
         let own = shares.filter_map(|(node, weight)| Some(self.velocities.get(node as usize)? * weight));
@@ -227,7 +230,7 @@ impl<'a> Shape<'a> {
         self.motion.linear + self.motion.angular.cross(&lever)
     }
 
-    /// Unit direction across the face that a spot is fixed to.
+    /// Unit normal of the face of a feature.
     fn face(&self, spot: &Feature) -> Option<Vector3<f64>> {
         let Feature::Between(nodes, _) = spot else { return None };
         let [a, b, c] = nodes.map(|node| self.vertex(node));
@@ -235,7 +238,7 @@ impl<'a> Shape<'a> {
         (b - a).cross(&(c - a)).try_normalize(0.0)
     }
 
-    /// The spot of a part that was touched at a point.
+    /// The feature for a primitive that was touched at a point.
     fn spot(
         &self,
         part: Primitive,
@@ -245,7 +248,7 @@ impl<'a> Shape<'a> {
     ) -> Option<Feature> {
         match part {
             Primitive::Vertex(vertex) if is_followed => self.vertex(vertex).map(|_| Feature::Vertex(vertex)),
-            // An edge is told by its first vertex: the place next to that one.
+            // An edge is identified by its first vertex: take the nearest point.
             Primitive::Vertex(vertex) => {
                 let about = stars.map_or(&[][..], |stars| stars.about(vertex)).iter();
                 let near = about.filter_map(|&triangle| {
@@ -274,7 +277,7 @@ impl<'a> Shape<'a> {
                 let along = closest_on_segment(then, &[self.vertex(a)?, self.vertex(b)?]);
                 Some(Feature::Between([a, b, b], [1.0 - along, along, 0.0]))
             }
-            // Of what moves by its vertices, the nearest one is told.
+            // For a body with moving vertices, the nearest one.
             _ if !self.velocities.is_empty() => {
                 let near = |vertex: &u32| self.vertex(*vertex).map(|point| (point - then).norm_squared());
                 let all =
@@ -286,7 +289,7 @@ impl<'a> Shape<'a> {
     }
 }
 
-/// The nearest place to a vertex so far: its squared distance \[m²\], triangle and weights.
+/// Nearest point to a vertex so far: squared distance \[m²\], triangle and weights.
 #[derive(Clone, Copy)]
 struct Nearest {
     far: f64,
@@ -296,7 +299,7 @@ struct Nearest {
     normal: Vector3<f64>,
 }
 
-/// Two places that press or nearly do.
+/// Two points in contact or close to it.
 #[derive(Clone, Copy)]
 pub(crate) struct ContactPair {
     /// On the body and on the other.
@@ -306,8 +309,8 @@ pub(crate) struct ContactPair {
 }
 
 impl PersistentContact {
-    /// A contact of a list, seen from the body on one side of it, `shapes` that body and the other one; `None` of what is
-    /// not there.
+    /// A detected contact, seen from the body on one side; `shapes` are that body and the other one. `None` if a
+    /// feature does not exist.
     pub(crate) fn new(
         row: &Collision,
         side: usize,
@@ -345,7 +348,7 @@ impl PersistentContact {
         })
     }
 
-    /// Whether it is of the same vertex as another one, and of the same bodies.
+    /// Whether it has the same vertex and bodies as another one.
     pub(crate) fn is_of(&self, other: &Self) -> bool {
         let vertex = |of: &Self| match of.spots {
             [Feature::Vertex(vertex), Feature::Triangle(_)] => Some((0, vertex)),
@@ -359,12 +362,12 @@ impl PersistentContact {
         self.spots.iter().any(|spot| matches!(spot, Feature::Triangle(_)))
     }
 
-    /// Whether it is to be forgotten.
+    /// Whether it has expired.
     pub(crate) fn is_old(&self, now: SimTime) -> bool {
         now.0.saturating_sub(self.seen.0) > AGE_MAX.0
     }
 
-    /// Where it is now; a followed one follows. `None` when it is no longer there.
+    /// Its current geometry; a followed contact is tracked. `None` when it has ended.
     pub(crate) fn meet(
         &mut self,
         shapes: [&Shape<'_>; 2],
@@ -380,7 +383,7 @@ impl PersistentContact {
             return None;
         };
         let point = shapes[vertex].vertex(number)?;
-        // In which direction the vertex is pushed.
+        // Push direction of the vertex.
         let push = if vertex == 0 { self.normal_in_world } else { -self.normal_in_world };
         let own = *shapes[face].triangles.get(triangle as usize)?;
         let about = own.iter().flat_map(|&node| stars[face].map_or(&[][..], |stars| stars.about(node)));
@@ -434,7 +437,7 @@ impl PersistentContact {
     }
 }
 
-/// Who is about the vertices of each surface: what does not change from tick to tick is found once.
+/// Cached vertex-to-triangle adjacency of each surface.
 #[derive(Default)]
 pub(crate) struct Surroundings(BTreeMap<Entity, Surrounded>);
 
@@ -457,8 +460,8 @@ impl Surroundings {
     }
 }
 
-/// The rows of all lists that say something of bodies without instruments, which every body meets by itself, with who
-/// found them; not what `me`, or what answers contacts, has told.
+/// The rows of all collision lists about bodies without instruments (instrument contacts are handled by each body),
+/// with their writers; without those written by `me` or by contact responses.
 pub(crate) fn rows(scene: &Snapshot, me: Entity, now: SimTime) -> impl Iterator<Item = (Entity, &Collision)> {
     let lists = scene.iter::<CollisionList>().filter(move |(writer, _)| *writer != me);
     let all = lists.flat_map(|(writer, list)| list.collisions.iter().map(move |row| (writer, row)));

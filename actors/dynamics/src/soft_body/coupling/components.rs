@@ -1,8 +1,9 @@
-//! Bodies that pull at each other across controllers: what a scene says of it, and what passes between those who move them.
+//! Components of couplings between bodies of different controllers: the scene's declaration, and the exchanged
+//! quantities.
 //!
-//! The faster of two bodies, which is one of positions, names the slower one. It tells all the impulses that it has given each
-//! vertex of the other so far; the slower one takes what it has not taken, and tells what that was. Both are sums, so none is
-//! lost or taken twice, whoever is late or begins another life.
+//! The faster body, which is position-based, names the slower one. It publishes the cumulative impulse on each vertex
+//! of the other. The slower one applies the difference to what it has taken before, and publishes what it took. Both
+//! are sums, so no impulse is lost or applied twice, whatever the delays and restarts.
 
 use std::sync::Arc;
 
@@ -13,66 +14,67 @@ use trocar_scene::{Component, ComponentError, Entity, SimTime};
 
 use crate::coupling::{Anchor, Ghosts};
 
-/// Bodies that one is coupled with at most.
+/// Maximum number of bodies that one body is coupled with.
 pub const BODIES_MAX: usize = 8;
-/// Vertices of a body that are grown onto another at most.
+/// Maximum number of vertices of a body that are joined to another.
 pub const JOINED_MAX: usize = 2000;
 
-/// Where a body has grown onto another.
+/// A joint between a body and the surface of another that it has grown onto.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Joined {
-    /// Its vertices that are nearer to the other's surface than this, both at rest, are joined to it \[m\].
+    /// Vertices nearer than this to the other's surface, both at rest, are joined to it \[m\].
     pub within: f64,
-    /// Force per stretch of each vertex \[N/m\].
+    /// Stiffness of each vertex's joint: force per stretch \[N/m\].
     pub stiffness: f64,
-    /// Force per velocity of stretching of each vertex \[N·s/m\].
+    /// Damping of each vertex's joint \[N·s/m\].
     pub damping: f64,
 }
 
 impl Default for Joined {
-    /// Chosen: a tenth of a newton stretches a vertex's hold by half a millimetre.
+    /// Assumed: a tenth of a newton stretches a vertex's joint by half a millimetre.
     fn default() -> Self {
         Self { within: 1e-3, stiffness: 200.0, damping: 0.02 }
     }
 }
 
-/// How a body lies on another.
+/// Contact of a body that lies on another.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Lies {
-    /// Force per depth of each vertex \[N/m\].
+    /// Contact stiffness of each vertex: force per penetration depth \[N/m\].
     pub stiffness: f64,
-    /// Coulomb's coefficient.
+    /// Coulomb friction coefficient.
     pub friction: f64,
 }
 
 impl Default for Lies {
-    /// Chosen, as between instruments and tissue.
+    /// Assumed, as between instruments and tissue.
     fn default() -> Self {
         Self { stiffness: 300.0, friction: 0.3 }
     }
 }
 
-/// One of the bodies that a body is coupled with.
+/// A body that another is coupled with.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CoupledWith {
-    /// Its name. It is moved by `dynamic_fem` or `xpbd`.
+    /// Its name. It must be a body of `dynamic_fem` or `xpbd`.
     pub body: String,
-    /// Whether it has grown onto it.
+    /// The joint, if the body has grown onto it.
     #[serde(default)]
     pub joined: Option<Joined>,
-    /// Whether it lies on it, at its own thickness: its vertices stay outside. They are to be closer together than the other's.
+    /// The contact, if the body lies on it, at its own thickness: its vertices stay outside. They must be closer
+    /// together than the other's.
     #[serde(default)]
     pub lies: Option<Lies>,
 }
 
-/// A body of `xpbd` that pulls and presses at others. Its controller is the faster one, or as fast.
+/// A body of `xpbd` coupled with others. Its controller must be the faster one, or equally fast.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CoupledBody {
-    /// With which bodies.
+    /// The other bodies.
     pub with: Vec<CoupledWith>,
 }
 
@@ -107,43 +109,43 @@ impl Component for CoupledBody {
     }
 }
 
-/// A vertex that is joined to a place in an element.
+/// A vertex joined to a point in an element.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Graft {
-    /// Of the body itself.
+    /// A vertex of the body itself.
     pub vertex: u32,
-    /// Of the other body: a tetrahedron of its volume.
+    /// A tetrahedron of the other body.
     pub element: u32,
-    /// Of its corners.
+    /// Barycentric weights of its corners.
     pub weights: [f64; 4],
 }
 
-/// What a body has given one that it is coupled with, and what it needs to go on.
+/// State of the faster side of a coupling: impulses given, and what a restart needs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct GivenTo {
     /// The other body.
     pub body: Option<Entity>,
-    /// Vertices of the other, in the order of the ghosts.
+    /// Vertices of the other body, in the order of the ghosts.
     pub vertices: Arc<Vec<u32>>,
-    /// What it knows of them; in its own frame.
+    /// The ghost nodes, in the body's own frame.
     pub ghosts: Ghosts,
-    /// Ghosts that it pulls at or is near to.
+    /// Ghosts with active or imminent forces.
     pub near: Vec<u32>,
-    /// What is joined.
+    /// The joints.
     pub grafts: Arc<Vec<Graft>>,
-    /// Where friction holds it.
+    /// Stick points of friction.
     pub anchors: Vec<Anchor>,
-    /// The number of the last news.
+    /// Number of the last report from the slower body.
     pub heard: u64,
 }
 
-/// What a body has given all that it is coupled with.
+/// Faster sides of all couplings of a body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CouplingGiven {
-    /// Those that other controllers move, in the order of [`CoupledBody::with`].
+    /// Couplings with bodies of other controllers, in the order of [`CoupledBody::with`].
     pub to: Vec<GivenTo>,
 }
 impl Component for CouplingGiven {
@@ -153,37 +155,37 @@ impl Component for CouplingGiven {
     }
 }
 
-/// What a body has taken from one that is coupled with it, by ghost.
+/// Impulses that a body has taken from one faster body, by ghost.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TakenFrom {
-    /// Who gave it.
+    /// The giver.
     pub body: Option<Entity>,
-    /// All so far, and in the last step, in the giver's frame \[N·s\].
+    /// Cumulative impulses, in the giver's frame \[N·s\].
     pub taken: Vec<Vector3<f64>>,
-    /// In the last step.
+    /// Impulses of the last step.
     pub last: Vec<Vector3<f64>>,
-    /// How each vertex would move after one more step like it, in the taker's frame \[m/s\].
+    /// Velocity of each vertex after one more step like the last, in the taker's frame \[m/s\].
     pub expected: Vec<Vector3<f64>>,
-    /// How readily each follows more impulses \[1/kg\]; 0 for one that is held.
+    /// Mobility of each vertex under further impulses \[1/kg\]; 0 where it is fixed.
     pub mobilities: Vec<f64>,
-    /// One over the mass of each \[1/kg\].
+    /// Inverse mass of each vertex \[1/kg\].
     pub masses_inverse: Vec<f64>,
-    /// [`Ghosts::steps`] and [`Ghosts::work`] \[J\] of what was taken.
+    /// [`Ghosts::steps`] and [`Ghosts::work`] \[J\] as of the impulses taken.
     pub steps: u64,
     /// See above.
     pub given_work: f64,
-    /// What work that was here \[J\].
+    /// Work of those impulses on this body \[J\].
     pub received: f64,
 }
 
-/// What a body has taken from all that are coupled with it.
+/// Impulses that a body has taken from all faster bodies.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CouplingTaken {
-    /// How often it has taken something.
+    /// Number of reports so far.
     pub number: u64,
-    /// When the last time was.
+    /// Time of the last one.
     pub time: SimTime,
     /// Length of its steps \[s\].
     pub step: f64,

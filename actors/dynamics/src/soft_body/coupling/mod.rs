@@ -1,4 +1,4 @@
-//! Bodies of different controllers that are coupled: what both sides tell, and the slower side.
+//! Couplings between bodies of different controllers: exchanged components, and the slower side.
 
 pub mod components;
 pub mod slow_side;

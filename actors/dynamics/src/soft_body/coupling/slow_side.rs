@@ -1,5 +1,5 @@
-//! The slower side of a coupling: a body takes what others have given its vertices, and tells them what that was to it and
-//! what it is about to do.
+//! The slower side of a coupling: a body applies the impulses that others have given its vertices, and publishes their
+//! work and its predicted motion.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use trocar_scene::{Access, Commands, Entity, EntitySet, Registry, Snapshot};
@@ -9,19 +9,19 @@ use super::{CouplingGiven, CouplingTaken};
 use crate::soft_body::Deformable;
 use crate::soft_body::method::{Outlook, StepContext};
 
-/// A body that others are coupled with.
+/// The slower side of a body's couplings.
 pub struct Answering {
     me: Entity,
     told: CouplingTaken,
-    /// Vertices that are given something or soon will be, ascending.
+    /// Vertices with active or imminent external forces, ascending.
     active: Vec<u32>,
-    /// For each giver, how its vertices moved before the step.
+    /// Velocities of the coupled vertices before the step, for each giver.
     before: Vec<Vec<Vector3<f64>>>,
     outlook: Outlook,
 }
 
 impl Answering {
-    /// Of a body as the scene has it; of one that nobody is coupled with nothing.
+    /// For a body of the scene; empty if nothing is coupled with it.
     #[must_use]
     pub fn new(body: &Deformable, scene: &Snapshot) -> Option<Self> {
         let givers = scene.partners_of(&body.name);
@@ -41,7 +41,7 @@ impl Answering {
         Some(Self { me: body.entity, told, active: Vec::new(), before, outlook: Outlook::default() })
     }
 
-    /// What controllers of such bodies read and write for it.
+    /// Reads and writes of the slower side.
     pub fn access(access: Access, registry: &Registry, bodies: &[Entity]) -> Access {
         access
             .reads_named(registry.components_with_partners())
@@ -53,8 +53,8 @@ impl Answering {
         scene.get::<CouplingGiven>(giver)?.to.iter().find(|to| to.body == Some(self.me))
     }
 
-    /// Takes what there is to take: adds forces on vertices over the step, in the body's frame \[N\]. Velocities are those
-    /// before the step \[m/s\].
+    /// Takes the outstanding impulses as forces on vertices over the step, in the body's frame \[N\]. Velocities are
+    /// those before the step \[m/s\].
     pub fn take(
         &mut self,
         site: &StepContext<'_>,
@@ -95,12 +95,12 @@ impl Answering {
         site.world_from_body.rotation.inverse() * site.scene.world_pose(giver).rotation
     }
 
-    /// Looks ahead after a step, for the vertices that are given something or soon will be.
+    /// Predicts the next step, for the vertices with active or imminent external forces.
     pub fn look(&mut self, look: impl FnOnce(&[u32], &mut Outlook)) {
         look(&self.active, &mut self.outlook);
     }
 
-    /// Tells what the step was and what was seen ahead. Velocities are those after it \[m/s\].
+    /// Publishes the results of the step and the prediction. Velocities are those after it \[m/s\].
     pub fn tell(
         &mut self,
         site: &StepContext<'_>,
