@@ -1,22 +1,22 @@
-//! Simulators: each physical method a plain solver in a folder of its own, and in `controller/` the thin controller that
-//! applies it to the entities that carry its component. A solver takes slices and numbers, knows no scene, and steps by a
-//! given time; it commits a step only if every number of it is finite. [`controller`] schedules them.
+//! Simulation methods: each method is a solver in a folder of its own; `controller/` holds the thin controller that
+//! applies it to the entities with its component. A solver takes slices and numbers, does not depend on the scene, and
+//! steps by a given time. It commits a step only if all values are finite. [`controller`] schedules the solvers.
 //!
 //! | Method | File |
 //! |---|---|
 //! | linear quasi-static finite elements with a precomputed inverse | [`linear_fem`], [`stiffness`] |
 //! | implicit dynamic finite elements, corotational and neo-Hookean | [`dynamic_fem`] |
-//! | sparse matrices of 3×3 blocks and their Cholesky factors | [`linear_algebra`] |
-//! | surfaces that are cut along any path, and tear | [`cutting`] |
-//! | masses and springs: thread, cloth, tube, volume, explicit and implicit | [`mass_spring`] |
-//! | position-based: distances, neo-Hookean volumes, small steps | [`xpbd`] |
+//! | sparse matrices of 3×3 blocks and their Cholesky factorisation | [`linear_algebra`] |
+//! | cutting and tearing of surfaces along arbitrary paths | [`cutting`] |
+//! | mass-spring systems: thread, cloth, tube, volume, explicit and implicit | [`mass_spring`] |
+//! | position-based dynamics (XPBD): distances, neo-Hookean volumes, small steps | [`xpbd`] |
 //! | Electrosurgery: enthalpy method, Pennes perfusion, Arrhenius damage | [`electrosurgery`] |
 //! | Suture thread, knots | [`suture_thread`] |
 //! | Suture needle | [`suture::needle`] |
-//! | needle, thread and the tissue that they go through, as one island | [`suture`] |
+//! | needle, thread and the sewn tissue, as one island | [`suture`] |
 //! | Liquids, smoke, bleeding, vital signs | [`fluid`] |
-//! | rigid bodies: momenta, impulses | [`rigid`] |
-//! | a world of rigid bodies and instruments, computed by that | [`impulse_world`] |
+//! | rigid bodies by impulses | [`rigid`] |
+//! | a world of rigid bodies and instruments with that solver | [`impulse_world`] |
 #![forbid(unsafe_code)]
 
 mod clone_in_place;

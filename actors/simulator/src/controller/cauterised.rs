@@ -1,4 +1,4 @@
-//! What burns, and what it is burned by, as a scenario says it.
+//! Components of electrosurgery: tissue that burns, and electrodes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,16 +6,16 @@ use trocar_scene::{Component, ComponentError};
 
 use crate::electrosurgery::{Arrhenius, LatticeConfig, ThermalMaterial};
 
-/// Tissue that electrodes burn: a volume, or, with a thickness, a membrane. What is left open of its properties is what the
-/// entity's `tissue` has, else liver's; for ranges and sources see [`trocar_scene::tissue`].
+/// Tissue under electrosurgery: a volume, or, with a thickness, a membrane. Omitted properties are those of the
+/// entity's `tissue`, else of liver; for ranges and sources see [`trocar_scene::tissue`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CauterisedBody {
-    /// Thickness of a membrane \[m\]; a volume has none.
+    /// Thickness of a membrane \[m\]; absent for a volume.
     pub thickness: Option<f64>,
-    /// Edge of the cells at the tip \[m\]; 0.5 mm or less carries its field.
+    /// Cell size at the tip \[m\]; 0.5 mm or less resolves the field.
     pub spacing: f64,
-    /// Whether boiling takes heat.
+    /// Whether vaporisation takes up latent heat.
     pub latent_heat: bool,
     /// Density \[kg/m³\].
     pub density: f64,
@@ -23,9 +23,9 @@ pub struct CauterisedBody {
     pub heat_capacity: f64,
     /// Thermal conductivity \[W/(m·K)\].
     pub conductivity: f64,
-    /// Blood that passes, by volume \[1/s\].
+    /// Volumetric blood perfusion rate \[1/s\].
     pub perfusion: f64,
-    /// Share of water in the mass.
+    /// Mass fraction of water.
     pub water: f64,
     /// Frequency factor of thermal damage \[1/s\].
     pub damage_frequency: f64,
@@ -33,7 +33,7 @@ pub struct CauterisedBody {
     pub damage_energy: f64,
     /// Temperature at which dry tissue turns to char \[°C\].
     pub charring: f64,
-    /// Temperature at which dry tissue goes up in smoke \[°C\].
+    /// Temperature at which dry tissue is ablated as smoke \[°C\].
     pub ablation: f64,
 }
 
@@ -100,15 +100,15 @@ impl CauterisedBody {
     }
 }
 
-/// An instrument that burns while it is switched on.
+/// An electrode: an instrument that burns while it is switched on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ElectrodeTip {
     /// Power at full activation \[W\].
     pub power: f64,
-    /// Whether it coagulates where its `Activation` does not say which current; else it cuts.
+    /// Whether it coagulates if its `Activation` names no current; else it cuts.
     pub coagulates: bool,
-    /// Area of its bare metal \[m²\], a ball's: how much of that is in contact is found by how deep it is in tissue.
+    /// Bare metal area \[m²\], of a sphere: the contact area follows from its depth in tissue.
     pub contact_area: f64,
 }
 

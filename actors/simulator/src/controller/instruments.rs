@@ -1,8 +1,8 @@
-//! Instruments that go where the hand wants them: what they meet gives way, and pushes back.
+//! Controller of kinematic instruments: they follow their hands; tissue yields and pushes back.
 //!
-//! For scenes without a physics engine that moves instruments as bodies. What the simulators say that they exert is in
-//! the contacts of the one collision list; here it becomes the force on the instrument, and the plane that haptics
-//! evaluates between two ticks (Adachi, Kumano, Ogino 1995: intermediate representation).
+//! For scenes without a rigid world that simulates instruments. The simulators report contact forces in the collision
+//! list; this controller sums them into the force on the instrument, and into the plane that haptics evaluates between
+//! two ticks: an intermediate representation (Adachi, Kumano, Ogino 1995).
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -12,20 +12,20 @@ use trocar_scene::{
     Snapshot, Tick, Velocity,
 };
 
-/// Forces below this are none \[N\].
+/// Smaller forces count as zero \[N\].
 const FORCE_MIN: f64 = 1e-6;
-/// A plane is never stiffer than hands can hold \[N/m\], nor softer than can be told from nothing.
+/// Stiffness range of the plane \[N/m\]: not stiffer than hands can hold, nor too soft to notice.
 const STIFFNESS: std::ops::RangeInclusive<f64> = 5.0..=1500.0;
 
 /// How instruments follow their hands.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InstrumentsConfig {
-    /// Speed of opening and closing the jaws \[rad/s\].
+    /// Maximum rate of opening and closing the jaws \[rad/s\].
     pub jaw_rate_max: f64,
-    /// Largest force that it tells a hand \[N\].
+    /// Maximum force on a hand \[N\].
     pub force_max: f64,
-    /// Damping of the plane that haptics evaluates, as a share of its critical one for `mass`.
+    /// Damping of the plane, as a fraction of critical damping for `mass`.
     pub damping_ratio: f64,
 }
 
@@ -36,10 +36,10 @@ impl Default for InstrumentsConfig {
 }
 
 impl InstrumentsConfig {
-    /// Refuses numbers out of range.
+    /// Rejects values out of range.
     ///
     /// # Errors
-    /// Names the number and its range.
+    /// The name of the value and its range.
     pub fn check(&self) -> Result<(), String> {
         for (name, value, range) in [
             ("jaw_rate_max", self.jaw_rate_max, 0.01..=100.0),
@@ -62,16 +62,16 @@ impl InstrumentsConfig {
 pub struct InstrumentsController {
     config: InstrumentsConfig,
     instruments: Vec<Entity>,
-    /// Of each in turn.
+    /// Per instrument, in order.
     pushes: Vec<Push>,
 }
 
-/// What pushes an instrument.
+/// Total contact load on an instrument.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Push {
     force: Vector3<f64>,
     torque: Vector3<f64>,
-    /// Sum of the forces' sizes \[N\], and of the same times their depths \[N·m\].
+    /// Sum of the force magnitudes \[N\], and the same weighted by depth \[N·m\].
     size: f64,
     size_by_depth: f64,
 }
@@ -91,12 +91,12 @@ impl InstrumentsController {
         Ok(Self { config, instruments, pushes: Vec::new() })
     }
 
-    /// What pushes each instrument: one pass over what everybody has found, of which most is about others.
+    /// Sums the contact forces on each instrument, in one pass over all collision lists.
     fn add_pushes(&mut self, scene: &Snapshot) {
         self.pushes.clear();
         self.pushes.resize(self.instruments.len(), Push::default());
         for collision in scene.iter::<CollisionList>().flat_map(|(_, list)| &list.collisions) {
-            // A collision holds the force on its second one.
+            // A collision stores the force on its second entity.
             for (entity, force) in
                 [(collision.a, -collision.force_in_world), (collision.b, collision.force_in_world)]
             {
@@ -127,7 +127,7 @@ impl InstrumentsController {
         let force = push.force.norm().min(self.config.force_max);
         if force > FORCE_MIN {
             let normal = push.force.normalize();
-            // As stiff as the contacts are together: their forces over their mean depth.
+            // Combined stiffness of the contacts: total force over mean depth.
             let depth = push.size_by_depth / push.size;
             let stiffness = (force / depth.max(1e-6)).clamp(*STIFFNESS.start(), *STIFFNESS.end());
             let tip = target.tip_in_world.translation;

@@ -1,8 +1,8 @@
-//! Who schedules the solvers: each controller steps the bodies that carry its component, from what the scene says of
-//! them, and writes back where they are.
+//! Controllers that schedule the solvers: each one steps the bodies with its component, reads their state from the
+//! scene and writes it back.
 //!
-//! Everything that a later life needs is in the scene: shapes at rest, positions and velocities of vertices, what is held,
-//! burned or cut. What a solver refuses freezes the one body that it is about; the others go on.
+//! The scene holds everything that a restart needs: rest shapes, vertex positions and velocities, what is held, burned
+//! or cut. A solver failure freezes the one body concerned; the others go on.
 
 pub mod cauterised;
 pub mod coupling;
@@ -49,7 +49,7 @@ pub use suture_thread::saved_state::ThreadMemory;
 pub use thermal_damage::{Coagulated, CoagulatedElements, RemovedElements};
 pub use xpbd::{XpbdBody, XpbdController, XpbdGroups};
 
-/// Registers the components of this crate, and of those that worlds of bodies share.
+/// Registers the components of this crate, and those of `trocar-dynamics`.
 ///
 /// # Errors
 /// When a name is already taken by another type.

@@ -1,10 +1,10 @@
-//! Where a place beside or in a body that has been deformed is when the body is at rest.
+//! Maps a point at or in a deformed body to its position in the rest shape.
 
 use nalgebra::{Matrix3, Point3};
 use trocar_collision::primitive::closest_on_triangle;
 
-/// The place in the shape at rest that is to the surface there as `place` is to the surface now, by the nearest triangle
-/// and the frame that turns with it. Of a body without a surface the same place.
+/// The point whose position relative to the rest surface is that of `place` relative to the current surface, by the
+/// nearest triangle and its rotating frame. Without a surface, `place` itself.
 #[must_use]
 pub fn rest_place(
     place: &Point3<f64>,
@@ -33,7 +33,7 @@ pub fn rest_place(
     }
 }
 
-/// Along the first edge, across it, and out of the plane.
+/// Axes along the first edge, across it, and along the normal.
 fn frame([a, b, c]: &[Point3<f64>; 3]) -> Option<Matrix3<f64>> {
     let along = (b - a).try_normalize(0.0)?;
     let out = (b - a).cross(&(c - a)).try_normalize(0.0)?;

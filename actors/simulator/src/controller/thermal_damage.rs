@@ -1,6 +1,7 @@
-//! What heat has made of the elements of a body, as it is in the scene: who heats the body writes it, who moves it reads it.
+//! Thermal damage of a body's elements, as components: the heating controller writes them, the controller that moves
+//! the body reads them.
 //!
-//! Elements keep the numbers that they had in the first mesh, whatever comes apart.
+//! Elements keep their numbers of the first mesh, whatever is cut later.
 
 use std::sync::Arc;
 
@@ -11,11 +12,11 @@ use trocar_scene::{
     Access, Component, ComponentError, Entity, EntitySet, Snapshot, SurfaceMesh, TextureCoordinates,
 };
 
-/// Elements of a body's mesh at rest that are gone: tetrahedra of a volume, triangles of a membrane.
+/// Removed elements of a body's first mesh: tetrahedra of a volume, triangles of a membrane.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct RemovedElements {
-    /// In the order in which they went.
+    /// In the order of removal.
     pub elements: Arc<Vec<u32>>,
 }
 impl Component for RemovedElements {
@@ -26,15 +27,15 @@ impl Component for RemovedElements {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Coagulated {
-    /// Which.
+    /// The element.
     pub element: u32,
-    /// Times the stiffness it had.
+    /// Factor of its stiffness.
     pub stiffness: f64,
-    /// Times the length at rest that it had.
+    /// Factor of its rest length.
     pub length: f64,
 }
 
-/// Elements of a body that are coagulated, in part or wholly.
+/// Partly or fully coagulated elements of a body.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CoagulatedElements {
@@ -48,7 +49,7 @@ impl Component for CoagulatedElements {
     }
 }
 
-/// What whoever moves bodies that come apart reads and writes of them, volumes and membranes.
+/// Reads and writes of every controller that moves divisible bodies, volumes and membranes.
 pub(super) fn access(access: Access, bodies: &[Entity]) -> Access {
     access
         .reads::<RemovedElements>()
@@ -57,17 +58,17 @@ pub(super) fn access(access: Access, bodies: &[Entity]) -> Access {
         .writes::<TextureCoordinates>(EntitySet::Of(bodies.to_vec()))
 }
 
-/// What somebody who moves a body knows of that.
+/// Thermal damage of a body as last read by the controller that moves it.
 #[derive(Clone, Debug, Default)]
 pub struct Heated {
-    /// All that went, in their order.
+    /// Removed elements, in order of removal.
     pub removed: Arc<Vec<u32>>,
-    /// All that are coagulated, ascending.
+    /// Coagulated elements, ascending.
     pub coagulated: Arc<Vec<Coagulated>>,
 }
 
 impl Heated {
-    /// What an earlier life knew that had taken out so many elements: the others come as news.
+    /// The state of a controller that had removed this many elements before a restart: later ones count as new.
     #[must_use]
     pub fn known(scene: &Snapshot, entity: Entity, taken: usize) -> Self {
         let removed = scene.get::<RemovedElements>(entity).map(|of| of.elements.clone()).unwrap_or_default();
@@ -79,7 +80,7 @@ impl Heated {
         Self { removed, coagulated: coagulated.unwrap_or_default() }
     }
 
-    /// Takes over what the scene says: elements that went, and those that are coagulated otherwise, since the last time.
+    /// Reads the scene: newly removed elements, and those whose coagulation has changed, since the last call.
     pub fn news(&mut self, scene: &Snapshot, entity: Entity) -> (Vec<u32>, Vec<Coagulated>) {
         let (mut gone, mut changed) = (Vec::new(), Vec::new());
         if let Some(now) = scene.get::<RemovedElements>(entity)
@@ -97,14 +98,14 @@ impl Heated {
         (gone, changed)
     }
 
-    /// As stiff and as long as an element is, if it is there.
+    /// Stiffness and length of an element, if it is present.
     #[must_use]
     pub fn alteration(&self, element: u32) -> Alteration {
         self.of(element)
             .map_or(Alteration::NONE, |of| Alteration { stiffness: of.stiffness, length: of.length })
     }
 
-    /// What is known of an element.
+    /// Coagulation of an element.
     #[must_use]
     pub fn of(&self, element: u32) -> Option<Coagulated> {
         let at = self.coagulated.binary_search_by_key(&element, |of| of.element).ok()?;

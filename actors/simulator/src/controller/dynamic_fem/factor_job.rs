@@ -1,4 +1,4 @@
-//! Factors of bodies that have come apart, computed beside the ticks of their controller: order, pattern and numbers.
+//! Background jobs that refactorise the matrix of a body after a topology change: ordering, pattern and values.
 
 use std::sync::Arc;
 
@@ -12,21 +12,21 @@ use super::{DynamicFemBody, Solver};
 use crate::controller::thermal_damage::Heated;
 use crate::dynamic_fem::{Analysis, DynamicFem};
 
-/// What a factor takes in lock-step, however long it takes.
+/// Duration of a job in lock-step, however long it takes.
 const JOB: SimTime = SimTime(20_000_000);
 
-/// What a job delivers.
+/// Result of a job.
 pub(crate) type Built = Result<Analysis, String>;
 
-/// What a body was.
+/// A body before its topology changes.
 pub(crate) struct Former<'a> {
     pub tets: &'a [[u32; 4]],
-    /// How many nodes it had: the first ones.
+    /// Its number of nodes: they come first.
     pub nodes: usize,
 }
 
 impl Former<'_> {
-    /// A solver of it at rest.
+    /// A solver of that body at rest.
     pub fn solver(
         &self,
         kind: &DynamicFemBody,
@@ -54,7 +54,7 @@ fn built(
 }
 
 impl Solver {
-    /// In a new life: what was being computed is computed once more, so that it serves when it would have.
+    /// After a restart: submits the job in progress again, so that its factor is used from the same time.
     pub(crate) fn resume(&mut self, body: &Deformable, heated: &Heated) {
         if !self.solver.is_lent() {
             self.memory.lent = None;
@@ -63,10 +63,10 @@ impl Solver {
         self.ready = wanted.map(|wanted| built(&self.kind, wanted, &body.rest, &body.pinned, heated));
     }
 
-    /// Lets the factor serve that has been computed, once it is due.
+    /// Installs the computed factor once it is due.
     ///
     /// # Errors
-    /// Why there is none.
+    /// Why it could not be computed.
     pub(crate) fn take_over(&mut self, site: &StepContext<'_>) -> Result<(), String> {
         let Some(lent) = self.memory.lent.as_mut().filter(|_| self.solver.is_lent()) else { return Ok(()) };
         let Some(wanted) = &lent.wanted else { return Ok(()) };
@@ -86,7 +86,7 @@ impl Solver {
         Ok(())
     }
 
-    /// Has a factor computed of what the body is, if it goes on with another one.
+    /// Submits a job for the current mesh, if the body uses an outdated factor.
     pub(crate) fn ask(&mut self, body: &Deformable, site: &StepContext<'_>, heated: impl FnOnce() -> Heated) {
         if !self.solver.is_lent() {
             (self.memory.lent, self.ready) = (None, None);

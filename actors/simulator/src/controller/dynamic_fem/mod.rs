@@ -1,4 +1,4 @@
-//! The controller of soft volumes in motion: dynamic finite elements.
+//! The controller of dynamic finite elements: soft volumes with inertia.
 
 pub(crate) mod factor_job;
 pub mod saved_state;
@@ -22,10 +22,10 @@ use crate::dynamic_fem::{Config, Constitution, Contact, DynamicFem, Inputs, Repo
 use factor_job::{Built, Former};
 use saved_state::DynamicFemMemory;
 
-/// Steps in a row that end out of balance, from which on a body is doubtful: a blow takes a few.
+/// Consecutive unconverged steps after which a body counts as doubtful: an impact takes a few.
 const UNSOLVED_MAX: u32 = 20;
 
-/// A soft volume: it needs a mesh of tetrahedra, and `anchors` where it is to be held.
+/// A soft volume. It needs a tetrahedral mesh, and `anchors` where it is to be fixed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct DynamicFemBody {
@@ -37,22 +37,23 @@ pub struct DynamicFemBody {
     pub density: f64,
     /// Whether it is neo-Hookean, for large strains; else corotational.
     pub neo_hookean: bool,
-    /// Rayleigh damping of the mass \[1/s\].
+    /// Mass-proportional Rayleigh damping \[1/s\].
     pub mass_damping: f64,
-    /// Rayleigh damping of the stiffness \[s\].
+    /// Stiffness-proportional Rayleigh damping \[s\].
     pub stiffness_damping: f64,
-    /// Force per depth of a contact \[N/m\].
+    /// Contact stiffness: force per penetration depth \[N/m\].
     pub contact_stiffness: f64,
-    /// Coulomb friction against other bodies that detectors find it to touch; instruments slide on it.
+    /// Coulomb friction against other bodies, for contacts that detectors find; contact with instruments is
+    /// frictionless.
     pub friction: f64,
     /// Whether blades cut it; then they do not push it.
     pub cut: bool,
-    /// Tension that tears it \[Pa\]; without one nothing does.
+    /// Tensile strength \[Pa\]; absent: it never tears.
     pub strength: Option<f64>,
 }
 
 impl Default for DynamicFemBody {
-    /// A soft organ, in round numbers; for what has been measured of each see [`trocar_scene::tissue`].
+    /// A soft organ, in round numbers; for measured values of each organ see [`trocar_scene::tissue`].
     fn default() -> Self {
         Self {
             young_modulus: 8e3,
@@ -104,14 +105,14 @@ impl DynamicFemBody {
         })
     }
 
-    /// A mesh; where it has come apart, nodes are at the same place by right.
+    /// A validated mesh; where the body was cut, duplicate nodes may coincide.
     pub(super) fn mesh(rest: &[Point3<f64>], tets: &[[u32; 4]], is_parted: bool) -> Result<TetMesh, String> {
         let coincident_within = if is_parted { None } else { Some(0.0) };
         let rules = MeshRules { coincident_within, ..MeshRules::default() };
         TetMesh::new(rest, tets, &rules).map_err(|e| e.to_string())
     }
 
-    /// A solver at rest, to whose elements that has happened.
+    /// A solver at rest, with thermal damage applied to its elements.
     pub(super) fn at_rest(
         &self,
         mesh: TetMesh,
@@ -133,7 +134,7 @@ impl DynamicFemBody {
         Ok(solver)
     }
 
-    /// Of a body to whose elements that has happened.
+    /// The solver of a body with thermal damage.
     fn solver(
         &self,
         body: &Deformable,
@@ -166,12 +167,12 @@ pub(super) fn heat(solver: &mut DynamicFem, heated: &Heated) {
     solver.remove(&heated.removed);
 }
 
-/// A solver of one body, whose elements may go.
+/// The solver of one body, whose elements may be removed.
 pub(super) struct Solver {
     pub(super) kind: DynamicFemBody,
     pub(super) solver: DynamicFem,
     pub(super) memory: DynamicFemMemory,
-    /// A factor that has been computed beside the ticks and does not serve yet.
+    /// A factor from a background job, not in use yet.
     pub(super) ready: Option<Built>,
 }
 
@@ -207,17 +208,17 @@ impl Elements for Solver {
     }
 }
 
-/// Finite elements of one body.
+/// Dynamic finite elements for one body.
 pub struct DynamicFemMethod {
     of: Solver,
     parting: Option<Parting>,
-    /// One over the mass of each node, 0 where it is anchored \[1/kg\].
+    /// Inverse mass of each node, 0 where it is anchored \[1/kg\].
     mobility: Vec<f64>,
     contacts: Vec<Contact>,
     prescribed: Vec<(u32, Point3<f64>)>,
-    /// Of the last step.
+    /// Report of the last step.
     report: Option<Report>,
-    /// Steps up to the last that ended out of balance: in a row, and in all of this life.
+    /// Unconverged steps: consecutive ones up to the last step, and all since the start.
     unsolved: [u32; 2],
 }
 
@@ -369,7 +370,7 @@ impl DynamicFemMethod {
     }
 }
 
-/// One over the mass of each node, 0 where it is anchored or has none left \[1/kg\].
+/// Inverse mass of each node, 0 where it is anchored or has no mass left \[1/kg\].
 fn mobility(solver: &DynamicFem, body: &Deformable) -> Vec<f64> {
     let inverse = |mass: &f64| if *mass > 0.0 { mass.recip() } else { 0.0 };
     let mut mobility: Vec<f64> = solver.masses().iter().map(inverse).collect();
@@ -392,7 +393,7 @@ fn inputs<'a>(
     Inputs { acceleration: site.gravity, contacts, prescribed, forces: site.forces, ..Inputs::default() }
 }
 
-/// The plane that touches the rod where the body is nearest to it.
+/// Contact plane: tangent to the rod at the point nearest to the body.
 fn contact(touch: &Touch, rods: &[Rod], kind: &DynamicFemBody) -> Contact {
     let ([a, b, c], [u, v, w]) = (touch.nodes, touch.weights);
     let weights =
@@ -405,7 +406,7 @@ fn contact(touch: &Touch, rods: &[Rod], kind: &DynamicFemBody) -> Contact {
     }
 }
 
-/// What a contact exerts on the body where it is now \[N\].
+/// Force of a contact on the body at its current position \[N\].
 fn force_of(contact: &Contact, positions: &[Point3<f64>]) -> Vector3<f64> {
     let place = contact.weights.iter().fold(Vector3::zeros(), |sum, &(node, weight)| {
         if weight == 0.0 { sum } else { sum + positions[node as usize].coords * weight }

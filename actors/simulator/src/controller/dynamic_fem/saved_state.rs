@@ -1,4 +1,4 @@
-//! What a dynamic body needs to go on bit for bit besides where its vertices are and how they move.
+//! State of a dynamic body that a bit-identical restart needs in addition to positions and velocities.
 
 use std::sync::Arc;
 
@@ -9,52 +9,52 @@ use trocar_scene::{Component, ComponentError, SimTime};
 
 use crate::dynamic_fem::{Coupling, DynamicFem, DynamicFemState};
 
-/// Where the last step ended beside its positions and velocities: where the next one begins to look, and from where the
-/// factor is that it uses.
+/// Solver state after the last step, besides positions and velocities: the initial guess of the next step, and the
+/// origin of the factor in use.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DynamicFemMemory {
     /// Accelerations of the vertices in the last step \[m/s²\].
     pub accelerations: Arc<Vec<Vector3<f64>>>,
-    /// Iterations that the factor has cost beyond those of a new one.
+    /// Additional iterations that the factor's age has cost, compared with a new one.
     pub debt: u32,
-    /// Where the vertices were when the factor was computed \[m\]; empty if there is none.
+    /// Vertex positions at the factorisation \[m\]; empty if there is no factor.
     pub factor_positions: Arc<Vec<Point3<f64>>>,
-    /// For which step \[s\].
+    /// Step length of the factorisation \[s\].
     pub factor_dt: f64,
-    /// With which springs and contacts.
+    /// Springs and contacts of the factorisation.
     pub factor_couplings: Vec<Coupling>,
-    /// Where it is the factor of what the body was before it came apart: of what, and what is to follow.
+    /// A factor of the mesh before a topology change, and the job for its successor.
     pub lent: Option<LentFactor>,
-    /// Jobs so far.
+    /// Number of jobs so far.
     pub jobs: u64,
 }
 
-/// A factor that goes on serving a body that has come apart.
+/// A factor that is still used after a topology change.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LentFactor {
-    /// The elements that it is of; its nodes are the first ones of the body.
+    /// Its elements; its nodes are the first ones of the body.
     pub tets: Arc<Vec<[u32; 4]>>,
-    /// Where all nodes come from that the body has besides.
+    /// Origins of all nodes added since.
     pub births: Arc<Vec<Birth>>,
-    /// The one that is being computed.
+    /// The factor in progress.
     pub wanted: Option<WantedFactor>,
 }
 
-/// A factor that is computed beside the ticks.
+/// A factor that a background job computes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WantedFactor {
-    /// The elements that it is of.
+    /// Its elements.
     pub tets: Arc<Vec<[u32; 4]>>,
-    /// Where the nodes were \[m\].
+    /// Node positions at the factorisation \[m\].
     pub positions: Arc<Vec<Point3<f64>>>,
-    /// For which step \[s\].
+    /// Step length \[s\].
     pub dt: f64,
-    /// From when on it is to serve, if it is there.
+    /// Time from which it is used, if it is ready.
     pub due: SimTime,
-    /// The number of the job.
+    /// Number of the job.
     pub key: u64,
 }
 
@@ -66,7 +66,7 @@ impl Component for DynamicFemMemory {
 }
 
 impl DynamicFemMemory {
-    /// Takes over what a solver has; lists that are as before are not copied.
+    /// Copies the state of a solver; unchanged lists are shared.
     pub fn take(&mut self, solver: &DynamicFem) {
         let DynamicFemState { accelerations, debt, factor_positions, factor_dt, factor_couplings, .. } =
             solver.state();
@@ -82,14 +82,14 @@ impl DynamicFemMemory {
         }
     }
 
-    /// There are new vertices: the factor is one of what the body was, whose elements were `before` if it was whole.
+    /// Adds new vertices: the factor is now one of the former mesh, with the elements `before` if it was up to date.
     pub fn split(&mut self, born: &[Birth], before: impl FnOnce() -> Vec<[u32; 4]>) {
         let lent =
             self.lent.get_or_insert_with(|| LentFactor { tets: Arc::new(before()), ..LentFactor::default() });
         Arc::make_mut(&mut lent.births).extend_from_slice(born);
     }
 
-    /// Whether what it tells of a factor can be of a body of so many nodes.
+    /// Checks the factor's data against a body with this many nodes.
     #[must_use]
     pub fn lends_to(&self, nodes: usize) -> bool {
         let Some(lent) = &self.lent else { return false };
@@ -108,14 +108,14 @@ impl DynamicFemMemory {
             && wanted
     }
 
-    /// The state of a solver, with positions \[m\] and velocities \[m/s\] of the scene. A memory of another number of
-    /// vertices is none.
+    /// The state of a solver, with positions \[m\] and velocities \[m/s\] of the scene. A saved state with another
+    /// number of vertices is ignored.
     #[must_use]
     pub fn state(&self, positions: &[Point3<f64>], velocities: &[Vector3<f64>]) -> DynamicFemState {
         let fits = self.accelerations.len() == positions.len();
         let mut memory = if fits { self.clone() } else { Self::default() };
         if memory.lent.is_some() {
-            // Of what the body was.
+            // Those of the former mesh.
             memory.factor_positions = Arc::default();
             memory.factor_couplings.clear();
         }

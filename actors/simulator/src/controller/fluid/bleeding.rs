@@ -1,5 +1,6 @@
-//! The controller of vessels: what cuts or burns them opens them, jaws close them, coagulation of the tissue about the hole
-//! seals them. What comes out is told as a total, from which the liquid and the patient take what is theirs.
+//! The controller of vessels: cuts and burns open them, jaws clamp them, coagulation of the tissue around the hole
+//! seals them. The blood loss is published as a cumulative volume, from which the liquid and the patient take the
+//! difference.
 
 use std::sync::Arc;
 
@@ -26,31 +27,31 @@ use crate::fluid::{Hole, vessel_cut};
 
 /// Tissue farther from the hole than this does not heat it \[m\].
 const HEAT_REACH: f64 = 0.01;
-/// A vertex beyond that is of no vessel \[m\].
+/// A vertex beyond that is invalid \[m\].
 const FAR: f64 = 1e3;
-/// Vertices whose temperature counts at the hole.
+/// Number of vertices whose temperatures are averaged at the hole.
 const HEATERS: usize = 4;
 
-/// A vessel: a line from its source (the first vertex) to its end, with blood in it.
+/// A blood vessel: a line from its source (the first vertex) to its end.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Vessel {
     /// Inner radius \[m\].
     pub radius: f64,
-    /// Thickness of the wall \[m\].
+    /// Wall thickness \[m\].
     pub wall: f64,
-    /// From where the pressure is that of the patient to the first vertex \[m\].
+    /// Length of the vessel between the patient's pressure and the first vertex \[m\].
     pub before: f64,
-    /// Share of the way from the mean venous (0) to the arterial pressure (1) at which it is.
+    /// Source pressure, as a fraction between mean venous (0) and arterial pressure (1).
     pub arterial: f64,
-    /// How far it is open at the beginning: the hole, as a share of the section.
+    /// Initial hole, as a fraction of the cross-section.
     pub injury: f64,
-    /// Where, as a share of the line.
+    /// Position of the hole, as a fraction of the line.
     pub hole: f64,
-    /// Where the hole opens to, in the vessel's frame (any length); along the vessel where it is cut through.
+    /// Direction of the hole, in the vessel's frame (any length); along the vessel where it is transected.
     #[schemars(with = "[f64; 3]")]
     pub outwards: Vector3<f64>,
-    /// Tissue that it runs in: what burns there burns the vessel.
+    /// The tissue around it: what burns there burns the vessel.
     #[schemars(with = "Option<String>")]
     pub tissue: Option<Entity>,
 }
@@ -88,24 +89,24 @@ impl Component for Vessel {
     }
 }
 
-/// What has been done to a vessel, and what came out of it.
+/// State of a vessel: injury and blood loss.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct VesselState {
-    /// The wound, and the blood that came out.
+    /// The wound, and the cumulative blood loss.
     pub bleeding: BleedingState,
-    /// Where the hole is, as a share of the line.
+    /// Position of the hole, as a fraction of the line.
     pub hole: f64,
-    /// The hole in the vessel's frame.
+    /// The hole, in the vessel's frame.
     pub place: Point3<f64>,
-    /// Where it opens to, in the vessel's frame.
+    /// Direction of the hole, in the vessel's frame.
     pub outwards: Vector3<f64>,
-    /// Its area \[m²\].
+    /// Area of the hole \[m²\].
     pub area: f64,
-    /// What comes out now \[m³/s\].
+    /// Current blood loss rate \[m³/s\].
     pub rate: f64,
-    /// Elements of the tissue that are gone and have been looked at.
+    /// Number of removed tissue elements that have been processed.
     pub burned: u32,
-    /// Where the blades of all scissors were, in the vessel's frame.
+    /// Previous blades of all scissors, in the vessel's frame.
     pub blades: Vec<Blades>,
 }
 impl Component for VesselState {
@@ -113,7 +114,7 @@ impl Component for VesselState {
 }
 
 impl VesselState {
-    /// The hole, in a frame of which the vessel's is known.
+    /// The hole in another frame, given that frame's pose of the vessel.
     #[must_use]
     pub fn hole_in(&self, frame_from_vessel: &Isometry3<f64>) -> Hole {
         Hole {
@@ -134,7 +135,7 @@ struct Body {
     frozen: bool,
 }
 
-/// Lets every vessel bleed.
+/// Simulates the bleeding of every vessel.
 pub struct BleedingController {
     vessels: Vec<Body>,
     refused: Vec<Refused>,
@@ -144,7 +145,7 @@ fn length(line: &[Point3<f64>]) -> f64 {
     line.windows(2).map(|ends| (ends[1] - ends[0]).norm()).sum()
 }
 
-/// The place at a share of a line, the direction in which the line goes there, and how many of its vertices come before.
+/// The point at a fraction of a line, the line's direction there, and the number of vertices before it.
 fn along(line: &[Point3<f64>], share: f64) -> Option<(Point3<f64>, Vector3<f64>, usize)> {
     let mut left = share * length(line);
     for (index, ends) in line.windows(2).enumerate() {
@@ -191,12 +192,12 @@ impl Body {
         Ok(Self { entity, vessel, bleeding, state, line, name, frozen })
     }
 
-    /// Blades that close on it, or sweep through it closed, cut it through, where they do so first.
+    /// Transects the vessel at the first cut by closing blades, or by the sweep of closed ones.
     fn cut(&mut self, scene: &Snapshot, world_from_body: &Isometry3<f64>) {
         let whole = length(&self.line);
         for sweep in swept(&mut self.state.blades, scene, world_from_body) {
             let cut = vessel_cut::first_crossing(&self.line, &sweep).map(|at| at / whole);
-            // Beyond a cut there is no blood to lose.
+            // Beyond an existing transection no blood is lost.
             if let Some(hole) = cut.filter(|at| self.state.bleeding.damage < 1.0 || *at < self.state.hole) {
                 self.bleeding.sever();
                 self.state.bleeding = *self.bleeding.state();
@@ -205,7 +206,7 @@ impl Body {
         }
     }
 
-    /// Where the tissue around it is gone, so is its wall.
+    /// Opens the wall where the tissue around it was removed.
     fn burn_through(&mut self, scene: &Snapshot, tissue: Entity, body_from_tissue: &Isometry3<f64>) {
         let (Some(gone), Some(rest)) = (scene.get::<RemovedElements>(tissue), rest_of(scene, tissue)) else {
             return;
@@ -239,7 +240,7 @@ impl Body {
         self.state.burned = gone.elements.len() as u32;
     }
 
-    /// Temperature of the tissue at the hole \[°C\].
+    /// Tissue temperature at the hole \[°C\].
     fn heat_at_hole(&self, scene: &Snapshot, tissue: Entity, body_from_tissue: &Isometry3<f64>) -> f64 {
         let (Some(heat), Some(vertices)) =
             (scene.get::<Temperature>(tissue), scene.get::<VertexPositions>(tissue))
@@ -256,14 +257,14 @@ impl Body {
                 nearest.truncate(HEATERS);
             }
         }
-        // Shepard's mean, by the inverse square of the distance.
+        // Shepard interpolation, by inverse squared distance.
         let weight = |distance: f64| 1.0 / (distance * distance + 1e-12);
         let sum: f64 = nearest.iter().map(|(distance, _)| weight(*distance)).sum();
         let heat: f64 = nearest.iter().map(|(distance, celsius)| weight(*distance) * celsius).sum();
         if sum > 0.0 { heat / sum } else { BODY }
     }
 
-    /// Share of the section that jaws close before the hole.
+    /// Fraction of the cross-section that jaws clamp before the hole.
     fn clamped(&self, scene: &Snapshot, world_from_body: &Isometry3<f64>, before: &[Point3<f64>]) -> f64 {
         let tube = Tube { radius: self.vessel.radius, wall: self.vessel.wall };
         let mut closed: f64 = 0.0;
@@ -279,7 +280,7 @@ impl Body {
         closed
     }
 
-    /// One step; where it cannot be, the vessel is as it was.
+    /// One step; if it fails, the vessel keeps its state.
     fn step(&mut self, dt: f64, scene: &Snapshot, pressures: (f64, f64)) -> Result<(), String> {
         let (state, bleeding) = (self.state.clone(), self.bleeding.clone());
         let done = self.stepped(dt, scene, pressures).and_then(|()| self.is_finite());
@@ -339,13 +340,13 @@ fn read_line(scene: &Snapshot, entity: Entity, line: &mut Vec<Point3<f64>>) {
     }
 }
 
-/// Vertices of a body at rest; where they are if nobody has said.
+/// Rest positions of a body's vertices; the current ones if none are stored.
 pub(crate) fn rest_of(scene: &Snapshot, tissue: Entity) -> Option<&[Point3<f64>]> {
     let rest = scene.get::<RestPositions>(tissue).map(|rest| &rest.positions);
     rest.or_else(|| scene.get::<VertexPositions>(tissue).map(|now| &now.positions)).map(|all| all.as_slice())
 }
 
-/// Elements as [`RemovedElements`] counts them: of the first mesh, whatever has been cut since.
+/// Elements numbered as in [`RemovedElements`]: those of the first mesh, whatever was cut later.
 enum FirstElements {
     Tets(Arc<Vec<[u32; 4]>>),
     Triangles(Arc<Vec<[u32; 3]>>),
@@ -373,10 +374,10 @@ impl FirstElements {
 }
 
 impl BleedingController {
-    /// Reads the vessels, and goes on where an earlier life left them.
+    /// Reads the vessels, and resumes their state from the scene.
     ///
     /// # Errors
-    /// Names the vessel, and what is wrong with it.
+    /// The name of the vessel, and what is wrong with it.
     pub fn new(context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let (mut vessels, mut refused) = (Vec::new(), Vec::new());
         for (entity, vessel) in context.scene.iter::<Vessel>() {
@@ -425,7 +426,7 @@ impl Controller for BleedingController {
             if !vessel.frozen {
                 if let Err(reason) = vessel.step(tick.period.as_secs_f64(), scene, pressures) {
                     vessel.frozen = true;
-                    // What stands still does not bleed: the liquid and the patient go by what it has lost.
+                    // A frozen vessel does not bleed: liquid and patient follow its cumulative loss.
                     vessel.state.rate = 0.0;
                     freeze(vessel.entity, FrozenPart::Body, reason, tick, out);
                 }

@@ -1,4 +1,4 @@
-//! Tubes in the field: an irrigator brings liquid, a sucker takes it away, while they are switched on.
+//! Irrigation and suction: tubes at instruments that add or remove liquid while they are switched on.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use schemars::JsonSchema;
@@ -7,13 +7,13 @@ use trocar_scene::{Activation, Component, ComponentError, ControllerError, Entit
 
 use crate::fluid::{Fluid, Hole, Spout};
 
-/// A tube out of which the scene's liquid comes while it is switched on: at an instrument, along its axis.
+/// An irrigator: a tube at an instrument, along its axis, that emits the scene's liquid while it is switched on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Irrigator {
-    /// What comes at full level \[m³/s\].
+    /// Flow rate at full level \[m³/s\].
     pub rate: f64,
-    /// Area of its opening \[m²\].
+    /// Cross-sectional area of its opening \[m²\].
     pub area: f64,
 }
 
@@ -36,13 +36,13 @@ impl Component for Irrigator {
     }
 }
 
-/// A tube that takes the scene's liquid away while it is switched on: at an instrument, what is near its tip.
+/// A sucker: a tube at an instrument that removes the scene's liquid near its tip while it is switched on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Sucker {
-    /// What it takes at full level \[m³/s\], if there is so much.
+    /// Suction rate at full level \[m³/s\], if there is enough liquid.
     pub rate: f64,
-    /// How far from its tip it reaches \[m\].
+    /// Reach from its tip \[m\].
     pub reach: f64,
 }
 
@@ -65,17 +65,17 @@ impl Component for Sucker {
     }
 }
 
-/// What a sucker has taken.
+/// State of a sucker.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Suction {
-    /// Particles taken.
+    /// Number of particles removed.
     pub taken: u64,
-    /// What it could have taken and has not yet \[m³\]; less than a particle where there is liquid.
+    /// Suction volume not used yet \[m³\]; less than a particle where there is liquid.
     pub waiting: f64,
 }
 
-/// Refuses a tube that is both.
+/// Rejects a tube that is both irrigator and sucker.
 pub(crate) fn check(scene: &Snapshot) -> Result<(), ControllerError> {
     match scene.iter::<Irrigator>().find(|(entity, _)| scene.get::<Sucker>(*entity).is_some()) {
         Some((both, _)) => Err(ControllerError::Scene(format!(
@@ -91,7 +91,7 @@ fn level(scene: &Snapshot, entity: Entity) -> f64 {
 }
 
 impl Irrigator {
-    /// What comes out of it in `dt` seconds.
+    /// Emits liquid for `dt` seconds.
     pub(crate) fn pour(
         &self,
         (scene, entity): (&Snapshot, Entity),
@@ -109,7 +109,7 @@ impl Irrigator {
 }
 
 impl Sucker {
-    /// What it takes in `dt` seconds: what is nearest first.
+    /// Removes liquid for `dt` seconds, nearest particles first.
     pub(crate) fn suck(
         &self,
         (scene, entity): (&Snapshot, Entity),
@@ -119,7 +119,7 @@ impl Sucker {
         fluid: &mut Fluid,
     ) {
         let (particle, now) = (fluid.particle_volume(), self.rate * level(scene, entity) * dt);
-        // What it could not take, for want of liquid, it does not catch up with.
+        // Suction that lacked liquid is not made up for later.
         suction.waiting = if now > 0.0 { suction.waiting.min(particle) + now } else { 0.0 };
         let tip = liquid_from_world * scene.world_pose(entity) * Point3::origin();
         let taken = fluid.suck(&tip, self.reach, (suction.waiting / particle).floor() as u64);

@@ -1,5 +1,4 @@
-//! The controller of a liquid: out of every vessel and irrigator, between the surfaces that it does not pass, until a sucker
-//! takes it.
+//! The controller of a liquid: emitted by vessels and irrigators, bounded by walls, removed by suckers.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,29 +18,30 @@ use super::irrigation::{self, Irrigator, Sucker, Suction};
 use crate::fluid::boundary_samples::{WallSample, sample};
 use crate::fluid::{Fluid, FluidConfig, FluidState, Spout};
 
-/// Most samples of one wall.
+/// Maximum number of samples per wall.
 const SAMPLES_MAX: usize = 200_000;
 
-/// Farther off there is no wall \[m\].
+/// A wall farther away is invalid \[m\].
 const FAR: f64 = 1e3;
 
-/// A liquid; its drops are the entity's particles, which say how they look. A particle lives in the entity's box.
+/// A liquid; its particles are the entity's particles, which define its appearance. Particles exist within the entity's
+/// box.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Liquid {
-    /// Distance of particles at rest \[m\].
+    /// Particle spacing at rest \[m\].
     pub spacing: f64,
-    /// Density at rest \[kg/m³\].
+    /// Rest density \[kg/m³\].
     pub density: f64,
     /// Kinematic viscosity \[m²/s\].
     pub viscosity: f64,
-    /// Box in which it is, in the entity's frame \[m\]; what leaves it is absorbed.
+    /// Lower corner of the box, in the entity's frame \[m\]; particles that leave it are absorbed.
     #[schemars(with = "[f64; 3]")]
     pub min: Point3<f64>,
-    /// The other end of the box \[m\].
+    /// Upper corner of the box \[m\].
     #[schemars(with = "[f64; 3]")]
     pub max: Point3<f64>,
-    /// Most particles; when there are more, the oldest are absorbed.
+    /// Maximum number of particles; beyond it the oldest are absorbed.
     pub particles_max: u32,
 }
 
@@ -79,11 +79,11 @@ impl Component for Liquid {
     }
 }
 
-/// A surface that liquids do not pass.
+/// A wall: a surface that liquids do not cross.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LiquidWall {
-    /// Whether liquids slide along it freely. Otherwise it drags them, by bumps of half a particle.
+    /// Free slip. Otherwise the wall's sample particles cause drag, as bumps of half a particle.
     pub smooth: bool,
 }
 
@@ -94,24 +94,24 @@ impl Component for LiquidWall {
     }
 }
 
-/// What a later life goes on from.
+/// State for a restart.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LiquidState {
     /// The particles.
     pub fluid: Arc<FluidState>,
-    /// How much came out of each vessel and irrigator.
+    /// Emission of each vessel and irrigator so far.
     pub spouts: Vec<(Entity, Spout)>,
-    /// How much each sucker took.
+    /// Suction of each sucker so far.
     #[serde(default)]
     pub suctions: Vec<(Entity, Suction)>,
 }
 impl Component for LiquidState {
     const NAME: &'static str = "liquid_state";
-    /// Too large to be recorded; what comes of it is.
+    /// Too large to be recorded; it is derived from recorded data.
     const RECORD: RecordPolicy = RecordPolicy::Derived;
 }
 
-/// A wall as it was when it was sampled last, and where its samples are.
+/// A wall at its last sampling, with its samples.
 struct Wall {
     entity: Entity,
     triangles: Arc<Vec<[u32; 3]>>,
@@ -120,7 +120,7 @@ struct Wall {
     liquid_from_wall: Isometry3<f64>,
 }
 
-/// Moves the liquid of the scene.
+/// Simulates the liquid of the scene.
 pub struct FluidController {
     liquid: Entity,
     name: String,
@@ -135,16 +135,16 @@ pub struct FluidController {
     normals: Vec<Vector3<f64>>,
     order: Vec<(u64, u32)>,
     walls_move: bool,
-    /// Walls that are taken where they were last, because where the scene has them nothing can be.
+    /// Walls kept at their last valid position, because their current one in the scene is invalid.
     held: Vec<Entity>,
     frozen: bool,
 }
 
 impl FluidController {
-    /// Reads the liquid, and goes on where an earlier life left it.
+    /// Reads the liquid, and resumes its state from the scene.
     ///
     /// # Errors
-    /// There is none, or more than one; a parameter or a state that does not fit it.
+    /// There is none, or more than one; a parameter is invalid, or the state does not match.
     pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let scene = context.scene;
         let mut liquids = scene.iter::<Liquid>();
@@ -194,7 +194,7 @@ impl FluidController {
         })
     }
 
-    /// Where the walls are now; told to the liquid only where one of them has moved.
+    /// Updates the walls; the solver is informed only when one has moved.
     fn follow_walls(&mut self, dt: f64, scene: &Snapshot) -> Result<(), String> {
         let liquid_from_world = scene.world_pose(self.liquid).inverse();
         let mut walls = std::mem::take(&mut self.walls);
@@ -244,7 +244,7 @@ impl FluidController {
                 }
                 None => {
                     moved = true;
-                    // At rest, so that another life finds the same ones.
+                    // Sampled at rest, so that a restart finds the same samples.
                     let rest = rest_of(scene, entity).filter(|rest| rest.len() == positions.len());
                     let samples = sample(
                         rest.unwrap_or(&positions),
@@ -263,7 +263,7 @@ impl FluidController {
         moved |= known.next().is_some();
         drop(known);
         self.walls = now;
-        // Once more when they have come to rest.
+        // Once more when they have stopped.
         if moved || self.walls_move {
             self.normals.clear();
             for wall in &self.walls {
@@ -286,7 +286,7 @@ impl FluidController {
         Ok(())
     }
 
-    /// One step; where it cannot be, the liquid is where it was.
+    /// One step; if it fails, the liquid keeps its state.
     fn step(&mut self, dt: f64, scene: &Snapshot) -> Result<(), String> {
         let world_from_liquid = scene.world_pose(self.liquid);
         self.fluid.set_gravity(world_from_liquid.rotation.inverse() * self.gravity_in_world);
@@ -308,7 +308,7 @@ impl FluidController {
         self.fluid.step(dt).map(drop).map_err(|error| error.to_string())
     }
 
-    /// To where the scene has it: what was poured for a step that could not be has not come.
+    /// Restores the scene's state: discards the emission of a failed step.
     fn go_back(&mut self, scene: &Snapshot) {
         let Some(known) = scene.get::<LiquidState>(self.liquid) else { return };
         if self.fluid.restore(&known.fluid).is_ok() {
@@ -317,7 +317,7 @@ impl FluidController {
         }
     }
 
-    /// Says once that a wall is not where the scene has it.
+    /// Reports once that a wall in the scene is invalid.
     fn doubt(&self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) {
         let Some(wall) = self.held.first().filter(|_| scene.get::<OutOfValidity>(self.liquid).is_none())
         else {
@@ -332,13 +332,13 @@ impl FluidController {
         out.event("wall_held", *wall, None, tick.time.as_secs_f64());
     }
 
-    /// Drops in the order of their numbers; where one is gone in between, there is one that is not seen.
+    /// Writes the particles in the order of their numbers; a gap in the numbers becomes an invisible particle.
     fn show(&mut self) {
         let state = self.fluid.state();
         self.order.clear();
         self.order.extend(state.numbers.iter().zip(0..).map(|(number, index)| (*number, index)));
         self.order.sort_unstable();
-        // Those that stayed behind long ago do not keep room for all that came and went since.
+        // Old particles do not keep room for all numbers since.
         let room = trocar_scene::PARTICLES_MAX as u64;
         let first =
             state.next.saturating_sub(room).max(self.order.first().map_or(state.next, |first| first.0));
@@ -370,12 +370,12 @@ impl FluidController {
         let sucked: u64 = self.suctions.values().map(|suction| suction.taken).sum();
         put("sucked_m3", sucked as f64 * volume);
         put("absorbed_m3", state.absorbed as f64 * volume);
-        // Less than a particle of each is still to come.
+        // Less than one particle of each source is outstanding.
         put("emitted_share", if given > 0.0 { emitted as f64 * volume / given } else { 1.0 });
     }
 }
 
-/// Whether a wall is where one can be.
+/// Whether the positions of a wall are valid.
 fn is_somewhere(
     liquid_from_wall: &Isometry3<f64>,
     positions: &[Point3<f64>],

@@ -1,4 +1,4 @@
-//! The controller of smoke: what burning tissue gives off rises, spreads and goes.
+//! The controller of smoke: the plume of burning tissue rises, spreads and vanishes.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,25 +15,25 @@ use trocar_scene::{
 use crate::controller::electrosurgery::plume::Plume;
 use crate::fluid::smoke::{Smoke, SmokeConfig, SmokeState};
 
-/// Most smoke that a body gives off in a step \[kg\].
+/// Maximum smoke emission of a body per step \[kg\].
 const PLUME_MAX: f64 = 1.0;
-/// Farther off there is no cavity \[m\].
+/// A position farther away is invalid \[m\].
 const FAR: f64 = 1e3;
 
-/// Smoke in a cavity; its puffs are the entity's particles, which say how they look.
+/// Smoke in a cavity; its puffs are the entity's particles, which define its appearance.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SmokeCloud {
-    /// Smoke of a puff \[kg\].
+    /// Mass of smoke per puff \[kg\].
     pub puff: f64,
-    /// How long a puff is seen \[s\].
+    /// Lifetime of a puff \[s\].
     pub lifetime: f64,
-    /// How much warmer than the gas it leaves the tissue \[K\].
+    /// Excess temperature over the gas at the tissue \[K\].
     pub warmth: f64,
-    /// How the gas in the cavity moves, in world \[m/s\].
+    /// Velocity of the gas in the cavity, in world \[m/s\].
     #[schemars(with = "[f64; 3]")]
     pub wind: Vector3<f64>,
-    /// Most puffs; when there are more, the oldest are gone.
+    /// Maximum number of puffs; beyond it the oldest are removed.
     pub puffs_max: u32,
 }
 
@@ -65,21 +65,21 @@ impl Component for SmokeCloud {
     }
 }
 
-/// What a later life goes on from.
+/// State for a restart.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SmokeCloudState {
     /// The puffs, in the frame of the cloud.
     pub smoke: Arc<SmokeState>,
-    /// How much of each plume is in it \[kg\].
+    /// Smoke taken over from each plume \[kg\].
     pub taken: Vec<(Entity, f64)>,
 }
 impl Component for SmokeCloudState {
     const NAME: &'static str = "smoke_state";
-    /// Too large to be recorded; what comes of it is.
+    /// Too large to be recorded; it is derived from recorded data.
     const RECORD: RecordPolicy = RecordPolicy::Derived;
 }
 
-/// Moves the smoke of the scene.
+/// Simulates the smoke of the scene.
 pub struct SmokeController {
     cloud: Entity,
     name: String,
@@ -92,10 +92,10 @@ pub struct SmokeController {
 }
 
 impl SmokeController {
-    /// Reads the cloud, and goes on where an earlier life left it.
+    /// Reads the cloud, and resumes its state from the scene.
     ///
     /// # Errors
-    /// There is none, or more than one; a state that does not fit it.
+    /// There is none, or more than one; the state does not match.
     pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let mut clouds = context.scene.iter::<SmokeCloud>();
         let (Some((cloud, kind)), None) = (clouds.next(), clouds.next()) else {
@@ -125,7 +125,7 @@ impl SmokeController {
 }
 
 impl SmokeController {
-    /// One step; where it cannot be, the smoke is where it was.
+    /// One step; if it fails, the smoke keeps its state.
     fn step(&mut self, tick: &Tick<'_>, scene: &Snapshot) -> Result<(), String> {
         let cloud_from_world = scene.world_pose(self.cloud).inverse();
         self.sources.clear();

@@ -1,5 +1,5 @@
-//! The controller of the patient: what all vessels have lost goes out of the circulation, and the monitor shows what that
-//! does.
+//! The controller of the patient: the blood loss of all vessels leaves the circulation, and the monitor shows the vital
+//! signs.
 
 use std::collections::BTreeMap;
 
@@ -14,19 +14,19 @@ use trocar_scene::{
 use super::bleeding::VesselState;
 use crate::fluid::vital_signs::{Circulation, CirculationState, VitalSigns as Body};
 
-/// Oxygen saturation while the heart still gives a third of what it does at rest: no lung is simulated.
+/// Oxygen saturation while cardiac output is at least a third of its resting value: no lung is simulated.
 const SATURATION: f64 = 0.98;
-/// Largest loss that the circulation can be told \[m³/s\].
+/// Largest loss rate that the circulation accepts \[m³/s\].
 const LOSS_MAX: f64 = 0.01;
 
-/// More than any body has \[m³\].
+/// More than any body contains \[m³\].
 const LOST_MAX: f64 = 1.0;
 
-/// A patient whose circulation answers blood loss.
+/// A patient whose circulation responds to blood loss.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Patient {
-    /// Blood in the body \[m³\]; what the heart gives and vessels hold goes with it. An adult of 70 kg has 5 litres, a
+    /// Blood volume \[m³\]; cardiac output and vascular capacity scale with it. An adult of 70 kg has 5 litres, a
     /// piglet of 5 kg a third of a litre (65 ml/kg).
     pub blood: f64,
     /// Mean arterial pressure at rest \[Pa\].
@@ -43,7 +43,7 @@ impl Default for Patient {
 }
 
 impl Patient {
-    /// The circulation that it has.
+    /// Its circulation.
     #[must_use]
     pub fn circulation(&self) -> Circulation {
         let adult = Circulation::default();
@@ -69,7 +69,7 @@ impl Component for Patient {
     }
 }
 
-/// What a later life goes on from, and what vessels bleed at.
+/// State for a restart, and the pressures that drive bleeding.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PatientState {
     /// The circulation.
@@ -78,7 +78,7 @@ pub struct PatientState {
     pub arterial: f64,
     /// Central venous pressure \[Pa\].
     pub venous: f64,
-    /// Loss of all vessels that has been taken out of it \[m³\].
+    /// Cumulative loss of all vessels already subtracted \[m³\].
     pub accounted: f64,
 }
 impl Component for PatientState {
@@ -86,7 +86,7 @@ impl Component for PatientState {
 }
 
 impl PatientState {
-    /// Mean arterial and venous pressure of the scene's patient; of an adult where there is none \[Pa\].
+    /// Mean arterial and venous pressure of the scene's patient, or of an adult if there is none \[Pa\].
     #[must_use]
     pub fn pressures(scene: &Snapshot) -> (f64, f64) {
         if let Some((_, state)) = scene.iter::<Self>().next() {
@@ -98,7 +98,7 @@ impl PatientState {
     }
 }
 
-/// Lets the patient live.
+/// Simulates the patient's circulation.
 pub struct VitalSignsController {
     patient: Entity,
     body: Body,
@@ -107,10 +107,10 @@ pub struct VitalSignsController {
 }
 
 impl VitalSignsController {
-    /// Reads the patient, and goes on where an earlier life left it.
+    /// Reads the patient, and resumes its state from the scene.
     ///
     /// # Errors
-    /// There is none, or more than one; a state that no body has.
+    /// There is none, or more than one; the state is out of range.
     pub fn new(context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let mut patients = context.scene.iter::<Patient>();
         let (Some((patient, body)), None) = (patients.next(), patients.next()) else {
@@ -130,7 +130,7 @@ impl VitalSignsController {
 }
 
 impl VitalSignsController {
-    /// One step; where it cannot be, the patient is as before.
+    /// One step; if it fails, the patient keeps its state.
     fn step(&mut self, tick: &Tick<'_>, scene: &Snapshot) -> Result<(), String> {
         let dt = tick.period.as_secs_f64();
         let mut lost = 0.0;

@@ -1,4 +1,4 @@
-//! What a body of masses and springs is declared as, and what it is stepped with.
+//! Component of a mass-spring body, and the solver configuration derived from it.
 
 use nalgebra::Point3;
 use schemars::JsonSchema;
@@ -13,39 +13,39 @@ use crate::mass_spring::{
     Config, Integrator, LineMaterial, LinearSolver, Network, SurfaceMaterial, TooLarge, VolumeMaterial,
 };
 
-/// Parts into which a step is divided at most.
+/// Maximum number of substeps.
 const PARTS_MAX: u32 = 200;
 
-/// How its springs are stepped.
+/// Time integration of the springs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {
-    /// Symplectic Euler, in as many parts as are safe.
+    /// Symplectic Euler, in as many substeps as stability needs.
     #[default]
     Explicit,
-    /// Backward Euler, at any step.
+    /// Backward Euler, for any step.
     Implicit,
 }
 
-/// How an implicit step is solved.
+/// Linear solver of an implicit step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SolvedBy {
     /// Surfaces in steps of up to 5 ms as `warped`, all else as `node_blocks`.
     #[default]
     Auto,
-    /// Conjugate gradients with the nodes' own blocks: nothing is prepared, so that nothing is lost with a cut.
+    /// Conjugate gradients with a block-Jacobi preconditioner: no preparation, so a cut costs nothing.
     NodeBlocks,
-    /// With the factor of the sheet at rest, turned as it is turned now: an order of magnitude fewer iterations at steps
-    /// of about a millisecond. While it comes apart it goes on with the nodes' own blocks; the next factor is made beside
-    /// the ticks once it has been whole for a while.
+    /// Preconditioned by the factor of the sheet at rest, rotated to its current pose: an order of magnitude fewer
+    /// iterations at steps of about a millisecond. While the sheet is being cut it falls back to block Jacobi; a job
+    /// computes the next factor in the background once nothing has been cut for a while.
     Warped,
 }
 
-/// Longest step \[s\] in which a surface is better solved with its factor.
+/// Longest step \[s\] for which the factor pays off for a surface.
 const WARPED_STEP: f64 = 5e-3;
 
-/// What it is made of, by the kind of its mesh.
+/// Material, by the kind of the mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Springs {
@@ -83,29 +83,29 @@ impl Default for Springs {
     }
 }
 
-/// A body of masses and springs: it needs a mesh, and `anchors` where it is to be held.
+/// A mass-spring body. It needs a mesh, and `anchors` where it is to be fixed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MassSpringBody {
-    /// What it is made of.
+    /// Its material.
     pub springs: Springs,
-    /// How it is stepped.
+    /// Time integration.
     pub method: Method,
-    /// How an implicit step is solved.
+    /// Linear solver of an implicit step.
     pub solver: SolvedBy,
-    /// Damping along springs \[s\]: the time by which their force follows their lengthening.
+    /// Damping along springs \[s\]: damping over stiffness.
     pub lag: f64,
-    /// Damping of every motion \[1/s\].
+    /// Velocity damping \[1/s\].
     pub damping: f64,
-    /// How far its surface is from its vertices \[m\]: half the thickness of a cloth.
+    /// Distance of its surface from its vertices \[m\]: half the thickness of a cloth.
     pub thickness: f64,
-    /// Force per depth of a contact \[N/m\].
+    /// Contact stiffness: force per penetration depth \[N/m\].
     pub contact_stiffness: f64,
     /// Coulomb friction against instruments and other bodies.
     pub friction: f64,
-    /// Of a surface or a line: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
+    /// Stretch (length over rest length) at which a surface or a line tears; absent: it never tears.
     pub tears_at: Option<f64>,
-    /// Of a volume: tension that tears it \[Pa\]; without one nothing does.
+    /// Tensile strength of a volume \[Pa\]; absent: it never tears.
     pub strength: Option<f64>,
 }
 
@@ -146,7 +146,7 @@ impl Component for MassSpringBody {
 }
 
 impl MassSpringBody {
-    /// How steps of so long \[s\] are solved.
+    /// Linear solver for steps of this length \[s\].
     pub(crate) fn solver(&self, period: f64) -> LinearSolver {
         let (tolerance, iterations_max) = (1e-3, 100);
         let is_warped = match self.solver {
@@ -160,7 +160,7 @@ impl MassSpringBody {
         }
     }
 
-    /// How it is stepped until it is known how long steps are.
+    /// Configuration before the length of the steps is known.
     pub(crate) fn config(&self) -> Config {
         let integrator = match self.method {
             Method::Explicit => Integrator::Explicit { too_large: TooLarge::Divide { most: PARTS_MAX } },
@@ -193,13 +193,14 @@ impl MassSpringBody {
         network.map_err(|error| error.to_string())
     }
 
-    /// By what a volume comes apart. The tension in it is that of what its springs stand for: of Poisson's ratio 1/4.
+    /// Cutting and tearing criteria of a volume. Its stress is that of the continuum that the springs represent, with
+    /// Poisson's ratio 1/4.
     pub(crate) fn weakness(&self) -> FailureCriteria {
         let Springs::Volume { young_modulus, .. } = self.springs else { return FailureCriteria::default() };
         let shear = 0.4 * young_modulus;
         FailureCriteria {
             cut: true,
-            // Halved elements would take shorter steps.
+            // Split elements would need shorter steps.
             halves: self.method == Method::Implicit,
             tears: self.strength.map(|strength| (strength, [shear, shear])),
             ..FailureCriteria::default()

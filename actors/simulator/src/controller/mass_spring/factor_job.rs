@@ -1,5 +1,5 @@
-//! The factor that the implicit steps of a sheet are solved with, while the sheet comes apart: until it has been whole for a
-//! while it goes on without, and then a job makes the next one beside the ticks.
+//! Factor for a sheet's implicit steps while it is being cut: without a factor until nothing has been cut for a while;
+//! then a background job computes the next one.
 
 use serde::{Deserialize, Serialize};
 use trocar_dynamics::soft_body::method::StepContext;
@@ -7,20 +7,20 @@ use trocar_scene::{Component, ComponentError, Entity, Job, JobOutput, SimTime};
 
 use crate::mass_spring::{Config, MassSpring, Network, SheetFactor};
 
-/// For so long nothing may have come apart before a factor is worth making.
+/// Time without cuts after which a new factor is computed.
 const WHOLE: SimTime = SimTime(300_000_000);
-/// What one takes in lock-step, however long it takes.
+/// Duration of a job in lock-step, however long it takes.
 const JOB: SimTime = SimTime(100_000_000);
 
-/// What another life needs to know of the factor of a sheet's springs.
+/// State of the sheet's factor that a restart needs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SpringFactor {
-    /// When it came apart last, if it has no factor since.
+    /// Time of the last cut, if there is no factor since.
     pub parted_at: Option<SimTime>,
-    /// The one that is being made.
+    /// The factor in progress.
     pub wanted: Option<WantedSheetFactor>,
-    /// Jobs so far.
+    /// Number of jobs so far.
     pub jobs: u64,
 }
 impl Component for SpringFactor {
@@ -30,49 +30,49 @@ impl Component for SpringFactor {
     }
 }
 
-/// A factor that is made beside the ticks.
+/// A factor that a background job computes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WantedSheetFactor {
-    /// From when on it is to serve, if it is there.
+    /// Time from which it is used, if it is ready.
     pub due: SimTime,
-    /// The number of the job.
+    /// Number of the job.
     pub key: u64,
 }
 
-/// Who sees to it that a sheet has its factor.
+/// Keeps the factor of a sheet up to date.
 pub(crate) struct FactorKeeper {
     memory: SpringFactor,
     is_changed: bool,
-    /// What a former life has asked for is asked for again.
+    /// After a restart, a factor in progress is computed again.
     is_new: bool,
     ready: Option<SheetFactor>,
-    /// Jobs whose sheet has come apart since.
+    /// Jobs whose sheet was cut since they began.
     stale: Vec<u64>,
 }
 
 impl FactorKeeper {
-    /// Goes on with what an earlier life knew.
+    /// Resumes from the state before a restart.
     pub fn new(memory: Option<&SpringFactor>) -> Self {
         let memory = memory.copied().unwrap_or_default();
         Self { memory, is_changed: false, is_new: true, ready: None, stale: Vec::new() }
     }
 
-    /// The springs have followed a sheet that has come apart.
+    /// The sheet was cut, and the springs updated.
     pub fn parted(&mut self, at: SimTime) {
         self.memory.parted_at = Some(at);
         self.stale.extend(self.memory.wanted.take().map(|wanted| wanted.key));
         (self.ready, self.is_changed) = (None, true);
     }
 
-    /// Gives springs the factor that is due, or has one made.
+    /// Hands a due factor to the springs, or submits a job for one.
     pub fn serve(&mut self, springs: &mut MassSpring, entity: Entity, site: &StepContext<'_>) {
         let Some(parted_at) = self.memory.parted_at else { return };
         let jobs = site.tick.jobs;
         if std::mem::take(&mut self.is_new) {
             springs.forget_factor();
             if self.memory.wanted.is_some() {
-                // That it serves when it would have.
+                // So that it is used from the same time as without the restart.
                 self.ready =
                     Some(made(springs.network(), springs.mobility(), site.period_secs(), springs.config()));
             }
@@ -110,7 +110,7 @@ impl FactorKeeper {
         }
     }
 
-    /// What a later life needs, if it is not what was told before.
+    /// The state that a restart needs, if it has changed.
     pub fn news(&mut self) -> Option<SpringFactor> {
         std::mem::take(&mut self.is_changed).then_some(self.memory)
     }

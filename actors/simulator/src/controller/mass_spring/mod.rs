@@ -1,4 +1,4 @@
-//! The controller of the bodies of masses and springs.
+//! The controller of mass-spring bodies.
 
 pub mod component;
 pub mod factor_job;
@@ -23,14 +23,14 @@ use crate::mass_spring::{
 use component::{MassSpringBody, Method, SolvedBy, Springs};
 use factor_job::{FactorKeeper, SpringFactor};
 
-/// Masses and springs of one body, whose elements may go.
+/// Mass-spring system of one body, whose elements may be removed.
 struct Solver {
     kind: MassSpringBody,
     solver: MassSpring,
-    /// Whether springs have followed what has come apart, since that was asked last.
+    /// Whether the springs were updated after a topology change, since the last query.
     has_followed: bool,
-    /// Of a volume that can come apart: what has become of each tetrahedron, who is about each node, and the body as its
-    /// springs were last derived from.
+    /// For a divisible volume: the change of each tetrahedron, the elements at each node, and the mesh that its springs
+    /// were last derived from.
     altered: Vec<Alteration>,
     stars: Stars,
     body: Deformable,
@@ -46,7 +46,7 @@ impl Solver {
         Ok(Self { kind: *kind, solver, has_followed: false, altered, stars, body })
     }
 
-    /// Follows a line that has come apart at nodes of which the new ones are copies.
+    /// Follows a line that was cut at nodes; `copies` are the nodes that the new ones duplicate.
     fn copy(&mut self, body: &Deformable, copies: &[u32]) -> Result<(), String> {
         let mut state = self.solver.state().clone();
         for &of in copies {
@@ -60,7 +60,7 @@ impl Solver {
         Ok(())
     }
 
-    /// What has become of each tetrahedron.
+    /// The change of each tetrahedron.
     fn alterations(tets: usize, heated: &Heated) -> Vec<Alteration> {
         let mut altered = vec![Alteration::NONE; tets];
         for of in heated.coagulated.iter() {
@@ -76,14 +76,14 @@ impl Solver {
         altered
     }
 
-    /// Finds who is about each node.
+    /// Builds the node-to-element adjacency.
     fn come_apart(&mut self) {
         let there = (0..).zip(self.body.tets.iter().copied());
         let there = there.filter(|(tet, _)| self.altered[*tet as usize] != Alteration::GONE);
         self.stars = Stars::new(self.body.rest.len(), there);
     }
 
-    /// Follows tetrahedra whose corners, as they were and as they are, are `stale`; `carry` gives new nodes a state.
+    /// Updates the springs of tetrahedra whose old or new corners are in `stale`; `carry` sets the state of new nodes.
     fn follow(&mut self, mut stale: Vec<u32>, carry: impl FnOnce(&mut State)) -> Result<(), String> {
         let Springs::Volume { young_modulus, density } = self.kind.springs else { return Ok(()) };
         stale.sort_unstable();
@@ -156,29 +156,29 @@ impl Elements for Solver {
     }
 }
 
-/// Masses and springs of one body.
+/// Mass-spring method for one body.
 pub struct MassSpringMethod {
     of: Solver,
     contacts: Vec<Contact>,
     prescribed: Vec<Prescribed>,
     forces: Vec<NodeForce>,
-    /// Largest step that was safe in the last tick, contacts counted \[s\]: larger ones are divided.
+    /// Largest safe step of the last tick, contacts included \[s\]: longer steps are divided.
     safe_step: f64,
-    /// Iterations of the last implicit step, and what they left, as a share of what they began with.
+    /// Iterations of the last implicit step, and its relative residual.
     solved: (u32, f64),
-    /// Whether its steps are solved with a factor; not known before the first one.
+    /// Whether a factor is used; unknown before the first step.
     is_warped: Option<bool>,
     factor: FactorKeeper,
-    /// How a surface comes apart.
+    /// Cutting and tearing of a surface.
     membrane: Option<Membrane>,
-    /// Or a volume.
+    /// Of a volume.
     parting: Option<Parting>,
-    /// Or a line.
+    /// Of a line.
     line: Option<LineCuts>,
 }
 
 impl MassSpringMethod {
-    /// Lets springs follow what has become of a membrane.
+    /// Updates the springs after a topology change of a membrane.
     fn follow(&mut self, body: &Deformable, parted: &Parted) -> Result<(), String> {
         let Springs::Surface { membrane_stiffness, bending_stiffness, density } = self.of.kind.springs else {
             return Ok(());
@@ -196,7 +196,7 @@ impl MassSpringMethod {
         followed.map(drop).map_err(|error| error.to_string())
     }
 
-    /// Whether steps are solved with a factor; the first time the springs are told.
+    /// Whether a factor is used; the first call configures the springs.
     fn choose(&mut self, site: &StepContext<'_>) -> Result<bool, String> {
         if let Some(is_warped) = self.is_warped {
             return Ok(is_warped);
@@ -210,7 +210,7 @@ impl MassSpringMethod {
         Ok(is_warped)
     }
 
-    /// Lets it come apart as far as it does now.
+    /// Applies the topology changes of this tick.
     fn come_apart(
         &mut self,
         body: &mut Deformable,
@@ -225,7 +225,7 @@ impl MassSpringMethod {
             let Some(copies) = copies else { return Ok(None) };
             self.of.copy(body, &copies)?;
             self.safe_step = self.of.solver.safe_step();
-            // Its segments have the numbers they had.
+            // Its segments keep their numbers.
             return Ok(Some(Reshaped::default()));
         }
         let Some(membrane) = &mut self.membrane else { return Ok(None) };

@@ -1,4 +1,4 @@
-//! Bodies of positions that have grown onto each other are stepped as one problem.
+//! Island of coupled position-based bodies: bodies that have grown onto each other are stepped as one problem.
 
 use nalgebra::Vector3;
 use trocar_dynamics::coupling::external_nodes::{
@@ -11,7 +11,7 @@ use super::XpbdMethod;
 use crate::controller::coupling::fast_side::Coupled;
 use crate::xpbd::{Member, XpbdInput, step_together};
 
-/// Where what one body brought begins in the lists of all: nodes, guests, ties, presses.
+/// Offsets of one body's entries in the island's lists: nodes, guests, ties, contacts.
 #[derive(Clone, Copy, Default)]
 struct Begins {
     node: u32,
@@ -20,7 +20,7 @@ struct Begins {
     press: usize,
 }
 
-/// Everybody who takes part.
+/// All nodes, ties and contacts of the island.
 #[derive(Default)]
 struct Island {
     guests: Vec<GhostNode>,
@@ -30,7 +30,7 @@ struct Island {
 }
 
 impl Island {
-    /// Adds who comes with a body.
+    /// Adds the external nodes of a body.
     fn add(&mut self, company: &ExternalNodes<'_>, node: u32) {
         let Self { guests, ties, presses, begins } = self;
         begins.push(Begins { node, guest: guests.len(), tie: ties.len(), press: presses.len() });
@@ -54,8 +54,8 @@ impl Island {
     }
 }
 
-/// Steps bodies that belong together; one whose input or result cannot be stays where it is and says so. Where it is the
-/// input, the others wait for the next tick, in which they are without it.
+/// Steps coupled bodies. A body with invalid input or a non-finite result keeps its state and reports the error. After
+/// invalid input the others wait for the next tick, in which they are stepped without it.
 pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
     let mut island = Island::default();
     let mut node = 0;
@@ -77,7 +77,7 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
     for (step, begins) in steps.iter().zip(&island.begins) {
         for fused in step.method.coupled.iter().flat_map(Coupled::fused) {
             let other = steps.iter().zip(&island.begins).find(|(other, _)| other.body.entity == fused.entity);
-            // One that stands still since its solver stopped holds nothing any longer.
+            // A body that was frozen by its solver holds nothing any longer.
             if let Some((other, others)) = other {
                 fused.ties(step.body, begins.node, other.body, others.node, &mut island.ties);
             }
@@ -102,7 +102,7 @@ pub(crate) fn step_island(steps: &mut [&mut Step<'_, XpbdMethod>]) {
                 step.done = Err(error.to_string());
                 continue;
             }
-            // Of an input nobody has been stepped.
+            // With invalid input no body has been stepped.
             Err(_) if moved.ties.len() != island.ties.len() || moved.guests.len() != island.guests.len() => {
                 continue;
             }

@@ -1,8 +1,8 @@
-//! The controller of position-based bodies: volumes, cloths and rods.
+//! The controller of position-based (XPBD) bodies: volumes, cloths and rods.
 //!
-//! Touches are found once in a step and followed through its parts. What bounces off within a step is met again in the
-//! next only once it is inside, so a body that instruments press wants several hundred steps a second of few parts, and not few
-//! steps of many: a light one at 100 Hz rattles.
+//! Contacts are found once per step and tracked through its substeps. A body that bounces off within a step is detected
+//! again in the next one only after it has penetrated. So a body under instruments needs several hundred steps a second
+//! with few substeps, not few steps with many: at 100 Hz a light body rattles.
 
 pub(crate) mod island;
 
@@ -32,7 +32,7 @@ use crate::mass_spring::{
 use crate::xpbd::{Body, Elasticity, Groups, SplitTets, Xpbd, XpbdConfig, distances_of};
 use island::step_island;
 
-/// What a position-based body is made of, by the kind of its mesh.
+/// Material of a position-based body, by the kind of its mesh.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Matter {
@@ -66,35 +66,35 @@ pub enum Matter {
 }
 
 impl Default for Matter {
-    /// A soft organ, in round numbers; for what has been measured of each see [`trocar_scene::tissue`].
+    /// A soft organ, in round numbers; for measured values of each organ see [`trocar_scene::tissue`].
     fn default() -> Self {
         Self::Volume { young_modulus: 8e3, poisson_ratio: 0.45, density: 1060.0 }
     }
 }
 
-/// A position-based body: it needs a mesh, and `anchors` where it is to be held.
+/// A position-based body. It needs a mesh, and `anchors` where it is to be fixed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct XpbdBody {
-    /// What it is made of.
+    /// Its material.
     pub matter: Matter,
-    /// Parts of a step, 1 to 1000. Too few and it is softer than its matter.
+    /// Substeps per step, 1 to 1000. With too few it is softer than its material.
     pub parts: u32,
-    /// Sweeps over its constraints in each part, 1 to 1000.
+    /// Sweeps over its constraints per substep, 1 to 1000.
     pub iterations: u32,
-    /// Damping of every motion \[1/s\].
+    /// Velocity damping \[1/s\].
     pub damping: f64,
-    /// How far its surface is from its vertices \[m\]: half the thickness of a cloth. Of a rod its mesh says it.
+    /// Distance of its surface from its vertices \[m\]: half the thickness of a cloth. A rod takes it from its mesh.
     pub thickness: f64,
-    /// Force per depth of a contact \[N/m\].
+    /// Contact stiffness: force per penetration depth \[N/m\].
     pub contact_stiffness: f64,
     /// Coulomb friction against instruments and other bodies.
     pub friction: f64,
     /// Whether blades cut it; then they do not push it.
     pub cut: bool,
-    /// Of a volume: tension that tears it \[Pa\]; without one nothing does.
+    /// Tensile strength of a volume \[Pa\]; absent: it never tears.
     pub strength: Option<f64>,
-    /// Of a cloth or a rod: how far it is drawn, as length over length at rest, where it tears; without it nothing does.
+    /// Stretch (length over rest length) at which a cloth or a rod tears; absent: it never tears.
     pub tears_at: Option<f64>,
 }
 
@@ -140,7 +140,7 @@ impl Component for XpbdBody {
 }
 
 impl XpbdBody {
-    /// By what a volume comes apart.
+    /// Cutting and tearing criteria of a volume.
     fn weakness(&self) -> FailureCriteria {
         let Matter::Volume { young_modulus, poisson_ratio, .. } = self.matter else {
             return FailureCriteria::default();
@@ -156,7 +156,7 @@ impl XpbdBody {
         }
     }
 
-    /// What a cloth is made of.
+    /// Material of a cloth.
     fn cloth(&self) -> Option<SurfaceMaterial> {
         match self.matter {
             Matter::Cloth { membrane_stiffness, bending_stiffness, density } => {
@@ -166,7 +166,7 @@ impl XpbdBody {
         }
     }
 
-    /// The solver of a body of which elements are gone, and the network that it follows if it is a cloth.
+    /// The solver of a body without its removed elements, and for a cloth its edge network.
     fn solver(
         &self,
         body: &Deformable,
@@ -225,17 +225,17 @@ fn of_network(
     Xpbd::new(&made, &body.staying(), config)
 }
 
-/// The groups in which the constraints of a body are taken whose mesh has come apart, each in the order of its mesh: edges
-/// and hinges ascending by their edges, tetrahedra by their numbers. Which they are is a matter of all changes so far, and how
-/// a sweep goes is one of them.
+/// Constraint groups (colours) of a body whose mesh was cut, each in the order of its mesh: edges and hinges ascending
+/// by their edges, tetrahedra by their numbers. They depend on the history of topology changes, and they determine the
+/// order of a sweep, so a restart needs them.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct XpbdGroups {
-    /// Of the edges of a cloth.
+    /// Of a cloth's edges.
     pub distances: Arc<Vec<u16>>,
     /// Of its hinges.
     pub bends: Arc<Vec<u16>>,
-    /// Of the elements of a volume.
+    /// Of a volume's elements.
     pub tets: Arc<Vec<u16>>,
 }
 impl Component for XpbdGroups {
@@ -248,18 +248,18 @@ impl XpbdGroups {
     }
 }
 
-/// A solver of one body, whose elements may go.
+/// The solver of one body, whose elements may be removed.
 pub(super) struct Solver {
     kind: XpbdBody,
     pub solver: Xpbd,
-    /// Of a cloth that can come apart.
+    /// Edge network of a divisible cloth.
     network: Option<Network>,
-    /// Whether constraints have come into other groups than those of its mesh.
+    /// Whether constraints have changed their group since the mesh was built.
     regrouped: bool,
 }
 
 impl Solver {
-    /// Tells a later life in which groups constraints are, if some have come.
+    /// Writes the constraint groups for a restart, if they have changed.
     fn tell_groups(&mut self, entity: Entity, out: &mut Commands) {
         if std::mem::take(&mut self.regrouped) {
             let Groups { distances, bends, tets } = self.solver.groups();
@@ -268,7 +268,7 @@ impl Solver {
         }
     }
 
-    /// Follows a rod that has come apart at nodes of which the new ones are copies.
+    /// Follows a rod that was cut at nodes; `copies` are the nodes that the new ones duplicate.
     fn copy(&mut self, body: &Deformable, copies: &[u32]) -> Result<(), NetworkError> {
         let mut state = self.solver.state().clone();
         for &of in copies {
@@ -279,7 +279,7 @@ impl Solver {
         self.solver.restore(state)
     }
 
-    /// Lets constraints follow what has become of a membrane.
+    /// Updates the constraints after a topology change of a membrane.
     fn follow(
         &mut self,
         membrane: &Membrane,
@@ -331,24 +331,24 @@ impl Elements for Solver {
     }
 }
 
-/// Position-based dynamics of one body.
+/// XPBD method for one body.
 pub struct XpbdMethod {
     pub(super) of: Solver,
     parting: Option<Parting>,
     membrane: Option<Membrane>,
     line: Option<LineCuts>,
-    /// If it pulls or presses at others.
+    /// Its couplings, if it has any.
     pub(super) coupled: Option<Coupled>,
     pub(super) contacts: Vec<Contact>,
     pub(super) prescribed: Vec<Prescribed>,
     pub(super) forces: Vec<NodeForce>,
-    /// What ties to bodies that it is stepped together with exerted on its vertices in the last step \[N\].
+    /// Forces of ties to bodies in the same island, on its vertices in the last step \[N\].
     pub(super) tied: Vec<(u32, Vector3<f64>)>,
     pub(super) island: ExternalNodesState,
 }
 
 impl XpbdMethod {
-    /// Takes what meets it.
+    /// Sets the external forces, contacts and prescribed positions of a step.
     pub(super) fn set_up(&mut self, body: &Deformable, site: &StepContext<'_>) -> Result<(), String> {
         let kind = &self.of.kind;
         self.contacts.clear();
@@ -452,7 +452,7 @@ impl SoftMethod for XpbdMethod {
             let copies = line.reshape(self.of.positions(), body, site, out);
             let Some(copies) = copies else { return Ok(None) };
             self.of.copy(body, &copies).map_err(|error| error.to_string())?;
-            // Its segments have the numbers they had.
+            // Its segments keep their numbers.
             return Ok(Some(Reshaped::default()));
         }
         let Some(parting) = &mut self.parting else { return Ok(None) };
