@@ -1,4 +1,5 @@
-//! Where bodies have grown onto each other, and the ties between those that one controller steps as one problem.
+//! Joints between bodies that have grown onto each other, and the ties of bodies that one controller steps as one
+//! island.
 
 use nalgebra::Isometry3;
 use trocar_collision::primitive::closest_on_triangle;
@@ -12,7 +13,7 @@ use trocar_scene::{Entity, Snapshot};
 
 /// A body of the same controller, onto which a body has grown.
 pub struct Fused {
-    /// Which.
+    /// The body.
     pub entity: Entity,
     rule: Joined,
     grafts: Vec<Graft>,
@@ -38,14 +39,14 @@ impl Fused {
         Ok(Self { entity: other.entity, rule: joined, grafts })
     }
 
-    /// Vertices that have grown onto it.
+    /// Vertices joined to it.
     #[must_use]
     pub fn count(&self) -> usize {
         self.grafts.len()
     }
 
-    /// What joins the two: nodes of the body from `first`, of the other one, which has these elements, from `others` on.
-    /// What has become loose or has gone is not joined any longer.
+    /// The ties of the joint: nodes of the body are numbered from `first`, those of the other one, with these elements,
+    /// from `others`. Unused vertices and removed elements are no longer joined.
     pub fn ties(&self, body: &Deformable, first: u32, other: &Deformable, others: u32, ties: &mut Vec<Tie>) {
         let Joined { stiffness, damping, .. } = self.rule;
         ties.extend(self.grafts.iter().filter_map(|graft| {
@@ -60,7 +61,7 @@ impl Fused {
     }
 }
 
-/// Vertices of a body that have grown onto another, both at rest.
+/// Vertices of a body that are joined to another, both at rest.
 pub(crate) fn grafts(
     body: &Deformable,
     other: &Deformable,

@@ -1,5 +1,5 @@
-//! A body of positions that is coupled with others. Those that other controllers move it meets as ghosts in every step, and
-//! tells what it gave them; with those that its own controller moves it is stepped as one problem.
+//! The faster side of couplings: a position-based body. Bodies of other controllers take part in each step as ghost
+//! nodes, and receive the accumulated impulses; bodies of its own controller are stepped with it as one island.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -24,39 +24,39 @@ use trocar_scene::{
 use super::attachment::{Fused, grafts};
 use crate::controller::thermal_damage::RemovedElements;
 
-/// News older than this are none: what they are of is a wall \[s\].
+/// Maximum age of a report; afterwards its ghosts are treated as immovable \[s\].
 const STALE: f64 = 0.5;
 
-/// One of the bodies that a body is coupled with.
+/// A body that it is coupled with.
 pub(crate) struct Partner {
     pub(crate) entity: Entity,
     rule: CoupledWith,
     pub(crate) given: GivenTo,
-    /// The ghost of each vertex that has one.
+    /// The ghost of each coupled vertex.
     ghost_of: BTreeMap<u32, u32>,
     tets: Arc<Vec<[u32; 4]>>,
     triangles: Arc<Vec<[u32; 3]>>,
-    /// Its surface by ghosts, if the body lies on it.
+    /// The other body's surface in ghost numbers, if the body lies on it.
     pub(crate) surface: Vec<[u32; 3]>,
     lying: Option<Lying>,
     pub(crate) is_wall: bool,
-    /// By ghosts.
+    /// In ghost numbers.
     ties: Vec<Tie>,
     presses: Vec<Press>,
     guests: Vec<GhostNode>,
-    /// Ghosts that take part in the present step, and what became of all.
+    /// Ghosts that take part in the current step, and the results of all ghosts.
     used: Vec<u32>,
     moved: Vec<GhostMoved>,
     force: [f64; 2],
 }
 
-/// A body that is coupled with others.
+/// All couplings of a body.
 pub struct Coupled {
     with: Vec<Partner>,
     fused: Vec<Fused>,
-    /// What holds it to these, in the last step \[N\].
+    /// Force of the joints within the island, in the last step \[N\].
     fused_force: f64,
-    /// Vertices that can lie on something, as long as its triangles are these.
+    /// Surface vertices that can touch other bodies; valid while the body has these triangles.
     outside: Vec<u32>,
     triangles: Arc<Vec<[u32; 3]>>,
     guests: Vec<GhostNode>,
@@ -65,10 +65,10 @@ pub struct Coupled {
 }
 
 impl Coupled {
-    /// Of a body as the scene has it; of one that is coupled with nothing nothing.
+    /// For a body of the scene; `None` if it is coupled with nothing.
     ///
     /// # Errors
-    /// What is wrong with what it is coupled with.
+    /// An invalid coupling.
     pub fn new(body: &Deformable, thickness: f64, scene: &Snapshot) -> Result<Option<Self>, String> {
         let Some(coupled) = scene.get::<CoupledBody>(body.entity) else { return Ok(None) };
         let known = scene.get::<CouplingGiven>(body.entity);
@@ -97,7 +97,7 @@ impl Coupled {
         Ok(Some(coupled))
     }
 
-    /// What controllers of such bodies read and write for it.
+    /// Reads and writes of the faster side.
     pub fn access(access: Access, bodies: &[Entity]) -> Access {
         access
             .reads::<CoupledBody>()
@@ -116,10 +116,10 @@ impl Coupled {
         self.outside.dedup();
     }
 
-    /// Before a step: hears what the others tell, and lists who takes part.
+    /// Before a step: reads the other bodies' reports, and lists the external nodes.
     ///
     /// # Errors
-    /// Why it cannot go on.
+    /// Why it cannot continue.
     pub fn meet(&mut self, body: &Deformable, state: &State, site: &StepContext<'_>) -> Result<(), String> {
         self.look_outside(body);
         self.guests.clear();
@@ -136,13 +136,13 @@ impl Coupled {
         Ok(())
     }
 
-    /// Who takes part in the step.
+    /// The external nodes of the step.
     #[must_use]
     pub fn company(&self) -> ExternalNodes<'_> {
         ExternalNodes { guests: &self.guests, ties: &self.ties, presses: &self.presses }
     }
 
-    /// After a step: what became of them.
+    /// After a step: processes the results of the external nodes.
     pub fn met(&mut self, moved: &GhostImpulses, positions: &[Point3<f64>], dt: f64) {
         let (mut guest, mut tie, mut press) = (0, 0, 0);
         for partner in &mut self.with {
@@ -177,18 +177,18 @@ impl Coupled {
         }
     }
 
-    /// Bodies of the same controller that it is to be stepped with.
+    /// Bodies of the same island.
     #[must_use]
     pub fn fused(&self) -> &[Fused] {
         &self.fused
     }
 
-    /// What these hold it with, summed over its vertices, in the step that was \[N\].
+    /// Sets the force of the island's joints, summed over its vertices, in the last step \[N\].
     pub fn fused_by(&mut self, force: f64) {
         self.fused_force = force;
     }
 
-    /// Tells the others what they were given.
+    /// Publishes the impulses given to the other bodies.
     pub fn publish(&self, body: Entity, out: &mut Commands) {
         if !self.with.is_empty() {
             let to = self.with.iter().map(|partner| partner.given.clone()).collect();
@@ -196,7 +196,7 @@ impl Coupled {
         }
     }
 
-    /// Tells how strongly it pulls and presses, and how far ghosts are from what they stand for.
+    /// Measures: forces of joints and contacts, and position errors of the ghosts.
     pub fn measure(&self, measures: &mut Measures<'_>) {
         let sum = |k: usize| self.with.iter().map(|partner| partner.force[k]).sum::<f64>();
         measures.put("joined_force_n", sum(0) + self.fused_force);
@@ -211,7 +211,7 @@ impl Coupled {
     }
 }
 
-/// The body that a rule names.
+/// The body that a coupling names.
 pub(crate) fn other(body: &Deformable, rule: &CoupledWith, scene: &Snapshot) -> Result<Deformable, String> {
     let entity = scene.find(&rule.body).ok_or("the scene has no such entity")?;
     if entity == body.entity {
@@ -280,7 +280,7 @@ impl Partner {
         Ok(partner)
     }
 
-    /// The other body has these elements and this surface now.
+    /// Updates the elements and the surface of the other body.
     fn take_over(
         &mut self,
         tets: &Arc<Vec<[u32; 4]>>,
@@ -325,7 +325,7 @@ impl Partner {
         Ok(())
     }
 
-    /// Looks whether the other body has come apart.
+    /// Checks for topology changes of the other body.
     pub(crate) fn follow(&mut self, site: &StepContext<'_>) -> Result<(), String> {
         let scene = site.scene;
         let (Some(volume), Some(surface)) =
@@ -344,7 +344,7 @@ impl Partner {
         self.take_over(&volume.tets, &surface.triangles, &removed, &vertices.positions, &body_from_other)
     }
 
-    /// Hears what the other body tells of its last step.
+    /// Reads the other body's report of its last step.
     pub(crate) fn hear(&mut self, me: Entity, site: &StepContext<'_>) -> Result<(), String> {
         let scene = site.scene;
         self.is_wall = true;
@@ -376,7 +376,7 @@ impl Partner {
             let ahead = from.expected.get(ghost).copied().unwrap_or(velocity);
             expected.push(body_from_other.rotation * ahead);
         }
-        // Of ghosts that are newer than what is told nothing is known yet: nothing moves them.
+        // Ghosts newer than the report are immovable.
         let padded = |list: &[Vector3<f64>]| -> Vec<Vector3<f64>> {
             list.iter().copied().chain(std::iter::repeat(Vector3::zeros())).take(count).collect()
         };
@@ -400,7 +400,7 @@ impl Partner {
         Ok(())
     }
 
-    /// Finds what lies on the other body, and puts the ghosts right.
+    /// Finds the contacts with the other body, and corrects the ghosts.
     fn touch(&mut self, body: &Deformable, outside: &[u32], state: &State, dt: f64) -> Result<(), String> {
         self.ties.retain(|tie| body.loose.binary_search(&tie.node).is_err());
         self.presses.clear();
@@ -419,7 +419,7 @@ impl Partner {
         Ok(())
     }
 
-    /// Adds ties and presses by guests, of whom `first` are there already, and notes which ghosts these are.
+    /// Adds ties and contacts in guest numbers, of which `first` are taken, and records which ghosts these are.
     fn join(&mut self, first: u32, ties: &mut Vec<Tie>, presses: &mut Vec<Press>) {
         self.used.clear();
         self.used.extend(self.ties.iter().flat_map(|tie| tie.guests.map(|(ghost, _)| ghost)));

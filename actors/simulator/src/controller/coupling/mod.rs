@@ -1,4 +1,4 @@
-//! The faster side of a coupling: it meets nodes of slower bodies as ghosts, and tells them what it gave.
+//! The faster side of a coupling: represents nodes of slower bodies as ghosts, and publishes the impulses on them.
 
 pub mod attachment;
 pub mod fast_side;

@@ -1,5 +1,4 @@
-//! Lines that blades cut, or that tear where they are drawn too far: their segments come apart at a node, of which there are two
-//! from then on.
+//! Cutting and tearing of lines: segments separate at a node, which is duplicated.
 
 use std::sync::Arc;
 
@@ -11,16 +10,16 @@ use trocar_scene::{Commands, LineMesh, Snapshot};
 use super::surface::Cuts;
 use crate::cutting::{part_line, pieces, tear_line};
 
-/// What makes lines come apart.
+/// Cutting and tearing criteria of a line.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LineWeakness {
     /// Whether blades cut them.
     pub cut: bool,
-    /// Length over length at rest of a segment that tears; none does without.
+    /// Stretch (length over rest length) at which a segment tears; absent: none tears.
     pub tears_at: Option<f64>,
 }
 
-/// What has been cut of a line, and where the blades were.
+/// Cuts of a line, and the previous blades.
 pub struct LineCuts {
     weakness: LineWeakness,
     cuts: Cuts,
@@ -29,7 +28,7 @@ pub struct LineCuts {
 }
 
 impl LineCuts {
-    /// Of a body as the scene has it.
+    /// For a body of the scene.
     pub fn new(body: &Deformable, weakness: LineWeakness, scene: &Snapshot) -> Self {
         let known = scene.get::<Cuts>(body.entity);
         Self {
@@ -46,8 +45,8 @@ impl LineCuts {
         self.weakness.cut
     }
 
-    /// Lets it come apart where blades have swept since the last time, or where it is drawn too far; the body follows. Of which
-    /// nodes the new ones are copies.
+    /// Cuts where blades have swept since the last call, or tears an overstretched segment; updates the body. Returns
+    /// the nodes that the new ones duplicate.
     pub fn reshape(
         &mut self,
         positions: &[Point3<f64>],
@@ -73,20 +72,20 @@ impl LineCuts {
         Some(parted.copies)
     }
 
-    /// Tells what a later life needs.
+    /// Writes the state that a restart needs.
     pub fn publish(&mut self, body: &Deformable, out: &mut Commands) {
         if std::mem::take(&mut self.changed) {
             out.put(body.entity, self.cuts.clone());
         }
     }
 
-    /// Tells how far it has come apart.
+    /// Measures of the cuts.
     pub fn measure(&self, measures: &mut Measures<'_>) {
         measures.put("pieces", self.pieces as f64);
     }
 }
 
-/// Appends what some have.
+/// Appends copies of these entries.
 fn copy<T: Copy>(list: &mut Arc<Vec<T>>, of: &[u32]) {
     let list = Arc::make_mut(list);
     for &one in of {

@@ -1,5 +1,5 @@
-//! Membranes that come apart in a scene, by whichever method they move: triangles that heat takes away, stiffens and shrinks,
-//! paths that blades cut, and tears.
+//! Topology changes of membranes, for every method: triangles that heat removes, stiffens and shrinks, cuts along blade
+//! paths, and tears.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -21,15 +21,15 @@ use crate::controller::thermal_damage::{self, Coagulated, Heated};
 use crate::cutting::{Sheet, TopologyChange, VertexChange};
 use crate::mass_spring::Patch;
 
-/// What the mesh of a membrane does not say about how heat has changed it.
+/// State of a membrane's topology changes that its mesh does not contain.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SurfaceElements {
-    /// Of each triangle, which of the first mesh it is a part of.
+    /// For each triangle, the triangle of the first mesh that it is a part of.
     pub elements: Arc<Vec<u32>>,
-    /// Where the vertices come from that the first mesh did not have, in order.
+    /// Origins of the vertices added since the first mesh, in order.
     pub births: Arc<Vec<Birth>>,
-    /// Of the elements that heat has removed, how many have been taken out.
+    /// How many of the elements removed by heat have been taken out.
     pub taken: u32,
 }
 impl Component for SurfaceElements {
@@ -39,52 +39,52 @@ impl Component for SurfaceElements {
     }
 }
 
-/// By what else than heat a membrane comes apart.
+/// Cutting and tearing criteria of a membrane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct MembraneWeakness {
     /// Whether blades cut it.
     pub cut: bool,
-    /// How far it is drawn, as length over length at rest, where it tears.
+    /// Stretch (length over rest length) at which it tears.
     pub tears_at: Option<f64>,
 }
 
-/// A membrane, and how far it has come apart.
+/// A divisible membrane and its topology changes.
 pub struct Membrane {
     sheet: Sheet,
     cuts: Cuts,
     of: SurfaceElements,
     heated: Heated,
     weakness: MembraneWeakness,
-    /// Whether heat changes it.
+    /// Whether heat damages it.
     burns: bool,
-    /// Areas of its pieces, the largest first \[m²\].
+    /// Areas of its pieces, largest first \[m²\].
     areas: Vec<f64>,
     cuts_changed: bool,
 }
 
 impl Parted {
-    /// Gives new vertices a state.
+    /// Sets the state of new vertices.
     pub fn carry(&self, state: &mut State) {
         self.change.carry(&mut state.positions, |a, b, share| a + (b - a) * share);
         self.change.carry(&mut state.velocities, |a, b, share| a + (b - a) * share);
     }
 }
 
-/// What has become of a membrane in one tick.
+/// Topology changes of a membrane in one tick.
 pub struct Parted {
-    /// What was cut or torn.
+    /// Cuts and tears.
     pub change: TopologyChange,
-    /// Corners of triangles that are others than they were, are altered, new or gone; ascending.
+    /// Corners of triangles that were changed, damaged, added or removed; ascending.
     pub stale: Vec<u32>,
-    /// What became of the triangles, if they are not all what they were.
+    /// Renumbering of the triangles, if any has changed.
     pub reshaped: Option<Reshaped>,
 }
 
 impl Membrane {
-    /// Of a body as the scene has it, if it can come apart at all; tells the body which of its vertices are of nothing.
+    /// For a body of the scene, if it is divisible; marks the body's unused vertices.
     ///
     /// # Errors
-    /// It burns as a volume, or has a mesh that cannot be cut.
+    /// It burns as a volume, or its mesh cannot be cut.
     pub fn new(
         body: &mut Deformable,
         weakness: MembraneWeakness,
@@ -119,7 +119,7 @@ impl Membrane {
         Ok(Some(Self { sheet, cuts, of, heated, weakness, burns, areas, cuts_changed }))
     }
 
-    /// What a controller of membranes that come apart reads and writes.
+    /// Reads and writes of a controller of divisible membranes.
     pub fn access(access: Access, bodies: &[Entity]) -> Access {
         let all = || EntitySet::Of(bodies.to_vec());
         thermal_damage::access(access, bodies).writes::<SurfaceElements>(all()).writes::<Cuts>(all())
@@ -137,7 +137,7 @@ impl Membrane {
         &self.sheet
     }
 
-    /// What heat has made of each triangle that is there.
+    /// Thermal damage of each present triangle.
     #[must_use]
     pub fn alterations(&self) -> Vec<Alteration> {
         if self.heated.coagulated.is_empty() {
@@ -146,7 +146,7 @@ impl Membrane {
         self.of.elements.iter().map(|&element| self.heated.alteration(element)).collect()
     }
 
-    /// What solvers have to follow.
+    /// The local patch that a solver has to update.
     pub fn follow<R>(&self, parted: &Parted, follow: impl FnOnce(&Patch<'_, 3>) -> R) -> R {
         let altered = |triangle: u32| {
             let element = self.of.elements.get(triangle as usize);
@@ -161,10 +161,10 @@ impl Membrane {
         })
     }
 
-    /// Lets it come apart as far as it does now; the body follows.
+    /// Applies the topology changes of this tick; updates the body.
     ///
     /// # Errors
-    /// Why it cannot go on.
+    /// Why it cannot continue.
     pub fn reshape(
         &mut self,
         positions: &[Point3<f64>],
@@ -217,7 +217,7 @@ impl Membrane {
         }
     }
 
-    /// Cuts where blades have swept, or else tears where it is drawn too far. A tear runs on from tick to tick.
+    /// Cuts where blades have swept, or else tears where overstretched. A tear propagates from tick to tick.
     fn part(&mut self, positions: &[Point3<f64>], site: &StepContext<'_>) -> Result<TopologyChange, String> {
         let mut change = TopologyChange::default();
         if self.weakness.cut {
@@ -233,7 +233,7 @@ impl Membrane {
         Ok(change)
     }
 
-    /// New vertices and halves of triangles.
+    /// Adds new vertices and halves of triangles.
     fn grow(
         &mut self,
         change: &TopologyChange,
@@ -252,7 +252,7 @@ impl Membrane {
             VertexChange::Moved { .. } => None,
         }));
         body.rest = Arc::new(self.sheet.rest().to_vec());
-        // Whoever reads the scene anew finds the same ones.
+        // A restarted controller finds the same ones.
         body.anchor_again(stale);
         body.changed_topology();
         if let Some(texture) = site.scene.get::<TextureCoordinates>(body.entity) {
@@ -264,7 +264,7 @@ impl Membrane {
         }
     }
 
-    /// The new number of each triangle, where it is still there; adds the corners of the others.
+    /// Removes triangles; returns the new number of each remaining one, and adds the corners of the removed ones.
     fn take_out(&mut self, gone: &[u32], stale: &mut Vec<u32>) -> Vec<Option<u32>> {
         let gone: BTreeSet<u32> = gone.iter().copied().collect();
         for (corners, element) in self.sheet.triangles().iter().zip(self.of.elements.iter()) {
@@ -278,14 +278,14 @@ impl Membrane {
         kept
     }
 
-    /// Tells what a later life needs.
+    /// Writes the state that a restart needs.
     pub fn publish(&mut self, body: &Deformable, out: &mut Commands) {
         if std::mem::take(&mut self.cuts_changed) && (self.weakness.cut || self.weakness.tears_at.is_some()) {
             out.put(body.entity, self.cuts.clone());
         }
     }
 
-    /// Tells how far it has come apart.
+    /// Measures of the cuts and tears.
     pub fn measure(&self, measures: &mut Measures<'_>) {
         measures.put("pieces", self.areas.len() as f64);
         measures.put("cut_area_m2", self.areas.get(1).copied().unwrap_or(0.0));
@@ -305,7 +305,7 @@ fn areas(sheet: &Sheet) -> Vec<f64> {
     areas
 }
 
-/// Vertices that are of no triangle, ascending.
+/// Vertices that no triangle uses, ascending.
 fn unused(body: &Deformable) -> Vec<u32> {
     let mut used = vec![false; body.rest.len()];
     body.triangles.iter().flatten().for_each(|&node| used[node as usize] = true);

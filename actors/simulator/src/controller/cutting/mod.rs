@@ -1,4 +1,4 @@
-//! Bodies that come apart, whichever method moves them: surfaces, lines, volumes and membranes, and the blades that part them.
+//! Cutting and tearing, for every method: surfaces, lines, volumes and membranes, and scissors.
 
 pub mod line;
 pub mod membrane;

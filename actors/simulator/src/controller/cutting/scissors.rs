@@ -1,4 +1,4 @@
-//! What scissors cut: what their two edges pass through while they close on it, and where their closed blades sweep.
+//! Cuts by scissors: the area that the two edges sweep while closing, and the sweep of closed blades.
 
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
@@ -7,21 +7,21 @@ use trocar_dynamics::tet_mesh::Sweep;
 use trocar_scene::shapes::instrument_from_hinge;
 use trocar_scene::{Entity, Instrument, InstrumentKind, JawState, Snapshot};
 
-/// Shares of [`CLOSED`] at which each edge stops, counted from the middle: the one lies over the other, so that nothing between
-/// them stays whole, and what the one has cut the other does not cut again.
+/// Where each edge stops, as a fraction of [`CLOSED`] from the middle: the edges overlap, so that nothing between them
+/// stays uncut, and the second does not repeat the first one's cut.
 const STOPS: [f64; 2] = [-0.02, 0.01];
 
-/// The blades of a pair of scissors when they were last looked at, in the frame of a body.
+/// Previous blades of a pair of scissors, in the frame of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Blades {
-    /// Whose they are.
+    /// The instrument.
     pub scissors: Entity,
     /// Full opening \[rad\].
     pub angle: f64,
-    /// Where they turn \[m\].
+    /// The hinge \[m\].
     pub hinge: Point3<f64>,
-    /// Where their tips meet when they are closed \[m\].
+    /// The point where the closed tips meet \[m\].
     pub tip: Point3<f64>,
     /// Ends of their edges \[m\].
     pub edges: [Point3<f64>; 2],
@@ -38,7 +38,8 @@ impl Blades {
         }
     }
 
-    /// What was swept since `before`. An edge that goes aside faster than it closes pushes, and one that opens too.
+    /// The area swept since `before`. An edge that moves sideways faster than it closes pushes instead of cutting, and
+    /// so does one that opens.
     fn swept(&self, before: &Self, instrument: &Instrument, body_from_tip: &Isometry3<f64>) -> Vec<Sweep> {
         let mut sweeps = Vec::new();
         if self.angle < before.angle && instrument.jaws >= 2 {
@@ -60,7 +61,7 @@ impl Blades {
     }
 }
 
-/// Ends of the edges in the instrument's frame \[m\]. Where the blades count as closed they have met.
+/// Ends of the edges in the instrument's frame \[m\]. Blades that count as closed have met.
 fn ends(instrument: &Instrument, angle: f64) -> [Point3<f64>; 2] {
     let half = 0.5 * (angle - CLOSED);
     let end = |side: f64, stop: f64| {
@@ -70,7 +71,7 @@ fn ends(instrument: &Instrument, angle: f64) -> [Point3<f64>; 2] {
     [end(1.0, STOPS[0]), end(-1.0, STOPS[1])]
 }
 
-/// What all scissors have swept since `blades` were told, in the frame of a body; tells them anew.
+/// Areas that all scissors have swept since `blades`, in the frame of a body; updates `blades`.
 pub fn swept(blades: &mut Vec<Blades>, scene: &Snapshot, world_from_body: &Isometry3<f64>) -> Vec<Sweep> {
     let before = std::mem::take(blades);
     let mut sweeps = Vec::new();
@@ -118,13 +119,13 @@ mod tests {
             assert!((sweep.before[1].x - out).abs() < 1e-12, "{sweep:?}");
             assert!(sweep.after[1].x.abs() < 1e-4, "{sweep:?}");
         }
-        // One over the other: nothing between them is left.
+        // They overlap: nothing between them stays uncut.
         assert!(found[0].after[1].x < found[1].after[1].x);
         let bites =
             [(0.6, 0.4), (0.4, 0.1), (0.1, 0.0)].map(|(a, b)| sweeps((a, 0.0), (b, 0.0), &scissors()));
         assert_eq!(bites[0][0].after, bites[1][0].before);
         assert!((bites[1][0].after[1] - found[0].after[1]).norm() < 1e-12);
-        // Closed they have met: what moves now moves as one.
+        // Once closed, the blades move as one.
         assert_eq!(bites[2].len(), 1);
     }
 
@@ -132,13 +133,13 @@ mod tests {
     fn edges_that_open_or_go_aside_sweep_nothing_and_closed_blades_all_that_they_pass() {
         assert!(sweeps((0.4, 0.0), (0.6, 0.0), &scissors()).is_empty());
         assert!(sweeps((0.4, 0.0), (0.4, 0.01), &scissors()).is_empty());
-        // Some trembling of the drive does not make knives of them.
+        // Jitter of the drive does not cut.
         assert!(sweeps((0.4001, 0.0), (0.4, 0.001), &scissors()).is_empty());
         assert_eq!(sweeps((0.5, 0.0), (0.4, 1e-4), &scissors()).len(), 2);
         let closed = sweeps((0.0, 0.0), (0.0, 0.01), &scissors());
         assert_eq!(closed.len(), 1);
         assert!((closed[0].after[1] - closed[0].before[1] - Vector3::x() * 0.01).norm() < 1e-12);
-        // One blade alone has nothing to shear against.
+        // A single blade cannot shear.
         assert!(sweeps((0.6, 0.0), (0.2, 0.0), &Instrument { jaws: 1, ..scissors() }).is_empty());
     }
 }

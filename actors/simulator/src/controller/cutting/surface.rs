@@ -1,4 +1,4 @@
-//! What scissors have cut of a surface, and where their blades were.
+//! State of the cuts of a surface, and the previous blades.
 
 use nalgebra::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
@@ -8,19 +8,19 @@ use trocar_scene::{Component, Snapshot};
 use super::scissors::{Blades, swept};
 use crate::cutting::{Sheet, SheetState};
 
-/// Everything about the cuts of a surface that its mesh does not say.
+/// State of the cuts that the mesh does not contain.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Cuts {
-    /// Edges that have been cut and do not part yet.
+    /// Cut edges that have not opened yet.
     pub pending: Vec<[u32; 2]>,
-    /// Ends of cuts that go on from there.
+    /// Cut tips: vertices from which a cut can go on.
     pub tips: Vec<u32>,
-    /// Limits of the first mesh, so that no sliver comes: see [`SheetState`].
+    /// Size limits from the first mesh that prevent slivers: see [`SheetState`].
     pub limits: [f64; 2],
-    /// Where the blades of all scissors were, in the frame of the body.
+    /// Previous blades of all scissors, in the frame of the body.
     pub blades: Vec<Blades>,
-    /// Length of all lips so far \[m\].
+    /// Total length of all cut lips \[m\].
     pub length: f64,
 }
 impl Component for Cuts {
@@ -28,10 +28,10 @@ impl Component for Cuts {
 }
 
 impl Cuts {
-    /// The sheet that this is the state of.
+    /// The sheet with this state.
     ///
     /// # Errors
-    /// The mesh is none that can be cut.
+    /// The mesh cannot be cut.
     pub fn sheet(
         &self,
         rest: Vec<Point3<f64>>,
@@ -48,15 +48,15 @@ impl Cuts {
         })
     }
 
-    /// Takes over what a sheet says.
+    /// Copies a sheet's state.
     pub fn take(&mut self, sheet: &SheetState) {
         self.pending.clone_from(&sheet.pending);
         self.tips.clone_from(&sheet.tips);
         self.limits = [sheet.corner_limit, sheet.height_limit];
     }
 
-    /// What the blades of all scissors have swept since the last time, in the frame of a body; `changed` becomes true where
-    /// they are elsewhere now.
+    /// Areas that the blades of all scissors have swept since the last call, in the frame of a body; sets `changed` if
+    /// the blades have moved.
     pub fn sweeps(
         &mut self,
         scene: &Snapshot,

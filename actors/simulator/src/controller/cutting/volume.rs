@@ -1,8 +1,8 @@
-//! Volumes that come apart in a scene: what heat takes away, what blades open, what tears.
+//! Topology changes of volumes: elements that heat removes, faces that blades open, tears.
 //!
-//! Elements keep their numbers, those that are gone too; of an element that a blade has halved one half does. New nodes and
-//! elements are numbered behind all others. Who moves the volume is told; the surface, what holds it and what is drawn on it
-//! follow. What heat has done is told of the elements of the first mesh, and is so for all parts of each.
+//! Elements keep their numbers, including removed ones; of a split element one half keeps it. New nodes and elements
+//! are numbered after all others. The solver is notified; surface, grasps and textures follow. Thermal damage refers to
+//! elements of the first mesh, and holds for all parts of each.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -26,25 +26,25 @@ use super::scissors::{Blades, swept};
 use crate::controller::cauterised::CauterisedBody;
 use crate::controller::thermal_damage::{self, Coagulated, Heated, RemovedElements};
 
-/// What the mesh of a volume does not say about how it came apart.
+/// State of a volume's topology changes that its mesh does not contain.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct VolumeCuts {
-    /// Faces between elements that were opened.
+    /// Opened interior faces.
     pub opened: Arc<Vec<FaceOf>>,
-    /// Where the nodes come from that the first mesh did not have, in order.
+    /// Origins of the nodes added since the first mesh, in order.
     pub births: Arc<Vec<Birth>>,
-    /// Of the elements that the first mesh did not have: the one that each of them is a part of.
+    /// For each added element, the element that it is a part of.
     pub parts_of: Arc<Vec<u32>>,
-    /// The elements of the first mesh, if some have been halved.
+    /// The elements of the first mesh, if some have been split.
     pub first: Arc<Vec<[u32; 4]>>,
-    /// Paths of blades that are not done yet.
+    /// Unfinished cuts.
     pub slit: Slit,
-    /// Of the elements that heat has removed, how many have been taken out.
+    /// How many of the elements removed by heat have been taken out.
     pub taken: u32,
-    /// Of the opened faces, how many tore.
+    /// How many of the opened faces tore.
     pub torn: u32,
-    /// Where the blades of all scissors were, in the frame of the body.
+    /// Previous blades of all scissors, in the frame of the body.
     pub blades: Vec<Blades>,
 }
 impl Component for VolumeCuts {
@@ -55,10 +55,10 @@ impl Component for VolumeCuts {
 }
 
 impl VolumeCuts {
-    /// Whether it can be of a mesh of so many nodes and elements.
+    /// Checks the state against a mesh with this many nodes and elements.
     ///
     /// # Errors
-    /// What of it is not.
+    /// The part that does not match.
     pub(crate) fn fits(&self, nodes: usize, tets: usize) -> Result<(), String> {
         let first = (nodes.checked_sub(self.births.len()), tets.checked_sub(self.parts_of.len()));
         let (Some(first_node), Some(first_tet)) = first else {
@@ -91,7 +91,7 @@ impl VolumeCuts {
         Ok(())
     }
 
-    /// The elements of the first mesh, by those of now.
+    /// The elements of the first mesh, given the current ones.
     #[must_use]
     pub fn first_tets(&self, nodes: usize, tets: &[[u32; 4]]) -> Vec<[u32; 4]> {
         if !self.first.is_empty() {
@@ -108,48 +108,48 @@ impl VolumeCuts {
     }
 }
 
-/// Who moves elements that go, change and come apart.
+/// Interface of a solver whose elements can be removed, damaged and separated.
 pub trait Elements {
-    /// Where the nodes are \[m\].
+    /// Node positions \[m\].
     fn positions(&self) -> &[Point3<f64>];
-    /// How they move \[m/s\].
+    /// Node velocities \[m/s\].
     fn velocities(&self) -> &[Vector3<f64>];
-    /// Whether the nodes are where they are pulled now, after what has come apart last: else nothing tears yet.
+    /// Whether the nodes are in equilibrium after the last topology change: else nothing tears yet.
     fn can_tear(&self) -> bool {
         true
     }
-    /// These elements are gone.
+    /// Removes elements.
     ///
     /// # Errors
-    /// Why it cannot be moved without them.
+    /// Why the solver cannot continue without them.
     fn remove(&mut self, elements: &[u32]) -> Result<(), String>;
-    /// These are as stiff and as long as that.
+    /// Sets stiffness and rest length of damaged elements.
     ///
     /// # Errors
-    /// Why it cannot be moved so.
+    /// Why the solver cannot continue.
     fn alter(&mut self, elements: &[Coagulated]) -> Result<(), String>;
-    /// The body has new nodes, and is to be moved with the elements that it has now.
+    /// Continues with the body's new nodes and elements.
     ///
     /// # Errors
-    /// Why it cannot be.
+    /// Why the solver cannot continue.
     fn split(&mut self, body: &Deformable, split: &Split<'_>) -> Result<(), String>;
 }
 
-/// What has split.
+/// A topology change with new nodes.
 #[derive(Clone, Copy)]
 pub struct Split<'a> {
-    /// Where the new nodes come from.
+    /// Origins of the new nodes.
     pub born: &'a [Birth],
-    /// Elements whose corners are others than before, and those that are new; ascending, none that is gone.
+    /// Elements with changed corners and new elements; ascending, without removed ones.
     pub changed: &'a [u32],
-    /// What heat has made of an element of now that is there.
+    /// Thermal damage of a present element.
     pub altered: &'a dyn Fn(u32) -> Alteration,
-    /// All that heat has done, by the elements of now.
+    /// All thermal damage, by current elements.
     pub heated: &'a dyn Fn() -> Heated,
 }
 
 impl Split<'_> {
-    /// Gives the new nodes a state.
+    /// Sets the state of the new nodes.
     pub fn carry(&self, state: &mut State) {
         for birth in self.born {
             state.positions.push(birth.mix(&state.positions, |a, b, share| a + (b - a) * share));
@@ -158,40 +158,40 @@ impl Split<'_> {
     }
 }
 
-/// By what else than heat a volume comes apart.
+/// Cutting and tearing criteria of a volume.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FailureCriteria {
-    /// Whether blades open it.
+    /// Whether blades cut it.
     pub cut: bool,
-    /// Whether they halve its elements where they pass; else faces between elements open.
+    /// Whether a cut splits elements along the blade's path; else it opens faces between elements.
     pub halves: bool,
-    /// Whether pieces that hang by nothing but nodes stay there: who moves them cannot let them fall.
+    /// Whether pieces connected only by nodes stay: the solver cannot let them fall.
     pub hangs_on: bool,
-    /// Tension that tears it \[Pa\], and Lamé's constants \[Pa\] by which the tension is known.
+    /// Tensile strength \[Pa\], and Lamé's constants \[Pa\] for the stress.
     pub tears: Option<(f64, [f64; 2])>,
-    /// Whether its displacements are those of linear elasticity, and so is its tension.
+    /// Whether its stress is that of linear elasticity.
     pub is_linear: bool,
 }
 
-/// A volume, and how far it has come apart.
+/// A divisible volume and its topology changes.
 pub struct Parting {
     volume: Volume,
     weakness: FailureCriteria,
-    /// The face that each triangle of the surface is.
+    /// The face of each surface triangle.
     faces: Vec<FaceOf>,
-    /// By elements of the first mesh.
+    /// Thermal damage, by elements of the first mesh.
     heated: Heated,
     cuts: VolumeCuts,
-    /// Parts of elements of the first mesh that have been halved, besides those that kept their numbers.
+    /// Parts of split elements of the first mesh, without the parts that kept the number.
     parts: BTreeMap<u32, Vec<u32>>,
     pieces: usize,
-    /// Edges at rest, inverse; what tears needs them.
+    /// Inverse rest-edge matrices; needed for tearing.
     inverse_shapes: Vec<Matrix3<f64>>,
     cuts_changed: bool,
 }
 
 impl Parting {
-    /// Of a body as the scene has it, if it can come apart at all; tells the body which of its vertices are of nothing.
+    /// For a body of the scene, if it is divisible; marks the body's unused vertices.
     ///
     /// # Errors
     /// What is wrong with its mesh.
@@ -218,7 +218,7 @@ impl Parting {
         let mut parts: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
         let first = body.tets.len().saturating_sub(cuts.parts_of.len()) as u32;
         cuts.parts_of.iter().zip(first..).for_each(|(of, part)| parts.entry(*of).or_default().push(part));
-        // Their nodes have parted already, where they do.
+        // Their nodes are duplicated already, where necessary.
         volume.open(&cuts.opened).map_err(|error| error.to_string())?;
         let heated = Heated::known(scene, body.entity, cuts.taken as usize);
         let there = all_parts(&parts, &heated.removed).filter(|&tet| volume.tet(tet).is_some());
@@ -233,7 +233,7 @@ impl Parting {
         let has_grown = |(_, coupled): (Entity, &CoupledBody)| {
             coupled.with.iter().any(|with| with.body == body.name && with.joined.is_some())
         };
-        // Who has grown onto its elements would not follow.
+        // Joints to its elements would not follow a split.
         let halves = weakness.halves && !scene.iter::<CoupledBody>().any(has_grown);
         let weakness = FailureCriteria { halves, ..weakness };
         Ok(Some(Self {
@@ -249,13 +249,13 @@ impl Parting {
         }))
     }
 
-    /// What a controller of volumes that come apart reads and writes.
+    /// Reads and writes of a controller of divisible volumes.
     pub fn access(access: Access, bodies: &[Entity]) -> Access {
         let all = || EntitySet::Of(bodies.to_vec());
         thermal_damage::access(access, bodies).writes::<TetMesh>(all()).writes::<VolumeCuts>(all())
     }
 
-    /// All that heat has done, by the elements of now.
+    /// All thermal damage, by current elements.
     #[must_use]
     pub fn heated(&self) -> Heated {
         if self.parts.is_empty() {
@@ -283,7 +283,7 @@ impl Parting {
         (tet as usize).checked_sub(first).map_or(tet, |at| self.cuts.parts_of[at])
     }
 
-    /// Where its nodes come from that the first mesh did not have.
+    /// Origins of the nodes added since the first mesh.
     #[must_use]
     pub fn births(&self) -> &[Birth] {
         &self.cuts.births
@@ -295,10 +295,10 @@ impl Parting {
         self.weakness.cut
     }
 
-    /// Lets it come apart as far as it does now.
+    /// Applies the topology changes of this tick.
     ///
     /// # Errors
-    /// Why it cannot be moved on.
+    /// Why the solver cannot continue.
     pub fn reshape(
         &mut self,
         elements: &mut dyn Elements,
@@ -316,8 +316,8 @@ impl Parting {
         if !gone.is_empty() {
             elements.remove(&gone)?;
             change = self.volume.take_out(&gone).map_err(|error| error.to_string())?;
-            // What hangs by a node or an edge goes on to, so that its solver need not be made anew with every element
-            // that burns; but not what hangs by nothing else.
+            // Parts connected by a node or an edge stay so, to avoid rebuilding the solver with every element that
+            // burns; pieces connected by nothing else are separated.
             if !self.weakness.hangs_on && self.volume.pieces() > self.pieces {
                 self.volume.separate(&mut change);
             }
@@ -343,7 +343,7 @@ impl Parting {
         Ok(Some(reshaped))
     }
 
-    /// Opens what blades have passed through since the last time, or else what tears.
+    /// Cuts where blades have swept since the last call, or else tears.
     fn open(
         &mut self,
         elements: &dyn Elements,
@@ -371,7 +371,7 @@ impl Parting {
             faces.dedup();
             faces
         } else {
-            // What has just burned apart has nodes that its solver does not know yet.
+            // After burning the solver does not have the new nodes yet.
             let period = site.period_secs();
             let moved = elements.velocities().iter().map(|velocity| velocity * period).collect();
             let mut nodes = Moving { positions: elements.positions().to_vec(), moved };
@@ -387,8 +387,8 @@ impl Parting {
         Ok(faces)
     }
 
-    /// The face that tears now: the most pulled one, if that is more than it bears. One at a time, so that what is about it
-    /// is relieved before more goes.
+    /// The face to tear: the one with the largest normal stress, if that exceeds the strength. One at a time, so that
+    /// the stress around it is relieved before the next.
     fn tear(&mut self, positions: &[Point3<f64>]) -> Option<FaceOf> {
         let (strength, lame) = self.weakness.tears?;
         let of = if self.weakness.is_linear { small_stress } else { cauchy_stress };
@@ -407,7 +407,7 @@ impl Parting {
         Some(face)
     }
 
-    /// What is known of elements and faces follows those that have been halved.
+    /// Updates the data of split elements and faces.
     fn follow(&mut self, change: &VolumeChange, body: &Deformable) {
         if change.halved.is_empty() {
             return;
@@ -441,7 +441,7 @@ impl Parting {
         self.cuts.opened = Arc::new(opened.into_iter().collect());
     }
 
-    /// New nodes, and elements that have them.
+    /// Adds nodes, and the elements that use them.
     fn split(
         &mut self,
         elements: &mut dyn Elements,
@@ -495,8 +495,8 @@ impl Parting {
             .split(body, &Split { born: &change.born, changed: &changed, altered: &altered, heated: &heated })
     }
 
-    /// The surface after a change: those of its triangles that stay, then what came to light, the first `burned` of it before
-    /// anything was halved, then the other halves of triangles.
+    /// The surface after a change: its remaining triangles, then the uncovered ones, the first `burned` of them from
+    /// before any split, then the other halves of split triangles.
     fn uncover(&mut self, change: &VolumeChange, burned: usize) -> Reshaped {
         let mut old = std::mem::take(&mut self.faces);
         let mut bare = change.uncovered[..burned].to_vec();
@@ -554,7 +554,7 @@ impl Parting {
         self.volume.face((tet, corner)).unwrap_or_default()
     }
 
-    /// Tells how far it has come apart.
+    /// Measures of the cuts and tears.
     pub fn measure(&self, measures: &mut Measures<'_>) {
         measures.put("pieces", self.pieces as f64);
         measures.put("elements_left", self.volume.left() as f64);
@@ -563,7 +563,7 @@ impl Parting {
     }
 }
 
-/// A triangle of the surface while that changes: one that was there, half of one, or one that came to light.
+/// Origin of a surface triangle during an update: kept, half of a split one, or uncovered.
 #[derive(Clone, Copy)]
 enum Triangle {
     Old(usize),
@@ -571,19 +571,19 @@ enum Triangle {
     Bare(usize),
 }
 
-/// Elements of the first mesh and all other parts of them.
+/// Elements of the first mesh with all their parts.
 fn all_parts<'a>(parts: &'a BTreeMap<u32, Vec<u32>>, first: &'a [u32]) -> impl Iterator<Item = u32> + 'a {
     first.iter().flat_map(|tet| std::iter::once(*tet).chain(parts.get(tet).into_iter().flatten().copied()))
 }
 
-/// The faces that triangles are, in their order; `None` of a surface that is not the boundary.
+/// The faces of the triangles, in their order; `None` if the surface is not the boundary.
 fn faces_of(volume: &Volume, triangles: &[[u32; 3]]) -> Option<Vec<FaceOf>> {
     let sorted = |mut nodes: [u32; 3]| {
         nodes.sort_unstable();
         nodes
     };
     let of_boundary = || volume.boundary().filter_map(|face| Some((sorted(volume.face(face)?), face)));
-    // Two faces of a slit whose nodes are shared have the same corners: each of them is taken once.
+    // Two faces of a slit with shared nodes have the same corners: each is used once.
     let mut known: BTreeMap<[u32; 3], Vec<FaceOf>> = BTreeMap::new();
     of_boundary().for_each(|(nodes, face)| known.entry(nodes).or_default().push(face));
     let same_sense = |face: &FaceOf, nodes: &[u32; 3]| {

@@ -54,7 +54,7 @@ fn built(
 }
 
 impl Solver {
-    /// After a restart: submits the job in progress again, so that its factor is used from the same time.
+    /// After a restart: computes the factor in progress again, so that it is used from the same time.
     pub(crate) fn resume(&mut self, body: &Deformable, heated: &Heated) {
         if !self.solver.is_lent() {
             self.memory.lent = None;

@@ -1,9 +1,9 @@
-//! The controller of tissue under electrodes: what is switched on at the tip of an instrument heats, burns and removes.
+//! The controller of electrosurgery: electrodes at instrument tips heat, coagulate and ablate tissue.
 //!
-//! Temperatures and burns go to the vertices of the body, for the edit map. Whoever moves the body reads which elements are
-//! gone ([`RemovedElements`]) and which are stiffer and shorter ([`CoagulatedElements`]), and takes them out of its surface;
-//! of a body that nobody moves that is done here. Heat stays with the shape at rest: an electrode is where it would be
-//! there.
+//! Temperatures and burns are written to the body's vertices, for the edit map. The controller that moves the body
+//! reads which elements were removed ([`RemovedElements`]) and which are stiffer and shorter ([`CoagulatedElements`]),
+//! and removes them from the surface; for a static body this controller does it. Heat is computed on the rest shape: an
+//! electrode's position is mapped there.
 
 pub mod plume;
 pub(crate) mod remesh;
@@ -35,25 +35,25 @@ use crate::electrosurgery::{
 use plume::Plume;
 use remesh::{PartedMesh, births};
 
-/// Ticks between two states that a later life goes on from, whatever removes tissue is kept at once; and between two looks at
-/// what blades have parted, as heat goes over to another mesh then.
+/// Ticks between two saved states (removals are saved at once), and between two checks for cuts, after which heat is
+/// transferred to the new mesh.
 const STATE_EVERY: u64 = 10;
-/// Change of an element's stiffness, relative to what it was at first, that is worth a new factor.
+/// Relative change of an element's stiffness, with respect to its original one, that is worth a new factorisation.
 const COAGULATED_CHANGE: f64 = 0.05;
 
-/// Ω that stands for tissue that is denatured, all but 0.005 % of it, and for tissue that is char: a third-degree burn
+/// Damage integral Ω that stands for denatured tissue (all but 0.005 % of it) and for char: a third-degree burn
 /// (Henriques and Moritz, *Studies of thermal injury*, 1947).
 const DENATURED: f64 = 10.0;
 const CHARRED: f64 = 1e4;
 
-/// What a later life goes on from. Too large to be recorded; what comes of it is.
+/// State for a restart. Too large to be recorded; it is derived from recorded data.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct HeatState {
-    /// The surface before anything came apart.
+    /// The surface of the first mesh.
     pub triangles: Arc<Vec<[u32; 3]>>,
-    /// Vertices at rest then \[m\].
+    /// Rest positions of the first mesh \[m\].
     pub rest: Arc<Vec<Point3<f64>>>,
-    /// The tissue.
+    /// State of the tissue.
     pub state: Arc<ElectrosurgeryState>,
 }
 impl Component for HeatState {
@@ -68,25 +68,25 @@ struct Body {
     triangles: Arc<Vec<[u32; 3]>>,
     removed: Vec<u32>,
     coagulated: Arc<Vec<Coagulated>>,
-    /// Whether somebody moves it: then its surface is theirs, and so is whether it stands still.
+    /// Whether a controller moves it: that one then owns its surface, and decides whether it is frozen.
     is_moved: bool,
     plume: Plume,
     volume_removed: f64,
     hottest: f64,
-    /// Of its surface \[m²\]: all of it before anything went, and its pieces now.
+    /// Surface area of the first mesh, and of the current pieces \[m²\].
     area_before: f64,
     areas: Vec<f64>,
     frozen: bool,
-    /// Vertices that blades have made, of those that heat knows.
+    /// Number of vertices added by cuts that the heat solver has.
     births: usize,
-    /// What is on at it in this tick.
+    /// Electrodes active on it in this tick.
     electrodes: Vec<Electrode>,
 }
 
 impl Body {
     fn read(scene: &Snapshot, entity: Entity, kind: CauterisedBody) -> Result<Self, ControllerError> {
         let mut body = Deformable::read(scene, entity)?;
-        // The first mesh, whatever has come apart since.
+        // The first mesh, whatever was cut later.
         if let Some(cuts) = scene.get::<VolumeCuts>(entity) {
             body.tets = Arc::new(cuts.first_tets(body.rest.len(), &body.tets));
             let count = body.rest.len().saturating_sub(cuts.births.len());
@@ -96,7 +96,7 @@ impl Body {
         }
         let known = scene.get::<HeatState>(entity);
         if let Some(known) = known {
-            // A blade may have moved some, of a membrane.
+            // Cuts may have moved some vertices of a membrane.
             body.rest = known.rest.clone();
         }
         let body = body;
@@ -114,7 +114,7 @@ impl Body {
         let material = kind.material();
         let lattice = LatticeConfig { spacing: kind.spacing, ..LatticeConfig::default() };
         let membrane = kind.thickness.map(|thickness| (thickness, triangles.as_slice()));
-        // Of a membrane that nobody knows the first mesh of, this is it.
+        // For a membrane without a known first mesh, this is the first mesh.
         let is_first = kind.thickness.is_some() && known.is_none();
         let parted = if is_first { Ok(None) } else { PartedMesh::read(scene, entity, membrane) };
         let parted = parted.map_err(wrong)?;
@@ -159,7 +159,7 @@ impl Body {
         Ok(this)
     }
 
-    /// Heat goes over to what blades have made of it since the last look.
+    /// Transfers heat to the mesh that cuts since the last check have made.
     fn part(&mut self, tick: &Tick<'_>, scene: &Snapshot) -> Result<(), String> {
         let entity = self.body.entity;
         let born = births(scene, entity).map_or(0, |births| births.len());
@@ -174,7 +174,7 @@ impl Body {
         }
     }
 
-    /// Its surface without what is gone.
+    /// Its surface without removed elements.
     fn surface(&self) -> Vec<[u32; 3]> {
         let gone = self.tissue.removed();
         if self.kind.thickness.is_some() {
@@ -190,12 +190,12 @@ impl Body {
         let vertices = 0..self.tissue.vertex_count() as u32;
         let (mut celsius, mut omega): (Vec<f64>, Vec<f64>) =
             vertices.filter_map(|vertex| self.tissue.vertex(vertex)).unzip();
-        // Beyond what is denatured the law of damage says nothing more: what is char the lattice knows.
+        // Above complete denaturation Ω carries no information; char is stored in the lattice.
         for (vertex, omega) in omega.iter_mut().enumerate() {
             let is_charred = self.tissue.is_charred(vertex as u32);
             *omega = if is_charred { omega.max(CHARRED) } else { omega.min(DENATURED) };
         }
-        // What a vertex has come apart into since the last look is as warm as it, and what is between two is between.
+        // Vertices added since the last check: duplicates take their parent's temperature, others interpolate.
         if let (Some(births), Some(rest)) =
             (births(scene, self.body.entity), scene.get::<RestPositions>(self.body.entity))
         {
@@ -226,7 +226,7 @@ impl Body {
         }
     }
 
-    /// Finds what is coagulated; whether that is worth telling.
+    /// Updates the coagulated elements; returns whether the change is worth publishing.
     fn coagulates(&mut self) -> bool {
         let elements = 0..self.tissue.removed().len() as u32;
         let now: Vec<Coagulated> = elements
@@ -250,7 +250,7 @@ impl Body {
         !same
     }
 
-    /// Where a place in the body's frame is when the body is at rest.
+    /// Maps a point in the body's frame to the rest shape.
     fn at_rest(&self, place: &Point3<f64>, scene: &Snapshot) -> Point3<f64> {
         let entity = self.body.entity;
         let (Some(now), Some(rest), Some(surface)) = (
@@ -283,14 +283,14 @@ impl Body {
     }
 }
 
-/// Brings values of the first mesh's vertices up to date.
+/// Interpolates vertex values of the first mesh to the added vertices.
 fn grow(births: &[Birth], values: [&mut Vec<f64>; 2]) {
     for values in values {
         births.iter().for_each(|birth| values.push(birth.mix(values, |a, b, share| a + (b - a) * share)));
     }
 }
 
-/// Whether a method moves a body; one that cannot go on without what has burned is refused.
+/// Whether a method moves a body; an error if that method does not support removed elements.
 fn is_moved(scene: &Snapshot, entity: Entity) -> Result<bool, String> {
     match scene.soft_body(entity) {
         Some((method, of)) if !of.loses_elements => {
@@ -303,7 +303,7 @@ fn is_moved(scene: &Snapshot, entity: Entity) -> Result<bool, String> {
     }
 }
 
-/// Areas of the parts of a surface that share no vertex, the largest first \[m²\].
+/// Areas of the connected parts of a surface, largest first \[m²\].
 fn pieces(triangles: &[[u32; 3]], positions: &[Point3<f64>]) -> Vec<f64> {
     let mut parent: Vec<usize> = (0..positions.len()).collect();
     let root = |parent: &mut Vec<usize>, mut x: usize| {
@@ -331,19 +331,20 @@ fn pieces(triangles: &[[u32; 3]], positions: &[Point3<f64>]) -> Vec<f64> {
     areas
 }
 
-/// Heats every body that carries [`CauterisedBody`]. There is one: another would write the same temperatures, and is refused.
+/// Heats every body that carries [`CauterisedBody`]. Only one such controller is allowed: a second one would write the
+/// same temperatures.
 pub struct ElectrosurgeryController {
     bodies: Vec<Body>,
-    /// How the electrode in question lies to each of them.
+    /// Contact of the current electrode with each body.
     contacts: Vec<Contact>,
     refused: Vec<Refused>,
 }
 
 impl ElectrosurgeryController {
-    /// Reads the bodies, and goes on where an earlier life left them.
+    /// Reads the bodies, and resumes their state from the scene.
     ///
     /// # Errors
-    /// Names the body, and what is wrong with it.
+    /// The name of the body, and what is wrong with it.
     pub fn new(context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let (mut bodies, mut refused) = (Vec::new(), Vec::new());
         for entity in Deformable::carriers::<CauterisedBody>(context.scene) {
@@ -368,7 +369,7 @@ impl ElectrosurgeryController {
         Ok(Self { bodies, contacts: Vec::new(), refused })
     }
 
-    /// What is on at each body: of a tip that is at several, each gets its share of what the generator gives.
+    /// Finds the active electrodes at each body; a tip at several bodies splits the generator's power.
     fn switch_on(&mut self, scene: &Snapshot) {
         self.bodies.iter_mut().for_each(|body| body.electrodes.clear());
         for (entity, tip) in scene.iter::<ElectrodeTip>() {
@@ -389,7 +390,7 @@ impl ElectrosurgeryController {
             self.contacts.clear();
             for body in &mut self.bodies {
                 let tip_in_body = scene.world_pose(body.body.entity).inverse() * tip_in_world;
-                // Where it lies does not hang on what it gives.
+                // Its contact does not depend on its power.
                 let electrode = Electrode {
                     tip_in_rest: body.at_rest(&tip_in_body, scene),
                     power: 0.0,
@@ -400,7 +401,7 @@ impl ElectrosurgeryController {
                 self.contacts.push(contact);
                 body.electrodes.push(electrode);
             }
-            // What a tip is not at is not told of it: what is wrong with it is of the tissue that gets it alone.
+            // A body without contact gets no electrode, so an invalid contact fails only the body that it concerns.
             for (body, share) in self.bodies.iter_mut().zip(shares(&self.contacts)) {
                 match body.electrodes.last_mut() {
                     Some(electrode) if share > 0.0 => electrode.power = tip.power * level * share,
@@ -470,7 +471,7 @@ impl Controller for ElectrosurgeryController {
                     Err(error) => {
                         body.frozen = true;
                         if body.is_moved {
-                            // Whoever moves it says whether it stands still: it only heats no further.
+                            // The controller that moves it decides about its motion; only its heating stops.
                             freeze(body.body.entity, FrozenPart::Heat, error, tick, out);
                         } else {
                             body.body.freeze(&error, tick, out);

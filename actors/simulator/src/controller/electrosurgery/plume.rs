@@ -1,15 +1,15 @@
-//! The smoke that a body gives off, as who heats it tells it.
+//! Smoke emission of a body, as published by the electrosurgery controller.
 
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use trocar_scene::Component;
 
-/// What a body gives off, as a total: whoever looks late misses nothing.
+/// Cumulative emission of a body: a late reader misses nothing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Plume {
     /// Smoke since the beginning \[kg\].
     pub emitted: f64,
-    /// Where the last of it rose, in the frame of the body \[m\].
+    /// Position of the latest emission, in the body's frame \[m\].
     pub place: Point3<f64>,
 }
 impl Component for Plume {

@@ -1,4 +1,4 @@
-//! What blades have made of a body that is heated, as the scene has it: heat goes over to that mesh.
+//! The mesh of a heated body after cuts, read from the scene; heat is transferred to it.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::controller::cutting::membrane::SurfaceElements;
 use crate::controller::cutting::volume::VolumeCuts;
 use crate::electrosurgery::{Parted, Tissue};
 
-/// The mesh of a body as it is now, by which heat is told.
+/// The current mesh of a body, with the mapping to the first one.
 pub(crate) struct PartedMesh {
     rest: Arc<Vec<Point3<f64>>>,
     births: Arc<Vec<Birth>>,
@@ -24,7 +24,7 @@ enum Elements {
     Triangles { triangles: Vec<[u32; 3]>, thickness: f64 },
 }
 
-/// Where the vertices come from that a body did not have at first; none where nobody has cut it.
+/// Origins of the vertices added since a body's first mesh; `None` if it was never cut.
 pub(crate) fn births(scene: &Snapshot, entity: Entity) -> Option<&Arc<Vec<Birth>>> {
     let of_volume = scene.get::<VolumeCuts>(entity).map(|cuts| &cuts.births);
     of_volume
@@ -33,11 +33,11 @@ pub(crate) fn births(scene: &Snapshot, entity: Entity) -> Option<&Arc<Vec<Birth>
 }
 
 impl PartedMesh {
-    /// As the scene has it, if anybody has cut it. A membrane has a thickness and the triangles that it had at first, of which some
-    /// are gone.
+    /// Reads it from the scene, if the body was cut. A membrane has a thickness and its original triangles, of which
+    /// some were removed.
     ///
     /// # Errors
-    /// What of the scene does not go together.
+    /// Which data does not match.
     pub(crate) fn read(
         scene: &Snapshot,
         entity: Entity,
@@ -67,7 +67,7 @@ impl PartedMesh {
             return Err(format!("its 'surface_elements' tell of {told} triangles of {there}"));
         }
         let (mut triangles, mut of) = (surface.triangles.to_vec(), known.elements.to_vec());
-        // What has burned is no part of the surface any longer, but holds what heat is left in it.
+        // Removed elements do not belong to the surface any longer, but keep the remaining heat.
         let there: BTreeSet<u32> = of.iter().copied().collect();
         for (element, corners) in (0..).zip(first).filter(|(element, _)| !there.contains(element)) {
             triangles.push(*corners);
@@ -76,7 +76,7 @@ impl PartedMesh {
         Ok(Some(Self { rest, births, elements: Elements::Triangles { triangles, thickness }, of }))
     }
 
-    /// For the method.
+    /// In the form that the method takes.
     pub(crate) fn parted(&self) -> Parted<'_> {
         let positions: &[Point3<f64>] = &self.rest;
         let tissue = match &self.elements {

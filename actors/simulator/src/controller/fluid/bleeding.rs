@@ -114,7 +114,7 @@ impl Component for VesselState {
 }
 
 impl VesselState {
-    /// The hole in another frame, given that frame's pose of the vessel.
+    /// The hole, in another frame than the vessel's.
     #[must_use]
     pub fn hole_in(&self, frame_from_vessel: &Isometry3<f64>) -> Hole {
         Hole {

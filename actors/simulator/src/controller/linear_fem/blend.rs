@@ -1,9 +1,10 @@
-//! A linear organ between two inverses: what a new one says is blended in, so that a hand does not feel the change. What has
-//! burned away is out of both; what the new one brings is what coagulation has stiffened meanwhile, and what was too much to
-//! be corrected for.
+//! Blends a linear organ from one inverse to the next, so that the hand feels no jump. Burned elements are out of both;
+//! the new inverse adds the stiffness of coagulated elements, and the changes that were too large for a low-rank
+//! correction.
 //!
-//! Both answer the same contacts, and what is felt goes from the one's forces to the other's, in each tick by no more than a
-//! share of what is felt. Nothing of it is in the scene: another life begins with the new inverse.
+//! Both inverses answer the same contacts, and the blend moves from the old forces to the new ones, in each tick by at
+//! most a fraction of the contact force. The blend is not saved in the scene: after a restart the new inverse is used
+//! at once.
 
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::tet_mesh::TetMesh;
@@ -12,15 +13,15 @@ use super::contacts::Answer;
 use super::warm_start::Holding;
 use crate::linear_fem::{Attachment, LinearFem, LinearFemError};
 
-/// Change of what is felt in a tick, as a share of it.
+/// Maximum change of the contact force per tick, relative to it.
 const CHANGE: f64 = 0.02;
-/// What is felt at least, for that \[N\].
+/// Minimum contact force for that limit \[N\].
 const FELT_MIN: f64 = 1e-3;
-/// Smallest and largest step towards the new inverse: 500 ticks at most.
+/// Minimum and maximum blend step: 500 ticks at most.
 const STEP: [f64; 2] = [0.002, 0.25];
 
-/// Tells an inverse of what has come apart since it was computed: the body has this mesh now, of which the last nodes were those
-/// of `parents`.
+/// Applies the topology changes since its computation to an inverse: the body has this mesh now, whose last nodes
+/// duplicate `parents`.
 pub(crate) fn catch_up(
     solver: &mut LinearFem,
     mesh: &TetMesh,
@@ -33,28 +34,29 @@ pub(crate) fn catch_up(
     }
 }
 
-/// An inverse that fades.
+/// An old inverse that is blended out.
 pub(crate) struct Fading {
     old: Box<LinearFem>,
-    /// Of the new inverse in what is felt.
+    /// Weight of the new inverse.
     share: f64,
-    /// What the old one holds of the answers, and what that takes.
+    /// The old inverse's held places and their factor.
     holding: Holding,
     forces: Vec<Vector3<f64>>,
-    /// Size of what is felt, and by how much the two inverses differ in it \[N\].
+    /// Magnitude of the contact force, and its difference between the two inverses \[N\].
     felt: f64,
     change: f64,
     moved: Vec<Vector3<f64>>,
 }
 
 impl Fading {
-    /// Of an inverse that a new one has just replaced.
+    /// From an inverse that was just replaced.
     pub fn new(old: Box<LinearFem>) -> Self {
         let (holding, forces, moved) = (Holding::default(), Vec::new(), Vec::new());
         Self { old, share: 0.0, holding, forces, felt: 0.0, change: 0.0, moved }
     }
 
-    /// Takes elements out of the old one, too, so many at most and as far as it bears that: what it does not, fades with it.
+    /// Removes elements from the old inverse too, at most this many and as far as it can be corrected; the others are
+    /// blended out with it.
     pub fn remove(&mut self, tets: &[u32], most: usize) -> Result<(), LinearFemError> {
         let left = tets.iter().copied().filter(|tet| !self.old.is_out(*tet));
         let left: Vec<u32> = left.take(most).collect();
@@ -72,33 +74,33 @@ impl Fading {
         Ok(())
     }
 
-    /// Lets the old one follow a body that has come apart, by so many nodes at most.
+    /// Applies a topology change to the old inverse, by at most this many nodes.
     pub fn come_apart(&mut self, mesh: &TetMesh, parents: &[u32], most: usize) -> Result<(), LinearFemError> {
         catch_up(&mut self.old, mesh, parents)?;
         self.old.release_nodes(most).map(drop)
     }
 
-    /// Nodes that go with the ones that they were still, where nothing of the new one is felt yet.
+    /// Nodes still joined to their parents, while the new inverse has no weight.
     pub fn waiting(&self) -> Option<usize> {
         self.is_unfelt().then(|| self.old.waiting())
     }
 
-    /// Whether nothing of the new one is felt yet.
+    /// Whether the new inverse has no weight yet.
     pub fn is_unfelt(&self) -> bool {
         self.share == 0.0
     }
 
-    /// Whether nothing of the new one is felt yet, and the element is out of the old one.
+    /// Whether the new inverse has no weight yet, and the element is out of the old one.
     pub fn hides(&self, tet: u32) -> bool {
         self.is_unfelt() && self.old.is_out(tet)
     }
 
-    /// Lets go of everything that is not held from the last tick on, as [`Holding::keep`] says.
+    /// Releases everything that is not kept from the last tick, as [`Holding::keep`] does.
     pub fn keep<'a>(&mut self, wanted: impl Iterator<Item = &'a Attachment>) -> Result<(), LinearFemError> {
         self.holding.keep(&mut self.old, wanted)
     }
 
-    /// Holds what the new one holds, too.
+    /// Holds the same as the new inverse.
     pub fn hold(
         &mut self,
         place: usize,
@@ -113,7 +115,7 @@ impl Fading {
         self.holding.set_target(&mut self.old, place, target)
     }
 
-    /// Blends the old one's forces into answers that have the new one's.
+    /// Blends the old inverse's forces into the new inverse's answers.
     pub fn blend_forces(&mut self, answers: &mut [Answer]) -> Result<(), LinearFemError> {
         (self.felt, self.change) = (0.0, 0.0);
         self.holding.forces(&mut self.old, &mut self.forces)?;
@@ -129,7 +131,7 @@ impl Fading {
         Ok(())
     }
 
-    /// Blends in where the old one has nodes of its surface, of which the new one has `nodes`, ascending.
+    /// Blends in the surface positions of the old inverse; `nodes`: surface nodes of the new one, ascending.
     pub fn blend_surface(&mut self, nodes: &[u32], rest: &[Point3<f64>], positions: &mut [Point3<f64>]) {
         self.old.surface_displacements(&mut self.moved);
         for (node, moved) in self.old.nodes().iter().zip(&self.moved) {
@@ -140,7 +142,7 @@ impl Fading {
         }
     }
 
-    /// How far all nodes are moved by the two, of which the new one is `solver`.
+    /// Blended displacements of all nodes; `solver` is the new inverse.
     pub fn displacements(&mut self, solver: &mut LinearFem, moved: &mut Vec<Vector3<f64>>) {
         if self.is_unfelt() {
             self.old.displacements(moved);
@@ -153,7 +155,7 @@ impl Fading {
         }
     }
 
-    /// Goes on for the next tick; whether nothing of the old one is left.
+    /// Advances to the next tick; returns whether the blend is complete.
     pub fn is_over(&mut self) -> bool {
         let [least, most] = STEP;
         let step = CHANGE * self.felt.max(FELT_MIN) / self.change.max(f64::MIN_POSITIVE);

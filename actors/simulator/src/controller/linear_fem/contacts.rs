@@ -1,9 +1,9 @@
-//! What holds a linear organ: what has been driven into it, jaws what they have picked, rods the patches that they press on.
+//! Constraints of a linear organ: pinned points, vertices held by jaws, and patches pressed by rods.
 //!
-//! A load on a single vertex feels stiffer the coarser the mesh is, so that each place that a rod touches stands for a patch
-//! about it. Where that is, and which way it is pressed, is found on the shape at rest, for the rod as it is seen from
-//! there: brought back by what the place has moved. On the deformed surface, which is coarse, the nearest place to a rod
-//! jumps to and fro while it is pressed in, and so would the force.
+//! A load on a single vertex feels stiffer the coarser the mesh is, so each point that a rod touches stands for a patch
+//! around it. Its position and push direction are found on the rest shape, with the rod transformed by the displacement
+//! of the patch. On the deformed surface, which is coarse, the point nearest to a rod would jump while the rod is
+//! pressed in, and so would the force.
 
 use nalgebra::{Point3, Unit, Vector3};
 use serde::{Deserialize, Serialize};
@@ -18,30 +18,31 @@ use trocar_scene::{Component, Entity};
 use super::Body;
 use crate::linear_fem::{Attachment, Hold, LinearFemError, patch};
 
-/// Distance from a rod at which the surface is watched already, so that what rests on it is not lost by rounding \[m\].
+/// Distance from a rod within which the surface is already checked, so that a resting contact is not lost by rounding
+/// \[m\].
 const MARGIN: f64 = 1e-3;
-/// Most places that are kept out of rods at once; the deepest ones.
+/// Maximum number of contact points at once; the deepest are kept.
 const CONTACTS_MAX: usize = 96;
-/// How far in a rod the surface may be left \[m\].
+/// Tolerated penetration depth \[m\].
 const PENETRATION_MAX: f64 = 1e-5;
-/// Patches of one rod are apart by this share of their radius at least.
+/// Minimum distance between patches of one rod, relative to their radius.
 const PATCHES_APART: f64 = 1.0;
-/// A place on the surface that an instrument pressed on.
+/// A surface point that an instrument pressed on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Place {
-    /// Which instrument.
+    /// The instrument.
     pub instrument: u64,
     /// Corners of the triangle; one vertex three times for a vertex.
     pub nodes: [u32; 3],
-    /// Where on it: each in \[0, 1\], their sum 1.
+    /// Barycentric weights of the point: each in \[0, 1\], their sum 1.
     pub weights: [f64; 3],
 }
 
-/// Where rods pressed on a body in the last tick: another life goes on pressing there.
+/// Points that rods pressed on in the last tick; a restart continues with them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Contacts {
-    /// In the order in which they were found.
+    /// In the order of detection.
     pub places: Vec<Place>,
 }
 impl Component for Contacts {
@@ -49,7 +50,7 @@ impl Component for Contacts {
 }
 
 impl Contacts {
-    /// Remembers the middles of patches that bear something.
+    /// Saves the centres of loaded patches.
     pub(crate) fn keep(&mut self, answers: &[Answer], rods: &[Rod], contact_radius: f64) {
         self.places.clear();
         let borne = answers.iter().filter(|answer| contact_radius > 0.0 && answer.force != Vector3::zeros());
@@ -61,12 +62,12 @@ impl Contacts {
     }
 }
 
-/// One thing that holds the surface, and what it takes to hold it.
+/// One constraint on the surface, and its force.
 pub(crate) struct Answer {
     pub attachment: Attachment,
-    /// Where its mean is to be, from rest \[m\].
+    /// Prescribed mean displacement, from rest \[m\].
     pub target: Vector3<f64>,
-    /// Of a patch: how far the mean under it is to lag behind its middle, which is what touches \[m\].
+    /// Of a patch: how far its mean displacement lags behind that of its centre, the contact point \[m\].
     pub lag: f64,
     pub by: By,
     /// On the body \[N\].
@@ -74,16 +75,16 @@ pub(crate) struct Answer {
 }
 
 pub(crate) enum By {
-    /// A rod that touches.
+    /// A rod contact.
     Touch(Touch),
-    /// The jaws of an instrument, at a vertex.
+    /// A vertex held by an instrument's jaws.
     Jaws(Entity, u32),
-    /// What has been driven into it, at the point of that number.
+    /// A pinned point, by its number.
     Pin(usize),
 }
 
 impl Body {
-    /// What holds it now, those first that stay from tick to tick: pins, jaws what they have picked, rods what they touch.
+    /// The current constraints, persistent ones first: pinned points, held vertices, rod contacts.
     pub(crate) fn ask(&mut self, site: &StepContext<'_>) -> Result<Vec<Answer>, String> {
         let rods = site.rods;
         let triangles = self.body.triangles.clone();
@@ -132,7 +133,7 @@ impl Body {
         Ok(answers)
     }
 
-    /// Adds what has come into a rod elsewhere.
+    /// Adds contacts of rods elsewhere on the surface.
     pub(crate) fn ask_more(&self, rods: &[Rod], answers: &mut Vec<Answer>) {
         let mut touched = Vec::new();
         let triangles = &self.body.triangles;
@@ -147,13 +148,13 @@ impl Body {
         self.keep_out(&touched, rods, answers);
     }
 
-    /// What holds does not push as well, and what is held anyway cannot be pushed.
+    /// Jaws that hold do not push as well, and a held vertex cannot be pushed.
     fn can_be_pushed(&self, touch: &Touch, rods: &[Rod]) -> bool {
         let holds = self.grips.picks.of(rods[touch.rod].instrument.to_bits()).is_some();
         !holds && touch.nodes.iter().any(|&node| !self.is_pinned[node as usize])
     }
 
-    /// Where a place of the surface is at rest, and where now \[m\].
+    /// Rest and current position of a surface point \[m\].
     fn place(&self, nodes: &[u32; 3], weights: &[f64; 3]) -> [Point3<f64>; 2] {
         [&self.body.rest[..], &self.positions].map(|points| {
             let corners =
@@ -162,7 +163,7 @@ impl Body {
         })
     }
 
-    /// Rods that pressed on something go on doing so, where they have moved to meanwhile.
+    /// Continues the contacts of the last tick, at their new positions.
     fn go_on_pressing(&self, rods: &[Rod], answers: &mut Vec<Answer>) {
         for known in &self.contacts.places {
             let now = self.place(&known.nodes, &known.weights)[1];
@@ -180,8 +181,8 @@ impl Body {
         }
     }
 
-    /// Which place a rod presses on that was last seen pressing on, or near, another, and which way: seen from the shape at
-    /// rest.
+    /// The contact point and push direction of a rod last seen pressing on or near another point, found on the rest
+    /// shape.
     fn pressed(&self, index: usize, rods: &[Rod], nodes: &[u32; 3], weights: &[f64; 3]) -> Option<Touch> {
         let rod = &rods[index];
         let [rest, now] = self.place(nodes, weights);
@@ -204,7 +205,7 @@ impl Body {
         Some(Touch { rod: index, nodes, weights, normal, depth, velocity, on_axis, element })
     }
 
-    /// Whether another patch of the same rod is about this place.
+    /// Whether another patch of the same rod covers this point.
     fn is_covered(&self, touch: &Touch, answers: &[Answer]) -> bool {
         let [place, _] = self.place(&touch.nodes, &touch.weights);
         answers.iter().any(|answer| match &answer.by {
@@ -216,10 +217,11 @@ impl Body {
         })
     }
 
-    /// Places of the surface are to stay on their side of rods: each of them, or those that patches of the others leave.
+    /// Adds constraints that keep surface points outside rods: all of `touched`, or those that other patches do not
+    /// cover.
     fn keep_out(&self, touched: &[Touch], rods: &[Rod], answers: &mut Vec<Answer>) {
         for touch in touched {
-            // Most are about a place that is there already: only the others are looked at closely.
+            // Most are covered already: only the others are examined.
             if self.is_covered(touch, answers) {
                 continue;
             }
@@ -231,12 +233,12 @@ impl Body {
         }
     }
 
-    /// A place of the surface is to stay on its side of a rod, which presses on the patch about it.
+    /// A constraint that keeps a surface point outside a rod, with the patch around it.
     fn kept_out(&self, touch: Touch, rods: &[Rod]) -> Answer {
         let [place, _] = self.place(&touch.nodes, &touch.weights);
         let ([a, b, c], [u, v, w]) = (touch.nodes, touch.weights);
         let patch = patch(&self.body.rest, &self.body.triangles, &place, self.kind.contact_radius);
-        // Where there is no such patch, as inside or at a radius of 0, the place alone.
+        // Without a patch, as inside or at a radius of 0, the point alone.
         let weights =
             patch.unwrap_or_else(|_| if a == b { vec![(a, 1.0)] } else { vec![(a, u), (b, v), (c, w)] });
         let on_rod = touch.on_axis.coords + touch.normal * rods[touch.rod].radius;
@@ -249,8 +251,8 @@ impl Body {
         }
     }
 
-    /// What a solver holds of a patch is the mean displacement under it, and its middle goes further: has the mean lag
-    /// behind until the middle lies where the rod is. Whether anything is to move for that.
+    /// A patch constrains its mean displacement, and its centre is displaced further: the mean's target lags until the
+    /// centre lies on the rod. Returns whether a target has changed.
     pub(crate) fn advance_to_rod(&mut self, answers: &mut [Answer]) -> Result<bool, LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(false) };
         let mut moves = false;

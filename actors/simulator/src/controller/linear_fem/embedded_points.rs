@@ -1,7 +1,7 @@
-//! Points inside of a linear organ that go with something else: where a needle, a hook or an anchor has been driven in.
+//! Pinned points inside a linear organ that move with another entity: a needle, a hook or an anchor.
 //!
-//! Each is held in all directions at a place in an element, by its barycentric weights (W = C K⁻¹ Cᵀ), and what that takes is
-//! told of whoever holds it, as with what jaws hold.
+//! Each point is constrained in all directions within an element, by barycentric weights (W = C K⁻¹ Cᵀ). The reaction
+//! force is reported for the entity, as for jaws.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -12,10 +12,10 @@ use trocar_scene::{Component, ComponentError, Entity, Snapshot};
 
 use crate::linear_fem::{Attachment, Hold};
 
-/// How far outside of its nearest element a point may be by rounding, as a share of that.
+/// Tolerance by which a point may be outside its nearest element, relative to its size.
 const OUTSIDE: f64 = 1e-9;
 
-/// Where the entities have the points that they hold, in their frames \[m\]: another life goes on holding them there.
+/// The points in the frames of their entities \[m\]; a restart continues with them.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PinPlaces {
@@ -29,17 +29,17 @@ impl Component for PinPlaces {
     }
 }
 
-/// A point that is held.
+/// A pinned point.
 #[derive(Clone, Debug)]
 pub(crate) struct Pin {
     pub entity: Entity,
-    /// Where it is in the organ: at rest \[m\], and in which element.
+    /// Its rest position in the organ \[m\], and its element.
     pub rest: Point3<f64>,
     pub tet: u32,
     pub weights: [f64; 4],
 }
 
-/// All of an organ.
+/// All pinned points of an organ.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Pins {
     pub pins: Vec<Pin>,
@@ -48,10 +48,10 @@ pub(crate) struct Pins {
 }
 
 impl Pins {
-    /// As the scene has them.
+    /// Reads them from the scene.
     ///
     /// # Errors
-    /// Who is not there, and a point that is not in the organ, with how far it is from it.
+    /// An entity that does not exist, or a point outside the organ, with its distance.
     pub fn read(scene: &Snapshot, body: &Deformable, mesh: &TetMesh) -> Result<Self, String> {
         let Some(pinned) = scene.get::<PinnedBody>(body.entity) else { return Ok(Self::default()) };
         let mut pins = Vec::new();
@@ -91,7 +91,7 @@ impl Pins {
         Ok(Self { pins, places, told })
     }
 
-    /// Takes the points as their entities have them now, if nobody has yet.
+    /// Records the points in the frames of their entities, unless already recorded.
     pub fn drive_in(&mut self, scene: &Snapshot, world_from_body: &Isometry3<f64>) {
         if self.places.in_entity.len() == self.pins.len() {
             return;
@@ -100,8 +100,8 @@ impl Pins {
         self.places.in_entity = self.pins.iter().map(place).collect();
     }
 
-    /// What holds them now, each with its number: the attachment and how far it is led from rest \[m\]. `is_gone` says of an
-    /// element whether it holds nothing any longer.
+    /// The present constraints, each with its point's number: attachment and displacement from rest \[m\]. `is_gone`
+    /// tells whether an element was removed.
     pub fn led<'a>(
         &'a self,
         scene: &'a Snapshot,
@@ -118,7 +118,7 @@ impl Pins {
         })
     }
 
-    /// What a later life has to know, once.
+    /// The state that a restart needs, once.
     pub fn news(&mut self) -> Option<PinPlaces> {
         let is_news = !self.told && !self.places.in_entity.is_empty();
         self.told |= is_news;
@@ -126,7 +126,7 @@ impl Pins {
     }
 }
 
-/// The element that a point is in and where in it; how far the point is from a body that it is not in \[m\].
+/// The element that contains a point, with barycentric weights; else the point's distance from the body \[m\].
 fn inside(mesh: &TetMesh, point: &Point3<f64>) -> Result<(u32, [f64; 4]), f64> {
     let far = || {
         let away = |nodes: &[u32; 3]| {
@@ -135,11 +135,11 @@ fn inside(mesh: &TetMesh, point: &Point3<f64>) -> Result<(u32, [f64; 4]), f64> {
         mesh.surface().iter().map(away).fold(f64::INFINITY, f64::min)
     };
     let (tet, weights) = mesh.locate(point).ok_or_else(far)?;
-    // What is no number is nowhere.
+    // Written so that NaN is outside.
     if !weights.iter().all(|weight| *weight >= -OUTSIDE) {
         return Err(far());
     }
-    // On a face, an edge or a corner those beyond it have no share.
+    // On a face, an edge or a corner the opposite nodes have weight zero.
     let weights = weights.map(|weight| if weight < OUTSIDE { 0.0 } else { weight });
     let sum: f64 = weights.iter().sum();
     Ok((tet as u32, weights.map(|weight| weight / sum)))

@@ -1,4 +1,4 @@
-//! Jobs that compute the inverse of a linear organ, beside its controller.
+//! Background jobs that compute the inverse of a linear organ.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,24 +9,24 @@ use trocar_scene::{Job, SimTime, Tick};
 
 use crate::linear_fem::{Cache, Limits, LinearFem, LinearFemError};
 
-/// What a computation of the inverse takes in lock-step, however long it takes.
+/// Duration of a job in lock-step, however long it takes \[s\].
 const JOB: f64 = 0.5;
 
-/// What a job delivers.
+/// Result of a job.
 type Built = Result<LinearFem, String>;
 
-/// What the job of that number has delivered, if it has.
+/// The result of the job of that number, if it is ready.
 ///
 /// # Errors
-/// Why it could not.
+/// Why it failed.
 pub(crate) fn built(tick: &Tick<'_>, key: u64) -> Result<Option<LinearFem>, String> {
     let Some(output) = tick.jobs.take(key) else { return Ok(None) };
     let built = output.downcast::<Built>().map_err(|_| "its job delivered something else".to_owned())?;
     built.map(Some)
 }
 
-/// The job of that number: to read the inverse of a body from the cache or to compute it. Young's modulus \[Pa\], Poisson's
-/// ratio; `progress` is told the share that is done, as the bits of an f64.
+/// Creates the job that reads a body's inverse from the cache or computes it. Young's modulus \[Pa\], Poisson's ratio;
+/// `progress` receives the fraction done, as the bits of an f64.
 pub(crate) fn built_as_job(
     key: u64,
     mesh: &TetMesh,
@@ -45,15 +45,15 @@ pub(crate) fn built_as_job(
     })
 }
 
-/// What has become of a body.
+/// Topology changes and thermal damage of a body.
 pub(crate) struct MeshChange {
     /// Of its elements.
     pub alterations: Vec<Alteration>,
-    /// Which node each of its last ones was before it came apart.
+    /// Which node each of the added nodes duplicates.
     pub parents: Vec<u32>,
 }
 
-/// The job of that number: to compute the inverse of a body of which that has become.
+/// Creates the job that computes the inverse of the changed body.
 pub(crate) fn altered_as_job(
     key: u64,
     mesh: &TetMesh,

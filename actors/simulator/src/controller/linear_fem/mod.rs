@@ -1,10 +1,10 @@
-//! The controller of linear organs: quasi-static finite elements with a precomputed inverse. What touches or holds the
-//! surface sets its displacements, and is told the forces that this takes.
+//! The controller of linear organs: quasi-static finite elements with a precomputed inverse. Contacts and grasps
+//! prescribe surface displacements; the solver returns the reaction forces.
 //!
-//! The inverse is read from a cache or computed as a job; until then the organ stands still. The rest shape is the one
-//! under its own weight. All that goes on from tick to tick are the positions of the surface and what jaws hold, both in
-//! the scene: contacts are found anew about where the surface is, and solved for from nothing, so that another life finds
-//! the same; of what is held in both directions the rows stay, which does not change a bit of it.
+//! The inverse is read from a cache or computed by a background job; until then the organ does not move. The rest shape
+//! is the shape under gravity. Only the surface positions and the held vertices persist from tick to tick, both in the
+//! scene: contacts are detected anew at the current surface, and solved from zero, so that a restart gives identical
+//! results. Bilateral constraints keep their rows, without any effect on the bits.
 
 pub(crate) mod blend;
 pub(crate) mod contacts;
@@ -45,12 +45,12 @@ use inverse_job::{altered_as_job, built, built_as_job};
 use topology_change::{Altered, AlteredAt};
 use warm_start::Holding;
 
-/// How often in a tick the surface is looked at for what is still in a rod.
+/// Maximum number of contact detection rounds per tick.
 const ROUNDS_MAX: usize = 8;
-/// Ticks from one look at the inside to the next: rotations and strains of all elements.
+/// Ticks between two evaluations of the interior: rotations and strains of all elements.
 const INSIDE_EVERY: u64 = 10;
-/// An organ that answers at once to being touched, for small displacements: it needs a mesh of tetrahedra, and `anchors`
-/// where it is held.
+/// An organ with immediate response to contact, for small displacements. It needs a tetrahedral mesh, and `anchors`
+/// where it is fixed.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinearFemBody {
@@ -58,17 +58,17 @@ pub struct LinearFemBody {
     pub young_modulus: f64,
     /// Poisson's ratio, 0 to 0.45.
     pub poisson_ratio: f64,
-    /// Radius of the patch over which what touches presses \[m\]. About one and a half edges of the surface or more, and what is
-    /// felt is the same on a finer mesh; 0: on single vertices, which feel stiffer the coarser they are.
+    /// Radius of the contact patch \[m\]. From about one and a half surface edges on, forces are independent of the
+    /// mesh; 0: contact with single vertices, which feel stiffer the coarser the mesh is.
     pub contact_radius: f64,
     /// Whether blades cut it, along the faces between its elements; then they do not push it.
     pub cut: bool,
-    /// Tension that tears it \[Pa\]; without one nothing does.
+    /// Tensile strength \[Pa\]; absent: it never tears.
     pub strength: Option<f64>,
 }
 
 impl Default for LinearFemBody {
-    /// Liver, in round numbers; for what has been measured of each organ see [`trocar_scene::tissue`].
+    /// Liver, in round numbers; for measured values of each organ see [`trocar_scene::tissue`].
     fn default() -> Self {
         Self { young_modulus: 6e3, poisson_ratio: 0.45, contact_radius: 0.006, cut: false, strength: None }
     }
@@ -104,29 +104,29 @@ pub(super) struct Body {
     pub(super) kind: LinearFemBody,
     pub(super) mesh: TetMesh,
     pub(super) solver: Option<Box<LinearFem>>,
-    /// What it holds, and the forces on each [N].
+    /// Its constraints, and their forces [N].
     pub(super) holding: Holding,
     forces: Vec<Vector3<f64>>,
-    /// The inverse before that, as long as it is felt.
+    /// The previous inverse, while it is blended out.
     pub(super) fading: Option<Fading>,
     submitted: bool,
-    /// Of a body that heat changes, blades cut or that tears.
+    /// For a body that can burn, be cut or tear.
     pub(super) parting: Option<(Parting, Altered)>,
-    /// Share of the inverse that is computed, as the bits of an f64.
+    /// Progress of the inverse's computation, as the bits of an f64.
     progress: Arc<AtomicU64>,
     pub(super) positions: Vec<Point3<f64>>,
     pub(super) grips: Grips,
     pub(super) pins: Pins,
-    /// Places that rods pressed on in the last tick.
+    /// Points that rods pressed on in the last tick.
     pub(super) contacts: Contacts,
     pub(super) is_pinned: Vec<bool>,
     deformation: Deformation,
-    /// Whether that was more than linear elasticity can say.
+    /// Whether the strain was outside the validity of linear elasticity.
     beyond: bool,
     frozen: bool,
 }
 
-/// Answers for every body that carries [`LinearFemBody`].
+/// Steps every body that carries [`LinearFemBody`].
 pub struct LinearFemController {
     cache: Option<Cache>,
     bodies: Vec<Body>,
@@ -135,10 +135,10 @@ pub struct LinearFemController {
 }
 
 impl LinearFemController {
-    /// Reads the bodies, and goes on from where an earlier life left them. `cache` is the folder of computed inverses.
+    /// Reads the bodies, and resumes their state from the scene. `cache` is the folder of computed inverses.
     ///
     /// # Errors
-    /// Names the body, and what is wrong with it.
+    /// The name of the body, and what is wrong with it.
     pub fn new(cache: Option<PathBuf>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let (mut bodies, mut refused) = (Vec::new(), Vec::new());
         for entity in Deformable::carriers::<LinearFemBody>(context.scene) {
@@ -216,7 +216,7 @@ impl Controller for LinearFemController {
                     }
                     Err(why) => {
                         body.frozen = true;
-                        // Where the scene has it.
+                        // As in the scene.
                         body.positions = body.body.positions.to_vec();
                         body.body.freeze(&why, tick, out);
                     }
@@ -273,7 +273,7 @@ impl Body {
         })
     }
 
-    /// Everything of a tick but what is told of it.
+    /// A tick, without its reports.
     fn step(
         &mut self,
         index: usize,
@@ -300,7 +300,7 @@ impl Body {
             }
         }
         self.contacts.keep(&answers, site.rods, self.kind.contact_radius);
-        // What a last look has found is for the next tick.
+        // Results of the last evaluation are for the next tick.
         self.look_inside(site.tick);
         if !self.parting.as_ref().is_some_and(|(_, altered)| altered.is_behind()) {
             self.fading.take_if(Fading::is_over);
@@ -310,7 +310,7 @@ impl Body {
         bad.map_or(Ok(answers), |at| Err(format!("the force of contact {at} is no finite number")))
     }
 
-    /// Lets it follow what heat and blades do to its elements, and what tears.
+    /// Applies thermal damage, cuts and tears to its elements.
     fn alter(&mut self, key: u64, site: &StepContext<'_>, out: &mut Commands) -> Result<(), String> {
         let Some((parting, altered)) = &mut self.parting else { return Ok(()) };
         let fading = self.fading.as_ref();
@@ -325,7 +325,7 @@ impl Body {
         }
         let Some(solver) = &mut self.solver else { return Ok(()) };
         if !altered.is_still(&self.mesh, solver) {
-            // What is held would be entered anew with every change.
+            // Held constraints would be re-entered with every change.
             let nothing = std::iter::empty::<&Attachment>;
             let let_go = |fading: &mut Fading| fading.keep(nothing());
             self.holding.keep(solver, nothing()).map_err(|error| error.to_string())?;
@@ -339,7 +339,7 @@ impl Body {
         Ok(())
     }
 
-    /// Has the inverse computed, once, and takes it when it comes.
+    /// Submits the job for the inverse, once, and takes the result.
     fn wait(&mut self, key: u64, cache: Option<&Cache>, tick: &Tick<'_>) -> Result<(), String> {
         if self.solver.is_some() {
             return Ok(());
@@ -359,7 +359,7 @@ impl Body {
         Ok(())
     }
 
-    /// Lets go of what is not held from the last tick on.
+    /// Releases everything that is not kept from the last tick.
     fn keep<'a>(
         &mut self,
         wanted: impl Iterator<Item = &'a Attachment> + Clone,
@@ -369,11 +369,11 @@ impl Body {
         self.fading.as_mut().map_or(Ok(()), |fading| fading.keep(wanted))
     }
 
-    /// Holds what is not held yet, and solves for all of it.
+    /// Holds the new constraints, and solves for all.
     fn answer(&mut self, answers: &mut [Answer], asked: &mut usize) -> Result<(), LinearFemError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         for (index, answer) in answers.iter().enumerate().skip(*asked) {
-            // Of two jaws that have the same vertex the first one has it.
+            // If two jaws hold the same vertex, the first one has it.
             self.holding.hold(solver, index, &answer.attachment, answer.target)?;
             if let Some(fading) = &mut self.fading {
                 fading.hold(index, &answer.attachment, answer.target)?;
@@ -398,8 +398,8 @@ impl Body {
         Ok(())
     }
 
-    /// The inside, now and then; while something burns or comes apart always, for what has just been uncovered is of the inside
-    /// for the inverse, and where it may tear, for that is told by its elements.
+    /// Evaluates the interior periodically. During burning or cutting always, because uncovered surface belongs to the
+    /// interior for the inverse; and for tearing, which depends on element stress.
     fn look_inside(&mut self, tick: &Tick<'_>) {
         let Some(solver) = &mut self.solver else { return };
         let look = tick.number.is_multiple_of(INSIDE_EVERY);
@@ -421,8 +421,8 @@ impl Body {
         }
     }
 
-    /// A force as everybody sees it: `a` is the instrument, `b` the body. Its depth is how far the surface is from rest
-    /// there, so that force over depth is what the organ is as stiff as.
+    /// A reaction force as a row of the collision list: `a` is the instrument, `b` the body. Its depth is the surface's
+    /// displacement from rest, so that force over depth is the organ's stiffness.
     fn told(
         &self,
         answer: &Answer,
@@ -484,7 +484,7 @@ impl Body {
         }
     }
 
-    /// Whether it has just left what linear elasticity can say.
+    /// Whether it has just left the validity of linear elasticity.
     fn goes_beyond(&mut self, tick: &Tick<'_>) -> bool {
         let beyond = !self.deformation.is_small();
         let new = beyond && !self.beyond && tick.number > 0;
@@ -504,7 +504,7 @@ impl Body {
         let moved = self.positions.iter().zip(self.body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         values.insert(format!("{name}.displacement_max_m"), moved.fold(0.0, f64::max));
         values.insert(format!("{name}.rotation_max_rad"), self.deformation.rotation);
-        // Of an element that is inside out it is infinite.
+        // Infinite for an inverted element.
         values.insert(format!("{name}.strain_max"), self.deformation.strain.min(1e3));
         values.insert(format!("{name}.beyond_linear"), flag(self.beyond));
         let held: usize = self.grips.picks.picks.iter().map(|pick| pick.vertices.len()).sum();

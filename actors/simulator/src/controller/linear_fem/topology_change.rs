@@ -1,6 +1,7 @@
-//! A linear organ that burns, is cut or tears: elements leave its inverse, and nodes come apart in it, by a correction of low rank,
-//! at once and exactly, while a job computes the inverse of what it has become. What shrinks does so at once, too; that it is stiffer comes with the job, and is blended
-//! in ([`Fading`]).
+//! Topology changes of a linear organ (burns, cuts, tears): elements are removed from its inverse, and nodes separated,
+//! by an exact low-rank correction, at once, while a background job computes the inverse of the changed body. Shrinkage
+//! applies at once, too; the stiffness of coagulated elements comes with the new inverse, and is blended in
+//! ([`Fading`]).
 
 use std::collections::BTreeSet;
 
@@ -16,45 +17,46 @@ use crate::controller::cutting::volume::{Elements, Split};
 use crate::controller::thermal_damage::{Coagulated, Heated};
 use crate::linear_fem::{LinearFem, LinearFemError};
 
-/// Numbers of its factor that an inverse reads in one tick at most to follow: some 40 ms; at least one element or node goes.
+/// Maximum number of factor entries read per tick for corrections: some 40 ms; at least one element or node is
+/// processed.
 const READ_MAX: f64 = 3e8;
-/// Elements that are taken out of an inverse in one tick at most; the others have to wait for the next. Six columns each, solved
-/// for forwards and backwards.
+/// Maximum number of elements removed from an inverse per tick; the others wait. Each costs forward and backward solves
+/// with six columns.
 const TAKEN_MAX: usize = 8;
-/// Nodes that come apart in one in a tick at most, of three columns.
+/// Maximum number of nodes separated in an inverse per tick, three columns each.
 const RELEASED_MAX: usize = 16;
 
-/// How many steps that read the factor so often fit into a tick, of those that there may be.
+/// How many corrections, each reading the factor this often, fit into a tick, up to `most`.
 fn fitting(solver: &LinearFem, reads: f64, most: usize) -> usize {
     let fit = READ_MAX / (reads * solver.factor_entries().max(1) as f64);
     (fit as usize).clamp(1, most)
 }
 
-/// What has become of the elements, and how far the inverse follows.
+/// Changes of the elements, and the state of the inverse's corrections.
 pub(crate) struct Altered {
-    /// Of all elements, as the scene has them.
+    /// Of all elements, from the scene.
     alterations: Vec<Alteration>,
-    /// Which node each was that the first mesh did not have.
+    /// Which node each added node duplicates.
     parents: Vec<u32>,
-    /// Gone, and not out of the inverse yet.
+    /// Removed elements that are still in the inverse.
     pending: Vec<u32>,
-    /// Went since the job began.
+    /// Elements removed since the job began.
     since: Vec<u32>,
     /// Whether anything has changed since the last job began.
     stale: bool,
-    /// Whether anything has shrunk since the inverse that serves was told.
+    /// Whether shrinkage has changed since it was last applied to the active inverse.
     shrinks: bool,
     submitted: bool,
-    /// Whether more nodes can come apart in the inverse that serves than did in this tick.
+    /// Whether the active inverse can separate more nodes than it did in this tick.
     releasing: bool,
-    /// Whether the inverse that serves will have caught up with what went in a tick or a few.
+    /// Whether the active inverse will have caught up with the removals within a few ticks.
     behind: bool,
-    /// The new inverse, which has to wait until the last one is blended in.
+    /// A new inverse that waits until the last one is blended in.
     next: Option<Box<LinearFem>>,
 }
 
 impl Altered {
-    /// Of a body to whose elements that has happened, and of which so many nodes were born; its first inverse has all of it.
+    /// For a body with this thermal damage and these added nodes; its first inverse includes all of them.
     pub fn new(elements: usize, heated: &Heated, births: &[Birth]) -> Self {
         let mut this = Self {
             alterations: vec![Alteration::NONE; elements],
@@ -75,7 +77,7 @@ impl Altered {
         this
     }
 
-    /// What the body is now, if it is not as at first.
+    /// The changes of the body, if there are any.
     pub fn became(&self) -> Option<MeshChange> {
         let altered = self.alterations.iter().any(|of| *of != Alteration::NONE) || !self.parents.is_empty();
         altered.then(|| self.now())
@@ -107,8 +109,9 @@ impl Altered {
         }
     }
 
-    /// Lets the inverse follow: takes a new one when it has come, which lets the other fade; corrects the one that serves. What
-    /// cannot be corrected for waits for the next one. Answers what that is to be computed from, where it is time to begin.
+    /// Updates the inverse: installs a new one when it is ready and starts the blend; corrects the active one. Changes
+    /// that cannot be corrected wait for the next inverse. Returns the input of the next job, when it is time to begin
+    /// one.
     ///
     /// # Errors
     /// Why there is no new inverse.
@@ -123,7 +126,7 @@ impl Altered {
         if self.submitted && self.next.is_none() {
             self.next = built(tick, key)?.map(Box::new);
         }
-        // One of which nothing is felt yet makes room for a later one, which has less to catch up with.
+        // An inverse that has no weight yet is replaced by a later one, which has less to catch up with.
         if fading.as_ref().is_none_or(Fading::is_unfelt)
             && let Some(new) = self.next.take()
         {
@@ -141,19 +144,19 @@ impl Altered {
         Ok((self.stale && !self.submitted).then(|| self.now()))
     }
 
-    /// Whether [`Self::follow`] would change nothing of what serves, and begin nothing.
+    /// Whether [`Self::follow`] would change nothing in the active inverse, and begin no job.
     pub fn is_still(&self, mesh: &TetMesh, solver: &LinearFem) -> bool {
         let waits = self.stale || self.submitted || self.shrinks || self.next.is_some();
         let all = solver.mesh().rest().len() == mesh.rest().len();
         !waits && self.pending.is_empty() && all && !solver.can_release()
     }
 
-    /// Whether an element is gone.
+    /// Whether an element was removed.
     pub fn is_gone(&self, tet: u32) -> bool {
         self.alterations.get(tet as usize) == Some(&Alteration::GONE)
     }
 
-    /// Lets nodes come apart that have in the mesh.
+    /// Separates the nodes that are separate in the mesh.
     fn come_apart(
         &mut self,
         mesh: &TetMesh,
@@ -170,7 +173,7 @@ impl Altered {
         Ok(())
     }
 
-    /// A job has begun, or could not.
+    /// A job has begun, or could not be submitted.
     pub fn begun(&mut self, submitted: bool) {
         self.submitted = submitted;
         if submitted {
@@ -183,7 +186,7 @@ impl Altered {
         let most = fitting(solver, if fading.is_some() { 24.0 } else { 12.0 }, TAKEN_MAX);
         let (mut later, mut allowed) = (Vec::new(), most);
         let mut next = std::mem::take(&mut self.pending);
-        // The first inverse may have been computed after they went.
+        // The first inverse may have been computed after their removal.
         next.retain(|&tet| !solver.is_out(tet));
         fading.as_mut().map_or(Ok(()), |fading| fading.remove(&next, most))?;
         while !next.is_empty() {
@@ -210,28 +213,28 @@ impl Altered {
         Ok(())
     }
 
-    /// Elements that went and are still felt, until the next inverse.
+    /// Removed elements that still contribute to forces, until the next inverse.
     pub fn waiting(&self, fading: Option<&Fading>) -> usize {
         self.pending.iter().filter(|tet| !fading.is_some_and(|fading| fading.hides(**tet))).count()
     }
 
-    /// Nodes that have come apart and are still felt as one, until the next inverse or for some ticks.
+    /// Separated nodes that still act as one, until the next inverse or for some ticks.
     pub fn nodes_waiting(&self, solver: &LinearFem, fading: Option<&Fading>) -> usize {
         fading.and_then(Fading::waiting).unwrap_or_else(|| solver.waiting())
     }
 
-    /// Whether a new inverse still has to catch up with what went while it was computed.
+    /// Whether a new inverse still has to catch up with the removals during its computation.
     pub fn is_behind(&self) -> bool {
         self.behind
     }
 }
 
-/// The elements of an organ with where its nodes are.
+/// The elements of an organ, with its node positions.
 pub(crate) struct AlteredAt<'a> {
     pub altered: &'a mut Altered,
     pub positions: &'a mut Vec<Point3<f64>>,
     pub mesh: &'a mut TetMesh,
-    /// Whether its inverse has followed all that has become of it.
+    /// Whether its inverse includes all changes.
     pub has_followed: bool,
 }
 
@@ -241,7 +244,7 @@ impl Elements for AlteredAt<'_> {
     }
 
     fn velocities(&self) -> &[Vector3<f64>] {
-        // Blades halve none of its elements.
+        // Cuts split none of its elements.
         &[]
     }
 
@@ -268,7 +271,7 @@ impl Elements for AlteredAt<'_> {
         *self.mesh = self.mesh.parted(first, &parents, body.tets.to_vec());
         self.altered.parents.extend(parents);
         self.altered.stale = true;
-        // Where what has shrunk pulls depends on which nodes its elements have.
+        // Shrinkage forces depend on the elements' nodes.
         self.altered.shrinks |= self.altered.alterations.iter().any(|of| of.length != 1.0);
         Ok(())
     }

@@ -1,24 +1,25 @@
-//! What an inverse holds from tick to tick.
+//! Constraint rows that an inverse keeps from tick to tick.
 //!
-//! Of a tick's list everything up to the first difference to the last one stays held, with its part of the factor of W, as long
-//! as it is held in both directions: pins of the inside, whose rows take sparse solves, and what jaws hold. The rest is let go
-//! and comes anew by updates of rank one. What only pushes is never kept: in which order rods came to act would be in the
-//! factor, and in its rounding, so that another life would not find the same numbers. As it is, it finds the same to the bit.
+//! Constraints up to the first difference from the last tick's list are kept, with their part of the factor of W, if
+//! they are bilateral: pinned interior points, whose rows need sparse solves, and vertices held by jaws. The others are
+//! released and added anew by rank-one updates. Contacts (unilateral) are never kept: their order of activation would
+//! be in the factor, and in its rounding, so that a restart would give other numbers. As it is, a restart is
+//! bit-identical.
 
 use nalgebra::Vector3;
 
 use crate::linear_fem::{Attachment, Handle, Hold, LinearFem, LinearFemError};
 
-/// What is held, in the order of a list.
+/// The held constraints, in list order.
 #[derive(Default)]
 pub(crate) struct Holding {
     held: Vec<(Attachment, Vec<Handle>)>,
-    /// How many of them have been kept from an earlier tick.
+    /// How many of them were kept from an earlier tick.
     kept: usize,
 }
 
 impl Holding {
-    /// Keeps as much as is the same in a new list, and lets go of the rest.
+    /// Keeps the common prefix with a new list, and releases the rest.
     pub fn keep<'a>(
         &mut self,
         solver: &mut LinearFem,
@@ -28,14 +29,14 @@ impl Holding {
             known == *wanted && !matches!(known.hold, Hold::AtLeast(_))
         };
         self.kept = self.held.iter().zip(wanted).take_while(is_same).count();
-        // The last first: nothing of what stays is touched.
+        // Last first: the kept rows are not touched.
         for (_, handles) in self.held.drain(self.kept..).rev() {
             handles.into_iter().rev().try_for_each(|handle| solver.release(handle))?;
         }
         Ok(())
     }
 
-    /// Holds the next of the list at a target \[m\], if that is not held already.
+    /// Holds the next entry of the list at a target \[m\], unless it is held already.
     pub fn hold(
         &mut self,
         solver: &mut LinearFem,
@@ -51,7 +52,7 @@ impl Holding {
         Ok(())
     }
 
-    /// Moves what is held.
+    /// Moves a held constraint.
     pub fn set_target(
         &self,
         solver: &mut LinearFem,
@@ -62,7 +63,7 @@ impl Holding {
         handles.iter().try_for_each(|&handle| solver.set_target(handle, target))
     }
 
-    /// Solves, and answers the force on each of the list \[N\]; none of what others hold already.
+    /// Solves, and returns the force of each entry of the list \[N\]; none for what other constraints hold already.
     pub fn forces(
         &self,
         solver: &mut LinearFem,
@@ -76,12 +77,12 @@ impl Holding {
         Ok(())
     }
 
-    /// Whether anything is held of one of the list.
+    /// Whether an entry of the list is held.
     pub fn holds(&self, place: usize) -> bool {
         self.held.get(place).is_some_and(|(_, handles)| !handles.is_empty())
     }
 
-    /// How many have been kept since the last tick.
+    /// How many were kept since the last tick.
     pub fn kept(&self) -> usize {
         self.kept
     }

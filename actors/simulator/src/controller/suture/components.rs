@@ -1,4 +1,4 @@
-//! What a scene says of a needle with its thread, and of tissue that is sewn; and what they need to go on.
+//! Components of suturing: needle with thread, sewn tissue, and their state for a restart.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, Unit, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
@@ -16,8 +16,8 @@ use crate::suture::{Resistance, SutureState};
 use crate::suture_thread::ThreadMaterial;
 use crate::suture_thread::bishop_frame::perpendicular;
 
-/// Tissue that a needle goes through: it needs a mesh of tetrahedra, and `anchors` where it is held. See [`Resistance`] for
-/// what the numbers are of.
+/// Tissue that a needle penetrates. It needs a tetrahedral mesh, and `anchors` where it is fixed. See [`Resistance`]
+/// for the meaning of the forces.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SewnTissue {
@@ -25,19 +25,19 @@ pub struct SewnTissue {
     pub young_modulus: f64,
     /// Poisson's ratio, 0 to 0.45.
     pub poisson_ratio: f64,
-    /// At which the surface gives to the tip from outside \[N\].
+    /// Puncture force of the surface from outside \[N\].
     pub puncture_force: f64,
-    /// And from inside \[N\].
+    /// Puncture force from inside \[N\].
     pub exit_force: f64,
-    /// Of the tip on its way \[N\].
+    /// Cutting force at the tip inside the tissue \[N\].
     pub cutting_force: f64,
-    /// Friction along the needle per length \[N/m\].
+    /// Friction along the needle per length, without normal load \[N/m\].
     pub needle_grip: f64,
-    /// And along the thread \[N/m\].
+    /// Friction along the thread per length, without normal load \[N/m\].
     pub thread_grip: f64,
-    /// Coulomb's coefficient of the needle.
+    /// Coulomb friction coefficient of the needle.
     pub needle_friction: f64,
-    /// And of the thread.
+    /// Coulomb friction coefficient of the thread.
     pub thread_friction: f64,
 }
 
@@ -60,7 +60,7 @@ impl Default for SewnTissue {
 }
 
 impl SewnTissue {
-    /// As the solver wants it.
+    /// In the form that the solver takes.
     #[must_use]
     pub fn resistance(&self) -> Resistance {
         Resistance {
@@ -101,59 +101,59 @@ impl Component for SewnTissue {
     }
 }
 
-/// Radius of the bend in which the thread leaves the tail \[m\].
+/// Radius of the bend in which the thread leaves the needle's tail \[m\].
 const BEND: f64 = 4e-3;
 
-/// A needle with a thread swaged to it. It needs a mesh of a line, which then follows needle and thread; places are in the
-/// frame of the entity, which stays where it is.
+/// A needle with a swaged thread. It needs a line mesh, which then follows needle and thread; positions are in the
+/// frame of the entity, which does not move.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct SutureNeedle {
-    /// Of the arc \[m\].
+    /// Arc length \[m\].
     pub length: f64,
-    /// That it spans \[rad\].
+    /// Angle of the arc \[rad\].
     pub angle: f64,
-    /// Of the wire \[m\].
+    /// Wire radius \[m\].
     pub wire_radius: f64,
-    /// From the tip, over which the wire grows to its radius \[m\].
+    /// Length from the tip over which the wire tapers \[m\].
     pub taper: f64,
-    /// Where the tip is at the beginning \[m\].
+    /// Initial position of the tip \[m\].
     pub tip: [f64; 3],
-    /// Where it points.
+    /// Initial direction of the tip.
     pub ahead: [f64; 3],
-    /// Across the plane of the arc: turned about this by the right hand, the needle goes ahead.
+    /// Normal of the arc's plane: right-handed rotation about it moves the needle forward.
     pub side: [f64; 3],
-    /// Which thread.
+    /// The thread.
     pub suture: Suture,
-    /// Coulomb's coefficient of it on itself, where it is known otherwise.
+    /// Coulomb friction coefficient of the thread on itself; absent: the suture's.
     pub friction: Option<Parameter>,
-    /// Its `EI` \[N·m²\], where it is known otherwise.
+    /// Bending stiffness `EI` \[N·m²\]; absent: the suture's.
     pub bending_stiffness: Option<Parameter>,
-    /// Its `GJ` \[N·m²\], where it is known otherwise.
+    /// Torsional stiffness `GJ` \[N·m²\]; absent: the suture's.
     pub twisting_stiffness: Option<Parameter>,
-    /// How much of it \[m\]; it lies straight behind the tail at the beginning, or as far as `thread_to` says.
+    /// Length of the thread \[m\]; initially straight behind the tail, or towards `thread_to`.
     pub thread_length: f64,
-    /// Where it leads to at the beginning, once it has left the tail in a bend.
+    /// Where the thread leads initially, after the bend at the tail.
     pub thread_to: Option<[f64; 3]>,
-    /// Tension at which its thread breaks \[N\], if it can.
+    /// Breaking force of the thread \[N\]; absent: it never breaks.
     pub breaks_at: Option<Parameter>,
-    /// Coulomb's coefficient of the thread on instruments.
+    /// Coulomb friction coefficient of the thread on instruments.
     pub tool_friction: f64,
-    /// Of the thread's edges \[m\]; where strands come near to each other or it bends sharply they become shorter.
+    /// Length of the thread's edges \[m\]; shorter where strands are close to each other or the thread bends sharply.
     pub thread_edge: f64,
-    /// Of those, in diameters of the thread.
+    /// Length of those shorter edges, in thread diameters.
     pub knot_edge: f64,
-    /// That jaws can hold the needle with, along each axis \[N\].
+    /// Maximum force of jaws on the needle along each axis \[N\].
     pub jaw_force: f64,
-    /// And about each axis \[N·m\].
+    /// Maximum torque of jaws on the needle about each axis \[N·m\].
     pub jaw_torque: f64,
-    /// Where the tip is to come out \[m\]; for the measure of how far off it did.
+    /// Planned exit point of the tip \[m\]; for the measure of the deviation.
     pub planned_exit: Option<[f64; 3]>,
 }
 
 impl Default for SutureNeedle {
-    /// A half circle of 26 mm with 6 cm of 2-0 silk, over the origin and pointing down. A needle driver holds some 10 N and
-    /// 50 mN·m: chosen.
+    /// A half circle of 26 mm with 6 cm of 2-0 silk, above the origin and pointing down. A needle driver holds some 10
+    /// N and 50 mN·m: assumed.
     fn default() -> Self {
         let shape = NeedleShape::half_circle_26();
         Self {
@@ -182,7 +182,7 @@ impl Default for SutureNeedle {
 }
 
 impl SutureNeedle {
-    /// Its shape, of steel.
+    /// Its shape, made of steel.
     #[must_use]
     pub fn shape(&self) -> NeedleShape {
         NeedleShape {
@@ -194,7 +194,7 @@ impl SutureNeedle {
         }
     }
 
-    /// Its thread as one without a needle.
+    /// Its thread, as a component without needle.
     fn thread(&self) -> ThreadBody {
         ThreadBody {
             suture: self.suture,
@@ -207,16 +207,16 @@ impl SutureNeedle {
         }
     }
 
-    /// Of what its thread is made.
+    /// Material of its thread.
     #[must_use]
     pub fn material(&self) -> ThreadMaterial {
         self.thread().material()
     }
 
-    /// Nodes of its thread at the beginning, behind a tail that points `back`, in the world \[m\].
+    /// Initial nodes of its thread, behind a tail that points `back`, in the world \[m\].
     ///
     /// # Errors
-    /// A direction that is none.
+    /// An invalid direction.
     pub fn thread_nodes(
         &self,
         tail: Point3<f64>,
@@ -229,13 +229,13 @@ impl SutureNeedle {
             .thread_to
             .map_or(Some(back), |to| (world_from_entity.rotation * Vector3::from(to)).try_normalize(1e-9));
         let to = to.ok_or("thread_to is no direction")?;
-        // About which it bends, and how far.
+        // Axis and angle of the bend.
         let axis = Unit::try_new(back.cross(&to), 1e-9)
             .unwrap_or_else(|| Unit::new_normalize(perpendicular(&Vector3::z(), &back)));
         let angle = back.angle(&to);
         let (mut nodes, mut at) = (vec![tail], tail);
         for step in 0..edges as usize {
-            // The first edge goes straight on, in the line of the tail.
+            // The first edge is straight, along the tail.
             let turned = (step as f64 * edge / BEND).min(angle);
             at += UnitQuaternion::from_axis_angle(&axis, turned) * back * edge;
             nodes.push(at);
@@ -243,10 +243,10 @@ impl SutureNeedle {
         Ok(nodes)
     }
 
-    /// Its pose at the beginning, in the frame of the entity.
+    /// Initial pose, in the frame of the entity.
     ///
     /// # Errors
-    /// A shape that no needle has, directions that are none.
+    /// An invalid needle shape or direction.
     pub fn pose(&self) -> Result<Isometry3<f64>, String> {
         let solid = self.shape().solid().map_err(|error| error.to_string())?;
         let unit = |direction: [f64; 3], what: &str| {
@@ -284,39 +284,39 @@ impl Component for SutureNeedle {
     }
 }
 
-/// How an instrument holds the needle.
+/// An instrument's grasp of the needle.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HeldNeedle {
-    /// Which instrument.
+    /// The instrument.
     pub instrument: Entity,
-    /// Its pose at the last tick, in the world.
+    /// Its pose in the last tick, in the world.
     pub at: Isometry3<f64>,
-    /// Where it holds it: arc length from the tail \[m\].
+    /// Grasp point: arc length from the tail \[m\].
     pub along: f64,
-    /// As the jaws have it.
+    /// The needle's pose in the jaws.
     pub instrument_from_needle: Isometry3<f64>,
 }
 
-/// Where the last tick ended.
+/// State after the last tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SutureMemory {
-    /// Of needle, thread and channels, in the world; none before the first tick.
+    /// Needle, thread and channels, in the world; `None` before the first tick.
     pub state: Option<SutureState>,
-    /// What instruments hold of the needle.
+    /// Grasps of the needle.
     pub held: Vec<HeldNeedle>,
-    /// And of its thread.
+    /// Grasps of the thread.
     pub grips: Vec<Grip>,
-    /// Instruments that were closed.
+    /// Instruments with closed jaws.
     pub closed: Vec<Entity>,
-    /// Where the blades of all scissors were, in the world.
+    /// Previous blades of all scissors, in the world.
     pub blades: Vec<Blades>,
-    /// What the thread could touch besides the tissue, in the order that contacts count them in.
+    /// Obstacles of the thread besides the tissue, in the order of the contacts' indices.
     pub met: Vec<Met>,
-    /// How deep a contact of the thread has been at most since the beginning \[m\].
+    /// Maximum penetration depth of the thread so far \[m\].
     pub penetration_max: f64,
-    /// The shortest that the thread's loop has been since it became the knot that it is, and since anybody has taken hold of
-    /// the thread or let it go \[m\]; none as long as there is no loop.
+    /// Shortest length of the thread's loop since the current knot was formed, and since the last grasp or release of
+    /// the thread \[m\]; `None` while there is no loop.
     pub loop_min: Option<f64>,
 }
 

@@ -1,9 +1,9 @@
-//! The controller of sewing: what instruments hold of a needle or its thread leads them, the island of needle, thread and
-//! tissue is stepped, and where they are goes back.
+//! The controller of suturing: grasps drive needle and thread, the island of needle, thread and tissue is stepped, and
+//! the results are written back.
 //!
-//! Jaws take what lies between them when they close: the needle rather than the thread. What they hold is coupled to the
-//! instrument by its compliance, and slips beyond what the jaws can hold; instruments are told the force. The thread touches
-//! itself, the tissue, instruments and rigid bodies. What cannot go on stands still as a whole, as its parts are one island.
+//! Closing jaws take what lies between them, the needle in preference to the thread. A held part is coupled to the
+//! instrument by its compliance, and slips beyond the jaws' maximum force; the force is reported to the instrument. The
+//! thread collides with itself, the tissue, instruments and rigid bodies. A failure freezes the whole island.
 
 pub mod components;
 pub(crate) mod session;
@@ -21,14 +21,14 @@ use super::suture_thread::knot::KnotState;
 use components::{SewnTissue, SutureMemory, SutureNeedle};
 use session::Sewing;
 
-/// What is sewn, or why it cannot be.
+/// The sewing session, or why it cannot be built.
 enum Sewn {
     Going(Box<Sewing>),
     /// Needle and tissue.
     Refused([Refused; 2]),
 }
 
-/// Sews with the needle that carries [`SutureNeedle`], in the tissue that carries [`SewnTissue`].
+/// Steps the needle with [`SutureNeedle`], and the tissue with [`SewnTissue`].
 pub struct SutureController {
     needle: Entity,
     tissue: Entity,
@@ -36,10 +36,10 @@ pub struct SutureController {
 }
 
 impl SutureController {
-    /// Reads needle and tissue, and goes on from where an earlier life left them.
+    /// Reads needle and tissue, and resumes their state from the scene.
     ///
     /// # Errors
-    /// There is not one of each; in a first life, what is wrong with them.
+    /// There is not exactly one of each; at the first start, also what is wrong with them.
     pub fn new(gravity_in_world: Vector3<f64>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let scene = context.scene;
         let (needles, tissues) =

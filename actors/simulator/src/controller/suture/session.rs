@@ -1,4 +1,4 @@
-//! Needle, thread and tissue of a scene: who holds them, their island's step, and what becomes of it.
+//! A sewing session: needle, thread and tissue of a scene, their grasps, and the steps of their island.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_dynamics::elasticity::Elastic;
@@ -26,19 +26,19 @@ use crate::suture::needle::NeedleState;
 use crate::suture::{Grip, StepInputs, Suture, SutureReport, SutureState, Tissue};
 use crate::suture_thread::{Obstacle, Reaction, ThreadState};
 
-/// Longest step of the island \[s\].
+/// Maximum step of the island \[s\].
 const STEP: f64 = 1e-3;
-/// Jaws that open by more than this beyond closed let go \[rad\].
+/// Jaws that open by more than this beyond closed release \[rad\].
 const OPENING: f64 = 0.05;
-/// In one of so many ticks it is looked whether the tissue goes beyond what linear elasticity can say.
+/// Ticks between two checks of the tissue against the validity of linear elasticity.
 const DOUBT_EVERY: u64 = 20;
-/// Pieces of the needle's line.
+/// Number of segments of the needle's line.
 const PIECES: usize = 24;
-/// Of a held needle against its instrument \[N/m\], \[N·m/rad\]: steel jaws.
+/// Stiffness of the grasp of a needle \[N/m\], \[N·m/rad\]: steel jaws.
 const STIFFNESS: f64 = 2e4;
 const TURNING_STIFFNESS: f64 = 5.0;
 
-/// A needle with its thread, the tissue that is sewn with it, and who holds them.
+/// A needle with its thread, the sewn tissue, and their grasps.
 pub(crate) struct Sewing {
     gravity: Vector3<f64>,
     needle: Deformable,
@@ -54,7 +54,7 @@ pub(crate) struct Sewing {
     grips: Vec<Grip>,
     parts: Parts,
     leading: Leading,
-    /// On each part, the mean over the last tick.
+    /// Mean reaction on each part over the last tick.
     reactions: Vec<Reaction>,
     pulls: Vec<(Entity, Pull)>,
     forces: Vec<(Entity, Point3<f64>, Vector3<f64>)>,
@@ -63,7 +63,7 @@ pub(crate) struct Sewing {
 }
 
 impl Sewing {
-    /// Reads needle and tissue, and goes on from where an earlier life left them.
+    /// Reads needle and tissue, and resumes their state from the scene.
     ///
     /// # Errors
     /// What is wrong with them.
@@ -120,7 +120,7 @@ impl Sewing {
         })
     }
 
-    /// Takes and lets go.
+    /// Updates the grasps.
     fn update(&mut self, scene: &Snapshot, period: f64) {
         let angle = |entity| scene.get::<JawState>(entity).map(|jaws| jaws.angle);
         let stays = |held: &HeldNeedle| angle(held.instrument).is_some_and(|angle| angle <= CLOSED + OPENING);
@@ -151,13 +151,13 @@ impl Sewing {
             }
             self.leading.spare(&self.memory.grips, &self.parts, thread);
             for held in &self.memory.held {
-                // The thread behind the tail lies in jaws that hold the needle there.
+                // The thread behind the tail lies within jaws that hold the needle there.
                 self.leading.spare_beginning(held.instrument, SPARED - held.along, &self.parts, thread);
             }
         }
     }
 
-    /// Where the needle lies between the jaws of an instrument that is at `world_from_instrument`: arc length from its tail.
+    /// Where the needle lies between the jaws of an instrument at `world_from_instrument`: arc length from its tail.
     fn between(&self, instrument: &Instrument, world_from_instrument: &Isometry3<f64>) -> Option<f64> {
         let reach = instrument.jaw_thickness.max(1e-3) + self.kind.wire_radius;
         let inside = |point: &Point3<f64>| {
@@ -175,7 +175,7 @@ impl Sewing {
         places.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(along, _)| along)
     }
 
-    /// Makes edges of the thread as short as they have to be where it is tied, and no shorter elsewhere.
+    /// Refines the thread's edges where it is tied, and coarsens them elsewhere.
     fn adapt(&mut self, world_from_needle: &Isometry3<f64>) -> Result<(), String> {
         let fineness =
             fineness([self.kind.knot_edge, self.kind.thread_edge], 2.0 * self.suture.thread_radius());
@@ -188,7 +188,7 @@ impl Sewing {
         Ok(())
     }
 
-    /// Parts the thread where blades have closed on it, or where it breaks.
+    /// Cuts the thread where blades have closed on it, or where it breaks.
     fn cut(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) -> Result<(), String> {
         let Some(thread) = &self.suture.state().thread else { return Ok(()) };
         let breaks_at = self.kind.breaks_at.as_ref().map(|known| known.value);
@@ -207,13 +207,13 @@ impl Sewing {
         Ok(())
     }
 
-    /// Its line has other nodes from now on.
+    /// Rebuilds its line with the current nodes.
     fn lie(&mut self, world_from_needle: &Isometry3<f64>) {
         lie(&self.suture, world_from_needle, &mut self.needle);
         self.has_line = false;
     }
 
-    /// One tick; what instruments are told is left in `forces`, `reactions` and `pulls`.
+    /// One tick; the loads on instruments are left in `forces`, `reactions` and `pulls`.
     fn step(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) -> Result<(), String> {
         let period = tick.period.as_secs_f64();
         self.parts.read(scene, &Isometry3::identity(), self.kind.tool_friction, &self.memory.met);
@@ -268,7 +268,7 @@ impl Sewing {
                 sum.force += reaction.force / count;
                 sum.torque += reaction.torque / count;
             }
-            // What slipped is held otherwise from now on.
+            // A grasp that slipped continues from the new pose.
             for (held, gripped) in self.memory.held.iter_mut().zip(self.suture.gripped()) {
                 if let Some(wanted) = gripped.slipped {
                     let now = scene.world_pose(held.instrument);
@@ -308,7 +308,7 @@ impl Sewing {
         Ok(())
     }
 
-    /// What instruments feel: the force on what they hold, and how far they are from it.
+    /// Reaction forces on instruments: the force on the held part, and its distance from the instrument.
     fn tell(&self, tick: &Tick<'_>) -> CollisionList {
         let mut collisions = Vec::new();
         let needle = self.needle.entity;
@@ -348,7 +348,7 @@ impl Sewing {
         if !self.deformation.is_small() && scene.get::<OutOfValidity>(body).is_none() {
             out.put(body, OutOfValidity { reason: self.deformation.doubt(), since: tick.time });
         }
-        // Quasi-static: it has no velocities.
+        // Quasi-static: zero velocities.
         let still = vec![Vector3::zeros(); positions.len()];
         self.tissue.write(&positions, &still, out);
         out.put(line, self.memory.clone());
@@ -358,13 +358,13 @@ impl Sewing {
         }
     }
 
-    /// What is measured of it.
+    /// Its measures.
     pub fn measure(&self, world_from_needle: &Isometry3<f64>, measured: &mut Measured) {
         let state = self.suture.state();
         let tissue = self.suture.tissue();
         let name = &self.needle.name;
         let mut put = |what: &str, value: f64| {
-            // Of what stands still because it is nowhere, some measures are no numbers.
+            // If the state is frozen and invalid, some measures are not finite.
             if value.is_finite() {
                 measured.values.insert(format!("{name}.{what}"), value);
             }
@@ -393,7 +393,7 @@ impl Sewing {
         put("surface_force_n", state.presses.iter().map(|press| press.force.norm()).sum());
         put("penetration_m", self.memory.penetration_max);
         put("iterations", self.report.iterations as f64);
-        // How much of the thread is past the place in the tissue that it reached first.
+        // Length of the thread beyond its first point of contact with the tissue.
         put("thread_through_m", state.thread_through());
         put("pieces", state.thread.as_ref().map_or(0.0, |thread| thread.threads().count() as f64));
         if let Some(plan) = self.kind.planned_exit {
@@ -402,13 +402,13 @@ impl Sewing {
             put("exit_off_plan_m", off.fold(f64::INFINITY, f64::min).min(1.0));
         }
         put("tissue_rotation_max_rad", self.deformation.rotation);
-        // Of an element that is inside out it is infinite.
+        // Infinite for an inverted element.
         put("tissue_strain_max", self.deformation.strain.min(1e3));
         put("frozen", f64::from(u8::from(self.frozen)));
         self.knot.state().measure(name, &mut measured.values);
     }
 
-    /// Goes on by a tick, or stands still from now on; what instruments feel.
+    /// Advances by a tick, or freezes; returns the reaction forces on instruments.
     pub fn tick(&mut self, scene: &Snapshot, tick: &Tick<'_>, out: &mut Commands) -> CollisionList {
         if !self.frozen {
             match self.step(scene, tick, out) {
@@ -427,7 +427,7 @@ impl Sewing {
     }
 }
 
-/// Needle and thread as a scene begins with them, in the world.
+/// Initial needle and thread, in the world.
 fn begin(kind: &SutureNeedle, world_from_entity: &Isometry3<f64>) -> Result<SutureState, String> {
     let solid = kind.shape().solid().map_err(|error| error.to_string())?;
     let pose = world_from_entity * kind.pose()?;
@@ -436,7 +436,7 @@ fn begin(kind: &SutureNeedle, world_from_entity: &Isometry3<f64>) -> Result<Sutu
     Ok(SutureState::new(NeedleState::at_rest(&pose), Some(ThreadState::at_rest(&nodes))))
 }
 
-/// Makes a line lie as needle and thread do; where the thread has been cut, nothing joins its pieces.
+/// Updates a line to the needle and thread; where the thread was cut, no segment joins the pieces.
 fn lie(suture: &Suture, world_from_entity: &Isometry3<f64>, line: &mut Deformable) {
     let mut nodes = Vec::new();
     line_of(suture, world_from_entity, &mut nodes);
