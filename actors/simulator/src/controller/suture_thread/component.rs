@@ -1,4 +1,4 @@
-//! A suture thread as a scene describes it: which one it is, what of it is known otherwise, how it lies at the beginning.
+//! Component of a suture thread: its suture, overridden parameters, its initial shape.
 
 use nalgebra::Point3;
 use schemars::JsonSchema;
@@ -9,10 +9,10 @@ use trocar_scene::{Component, ComponentError};
 use crate::suture_thread::initial_shape::{Throws, resampled, throws};
 use crate::suture_thread::{NODES_MAX, ThreadMaterial};
 
-/// Throws of a thread that is laid tied, and places that one goes through, at most.
+/// Maximum number of throws of a thread laid with knots, and of points that it goes through.
 const THROWS_MAX: usize = 8;
 const PLACES_MAX: usize = 1000;
-/// Threads that one can touch at most.
+/// Maximum number of threads that one can touch.
 const THREADS_MAX: usize = 8;
 
 /// Sutures by name.
@@ -27,7 +27,7 @@ pub enum Suture {
 }
 
 impl Suture {
-    /// What is known of it, and from where.
+    /// Its properties, with their sources.
     #[must_use]
     pub fn parameters(self) -> [(&'static str, Parameter); 6] {
         let (radius, thickness) = match self {
@@ -35,7 +35,7 @@ impl Suture {
             Self::Silk2 => (2.5e-4, "USP <861>: 2 is 0.500 to 0.599 mm thick"),
         };
         let base = ThreadMaterial::silk_2_0();
-        // The same braid, thicker: forces with the area, moments of bending with its square.
+        // The same braid, thicker: forces scale with the area, bending moments with its square.
         let scale: f64 = radius / base.radius;
         let of = |value: f64, source: &str| Parameter { value, source: source.to_owned() };
         [
@@ -78,79 +78,82 @@ impl Suture {
     }
 }
 
-/// How a thread lies at the beginning, in the entity's frame; one that is not laid lies as its mesh has it.
+/// Initial shape of a thread, in the entity's frame; without it the thread starts as its mesh.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Laid {
-    /// Through places, straight between them.
+    /// Straight lines through points.
     Through {
-        /// The places \[m\].
+        /// The points \[m\].
         places: Vec<[f64; 3]>,
     },
-    /// Tied loosely around something: see [`Throws`].
+    /// Loosely tied around something: see [`Throws`].
     Throws {
-        /// Half turns of each throw, the first one first.
+        /// Half turns of each throw, in tying order.
         half_turns: Vec<i32>,
-        /// Places that the loop goes through, from the left (−x) to the right \[m\].
+        /// Points that the loop goes through, from the left (−x) to the right \[m\].
         around: Vec<[f64; 3]>,
-        /// From one throw to the next \[m\]; unless told as near as it can be.
+        /// Distance between throws \[m\]; default: as close as possible.
         #[serde(default)]
         apart: f64,
-        /// Between the knot and where the loop begins \[m\].
+        /// Distance between the knot and the beginning of the loop \[m\].
         arm: f64,
-        /// Ends beyond the last throw \[m\].
+        /// Length of the ends beyond the last throw \[m\].
         ear: f64,
     },
 }
 
-/// A soft body that a thread lies on, or is drawn around.
+/// A soft body that a thread lies on, or is wrapped around.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LiesOn {
-    /// Its name. It is moved by `dynamic_fem`.
+    /// Its name. It must be a body of `dynamic_fem`.
     pub body: String,
-    /// Coulomb's coefficient of the thread on it.
+    /// Coulomb friction coefficient of the thread on it.
     #[serde(default = "LiesOn::friction")]
     pub friction: f64,
 }
 
 impl LiesOn {
-    /// Chosen, as between instruments and tissue.
+    /// Assumed, as between instruments and tissue.
     fn friction() -> f64 {
         0.3
     }
 }
 
-/// A suture thread: it needs a mesh of a line, and `anchors` where it is to be held.
+/// A suture thread. It needs a line mesh, and `anchors` where it is to be fixed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct ThreadBody {
-    /// Which one.
+    /// The suture.
     pub suture: Suture,
-    /// Coulomb's coefficient of it on itself, where it is known otherwise.
+    /// Coulomb friction coefficient on itself; absent: the suture's.
     pub friction: Option<Parameter>,
-    /// Its `EI` \[N·m²\], where it is known otherwise.
+    /// Bending stiffness `EI` \[N·m²\]; absent: the suture's.
     pub bending_stiffness: Option<Parameter>,
-    /// Its `GJ` \[N·m²\], where it is known otherwise.
+    /// Torsional stiffness `GJ` \[N·m²\]; absent: the suture's.
     pub twisting_stiffness: Option<Parameter>,
-    /// Tension at which it breaks \[N\], if it can: USP <881> has 2-0 silk bear 14.1 N at least, with a knot in it.
+    /// Breaking force \[N\]; absent: it never breaks. USP <881> requires 2-0 silk to bear at least 14.1 N, with a knot
+    /// in it.
     pub breaks_at: Option<Parameter>,
-    /// Coulomb's coefficient of it on instruments.
+    /// Coulomb friction coefficient on instruments.
     pub tool_friction: f64,
-    /// Longest step of the solver \[s\]: a tick is divided into such.
+    /// Maximum step of the solver \[s\]: a tick is divided into such steps.
     pub step: f64,
-    /// Length of edges where it is tied, in diameters, and elsewhere \[m\]; of a thread that is laid or adapts.
+    /// Edge length where it is tied, in diameters, and elsewhere \[m\]; for a thread that is laid or adaptive.
     pub edges: [f64; 2],
-    /// Its edges become short wherever strands come near to each other or it bends sharply, and long elsewhere.
+    /// Whether edges are refined where strands are close to each other or the thread bends sharply, and coarsened
+    /// elsewhere.
     pub adaptive: bool,
-    /// How it lies at the beginning.
+    /// Its initial shape.
     pub laid: Option<Laid>,
-    /// Names of other threads that it can touch and be tied to, each of which carries a `thread` as well: of the same material
-    /// and at the same pose. They are stepped with it in one problem, by what this one says of steps, edges and tools.
+    /// Names of other threads that it can touch and be tied to, each with a `thread` component, the same material and
+    /// the same pose. They are stepped together as one problem, with this thread's step, edges and tool friction.
     pub together_with: Vec<String>,
-    /// What soft body it lies on or is drawn around that another controller moves.
+    /// The soft body of another controller that it lies on or is wrapped around.
     pub lies_on: Option<LiesOn>,
-    /// The name of the elastic body that it is drawn or tied around, which carries `tied`. It is stepped with the thread.
+    /// The name of the elastic body that it is tied around, with a `tied` component. It is stepped together with the
+    /// thread.
     pub tied_around: Option<String>,
 }
 
@@ -235,7 +238,7 @@ impl Component for ThreadBody {
 }
 
 impl ThreadBody {
-    /// Of what it is made.
+    /// Its material.
     #[must_use]
     pub fn material(&self) -> ThreadMaterial {
         let mut material = self.suture.material();
@@ -250,7 +253,7 @@ impl ThreadBody {
         material
     }
 
-    /// Its nodes at the beginning \[m\], if it is laid.
+    /// Its initial nodes \[m\], if it is laid.
     ///
     /// # Errors
     /// It would have too few or too many nodes.

@@ -1,4 +1,4 @@
-//! What instruments and bodies are told of a thread: what it exerts on them, and what it pulls at jaws.
+//! Reaction forces of a thread on instruments and bodies: contacts, and the pull on jaws.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Collision, Detection, Entity, Primitive, SimTime};
@@ -7,30 +7,30 @@ use super::grasp::{Pull, in_world};
 use super::obstacles::{Form, Parts};
 use crate::suture_thread::Reaction;
 
-/// Forces below this are none \[N\].
+/// Smaller forces count as zero \[N\].
 const FORCE_MIN: f64 = 1e-6;
-/// How stiff the contact of an instrument's rod with a thread feels \[N/m\]: what gives way is the shaft.
+/// Apparent contact stiffness of an instrument's rod with a thread \[N/m\]: the compliance of the shaft.
 const ROD_STIFFNESS: f64 = 1000.0;
 
-/// What a thread did in a tick.
+/// Contact results of a thread's tick.
 #[derive(Clone, Copy, Debug)]
 pub struct Told<'a> {
-    /// Who it is.
+    /// The thread.
     pub thread: Entity,
     /// Its frame.
     pub world_from_thread: Isometry3<f64>,
-    /// What it can touch.
+    /// Its obstacles.
     pub parts: &'a Parts,
-    /// On each of these, the mean over the tick.
+    /// Mean reaction on each obstacle over the tick.
     pub reactions: &'a [Reaction],
-    /// What jaws pull.
+    /// Pull on jaws.
     pub pulls: &'a [(Entity, Pull)],
-    /// How far an elastic body that it is tied around gives way at most \[m\].
+    /// Maximum displacement of the elastic body that it is tied around \[m\].
     pub displacement_max: f64,
 }
 
 impl Told<'_> {
-    /// Says so.
+    /// Writes them as rows of the collision list.
     pub fn tell(&self, at: SimTime, collisions: &mut Vec<Collision>) {
         let mut add =
             |a: Entity, primitive_a: Primitive, place: Point3<f64>, force: Vector3<f64>, depth: f64| {
@@ -41,7 +41,7 @@ impl Told<'_> {
             if size < FORCE_MIN {
                 continue;
             }
-            // The point nearest to the part's origin about which the forces turn nothing across them.
+            // The point nearest to the part's origin about which the torque orthogonal to the force is zero.
             let arm = reaction.force.cross(&reaction.torque) / (size * size);
             let place = self.world_from_thread * Point3::from(part.to.translation.vector + arm);
             let primitive = match part.jaw {
@@ -58,13 +58,13 @@ impl Told<'_> {
         }
         for (instrument, pull) in self.pulls {
             let (place, force) = in_world(pull, &self.world_from_thread);
-            // How far the instrument is from what it holds: force over depth is how stiff it feels.
+            // Distance of the instrument from the held part: force over depth is the stiffness felt.
             add(*instrument, Primitive::Jaw(0), place, force, (pull.places[1] - pull.places[0]).norm());
         }
     }
 }
 
-/// Something at a place of a thread or needle, with the force on that.
+/// A contact at a point of a thread or needle (`b`), with the force on it.
 pub(crate) fn collision(
     a: Entity,
     primitive_a: Primitive,

@@ -1,4 +1,4 @@
-//! Where threads on a scene are cut by scissors that close on them, and where they break; what is held goes with what is left.
+//! Cuts of threads by closing scissors, and breaks; grasps are updated.
 
 use nalgebra::Isometry3;
 use trocar_scene::Snapshot;
@@ -8,30 +8,30 @@ use crate::controller::cutting::scissors::{Blades, swept};
 use crate::cutting::crossed;
 use crate::suture_thread::{CutAt, Parted, ThreadState};
 
-/// Cuts of one tick that are nearer to each other along the thread than this are one, in radii: both blades pass where it is
-/// cut, the one over the other.
+/// Cuts in one tick closer to each other along the thread than this are merged, in radii: the two blades pass each
+/// other at the cut.
 const SAME: f64 = 8.0;
 
-/// What parts a thread in this tick: where, and what it is called. In an order in which none changes the numbers of those that
-/// follow.
+/// Cuts or break of a thread in this tick, and the event's name. Ordered so that no cut changes the numbers of the
+/// following ones.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cutting {
-    /// The edges of highest number first.
+    /// Highest edge number first.
     pub cuts: Vec<CutAt>,
-    /// Whether the first of them is where it breaks.
+    /// Whether the first one is a break.
     pub breaks: bool,
 }
 
 impl Cutting {
-    /// What has happened, as an event is called.
+    /// Name of the event.
     #[must_use]
     pub fn event(&self) -> &'static str {
         if self.breaks { "thread_broken" } else { "thread_cut" }
     }
 }
 
-/// Where blades have swept through a thread of `radius` \[m\] since `blades` were told, which are told anew; where nothing is cut,
-/// the edge that is pulled hardest beyond `breaks_at` \[N\].
+/// Where blades have swept through a thread of `radius` \[m\] since `blades`, which is updated; if nothing is cut, the
+/// edge with the largest tension above `breaks_at` \[N\].
 pub fn parted_at(
     blades: &mut Vec<Blades>,
     scene: &Snapshot,
@@ -66,7 +66,7 @@ pub fn parted_at(
     }
 }
 
-/// What is held has other numbers now; nobody holds what is gone.
+/// Renumbers the grasps, and drops those of removed nodes.
 pub fn follow(grips: &mut Vec<Grip>, parted: &Parted) {
     let now = |list: &[Option<u32>], index: u32| list.get(index as usize).copied().flatten();
     grips.retain_mut(|grip| {

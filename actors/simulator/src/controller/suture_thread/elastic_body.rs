@@ -1,7 +1,7 @@
-//! The elastic body that a thread is tied around: from the scene into the thread's island, and back with what came of it.
+//! The elastic body that a thread is tied around: read from the scene into the thread's island, and written back.
 //!
-//! Thread and body are one problem in every step, so one controller steps both: the thread's. The body's inverse is read
-//! from a cache or computed as a job; until then both stand still.
+//! Thread and body are one problem in every step, so the thread's controller steps both. The body's inverse is read
+//! from a cache or computed by a background job; until then neither moves.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -19,24 +19,24 @@ use crate::controller::linear_fem::inverse_job::{built, built_as_job};
 use crate::linear_fem::{Cache, Deformation, LinearFem, Load};
 use crate::suture_thread::elastic::{ElasticBody, Press};
 
-/// Ticks from one look at the inside to the next.
+/// Ticks between two evaluations of the interior.
 const INSIDE_EVERY: u64 = 10;
-/// How far a loop that presses nothing is from its line \[m\].
+/// Reported distance of a loop without contact from its line \[m\].
 const NOWHERE: f64 = 1.0;
 
-/// A line that is marked around a body: where a plane meets its surface at rest.
+/// A line marked around a body: the intersection of a plane with its rest surface.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Mark {
-    /// A place of the plane, in the frame of the entity \[m\].
+    /// A point of the plane, in the entity's frame \[m\].
     pub place: [f64; 3],
-    /// Across the plane.
+    /// Normal of the plane.
     pub across: [f64; 3],
 }
 
-/// An elastic body that a thread is tied around, which names it in [`ThreadBody`](crate::controller::ThreadBody): it needs a mesh of
-/// tetrahedra, and `anchors` where it is held. It answers for small deformations, as
-/// [`LinearFemBody`](crate::controller::LinearFemBody) does, and stays in its place. Nothing but that thread deforms it.
+/// An elastic body that a thread is tied around, named in [`ThreadBody`](crate::controller::ThreadBody). It needs a
+/// tetrahedral mesh, and `anchors` where it is fixed. It deforms elastically for small deformations, as
+/// [`LinearFemBody`](crate::controller::LinearFemBody) does, and does not move as a whole. Only that thread deforms it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct TiedBody {
@@ -44,14 +44,15 @@ pub struct TiedBody {
     pub young_modulus: f64,
     /// Poisson's ratio, 0 to 0.45.
     pub poisson_ratio: f64,
-    /// Coulomb's coefficient of the thread on it.
+    /// Coulomb friction coefficient of the thread on it.
     pub friction: f64,
-    /// The line that a loop is meant for.
+    /// Target line of a loop.
     pub mark: Option<Mark>,
 }
 
 impl Default for TiedBody {
-    /// Silicone of Shore hardness A 30, as practice tubes are made of: 1.1 MPa by Gent's relation (1958). Friction: chosen.
+    /// Silicone of Shore hardness A 30, the material of practice tubes: 1.1 MPa by Gent's relation (1958). Friction:
+    /// assumed.
     fn default() -> Self {
         Self { young_modulus: 1.1e6, poisson_ratio: 0.45, friction: 0.3, mark: None }
     }
@@ -74,11 +75,11 @@ impl Component for TiedBody {
     }
 }
 
-/// Such a body, and what computes it.
+/// The elastic body, with its solver.
 pub struct Tied {
-    /// As the scene has it.
+    /// Its state in the scene.
     pub body: Deformable,
-    /// What the scene says of it.
+    /// Its component.
     pub kind: TiedBody,
     mesh: TetMesh,
     solver: Option<(LinearFem, ElasticBody)>,
@@ -86,7 +87,7 @@ pub struct Tied {
     progress: Arc<AtomicU64>,
     positions: Vec<Point3<f64>>,
     deformation: Deformation,
-    /// Whether that was more than linear elasticity can say.
+    /// Whether the strain was outside the validity of linear elasticity.
     beyond: bool,
 }
 
@@ -94,7 +95,7 @@ impl Tied {
     /// Finds it by name.
     ///
     /// # Errors
-    /// There is no such body, and which there are; or what is wrong with it.
+    /// There is no such body (the message lists the existing ones); or what is wrong with it.
     pub fn new(name: &str, scene: &Snapshot) -> Result<Self, String> {
         let carriers = Deformable::carriers::<TiedBody>(scene);
         let found = carriers.iter().find(|entity| scene.name(**entity) == name);
@@ -118,7 +119,7 @@ impl Tied {
         })
     }
 
-    /// The body, once its inverse is there. It is computed as job number `key`; `presses` are those of an earlier life.
+    /// The body, once its inverse is ready. It is computed by job number `key`; `presses` are the saved contact forces.
     ///
     /// # Errors
     /// Why the inverse cannot be computed.
@@ -147,24 +148,24 @@ impl Tied {
         Ok(false)
     }
 
-    /// What the thread meets.
+    /// The solver's elastic body.
     #[must_use]
     pub fn elastic(&self) -> Option<&ElasticBody> {
         self.solver.as_ref().map(|(_, elastic)| elastic)
     }
 
-    /// After a step of the thread: it is deformed by what presses it now.
+    /// After a step of the thread: applies the contact forces.
     pub fn deform(&mut self, presses: &[Press]) {
         if let Some((_, elastic)) = &mut self.solver {
             elastic.deform(presses);
         }
     }
 
-    /// After a tick: the surface where it is, and now and then the inside too. Whether it has just left what linear
-    /// elasticity can say.
+    /// After a tick: updates the surface, and periodically the interior. Returns whether the strain has just left the
+    /// validity of linear elasticity.
     ///
     /// # Errors
-    /// Why the inside could not be found.
+    /// Why the interior could not be evaluated.
     pub fn settle(&mut self, number: u64) -> Result<bool, String> {
         let Some((fem, elastic)) = &mut self.solver else { return Ok(false) };
         if number.is_multiple_of(INSIDE_EVERY) {
@@ -200,28 +201,28 @@ impl Tied {
         Ok(new)
     }
 
-    /// Tells the scene where it is.
+    /// Writes its state to the scene.
     pub fn write(&mut self, out: &mut Commands) {
-        // Quasi-static: it has no velocities.
+        // Quasi-static: zero velocities.
         let still = vec![Vector3::zeros(); self.positions.len()];
         self.body.write(&self.positions, &still, out);
     }
 
-    /// Furthest that its surface is from rest \[m\].
+    /// Maximum displacement of its surface \[m\].
     #[must_use]
     pub fn displacement_max(&self) -> f64 {
         let moved = self.positions.iter().zip(self.body.rest.iter()).map(|(now, rest)| (now - rest).norm());
         moved.fold(0.0, f64::max)
     }
 
-    /// Where its entity is.
+    /// Pose of its entity.
     #[must_use]
     pub fn entity(&self) -> Entity {
         self.body.entity
     }
 
-    /// Measures of the body, and of the loop around it: `tensions` are those of the edges that press it, with their forces
-    /// \[N\].
+    /// Measures of the body, and of the loop around it; `tensions` are those of the edges in contact with it, with
+    /// their forces \[N\].
     pub fn measure(
         &self,
         tensions: impl Iterator<Item = (f64, f64)>,
@@ -249,7 +250,7 @@ impl Tied {
         }
         put("displacement_max_m", self.displacement_max());
         put("rotation_max_rad", self.deformation.rotation);
-        // Of an element that is inside out it is infinite.
+        // Infinite for an inverted element.
         put("strain_max", self.deformation.strain.min(1e3));
         put("beyond_linear", flag(self.beyond));
         let share = f64::from_bits(self.progress.load(Ordering::Relaxed));

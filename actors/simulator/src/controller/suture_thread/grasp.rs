@@ -1,8 +1,7 @@
-//! What jaws hold of a thread. Jaws take what lies between them when both touch it as they close, hold its nodes where they
-//! have them in the instrument's frame, and let go when they open. Jaws that have closed on nothing are a blunt rod, as with
-//! everything else that is held ([`trocar_dynamics::picking`]): they take nothing until they have been opened. Between hand and thread
-//! is the compliance of the instrument (`coupling_stiffness`); what pulls harder than the friction of both pads slips through
-//! the jaws.
+//! Grasps of a thread. Closing jaws take the thread if both touch it, hold its nodes in the instrument's frame, and
+//! release when they open. Jaws that have closed on nothing act as a blunt rod, as in [`trocar_dynamics::picking`]:
+//! they take nothing until they have opened. Hand and thread are coupled by the compliance of the instrument
+//! (`coupling_stiffness`); a pull beyond the friction of both pads slips through the jaws.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -13,37 +12,37 @@ use trocar_scene::{Entity, Instrument, Snapshot};
 use super::obstacles::{Parts, between};
 use crate::suture_thread::{Hold, Spared, ThreadState, TwistHold};
 
-/// Jaws that open by more than this beyond where they took hold, or beyond closed, let go \[rad\].
+/// Jaws that open by more than this beyond their opening at the grasp, or beyond closed, release \[rad\].
 const OPENING: f64 = 0.05;
-/// How far along the thread from what they hold jaws do not stop it \[m\].
+/// Length of thread on either side of a grasp that does not collide with those jaws \[m\].
 pub(crate) const SPARED: f64 = 8e-3;
-/// Edges of the thread between those that one jaw touches and those that the other does, at most.
+/// Maximum number of edges between those that touch one jaw and those that touch the other.
 const BESIDE: usize = 2;
 
-/// A node that is held.
+/// A held node.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HeldNode {
-    /// Which.
+    /// The node.
     pub node: u32,
-    /// Where the instrument has it \[m\].
+    /// Its position in the instrument's frame \[m\].
     pub in_instrument: Point3<f64>,
 }
 
-/// An edge that is kept from turning.
+/// An edge whose twist is held.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HeldEdge {
-    /// Which.
+    /// The edge.
     pub edge: u32,
-    /// Where its director points in the frame of the instrument.
+    /// Direction of its director in the instrument's frame.
     pub in_instrument: Vector3<f64>,
 }
 
-/// What one instrument holds; nothing, if its jaws have closed on nothing.
+/// The grasp of one instrument; empty if its jaws have closed on nothing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Grip {
-    /// Which instrument.
+    /// The instrument.
     pub instrument: Entity,
-    /// Opening of its jaws when it took hold \[rad\].
+    /// Opening of its jaws at the grasp \[rad\].
     pub angle: f64,
     /// Ascending.
     pub nodes: Vec<HeldNode>,
@@ -58,14 +57,14 @@ impl Grip {
         self.nodes.is_empty()
     }
 
-    /// First and last node.
+    /// First and last held node.
     fn range(&self) -> Option<[usize; 2]> {
         Some([self.nodes.first()?.node as usize, self.nodes.last()?.node as usize])
     }
 }
 
-/// Lets go what jaws let go, and takes what they take of a thread of `radius` \[m\] in this tick of `period` \[s\]; `busy`
-/// ones take nothing. Whether anything has changed.
+/// Releases and takes grasps of a thread of `radius` \[m\] in this tick of `period` \[s\]; `busy` instruments take
+/// nothing. Returns whether anything has changed.
 pub fn update(
     grips: &mut Vec<Grip>,
     parts: &Parts,
@@ -92,7 +91,7 @@ pub fn update(
         if angle > CLOSED && rate >= 0.0 {
             continue;
         }
-        // What the jaws come to within this tick is between them already.
+        // What the jaws reach within this tick counts as between them already.
         let way = rate.abs() * instrument.jaw_length * period;
         if let Some(grip) = taken(grips, parts, entity, angle, (state, radius), way) {
             grips.push(grip);
@@ -104,7 +103,7 @@ pub fn update(
     changed
 }
 
-/// What lies between the jaws of an instrument, and touches both or will when they have gone on by `way` \[m\].
+/// The part of the thread between the jaws that touches both, or will after they have moved by `way` \[m\].
 fn taken(
     grips: &[Grip],
     parts: &Parts,
@@ -159,18 +158,18 @@ fn taken(
     Some(Grip { instrument: entity, angle, nodes: nodes.iter().map(held).collect(), edges })
 }
 
-/// What the grips do to the solver in a part of the tick.
+/// The grasps as constraints of one solver step.
 #[derive(Clone, Debug, Default)]
 pub struct Leading {
-    /// Nodes that are led, those of each grip one after the other.
+    /// Prescribed nodes, grasp by grasp.
     pub holds: Vec<Hold>,
-    /// Edges that are kept from turning.
+    /// Edges with a prescribed twist.
     pub twist_holds: Vec<TwistHold>,
-    /// What jaws do not stop.
+    /// Parts of the thread that do not collide with the jaws that hold them.
     pub spared: Vec<Spared>,
 }
 
-/// Stiffness and limit of a grip on each of its nodes \[N/m\], \[N\].
+/// Stiffness and maximum force of a grasp on each of its nodes \[N/m\], \[N\].
 fn strength(instrument: &Instrument, grip: &Grip) -> (f64, f64) {
     let share = 1.0 / grip.nodes.len().max(1) as f64;
     let friction = 2.0 * instrument.jaw_friction * instrument.jaw_force_max;
@@ -178,7 +177,7 @@ fn strength(instrument: &Instrument, grip: &Grip) -> (f64, f64) {
 }
 
 impl Leading {
-    /// Adds what the grips do by a fraction of the tick.
+    /// Adds the constraints of the grasps at a fraction of the tick.
     pub fn add(&mut self, grips: &[Grip], parts: &Parts, scene: &Snapshot, fraction: f64) {
         for grip in grips {
             let (Some(([from, to], _)), Some(instrument)) =
@@ -201,7 +200,7 @@ impl Leading {
         }
     }
 
-    /// Says that an instrument does not stop the first `length` of the thread \[m\].
+    /// Exempts the first `length` \[m\] of the thread from collisions with an instrument.
     pub fn spare_beginning(&mut self, instrument: Entity, length: f64, parts: &Parts, state: &ThreadState) {
         let mut arc = 0.0;
         let edges = state.rest_lengths.iter().take_while(|rest| {
@@ -213,7 +212,7 @@ impl Leading {
         self.spared.extend(own.map(|(obstacle, _)| Spared { obstacle, edges: [0, last] }));
     }
 
-    /// Says what the jaws of the grips do not stop.
+    /// Exempts the held parts from collisions with the jaws that hold them.
     pub fn spare(&mut self, grips: &[Grip], parts: &Parts, state: &ThreadState) {
         self.spared.clear();
         for grip in grips {
@@ -244,17 +243,17 @@ impl Leading {
     }
 }
 
-/// What a grip does to the thread.
+/// Force of a grasp on the thread.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pull {
-    /// On the thread, in its frame \[N\].
+    /// Force on the thread, in its frame \[N\].
     pub force: Vector3<f64>,
-    /// Middle of what is held, and of where the instrument has it \[m\].
+    /// Centre of the held part, and its position in the instrument \[m\].
     pub places: [Point3<f64>; 2],
 }
 
-/// What each grip does to the thread, by the forces of its holds, in their order; moves on what has slipped through the
-/// jaws, and drops what is out of them.
+/// Force of each grasp on the thread, from the forces of its holds, in their order; moves nodes that have slipped
+/// through the jaws, and drops those that have left them.
 pub fn pulls(
     grips: &mut Vec<Grip>,
     parts: &Parts,
@@ -294,20 +293,20 @@ pub fn pulls(
         let nodes = &grip.nodes;
         let has = |node: u32| nodes.binary_search_by_key(&node, |held| held.node).is_ok();
         grip.edges.retain(|held| has(held.edge) && has(held.edge + 1));
-        // What comes after what has slipped out is taken again, if anything does.
+        // Thread beyond the part that slipped out can be taken again.
         !grip.nodes.is_empty()
     });
     pulls
 }
 
-/// Whether a place is between the pads, as seen from the side.
+/// Whether a point is between the pads, in side view.
 fn is_within(instrument: &Instrument, place: &Point3<f64>) -> bool {
     place.y.abs() <= instrument.jaw_width
         && place.z <= instrument.jaw_thickness
         && place.z >= -instrument.jaw_length - instrument.jaw_thickness
 }
 
-/// Middle of the thread's frame and the world's: where a pull acts in the world, and its force there.
+/// A pull in the world: its point of application, the centre of the held part, and the force there.
 #[must_use]
 pub fn in_world(pull: &Pull, world_from_thread: &Isometry3<f64>) -> (Point3<f64>, Vector3<f64>) {
     (world_from_thread * pull.places[0], world_from_thread.rotation * pull.force)

@@ -1,5 +1,5 @@
-//! The threads of a scene that are stepped as one problem: each an entity of its own, with its own line and anchors; for the
-//! solver their nodes follow one after the other.
+//! Threads that are stepped as one problem: each is an entity with its own line and anchors; in the solver their nodes
+//! are concatenated.
 
 use std::fmt::Display;
 use std::sync::Arc;
@@ -12,20 +12,21 @@ use super::component::ThreadBody;
 use super::saved_state::ThreadMemory;
 use crate::suture_thread::{Parted, Thread, ThreadError, ThreadState};
 
-/// The threads, the one that names the others first.
+/// The threads; first the one that names the others.
 pub struct Lines {
     list: Vec<Deformable>,
-    /// Where nodes are held, among those of all.
+    /// Anchored nodes, in concatenated numbers.
     anchored: Vec<(usize, Point3<f64>)>,
-    /// Whether the scene has their lines already.
+    /// Whether the scene already has their lines.
     has_lines: bool,
 }
 
 impl Lines {
-    /// Reads them; `first` is what the scene has of the first one, which `kind` describes.
+    /// Reads them; `first` is the body of the first thread, with the component `kind`.
     ///
     /// # Errors
-    /// A mesh that is no thread; a name that is that of none, and which there are; one that is not alike.
+    /// A mesh that is not a thread; a name of no thread (the message lists the existing ones); a thread with different
+    /// properties.
     pub fn read(kind: &ThreadBody, first: Deformable, scene: &Snapshot) -> Result<Self, String> {
         let (radius, entity) = (kind.material().radius, first.entity);
         let has_lines = scene.get::<ThreadMemory>(entity).is_some();
@@ -69,7 +70,7 @@ impl Lines {
         Ok(lines)
     }
 
-    /// The one that names the others.
+    /// The thread that names the others.
     #[must_use]
     pub fn first(&self) -> &Deformable {
         &self.list[0]
@@ -80,13 +81,13 @@ impl Lines {
         self.list.iter().map(|line| line.entity)
     }
 
-    /// Nodes that are held, and where \[m\].
+    /// Anchored nodes, and their positions \[m\].
     #[must_use]
     pub fn anchored(&self) -> &[(usize, Point3<f64>)] {
         &self.anchored
     }
 
-    /// The solver of what the scene has, from where an earlier life left it.
+    /// Builds the solver, and resumes its state from the scene.
     ///
     /// # Errors
     /// What is wrong with it.
@@ -102,14 +103,14 @@ impl Lines {
         Thread::restore(kind.material(), memory.state(&positions, &velocities))
     }
 
-    /// Nodes at rest of all of them, one after the other \[m\].
+    /// Rest positions of all nodes, concatenated \[m\].
     #[must_use]
     pub fn rest(&self) -> Vec<Point3<f64>> {
         self.list.iter().flat_map(|line| line.rest.iter().copied()).collect()
     }
 
-    /// They have other nodes from now on: where these are at rest \[m\], and which each of the former ones is, unless it is
-    /// gone; the last of each line never is.
+    /// Replaces their nodes: new rest positions \[m\], and the new number of each former node, unless it was removed;
+    /// the last node of each line is never removed.
     pub fn lie(&mut self, rest: &[Point3<f64>], now: &[Option<u32>], state: &ThreadState) {
         let (mut begin, mut from) = (0, 0);
         for line in &mut self.list {
@@ -124,12 +125,12 @@ impl Lines {
         self.anchor();
     }
 
-    /// They have been cut.
+    /// Cuts them.
     pub fn part(&mut self, parted: &Parted, state: &ThreadState) {
         self.lie(&parted.places(&self.rest()), &parted.nodes, state);
     }
 
-    /// Each with its nodes, first and last, among those of all.
+    /// Each thread with its first and last node, in concatenated numbers.
     fn spans(&self) -> impl Iterator<Item = (&Deformable, [usize; 2])> {
         self.list.iter().scan(0, |begin, line| {
             let first = *begin;
@@ -148,7 +149,7 @@ impl Lines {
         }
     }
 
-    /// Tells the scene where they are.
+    /// Writes their state to the scene.
     pub fn write(&mut self, state: &ThreadState, out: &mut Commands) {
         if !self.has_lines {
             self.has_lines = true;
@@ -165,12 +166,12 @@ impl Lines {
         }
     }
 
-    /// Tells everybody that they had to be stopped where they are.
+    /// Reports that they had to be frozen.
     pub fn freeze(&self, reason: &dyn Display, tick: &Tick<'_>, out: &mut Commands) {
         self.list.iter().for_each(|line| line.freeze(reason, tick, out));
     }
 
-    /// The largest tension of each, with its name \[N\].
+    /// Maximum tension of each thread, with its name \[N\].
     pub fn tensions<'a>(&'a self, state: &'a ThreadState) -> impl Iterator<Item = (&'a str, f64)> {
         self.spans().map(|(line, [first, last])| {
             let most = state.tensions[first..last].iter().copied().fold(0.0, f64::max);
@@ -179,7 +180,7 @@ impl Lines {
     }
 }
 
-/// A line from its first vertex to its last; one that `goes_on` may have been cut.
+/// A line from its first vertex to its last; with `goes_on` it may have been cut.
 fn one(mut line: Deformable, radius: f64, goes_on: bool) -> Result<Deformable, String> {
     let is_edge = |ends: &[u32; 2]| ends[1] == ends[0] + 1;
     let follows = |pair: &[[u32; 2]]| pair[1][0] == pair[0][1] || (goes_on && pair[1][0] == pair[0][1] + 1);

@@ -1,8 +1,8 @@
-//! Which knot a thread on a scene is tied into: its name, its throws in their order and with their hands, and what tells it
-//! from others.
+//! Classification of a thread's knot: its name, its throws in tying order with their handedness, and the knot
+//! invariants that identify it.
 //!
-//! What knot it is, and which throws it is the sum of, one look tells; the order of throws that are not all alike takes many
-//! ([`Reading`]). `KnotWatch` (`knot_job.rs`) says when.
+//! One evaluation gives the knot and the throws that it is composed of; the order of unequal throws takes several
+//! ([`Reading`]). `KnotWatch` (`knot_job.rs`) schedules them.
 
 use std::collections::BTreeMap;
 
@@ -12,11 +12,11 @@ use trocar_scene::{Component, ComponentError};
 
 use crate::suture_thread::knot::{KnotKind, Reading, Throw, identify_joined, notation};
 
-/// Throws of a knot at most.
+/// Maximum number of throws of a knot.
 const THROWS_MAX: usize = 8;
 
-/// The knot as a measure: 0 none, 1 a single throw, 2 a figure-eight, 3 square, 4 granny, 5 surgeon's, 6 other throws one
-/// after the other, 7 one without a name, −1 one that cannot be told.
+/// The knot as a measure: 0 none, 1 a single throw, 2 a figure-eight, 3 square, 4 granny, 5 surgeon's, 6 another
+/// sequence of throws, 7 unnamed, −1 not identified.
 #[must_use]
 pub fn knot_code(kind: Option<&KnotKind>) -> f64 {
     match kind {
@@ -32,28 +32,28 @@ pub fn knot_code(kind: Option<&KnotKind>) -> f64 {
     }
 }
 
-/// What a thread was last found to be tied into.
+/// The last classification of a thread's knot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KnotState {
-    /// As [`knot_code`] tells.
+    /// Code as in [`knot_code`].
     pub code: f64,
-    /// What it is called.
+    /// Its name.
     pub name: String,
-    /// Half turns of each throw, positive for right-handed ones; the one that was tied first comes first once they are
-    /// `in_order`, else the one of most turns.
+    /// Half turns of each throw, positive for right-handed ones; in tying order once `in_order`, else by decreasing
+    /// number of half turns.
     pub throws: Vec<i32>,
     /// Whether the order of the throws is known.
     pub in_order: bool,
-    /// The throws as surgeons write them, once their order is known: `1=1x2`.
+    /// The throws in surgical notation, once their order is known: `1=1x2`.
     pub notation: String,
-    /// Of the knot: −2 for a right-handed single throw, 0 for what is its own mirror image.
+    /// Signature of the knot: −2 for a right-handed single throw, 0 for an amphichiral knot.
     pub signature: i32,
-    /// Of Alexander's polynomial at −1; the same for square knots and grannies.
+    /// Knot determinant: Alexander's polynomial at −1; equal for square knots and grannies.
     pub determinant: u64,
-    /// Whether it is its own mirror image, as far as its Jones polynomial tells.
+    /// Whether it is amphichiral, as far as its Jones polynomial tells.
     pub amphichiral: bool,
-    /// How far the order of the throws has been read.
+    /// Progress of reading the order of the throws.
     pub reading: Option<Reading>,
 }
 
@@ -66,7 +66,7 @@ impl Component for KnotState {
 }
 
 impl KnotState {
-    /// One look further at the order of its throws; `None` where they do not come undone one by one as they lie.
+    /// One more evaluation of the throws' order; `None` where they do not come undone one by one in this configuration.
     pub(crate) fn read_on(mut self, points: &[Point3<f64>]) -> Option<Self> {
         let reading = self.reading.as_mut()?;
         if !reading.look(points) {
@@ -80,7 +80,8 @@ impl KnotState {
         Some(self)
     }
 
-    /// Of threads through these nodes, joined one to the other \[m\]; the order of throws is read of one alone.
+    /// Classifies threads through these nodes, joined end to end \[m\]; the order of throws is read for a single thread
+    /// only.
     pub(crate) fn of(threads: &[&[Point3<f64>]]) -> Self {
         let Ok(knot) = identify_joined(threads) else {
             return Self { code: knot_code(None), ..Self::default() };
@@ -104,14 +105,14 @@ impl KnotState {
         state
     }
 
-    /// Their order is known.
+    /// Stores the throws in their known order.
     fn order(&mut self, throws: &[Throw]) {
         self.throws = throws.iter().map(Throw::half_turns).collect();
         self.notation = notation(throws);
         self.in_order = true;
     }
 
-    /// Whether they are the same knot, and the sum of the same throws.
+    /// Whether both are the same knot, composed of the same throws.
     pub(crate) fn is_same(&self, other: &Self) -> bool {
         let sorted = |throws: &[i32]| {
             let mut sorted = throws.to_vec();
@@ -123,7 +124,7 @@ impl KnotState {
             && sorted(&self.throws) == sorted(&other.throws)
     }
 
-    /// Whether each of several throws is of the other hand than the one before.
+    /// Whether the handedness of consecutive throws alternates.
     #[must_use]
     pub fn alternates(&self) -> bool {
         self.in_order
@@ -131,8 +132,8 @@ impl KnotState {
             && self.throws.windows(2).all(|pair| pair[0].signum() != pair[1].signum())
     }
 
-    /// Measures of the thread called `name`: which knot, how many throws, whether they alternate, the hand of the first one
-    /// (1 right, −1 left, 0 not known), the signature.
+    /// Measures of the thread called `name`: the knot, the number of throws, whether they alternate, the handedness of
+    /// the first one (1 right, −1 left, 0 not known), the signature.
     pub fn measure(&self, name: &str, values: &mut BTreeMap<String, f64>) {
         let first = self.throws.first().filter(|_| self.in_order);
         for (what, value) in [

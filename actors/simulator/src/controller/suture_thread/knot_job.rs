@@ -1,8 +1,8 @@
-//! Who looks at the knot of a thread: now and then, and beside the controller that steps it.
+//! Schedules the classification of a thread's knot: periodically, in background jobs.
 //!
-//! What a look takes depends on how the thread lies, up to tens of milliseconds for a tangle, so no tick does it: where
-//! its nodes are is handed to a job, and what that finds is told some ticks later, in lock-step always as many. A thread
-//! that has not moved since the last look has the same knot.
+//! A classification takes up to tens of milliseconds for a tangle, so no tick does it: the node positions go to a job,
+//! and its result is used some ticks later, in lock-step always the same number. A thread that has not moved since the
+//! last classification has the same knot.
 
 use nalgebra::Point3;
 use trocar_scene::{Job, SimTime, Tick};
@@ -10,47 +10,47 @@ use trocar_scene::{Job, SimTime, Tick};
 use super::knot::KnotState;
 use crate::suture_thread::ThreadState;
 
-/// Ticks from one look at a knot to the next.
+/// Ticks between two classifications of a knot.
 const KNOT_EVERY: u64 = 50;
-/// Ticks from one look at the order of its throws to the next.
+/// Ticks between two evaluations of the order of its throws.
 const READ_EVERY: u64 = 10;
-/// When the answer comes in lock-step \[s\]: what a look takes, with some to spare.
+/// Duration of a classification in lock-step \[s\]: its computation time with a margin.
 const LOOK: f64 = 4e-3;
-/// Jobs of looks are numbered from here, so that they are no others of the same controller.
+/// Offset of the job numbers, so that they differ from other jobs of the same controller.
 const JOBS: u64 = 1 << 32;
-/// A thread none of whose nodes has moved further has not been tied or untied, in radii: no strand gets past another.
+/// A thread whose nodes have all moved less than this has not been tied or untied, in radii: no strand passes another.
 const STILL: f64 = 0.5;
 
-/// What a look has changed.
+/// Result of a call.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Looked {
-    /// It has to be written.
+    /// The classification has to be written to the scene.
     pub changed: bool,
-    /// It is another knot than before.
+    /// The knot has changed.
     pub is_another: bool,
 }
 
-/// Looks at one thread.
+/// Watches the knot of one thread.
 #[derive(Debug)]
 pub struct KnotWatch {
     state: KnotState,
     job: u64,
-    /// Whether a look is under way.
+    /// Whether a job is running.
     is_looking: bool,
-    /// Where the nodes were when the knot was last looked at, all of them.
+    /// Positions of all nodes at the last classification.
     seen: Vec<Point3<f64>>,
-    /// Whether the order of throws could not be read as they lay then.
+    /// Whether the order of throws could not be read in that configuration.
     is_unreadable: bool,
 }
 
-/// What a look was for, and what came of it.
+/// A job's request, with its result.
 enum Found {
     Knot(KnotState),
     Order(Option<KnotState>),
 }
 
 impl KnotWatch {
-    /// Goes on from what was known. `index` is the thread's among those of its controller.
+    /// Resumes from a saved classification. `index` is the thread's among those of its controller.
     #[must_use]
     pub fn new(known: Option<&KnotState>, index: u64) -> Self {
         Self {
@@ -62,17 +62,17 @@ impl KnotWatch {
         }
     }
 
-    /// What is known of the knot.
+    /// The current classification.
     #[must_use]
     pub fn state(&self) -> &KnotState {
         &self.state
     }
 
-    /// Takes what a look has found, and begins the next one if this is a tick for that; the thread, or several that are looked
-    /// at as one, of `radius` \[m\].
+    /// Takes the result of a finished job, and submits the next one if this tick is due; for one thread, or several
+    /// classified as one, of `radius` \[m\].
     ///
     /// # Errors
-    /// Its job delivered something else.
+    /// Its job delivered a result of another type.
     pub fn look(&mut self, thread: &ThreadState, radius: f64, tick: &Tick<'_>) -> Result<Looked, String> {
         let points = &thread.positions;
         let mut looked = Looked::default();
@@ -116,7 +116,7 @@ impl KnotWatch {
                 if is_another {
                     self.state = found;
                 } else if self.state.reading.is_some() {
-                    // Throws that were mingled may come undone one by one now that it lies otherwise.
+                    // Intertwined throws may come undone one by one in the new configuration.
                     self.state.reading = found.reading;
                 }
                 Looked { changed: is_another, is_another }

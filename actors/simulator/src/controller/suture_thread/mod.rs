@@ -1,9 +1,9 @@
-//! The controller of suture threads: what a scene says of a thread and of what it can touch goes into one step of its
-//! island, and where it is then goes back.
+//! The controller of suture threads: reads the thread and its obstacles from the scene, steps their island, and writes
+//! the state back.
 //!
-//! Each tick: jaws take and let go; the tick is divided into steps of the length that the thread asks for, in each of which
-//! everything that it touches goes on by its share of the way since the last tick; nodes, memory, contacts and measures are
-//! told. Instruments feel what the thread exerts on their rods, and what it pulls at their jaws. An elastic body that a
+//! Each tick: grasps are updated; the tick is divided into steps of the thread's maximum length, and in each step the
+//! obstacles move by their fraction of the way since the last tick; nodes, saved state, contacts and measures are
+//! written. Instruments receive the reaction forces on their rods and the pull on their jaws. An elastic body that a
 //! thread is tied around is stepped with it ([`Tied`]).
 
 pub mod component;
@@ -57,12 +57,12 @@ struct Body {
     lying: Option<LyingOn>,
     memory: ThreadMemory,
     knot: KnotWatch,
-    /// Whether the scene has that already.
+    /// Whether the scene already has this knot.
     has_knot: bool,
     parts: Parts,
     leading: Leading,
     report: ThreadReport,
-    /// On each part, the mean over the last tick.
+    /// Mean reaction on each part over the last tick.
     reactions: Vec<Reaction>,
     pulls: Vec<(Entity, Pull)>,
     frozen: bool,
@@ -77,11 +77,11 @@ pub struct ThreadController {
 }
 
 impl ThreadController {
-    /// Reads the threads, and goes on from where an earlier life left them. `cache` is the folder of inverses of what they
-    /// are tied around.
+    /// Reads the threads, and resumes their state from the scene. `cache` is the folder of inverses of the elastic
+    /// bodies that they are tied around.
     ///
     /// # Errors
-    /// Names the thread, and what is wrong with it.
+    /// The name of the thread, and what is wrong with it.
     pub fn new(
         gravity_in_world: Vector3<f64>,
         cache: Option<PathBuf>,
@@ -99,7 +99,7 @@ impl ThreadController {
             let Some(kind) = context.scene.get::<ThreadBody>(entity) else { continue };
             let name = context.scene.name(entity);
             match named.get(&name) {
-                // It goes with the one that names it.
+                // It is stepped with the thread that names it.
                 Some(1) if kind.together_with.is_empty() => continue,
                 Some(1) | None => {}
                 Some(_) => {
@@ -186,7 +186,7 @@ impl Controller for ThreadController {
                         };
                         told.tell(tick.time, &mut collisions);
                     }
-                    // It stands still as long as its surroundings are computed.
+                    // It does not move until the elastic body's inverse is ready.
                     Ok(None) => {}
                     Err(why) => {
                         body.frozen = true;
@@ -241,7 +241,7 @@ impl Body {
         })
     }
 
-    /// Whether everything is there that it takes to go on.
+    /// Whether everything that a step needs is ready.
     fn wait(&mut self, key: u64, cache: Option<&Cache>, tick: &Tick<'_>) -> Result<bool, String> {
         let presses = &self.memory.presses;
         self.tied.as_mut().map_or(Ok(true), |tied| tied.wait(key, cache, presses, tick))
@@ -342,7 +342,7 @@ impl Body {
         Ok(())
     }
 
-    /// Parts it where blades have closed on it, or where it breaks.
+    /// Cuts it where blades have closed on it, or where it breaks.
     fn cut(
         &mut self,
         scene: &Snapshot,
@@ -364,8 +364,7 @@ impl Body {
         Ok(())
     }
 
-    /// When the scene has other things to touch than at the last tick, contacts with those that are left keep what they
-    /// remember.
+    /// If the scene's obstacles have changed since the last tick, contacts with the remaining ones keep their state.
     fn follow(&mut self) -> Result<(), String> {
         if self.parts.are(&self.memory.met) {
             return Ok(());
@@ -376,7 +375,7 @@ impl Body {
         Ok(())
     }
 
-    /// Which knot it is, and how long its loop has been at the shortest since.
+    /// Updates the knot, and the shortest length of its loop since.
     fn look(&mut self, tick: &Tick<'_>) -> Result<(), String> {
         let looked = self.knot.look(self.thread.state(), self.thread.material().radius, tick)?;
         self.has_knot &= !looked.changed;

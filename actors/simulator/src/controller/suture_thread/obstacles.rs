@@ -1,5 +1,5 @@
-//! What of a scene a thread can touch: the rods of instruments, rigid bodies by their shapes. Each keeps its place in the
-//! list as long as the scene has the same ones, and goes in a tick from where it was at the last one to where it is.
+//! Obstacles of a thread: the rods of instruments, and rigid bodies by their shapes. Their order in the list is fixed
+//! for the same scene, and during a tick each moves from its last pose to its current one.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,49 +15,49 @@ use trocar_scene::{
 use super::saved_state::Met;
 use crate::suture_thread::{ContactMemory, Obstacle, Shape};
 
-/// Where a frame was at the last tick, and where it is.
+/// A frame's pose at the last tick, and now.
 pub type FrameFromTo = [Isometry3<f64>; 2];
-/// Which parts of the list the jaws of an instrument are; none that it has not.
+/// Indices of an instrument's jaws in the list; `None` for a missing jaw.
 pub type JawParts = [Option<usize>; 2];
 
-/// Nodes and triangles of what gives way.
+/// Nodes and triangles of a deformable obstacle.
 pub type Yielding<'a> = (&'a [Point3<f64>], &'a [[u32; 3]]);
 
-/// How finely shapes that are none of the thread's own are made of triangles.
+/// Resolution of triangle meshes for shapes that the thread solver does not support.
 const DETAIL: Detail = Detail { segments: 24, fine_segments: 8 };
 
 /// A shape in the frame of its part.
 #[derive(Clone, Debug)]
 pub enum Form {
-    /// A ball about the origin.
+    /// A sphere at the origin.
     Sphere(f64),
-    /// About a segment.
+    /// A capsule around a segment.
     Capsule([Point3<f64>; 2], f64),
-    /// A surface that keeps its form.
+    /// A rigid surface.
     Mesh(Arc<Vec<Point3<f64>>>, Arc<Vec<[u32; 3]>>),
-    /// The body that gives way: which the thread is tied around, or lies on.
+    /// The deformable body that the thread is tied around, or lies on.
     Elastic,
 }
 
-/// A part of something that a thread can touch.
+/// A part of an obstacle.
 #[derive(Clone, Debug)]
 pub struct Part {
-    /// Whose, which part of it, and where it was at the last tick.
+    /// Its entity, its part number, and its pose at the last tick.
     pub met: Met,
     /// `thread_from_part` now.
     pub to: Isometry3<f64>,
-    /// What it looks like.
+    /// Its shape.
     pub form: Form,
-    /// Coulomb's coefficient.
+    /// Coulomb friction coefficient.
     pub friction: f64,
-    /// For an instrument's rods: its axis in the thread's frame now, and its radius \[m\].
+    /// Of an instrument's rod: its current axis in the thread's frame, and its radius \[m\].
     pub rod: Option<Rod>,
-    /// Whether it is one of two jaws, and which.
+    /// Index of the jaw, if it is one.
     pub jaw: Option<usize>,
 }
 
 impl Part {
-    /// As the solver wants it, for a part of the tick; the body that gives way by its nodes and triangles as they are now.
+    /// In the form that the solver takes, for a step of the tick; a deformable body by its current nodes and triangles.
     #[must_use]
     pub fn obstacle<'a>(&'a self, fractions: [f64; 2], yielding: Option<Yielding<'a>>) -> Obstacle<'a> {
         let shape = match &self.form {
@@ -67,7 +67,7 @@ impl Part {
             Form::Elastic => {
                 let (points, triangles) = yielding.unwrap_or((&[][..], &[][..]));
                 let shape = Shape::Mesh { from: points, to: points, triangles, radius: 0.0 };
-                // In its place to the bit.
+                // Not interpolated: exactly at its pose.
                 return Obstacle::fixed(shape, self.to, self.friction);
             }
         };
@@ -76,7 +76,7 @@ impl Part {
     }
 }
 
-/// Part of the way between two poses.
+/// Interpolates between two poses.
 #[must_use]
 pub fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, fraction: f64) -> Isometry3<f64> {
     if fraction >= 1.0 {
@@ -87,39 +87,39 @@ pub fn between(from: &Isometry3<f64>, to: &Isometry3<f64>, fraction: f64) -> Iso
     Isometry3::from_parts(place.into(), rotation)
 }
 
-/// Whether they are the same part of the same entity.
+/// Whether both are the same part of the same entity.
 fn is_same(met: &Met, other: &Met) -> bool {
     met.entity == other.entity && met.part == other.part
 }
 
-/// Everything that a thread can touch.
+/// All obstacles of a thread.
 #[derive(Clone, Debug, Default)]
 pub struct Parts {
-    /// In the same order for the same scene; the elastic body is the first.
+    /// In the same order for the same scene; the deformable body comes first.
     pub list: Vec<Part>,
-    /// What gives way, and Coulomb's coefficient on it.
+    /// The deformable body, and its Coulomb friction coefficient.
     tied: Option<(Entity, f64)>,
-    /// Whether its nodes are in the frame of the thread, and not in its own.
+    /// Whether its nodes are in the thread's frame, and not in its own.
     is_in_frame: bool,
-    /// What analytic shapes look like, as long as they are the same.
+    /// Cached forms of analytic shapes.
     forms: BTreeMap<Entity, (SceneShape, Form)>,
     rods: Vec<Rod>,
 }
 
 impl Parts {
-    /// None yet, of a thread that is tied around an entity, with Coulomb's coefficient on it, or around none.
+    /// An empty list, for a thread tied around an entity with this Coulomb friction coefficient, or around none.
     #[must_use]
     pub fn around(tied: Option<(Entity, f64)>) -> Self {
         Self { tied, ..Self::default() }
     }
 
-    /// The same of one that lies on a body whose nodes are in its own frame.
+    /// The same for a thread that lies on a body whose nodes are in the body's own frame.
     #[must_use]
     pub fn on(body: Entity, friction: f64) -> Self {
         Self { tied: Some((body, friction)), is_in_frame: true, ..Self::default() }
     }
 
-    /// Lists all parts as the scene has them. `known` are those of the last tick.
+    /// Lists all parts in the scene. `known` are those of the last tick.
     pub fn read(
         &mut self,
         scene: &Snapshot,
@@ -175,7 +175,7 @@ impl Parts {
         }
     }
 
-    /// What a rigid body looks like; nothing of one that has no shape.
+    /// The form of a rigid body; `None` without a shape.
     fn form(&mut self, scene: &Snapshot, entity: Entity) -> Option<Form> {
         let Some(shape) = scene.get::<SceneShape>(entity) else {
             let (mesh, points) = (scene.get::<SurfaceMesh>(entity)?, scene.get::<VertexPositions>(entity)?);
@@ -197,15 +197,15 @@ impl Parts {
         Some(form)
     }
 
-    /// Whether they are those of the last tick.
+    /// Whether the parts are those of the last tick.
     #[must_use]
     pub fn are(&self, known: &[Met]) -> bool {
         known.len() == self.list.len()
             && known.iter().zip(&self.list).all(|(met, part)| is_same(met, &part.met))
     }
 
-    /// Numbers contacts with those of the last tick as these are, and drops those with what is gone. What comes after all
-    /// parts still does.
+    /// Renumbers contacts from the last tick's parts to the current ones, and drops those with removed parts. Indices
+    /// beyond all parts stay so.
     pub fn renumber(&self, known: &[Met], contacts: &mut Vec<ContactMemory>) {
         contacts.retain_mut(|contact| {
             let Some(index) = (contact.key.with as usize).checked_sub(1) else { return true };
@@ -219,7 +219,7 @@ impl Parts {
         contacts.sort_unstable_by_key(|contact| contact.key);
     }
 
-    /// The parts of an instrument: where its tip's frame was and is, and the places of its jaws in the list.
+    /// The parts of an instrument: its tip's frame at the last tick and now, and the indices of its jaws in the list.
     #[must_use]
     pub fn instrument(&self, entity: Entity) -> Option<(FrameFromTo, JawParts)> {
         let of = |want: &dyn Fn(&Part) -> bool| {

@@ -1,5 +1,5 @@
-//! Edges of a thread on a scene that are as short as its knots need and no shorter: what is held, anchored and remembered
-//! goes with the nodes.
+//! Adaptive edges of a thread: as short as its knots need and no shorter. Grasps, anchors and saved state follow the
+//! nodes.
 
 use nalgebra::Point3;
 
@@ -8,19 +8,20 @@ use super::grasp::Grip;
 use super::group::Lines;
 use crate::suture_thread::{Fineness, Renumbered, Thread};
 
-/// Ticks from one look at the edges to the next.
+/// Ticks between two adaptations.
 pub const EDGES_EVERY: u64 = 10;
-/// Strands whose surfaces are not further apart are near \[m\]: no strand goes further in those ticks.
+/// Strands whose surfaces are within this distance count as close \[m\]: no strand moves further between two
+/// adaptations.
 const REACH: f64 = 2e-3;
-/// Edges may be longer than they are told to be by this factor before they are divided.
+/// Factor by which an edge may exceed its target length before it is split.
 const TOLERATED: f64 = 1.15;
-/// Nodes at most.
+/// Maximum number of nodes.
 const NODES_MAX: usize = 1024;
 
-/// Divides and joins edges where they have to be. Whether any was.
+/// Splits and merges edges where necessary. Returns whether any was.
 ///
 /// # Errors
-/// Why they could not be.
+/// Why the thread could not be remeshed.
 pub fn adapt(
     kind: &ThreadBody,
     thread: &mut Thread,
@@ -38,18 +39,18 @@ pub fn adapt(
     Ok(true)
 }
 
-/// What edges are to be as long as where strands are near, in diameters \[m\], and elsewhere \[m\].
+/// Target lengths of edges: where strands are close, in diameters \[m\], and elsewhere \[m\].
 pub fn fineness(edges: [f64; 2], diameter: f64) -> Fineness {
     let fine = edges[0] * diameter / TOLERATED;
     Fineness { fine, coarse: edges[1].max(fine), reach: REACH, nodes_max: NODES_MAX }
 }
 
-/// Nodes that are held.
+/// Held nodes.
 pub fn held(grips: &[Grip]) -> impl Iterator<Item = usize> {
     grips.iter().flat_map(|grip| &grip.nodes).map(|held| held.node as usize)
 }
 
-/// What is held has other numbers now.
+/// Renumbers the grasps.
 pub fn follow(grips: &mut [Grip], now: &Renumbered) {
     for grip in grips {
         grip.nodes.retain_mut(|held| match now.nodes.get(held.node as usize) {
@@ -65,7 +66,7 @@ pub fn follow(grips: &mut [Grip], now: &Renumbered) {
     }
 }
 
-/// Where the nodes lie at rest, of those that did before: new ones evenly between them.
+/// New rest positions: kept nodes keep theirs, new ones are spaced evenly between them.
 fn rest(before: &[Point3<f64>], now: &Renumbered) -> Vec<Point3<f64>> {
     let mut nodes: Vec<Point3<f64>> = before.first().copied().into_iter().collect();
     for (edge, [first, last]) in now.edges.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! What a thread needs to go on bit for bit besides where its vertices are and how they move.
+//! State of a thread that a bit-identical restart needs in addition to positions and velocities.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -9,45 +9,45 @@ use crate::controller::cutting::scissors::Blades;
 use crate::suture_thread::elastic::Press;
 use crate::suture_thread::{ContactMemory, Thread, ThreadState};
 
-/// A part of what a thread can touch, and where it was in the thread's frame at the last tick.
+/// A part of an obstacle, and its pose in the thread's frame at the last tick.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Met {
-    /// Whose.
+    /// The entity.
     pub entity: Entity,
-    /// Which part of it.
+    /// The part.
     pub part: u32,
     /// `thread_from_part`.
     pub at: Isometry3<f64>,
 }
 
-/// Where the last tick ended.
+/// State after the last tick.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ThreadMemory {
-    /// Of the edges, without strain \[m\].
+    /// Rest lengths of the edges \[m\].
     pub rest_lengths: Vec<f64>,
-    /// Directions across the edges that turn with their material.
+    /// Material directors: directions across the edges that rotate with the material.
     pub directors: Vec<Vector3<f64>>,
-    /// Of each edge against the one before \[rad\].
+    /// Twist of each edge relative to the previous one \[rad\].
     pub twists: Vec<f64>,
-    /// Of the edges \[rad/s\].
+    /// Angular velocities of the edges about their axes \[rad/s\].
     pub spins: Vec<f64>,
-    /// Of the edges \[N\].
+    /// Tensions of the edges \[N\].
     pub tensions: Vec<f64>,
-    /// What contacts remember.
+    /// Persistent contact state.
     pub contacts: Vec<ContactMemory>,
-    /// What it could touch, in the order that contacts count them in.
+    /// The obstacles, in the order of the contacts' indices.
     pub met: Vec<Met>,
-    /// What instruments hold of it.
+    /// Grasps of the thread.
     pub grips: Vec<Grip>,
-    /// Where the blades of all scissors were, in the frame of the thread.
+    /// Previous blades of all scissors, in the thread's frame.
     pub blades: Vec<Blades>,
-    /// What presses the elastic body that it is tied around.
+    /// Contact forces on the elastic body that it is tied around.
     pub presses: Vec<Press>,
-    /// The shortest that its loop has been since it became the knot that it is, and since anybody has taken hold of the thread or let it
-    /// go \[m\]; below 0 as long as there is none.
+    /// Shortest length of its loop since the current knot was formed, and since the last grasp or release of the thread
+    /// \[m\]; negative while there is no loop.
     pub loop_min: f64,
-    /// How deep a contact has been at most since the beginning \[m\].
+    /// Maximum penetration depth of a contact so far \[m\].
     pub penetration_max: f64,
 }
 
@@ -59,7 +59,7 @@ impl Component for ThreadMemory {
 }
 
 impl ThreadMemory {
-    /// Takes over where a thread is.
+    /// Copies the state of a thread.
     pub fn take(&mut self, thread: &Thread) {
         let state = thread.state();
         self.rest_lengths.clone_from(&state.rest_lengths);

@@ -1,5 +1,5 @@
-//! A soft body that a thread lies on and that another controller moves: what passes between the two is in the scene, as it is
-//! between bodies that are coupled ([`CouplingGiven`]).
+//! A soft body of another controller that a thread lies on: the two exchange impulses through the scene, as coupled
+//! bodies do ([`CouplingGiven`]).
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_dynamics::soft_body::Deformable;
@@ -14,26 +14,26 @@ use crate::controller::coupling::fast_side::{Partner, other};
 use crate::suture_thread::ThreadState;
 use crate::suture_thread::soft_support::SoftSurface;
 
-/// Triangles that are nearer than this to the thread are listed before they are touched: who moves them tells in time what is
-/// to be expected \[m\].
+/// Triangles nearer than this to the thread are listed before they touch, so that the other controller predicts their
+/// motion in time \[m\].
 const NEAR: f64 = 3e-3;
-/// Nodes of the thread that share a box.
+/// Number of thread nodes that share a bounding box.
 const RUN: usize = 8;
 
-/// Such a body, as the thread meets it.
+/// The soft body, in the thread's solver.
 pub struct LyingOn {
     partner: Partner,
     friction: f64,
     surface: SoftSurface,
-    /// Of the way that nodes are behind, what they go in this step.
+    /// Fraction of the position error that nodes move in this step.
     share: f64,
 }
 
 impl LyingOn {
-    /// Finds it by name. `thread` is the thread, whose frame it is met in.
+    /// Finds it by name. `thread` is the thread, in whose frame contact is computed.
     ///
     /// # Errors
-    /// There is no such body, or it cannot be lain on, and why.
+    /// There is no such body, or the reason why a thread cannot lie on it.
     pub fn new(on: &LiesOn, thread: &Deformable, scene: &Snapshot) -> Result<Self, String> {
         let told = |why: String| format!("it lies on '{}': {why}", on.body);
         let lies = Some(Lies { friction: on.friction, ..Lies::default() });
@@ -51,28 +51,28 @@ impl LyingOn {
         Ok(Self { partner, friction: on.friction, surface: SoftSurface::default(), share: 0.0 })
     }
 
-    /// Which body.
+    /// The body.
     #[must_use]
     pub fn entity(&self) -> Entity {
         self.partner.entity
     }
 
-    /// Coulomb's coefficient on it.
+    /// Coulomb friction coefficient on it.
     #[must_use]
     pub fn friction(&self) -> f64 {
         self.friction
     }
 
-    /// How far the node that is furthest from where the thread takes it to be is from there \[m\].
+    /// Maximum position error of its nodes in the thread's solver \[m\].
     #[must_use]
     pub fn behind(&self) -> f64 {
         self.partner.given.ghosts.furthest_behind()
     }
 
-    /// A tick begins: hears what the body tells.
+    /// Begins a tick: reads the body's report.
     ///
     /// # Errors
-    /// Why it cannot go on.
+    /// Why it cannot continue.
     pub fn meet(
         &mut self,
         thread: Entity,
@@ -95,7 +95,7 @@ impl LyingOn {
         Ok(())
     }
 
-    /// A step of `dt` \[s\] begins, in which nodes go such a share of the way that they are behind.
+    /// Begins a step of `dt` \[s\], in which nodes move by this fraction of their position error.
     pub fn begin(&mut self, dt: f64, share: f64) {
         self.share = if self.partner.is_wall { 0.0 } else { share };
         let is_wall = self.partner.is_wall;
@@ -105,13 +105,13 @@ impl LyingOn {
         self.surface.begin(guests, drift, &self.partner.surface);
     }
 
-    /// Nodes and triangles as an obstacle, and what gives way of it.
+    /// Its nodes and triangles as an obstacle, and its compliance.
     pub fn parts(&mut self) -> (Yielding<'_>, &mut SoftSurface) {
         let nodes: &[Point3<f64>] = self.partner.given.ghosts.positions();
         ((nodes, &self.partner.surface), &mut self.surface)
     }
 
-    /// A step of `dt` \[s\] is over, after which the thread is so.
+    /// Ends a step of `dt` \[s\], with the thread's new state.
     pub fn met(&mut self, dt: f64, state: &ThreadState) {
         let given = &mut self.partner.given;
         if !self.partner.is_wall {
@@ -121,13 +121,13 @@ impl LyingOn {
         near(state, given.ghosts.positions(), &self.partner.surface, &mut given.near);
     }
 
-    /// Tells the body what it was given.
+    /// Publishes the impulses given to the body.
     pub fn publish(&self, thread: Entity, out: &mut Commands) {
         out.put(thread, CouplingGiven { to: vec![self.partner.given.clone()] });
     }
 }
 
-/// Lists the nodes of triangles that are near to the thread, ascending.
+/// Lists the nodes of triangles near the thread, ascending.
 fn near(state: &ThreadState, nodes: &[Point3<f64>], triangles: &[[u32; 3]], found: &mut Vec<u32>) {
     found.clear();
     let bounds = |points: &mut dyn Iterator<Item = &Point3<f64>>| {
