@@ -68,7 +68,7 @@ impl Lying {
     }
 
     /// Lists the contacts of a step of `dt` seconds, from the current surface, and the positions \[m\] and velocities
-    /// of the faster body's nodes that can lie on it.
+    /// \[m/s\] of the faster body's nodes that can lie on it.
     pub fn find(
         &mut self,
         surface: &Surface<'_>,
