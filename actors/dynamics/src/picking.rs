@@ -241,7 +241,7 @@ impl Picks {
 }
 
 impl Pick {
-    /// A vertex of it.
+    /// The held vertex of that number, if it is held.
     fn held(&self, vertex: u32) -> Option<&Held> {
         self.vertices.binary_search_by_key(&vertex, |held| held.vertex).ok().map(|at| &self.vertices[at])
     }
