@@ -93,7 +93,7 @@ fn every_method_catches_its_stone_and_without_it_the_stone_falls_through() {
     };
     assert!(depth(&sunk) > depth(&scene) + 5e-4, "the hand sinks in: {} {}", depth(&sunk), depth(&scene));
 
-    // The engine's own detection is disabled for one stone, of which the engine then knows only the surface.
+    // A control for the engine's own detection: its stone has only a surface mesh, without a shape for the engine.
     let app = App::new();
     let shape = "translation = [-0.100, 0.0, 0.030] }\nshape = { sphere = { radius = 0.010 } }";
     let surface = "translation = [-0.100, 0.0, 0.030] }\nmesh = { shape = { sphere = { radius = 0.010 } } }";

@@ -74,7 +74,7 @@ pub struct RunSummary {
     pub state_hash: Option<String>,
     /// How the exercise went.
     pub task: TaskSummary,
-    /// Everyone who acted on the scene, in the order of the scenario.
+    /// The controllers, in the order of the scenario.
     pub controllers: Vec<ControllerSummary>,
     /// Values that were not as in the scenario at the end, by the names of their fields.
     pub tuned: BTreeMap<String, serde_json::Value>,
@@ -85,7 +85,7 @@ pub struct RunSummary {
     /// Greatest age of the last accepted command while a driver still held a force \[µs\]: the promise is 20,000,
     /// and on a machine that keeps drivers waiting that wait comes on top.
     pub force_age_max_us: f64,
-    /// Commands that drivers refused because whoever sent them was dead or abandoned.
+    /// Commands that drivers refused because their sender was dead or abandoned.
     pub commands_refused: u64,
     /// Deepest penetration of two bodies \[m\].
     pub penetration_max: f64,
@@ -178,7 +178,7 @@ pub struct TaskErrorSummary {
 pub struct FaultSummary {
     /// Its id in the plan.
     pub id: String,
-    /// Whom it struck.
+    /// Its target.
     pub target: String,
     /// What it did, such as `kill`.
     pub kind: String,
@@ -186,7 +186,7 @@ pub struct FaultSummary {
     pub injected_secs: Option<f64>,
     /// When it ended by itself \[s\].
     pub healed_secs: Option<f64>,
-    /// When somebody noticed \[s\].
+    /// When it was detected \[s\].
     pub detected_secs: Option<f64>,
     /// When the replacement was built \[s\].
     pub restarted_secs: Option<f64>,

@@ -46,7 +46,7 @@ const HEADINGS: [(&str, &[&str]); 4] = [
     ("Output", &["record", "no-record", "report", "no-report", "json"]),
 ];
 
-/// Every command with what it is called, from the program down.
+/// Every command with its full name, from the program down.
 fn commands() -> Vec<(String, Command)> {
     fn walk(command: &Command, above: &str, found: &mut Vec<(String, Command)>) {
         let name = format!("{above} {}", command.get_name()).trim().to_owned();

@@ -68,7 +68,7 @@ pub enum Ask {
         /// Backwards.
         back: bool,
     },
-    /// Speed relative to real time.
+    /// Speed relative to real time; 1: real time.
     Speed(f64),
     /// Reset.
     Reset,

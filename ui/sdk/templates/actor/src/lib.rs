@@ -38,7 +38,7 @@ pub struct Coach {
     speaker: Addr<Speaker>,
     speed_max: f64,
     advice: Advice,
-    /// Whether somebody is too fast right now: it warns once each time.
+    /// Whether an instrument is too fast right now: it warns once each time.
     too_fast: bool,
 }
 

@@ -50,7 +50,7 @@ impl Component for Bleeding {
     }
 }
 
-/// The pool of blood around a vessel, for whoever draws it.
+/// The pool of blood around a vessel, for viewers.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BloodPool {
     /// Its radius \[m\].
