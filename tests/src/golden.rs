@@ -1,26 +1,26 @@
-//! Golden digests: what a scenario does in lock-step, as two short numbers that a change of the code must not change.
+//! Golden digests: two short numbers for a scenario's behaviour in lock-step, which a change of the code must not
+//! change.
 //!
-//! The *state hash* is the session's own chain over everything that was ever written. The *digest of motion* covers
-//! only where things are and how the exercise stands, by the names of the entities: no component names, no schema, no
-//! writers. Moving code changes neither. Renaming a component, a writer or a marker may change the state hash, never the
-//! digest of motion.
+//! The *state hash* is the session's own chain over all commits. The *digest of motion* covers only poses and the state
+//! of the exercise, by the names of the entities: no component names, no schema, no writers. Moving code changes
+//! neither. Renaming a component, a writer or a marker may change the state hash, never the digest of motion.
 //!
 //! `tests/golden.toml` holds both for each scenario and seed. Factorisations by `faer` choose their block sizes by the
-//! processor, so their last bits differ between kinds of processors: a row says for which [`arithmetic`] it holds.
+//! processor, so their last bits differ between processors: each row names the [`arithmetic`] that it holds for.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::{Pose, SimTime, Snapshot, TaskState, VertexPositions};
 
-/// How often the motion is looked at.
+/// Sampling interval of the motion.
 pub const LOOK_EVERY: SimTime = SimTime::from_millis(100);
 
 /// `tests/golden.toml`.
 #[derive(Clone, Debug, Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Golden {
-    /// Every run that is known.
+    /// All recorded runs.
     pub run: Vec<GoldenRun>,
 }
 
@@ -32,9 +32,9 @@ pub struct GoldenRun {
     pub scenario: String,
     /// Seed of everything random.
     pub seed: u64,
-    /// Time of the session that is run \[s\], or until the exercise is over.
+    /// Duration of the run in session time \[s\], or until the exercise is over.
     pub seconds: f64,
-    /// For which [`arithmetic`] it holds; `any` for every one.
+    /// The [`arithmetic`] that it holds for; `any` for every one.
     pub arithmetic: String,
     /// The state hash at the end, its first 128 bits.
     pub state: String,
@@ -47,7 +47,7 @@ pub struct GoldenRun {
 pub struct MotionDigest(blake3::Hasher);
 
 impl MotionDigest {
-    /// Adds where everything is now and how the exercise stands.
+    /// Adds the present poses and the state of the exercise.
     pub fn look(&mut self, scene: &Snapshot) {
         let mut named: Vec<_> = scene.entities().map(|entity| (scene.name(entity), entity)).collect();
         named.sort();
@@ -112,13 +112,13 @@ impl MotionDigest {
     }
 }
 
-/// Tells kinds of arithmetic apart that give other last bits: a short number over the results of a few factorisations
-/// and products of matrices, and of the system's mathematical functions.
+/// Identifies the processor's arithmetic: a short number over the results of a few factorisations and matrix products,
+/// and of the system's mathematical functions, which differ in their last bits.
 pub fn arithmetic() -> String {
     use faer::{Mat, Par, Side};
     faer::set_global_parallelism(Par::Seq);
     let mut digest = MotionDigest::default();
-    // Sizes below and above the blocks that caches of different sizes lead to.
+    // Sizes below and above the block sizes for caches of different sizes.
     for size in [5, 48, 170, 420] {
         let entry = |row: usize, column: usize| ((row * 31 + column * 17 + 3) as f64).sqrt().fract() - 0.5;
         let factor = Mat::from_fn(size, size, entry);

@@ -1,7 +1,7 @@
-//! What crosses crates: scenarios, faults, determinism, benches, tidy checks.
+//! Tests across crates: scenarios, faults, determinism, benchmarks, tidiness of the sources.
 //!
-//! This library holds what several of those tests need: the standard program, and runs of the peg transfer
-//! with parts of the scenario replaced.
+//! This library holds helpers of several of those tests: the standard program, and runs of the peg transfer with parts
+//! of the scenario replaced.
 
 pub mod golden;
 
@@ -10,7 +10,7 @@ use trocar::run::{RunOptions, RunOutcome, run};
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{Entity, Snapshot};
 
-/// The program with everything that comes with Trocar.
+/// The program with all built-in components and controllers.
 pub fn app() -> App {
     App::new()
 }
@@ -18,7 +18,7 @@ pub fn app() -> App {
 /// The peg transfer with pieces of its text replaced; every piece must occur.
 ///
 /// # Panics
-/// When a piece does not occur or the result is no valid scenario.
+/// When a piece does not occur or the result is an invalid scenario.
 pub fn peg_transfer(app: &App, replacements: &[(&str, &str)]) -> Scenario {
     edited(app, "peg-transfer", replacements)
 }
@@ -26,7 +26,7 @@ pub fn peg_transfer(app: &App, replacements: &[(&str, &str)]) -> Scenario {
 /// One of the program's scenarios with pieces of its text replaced; every piece must occur.
 ///
 /// # Panics
-/// When a piece does not occur or the result is no valid scenario.
+/// When a piece does not occur or the result is an invalid scenario.
 pub fn edited(app: &App, name: &str, replacements: &[(&str, &str)]) -> Scenario {
     let (_, text) =
         trocar::app::SCENARIOS.iter().find(|(known, _)| *known == name).expect("a known scenario");
@@ -43,7 +43,7 @@ pub fn lockstep(seed: u64) -> RunOptions {
     RunOptions { lockstep: true, seed, ..RunOptions::default() }
 }
 
-/// Runs to the end without looking.
+/// Runs to the end without an observer.
 ///
 /// # Panics
 /// When the run cannot start.
@@ -51,7 +51,7 @@ pub fn finish(app: &App, scenario: &Scenario, options: &RunOptions) -> RunOutcom
     run(app, scenario, options, &mut |_| {}).expect("the session starts")
 }
 
-/// Applies `work` to every seed on two threads; results in the order of the seeds.
+/// Applies `work` to every seed on two threads; results are in the order of the seeds.
 ///
 /// # Panics
 /// When `work` does.
@@ -74,7 +74,7 @@ pub struct Names {
     pub hands: [Entity; 2],
 }
 
-/// Finds them.
+/// Finds their entities.
 pub fn names(scene: &Snapshot) -> Names {
     let find = |name: &str| scene.find(name).expect("a name of the scenario");
     Names {

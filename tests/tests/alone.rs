@@ -1,6 +1,6 @@
-//! What crosses crates.
+//! Tests across crates that run one after another.
 //!
-//! Tests in real time, of signals, and of processes that must not be disturbed: one after another.
+//! They are tests in real time, of signals, and of processes that must not be disturbed.
 
 mod kills;
 mod live_scenes;

@@ -1,4 +1,4 @@
-//! The detection methods side by side: each finds its contacts, and the engine answers to them.
+//! The detection methods side by side: each finds its contacts, and the engine responds to them.
 
 use nalgebra::Vector3;
 use trocar::prelude::*;
@@ -19,7 +19,7 @@ fn speed(scene: &Snapshot, name: &str) -> f64 {
     scene.get::<Velocity>(stone).copied().unwrap_or_default().linear.norm()
 }
 
-/// Methods whose contacts stand in the scene now.
+/// Methods with contacts in the scene.
 fn methods(scene: &Snapshot) -> Vec<Detection> {
     let mut methods: Vec<Detection> = scene
         .iter::<CollisionList>()
@@ -65,13 +65,13 @@ fn every_method_catches_its_stone_and_without_it_the_stone_falls_through() {
     let at = place(&scene, "stone.motion");
     assert!((0.0080..0.0112).contains(&at.z), "it lies on its sheet: {at:?}");
     assert!(speed(&scene, "stone.motion") < 5e-3, "{}", speed(&scene, "stone.motion"));
-    // It fell beside the middle of the shaft: that threw it aside.
+    // It hit the shaft beside its middle and was deflected.
     let thrown = place(&scene, "stone.shaft");
     assert!(thrown.x > 0.060 && thrown.z < -0.1, "{thrown:?}");
     let thrown = place(&scene, "stone.image");
     assert!(thrown.x < 0.040 && thrown.z < -0.1, "to the other side: {thrown:?}");
 
-    // The left hand presses the organ: what it feels is what stands in the list.
+    // The left hand presses the organ: the list holds the force that it feels.
     let pressed = |scene: &Snapshot| {
         let hand = scene.find("hand.left").expect("an entity");
         scene.get::<DeviceState>(hand).map_or(0.0, |state| state.applied_force.norm())
@@ -93,7 +93,7 @@ fn every_method_catches_its_stone_and_without_it_the_stone_falls_through() {
     };
     assert!(depth(&sunk) > depth(&scene) + 5e-4, "the hand sinks in: {} {}", depth(&sunk), depth(&scene));
 
-    // The engine's own detection, taken from a stone that it then knows the surface of only.
+    // A control for the engine's own detection: its stone has only a surface mesh, without a shape for the engine.
     let app = App::new();
     let shape = "translation = [-0.100, 0.0, 0.030] }\nshape = { sphere = { radius = 0.010 } }";
     let surface = "translation = [-0.100, 0.0, 0.030] }\nmesh = { shape = { sphere = { radius = 0.010 } } }";
@@ -117,7 +117,7 @@ fn every_method_catches_its_stone_and_without_it_the_stone_falls_through() {
         let scene = without.snapshot();
         let (with, fallen) = (place(&session.snapshot(), stone), place(&scene, stone));
         assert!((fallen - with).norm() > 0.01, "{controller}: {with:?} {fallen:?}");
-        // Straight down, past everything.
+        // Straight down, past all obstacles.
         let from = match stone {
             "stone.shaft" | "stone.image" => 0.045,
             "stone.motion" => 0.060,
@@ -145,7 +145,8 @@ fn a_detector_that_dies_takes_its_contacts_with_it_and_its_successor_finds_them_
     let after = place(&session.snapshot(), "stone.trees");
     assert!((after - before).norm() < 5e-4, "{before:?} {after:?}");
     let restarts: u32 = session.reports().iter().map(|row| row.restarts).sum();
-    // Rest for one: with the first detector those who stand behind it, the engine last; then the engine once more.
+    // Rest for one: with the first detector those below it in the tree restart, the engine last; then the engine once
+    // more.
     assert_eq!(restarts, 9);
 }
 
@@ -168,7 +169,7 @@ fn each_method_reports_its_rate_its_cost_and_its_hits() {
     for row in reports.iter().filter(|row| row.name.starts_with("haptics")) {
         assert_eq!(row.hits, None, "{} finds nothing", row.name);
     }
-    // What a detector listed last is what stands in the scene.
+    // The detector's last list is in the scene.
     let scene = session.snapshot();
     let in_scene: u64 = scene.iter::<CollisionList>().map(|(_, list)| list.collisions.len() as u64).sum();
     let told: u64 = reports.iter().filter_map(|row| row.hits).map(|hits| hits.now).sum();

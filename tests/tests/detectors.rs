@@ -1,5 +1,5 @@
-//! Detectors on bodies that misbehave: an organ that folds onto itself, and surfaces that are replaced, spoilt or gone while
-//! every method looks at them.
+//! Detectors on difficult bodies: an organ that folds onto itself, and surfaces that are replaced, invalid or removed
+//! while every method queries them.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ fn sheet() -> Vec<[u32; 3]> {
     triangles
 }
 
-/// One half lies flat; the other arches over it, and its end is so far beneath the flat half \[m\].
+/// One half lies flat; the other arches over it, and its end is at this depth below the flat half \[m\].
 fn folded(beneath: f64) -> Vec<Point3<f64>> {
     let mut vertices = Vec::new();
     for row in 0..ROWS {
@@ -47,7 +47,7 @@ fn folded(beneath: f64) -> Vec<Point3<f64>> {
                 Point3::new(along * HALF, y, 0.0)
             } else {
                 let z = 4.0 * ARCH * along * (1.0 - along) - beneath * along;
-                // Not row over row, and a little askew.
+                // Not aligned with the rows, and slightly skewed.
                 Point3::new(-0.77 * along * HALF, 0.9 * y + 0.001, z)
             });
         }
@@ -55,7 +55,7 @@ fn folded(beneath: f64) -> Vec<Point3<f64>> {
     vertices
 }
 
-/// Folds the organ: its end sinks from 4 mm above itself to 4 mm beneath, and comes back.
+/// Folds the organ: its end sinks from 4 mm above the flat half to 4 mm below, and returns.
 struct Folding(Entity);
 
 fn beneath(time: SimTime) -> f64 {
@@ -136,7 +136,7 @@ params = { pairs = [["organ", "organ"]], stiffness = 300.0 }
         let world = scene.world_pose(organ);
         for contact in &contacts {
             assert_eq!((contact.a, contact.b, contact.method), (organ, organ, Detection::ObbTree));
-            // The flat half is the first: the other one goes back up.
+            // The flat half is the first body: the normal pushes the other one up.
             let up = world.inverse_transform_vector(&contact.normal_in_world);
             assert!(up.z > 0.3 && (up.norm() - 1.0).abs() < 1e-9, "{up:?}");
             assert!((0.0..0.006).contains(&contact.depth), "{contact:?}");
@@ -150,7 +150,7 @@ params = { pairs = [["organ", "organ"]], stiffness = 300.0 }
 
 // ---- Surfaces in trouble -----------------------------------------------------------------------------------------------
 
-/// Twice an organ with a stone in it and a shaft at its side: every method looks at both.
+/// Two copies of an organ with a stone inside and a shaft at its side, queried by every method.
 fn ward() -> String {
     let mut text = String::from(
         r#"
@@ -215,7 +215,8 @@ shaft_length = 0.1
     text
 }
 
-/// Methods that find something of an entity as it is: what a motion has met is held for as long as it stays on the other side.
+/// Methods with a present contact of an entity, without `Continuous`, which keeps a contact while the other body stays
+/// on the far side.
 fn methods(scene: &Snapshot, entity: Entity) -> Vec<Detection> {
     let of = |contact: &Collision| {
         contact.method != Detection::Continuous && (contact.a == entity || contact.b == entity)
@@ -227,7 +228,7 @@ fn methods(scene: &Snapshot, entity: Entity) -> Vec<Detection> {
     methods
 }
 
-/// Those that need no motion.
+/// Methods that need no motion.
 const AT_REST: [Detection; 6] = [
     Detection::ObbTree,
     Detection::Proximity,
@@ -241,7 +242,7 @@ struct Ward {
     session: Session,
     sick: Entity,
     sound: Entity,
-    /// Of every detector, that are no trouble.
+    /// Expected restarts of all detectors.
     restarts: u32,
 }
 
@@ -282,7 +283,7 @@ impl Ward {
         (vertices, scene.get::<SurfaceMesh>(self.sick).expect("a mesh").triangles.to_vec())
     }
 
-    /// A while later: what is found of the sick organ. Nobody has died, and the sound one is looked at as ever.
+    /// The contacts of the faulty organ a while later. No detector has died, and the intact organ is still detected.
     fn after(&mut self, what: &str) -> Vec<Detection> {
         for _ in 0..10 {
             self.session.step(MS);
@@ -308,7 +309,7 @@ fn a_mesh_that_is_replaced_in_mid_run_is_found_as_it_is_now() {
         ward.put(Some(ball.positions), Some(ball.triangles));
         assert_eq!(ward.after("another ball"), AT_REST, "{segments} segments");
     }
-    // Smaller than anything reaches; then as it was.
+    // Smaller than any contact distance; then restored.
     let (vertices, triangles) = ward.mesh();
     ward.put(Some(vertices.iter().map(|vertex| vertex * 0.3).collect()), None);
     assert_eq!(ward.after("shrunk"), []);
@@ -320,7 +321,7 @@ fn a_mesh_that_is_replaced_in_mid_run_is_found_as_it_is_now() {
 fn corners_that_do_not_exist_make_a_body_absent_until_they_do() {
     let mut ward = Ward::open();
     let ball = shapes::sphere(0.02, 40, 40).expect("a ball");
-    // Triangles first: their vertices come later.
+    // Triangles first: their vertices follow later.
     ward.put(None, Some(ball.triangles));
     assert_eq!(ward.after("no such corners"), []);
     let told = ward.events("surface_unusable");
@@ -347,36 +348,36 @@ fn degenerate_non_manifold_inverted_and_empty_surfaces_are_answered() {
     let mut ward = Ward::open();
     let (vertices, triangles) = ward.mesh();
 
-    // Triangles without area among the others, also on a single point.
+    // Degenerate triangles among the others, also on a single point.
     let mut some = triangles.clone();
     some.extend(triangles.iter().take(40).map(|[a, b, _]| [*a, *b, *b]));
     some.push([3, 3, 3]);
     ward.put(None, Some(some));
     assert_eq!(ward.after("triangles without area"), AT_REST);
 
-    // Every edge of a part of it has four triangles.
+    // Non-manifold: every edge of a part of it has four triangles.
     let mut twice = triangles.clone();
     twice.extend_from_slice(&triangles[..triangles.len() / 2]);
     ward.put(None, Some(twice));
     let non_manifold = ward.after("edges of four triangles");
     assert!(non_manifold.contains(&Detection::Proximity) && non_manifold.contains(&Detection::DynamicPoint));
 
-    // Inside out: surfaces still meet, whatever counts as inside.
+    // Inverted orientation: surfaces still touch, whichever side counts as inside.
     ward.put(None, Some(triangles.iter().map(|[a, b, c]| [*a, *c, *b]).collect()));
     let inverted = ward.after("inside out");
     for method in [Detection::ObbTree, Detection::Proximity, Detection::DynamicPoint] {
         assert!(inverted.contains(&method), "{inverted:?}");
     }
 
-    // All in one place; nothing at all.
+    // All vertices in one place; then no vertices.
     ward.put(Some(vec![Point3::new(0.0, 0.0, 0.5); vertices.len()]), None);
-    // Where triangles without a vertex in common meet in one place, they meet.
+    // Triangles without a common vertex that meet in one place are in contact.
     assert_eq!(ward.after("one point"), [Detection::ObbTree]);
     ward.put(None, Some(Vec::new()));
     assert_eq!(ward.after("no triangles"), []);
     ward.put(Some(Vec::new()), None);
     assert_eq!(ward.after("no vertices"), []);
-    // Numbers, though of no size that anything has: it would hide what else a hand feels.
+    // Finite but absurdly large: its contacts would hide the others.
     ward.put(Some(vertices.iter().map(|vertex| vertex * 1e150).collect()), Some(triangles.clone()));
     assert_eq!(ward.after("huge"), []);
     ward.put(Some(vertices), Some(triangles));
@@ -396,7 +397,7 @@ fn a_body_that_is_gone_is_waited_for_and_another_of_its_name_takes_its_place() {
         })
         .expect("removed");
     assert_eq!(ward.after("gone"), []);
-    // Another one of its name takes its place, and is despawned again.
+    // A new entity of the same name replaces it, and is despawned again.
     let mut born = None;
     let put = |out: &mut Commands, born: &mut Option<Entity>| {
         let entity = out.spawn();
@@ -416,7 +417,7 @@ fn a_body_that_is_gone_is_waited_for_and_another_of_its_name_takes_its_place() {
 
 #[test]
 fn a_later_life_waits_for_a_body_that_is_gone() {
-    // With the first detector those who stand behind it begin anew.
+    // A killed first detector restarts those below it in the tree.
     let mut ward = Ward::with(FaultPlan::new(1).at(secs(0.05)).kill("trees"));
     let (vertices, triangles) = ward.mesh();
     let sick = ward.sick;

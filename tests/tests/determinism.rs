@@ -1,4 +1,4 @@
-//! Lock-step: the same bits every time, and other bits whenever anything is different.
+//! Determinism of lock-step: equal inputs give equal bits, and any difference in the inputs gives different bits.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -1,5 +1,5 @@
-//! What README and docs say that can be checked: the index, the snippets, the figures' places, the map of the code. Links,
-//! names of tests, and that the programs shown are the examples, are checked in `tidy/`; command lines are parsed in
+//! Checks of README and docs: the index, the snippets, the tables of figures, the map of the code. Links, names of
+//! tests, and that the programs shown are the examples, are checked in `tidy/`; command lines are parsed in
 //! `ui/cli/tests/docs_commands.rs`.
 
 use std::collections::BTreeSet;
@@ -13,9 +13,9 @@ use trocar_tests::app;
 /// Programs that tests build, and that pages may show.
 const EXAMPLES: [&str; 3] =
     ["ui/cli/examples/haste.rs", "ui/sdk/examples/slippery.rs", "ui/cli/examples/eye.rs"];
-/// Suites of `trocar bench` whose tables stand in docs/figures.md.
+/// Suites of `trocar bench` whose tables are in docs/figures.md.
 const SUITES: [&str; 6] = ["kernel", "session", "viewer", "collision", "simulator", "build"];
-/// What snippets of scenarios refer to.
+/// Entities that snippets of scenarios refer to.
 const NEIGHBOURS: &str = r#"
 schema = 1
 name = "snippet"
@@ -39,7 +39,7 @@ fn read(name: &str) -> String {
     std::fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
-/// README and manual: path from the root and text.
+/// Pages of README and manual: path from the root and text.
 fn pages() -> Vec<(String, String)> {
     let mut names: Vec<String> = files("docs").into_iter().filter(|name| name.ends_with(".md")).collect();
     names.push("README.md".to_owned());
@@ -106,7 +106,7 @@ fn every_program_of_the_docs_is_compiled() {
     refuse("programs that nothing compiles", wrong);
 }
 
-/// Reads a snippet as what it is: a fault plan, bindings, a scenario, or a part of one.
+/// Parses a snippet by its kind: a fault plan, bindings, a scenario, or a part of one.
 fn read_toml(snippet: &str) -> Result<(), String> {
     if snippet.contains("[[fault]]") {
         return FaultPlan::parse(snippet, "snippet").map(drop).map_err(|error| error.to_string());

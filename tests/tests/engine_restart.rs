@@ -18,7 +18,7 @@ fn forces(scene: &Snapshot, names: &Names) -> [nalgebra::Vector3<f64>; 2] {
     names.hands.map(|hand| scene.get::<DeviceForce>(hand).map_or_else(Default::default, |force| force.force))
 }
 
-/// Runs to the first hand-over and gives the times at which both hands hold the ring.
+/// Runs to the first hand-over and returns the times at which both hands hold the ring.
 fn first_hand_over(session: &mut Session) -> Vec<SimTime> {
     let names = names(&session.snapshot());
     let mut times = Vec::new();
@@ -52,7 +52,7 @@ fn survives(replacements: &[(&str, &str)], seeds: u64) {
     let figures = for_seeds(&seeds, |seed| {
         let times = first_hand_over(&mut start(&app, &scenario, &lockstep(seed)).expect("starts"));
         assert!(times.len() > 10, "seed {seed}: no hand-over within 30 s");
-        // A tick in the middle of it, spread over the seeds without favouring any phase.
+        // A tick in the middle of it, spread over the seeds without favouring a phase.
         let at = times[(seed as usize * 7_919) % (times.len() - 5)];
         let faults = Some(FaultPlan::new(seed).at(at).kill("engine"));
         let mut session = start(&app, &scenario, &RunOptions { faults, ..lockstep(seed) }).expect("starts");

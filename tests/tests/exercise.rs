@@ -5,7 +5,7 @@ use trocar::summary::Exit;
 use trocar_test_support::{median, thorough};
 use trocar_tests::{app, finish, for_seeds, lockstep, peg_transfer};
 
-/// The scenario with rigid bodies of our own in the place of the engine's.
+/// The scenario with our impulse-based rigid bodies instead of the engine's.
 const BY_IMPULSES: (&str, &str) = (r#"kind = "rapier""#, r#"kind = "rigid-bodies""#);
 
 #[test]
@@ -36,7 +36,7 @@ fn completes(replacements: &[(&str, &str)]) {
     }
 }
 
-/// A referee who ends the exercise although not everything was done, as when a ring has fallen out of reach.
+/// A referee that ends the exercise before everything was done, as when a ring has fallen out of reach.
 struct Referee;
 impl Controller for Referee {
     fn access(&self) -> Access {
@@ -69,8 +69,8 @@ fn a_left_handed_expert_completes_the_mirrored_exercise() {
     assert!(outcome.summary.task.errors.iter().all(|error| error.kind != "wrong_hand"));
 }
 
-/// The scorer never learns the skill: it sees poses. Seeds of each, compared by their medians: a few, or twenty at full
-/// length.
+/// The scorer reads poses only, never the skill. Seeds of each skill, compared by their medians: a few, or twenty in a
+/// thorough run.
 #[test]
 fn score_and_motion_rank_expert_above_intermediate_above_novice() {
     let app = app();

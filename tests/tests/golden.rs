@@ -1,7 +1,7 @@
-//! Every scenario in lock-step gives the bits that `tests/golden.toml` holds.
+//! Every scenario in lock-step gives the digests in `tests/golden.toml`.
 //!
-//! `TROCAR_GOLDEN=record cargo test --release -p trocar-tests golden` measures the rows anew and writes the file. A change
-//! of it stands alone in its commit, with the reason.
+//! `TROCAR_GOLDEN=record cargo test --release -p trocar-tests golden` measures the rows anew and writes the file.
+//! Commit such a change alone, with the reason.
 
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -12,7 +12,7 @@ use trocar::run::{RunOptions, start};
 use trocar_tests::golden::{Golden, GoldenRun, LOOK_EVERY, MotionDigest, arithmetic, by_run};
 use trocar_tests::{app, edited, lockstep};
 
-/// What is run when rows are recorded: scenario, seed, seconds. Each reaches what its scene is for.
+/// The recorded runs: scenario, seed, seconds. Each is long enough for the purpose of its scene.
 const RUNS: [(&str, u64, f64); 17] = [
     ("peg-transfer", 1, 12.0),
     ("peg-transfer", 2, 12.0),
@@ -79,7 +79,7 @@ fn record(arithmetic: &str) {
     let mut rows = on_two_threads(&RUNS, |(scenario, seed, seconds)| {
         measure(&app, scenario, *seed, *seconds, arithmetic)
     });
-    // Rows of other kinds of arithmetic stay; what is the same everywhere is said once.
+    // Rows of other arithmetics are kept; rows equal on all of them are stored once.
     let before = if file().exists() { known().run } else { Vec::new() };
     let is_run = |row: &GoldenRun| {
         RUNS.iter().any(|(scenario, seed, seconds)| {

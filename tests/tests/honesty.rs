@@ -1,4 +1,4 @@
-//! What must fail, fails: no friction, one jaw, a trainee that cheats.
+//! Negative controls that must fail: no friction, one jaw, a trainee that cheats.
 
 use std::sync::Arc;
 
@@ -39,7 +39,7 @@ fn with_one_jaw_no_ring_is_carried() {
     fails_with(&[("jaws = 2\n", "jaws = 1\n")]);
 }
 
-/// Says that it moves hands, and moves a ring.
+/// Declares that it moves hands, and moves a ring.
 struct Cheat {
     hand: Entity,
     ring: Entity,
@@ -102,7 +102,7 @@ fn a_trainee_that_declares_a_rings_pose_for_itself_is_refused_at_the_start() {
     options.seconds = Some(1.0);
     match trocar::run::run(&app, &scenario, &options, &mut |_| {}) {
         Err(error) => assert!(error.to_string().contains("pose"), "{error}"),
-        // A kernel that finds out when the controller declares itself never lets it act.
+        // A kernel that checks the declaration never lets it act.
         Ok(outcome) => {
             let row = outcome.reports.iter().find(|row| row.name == "autopilot").expect("its row");
             assert_eq!(row.scheduled, 0, "it never ticked: {row:?}");

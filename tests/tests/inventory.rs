@@ -1,5 +1,5 @@
-//! No test vanishes unseen: `tests/inventory.toml` lists every test of the workspace with where it runs and how long it
-//! took, and is compared with the sources. `tests/inventory` writes it anew.
+//! The inventory of tests: `tests/inventory.toml` lists every test of the workspace with where it runs and its
+//! duration, and is compared with the sources, so that no test vanishes unseen. `tests/inventory` rewrites it.
 
 mod sources;
 
@@ -9,11 +9,11 @@ use std::path::{Path, PathBuf};
 
 use sources::{Test, programs, tests};
 
-/// Says `accept` to write the inventory anew.
+/// With the value `accept` this variable rewrites the inventory.
 const ACCEPT: &str = "TROCAR_INVENTORY";
-/// What `tests/run --times` has printed, when durations are to be taken from it.
+/// The output of `tests/run --times`, from which durations are taken.
 const LOG: &str = "TROCAR_TEST_LOG";
-/// A workspace of its own whose tests `tests/run` runs as well.
+/// A separate workspace whose tests `tests/run` runs as well.
 const BESIDE: &str = "tests/loom";
 const HEAD: &str = "\
 # Every test of the workspace, by the program that it is in: how long it took [s], beside what ran at the same time.
@@ -21,7 +21,7 @@ const HEAD: &str = "\
 # the sources.
 ";
 
-/// Durations by program, where it runs, and name.
+/// Durations by program, place, and name.
 type Inventory = BTreeMap<String, BTreeMap<String, BTreeMap<String, f64>>>;
 
 fn root() -> PathBuf {
@@ -32,7 +32,7 @@ fn file() -> PathBuf {
     root().join("tests/inventory.toml")
 }
 
-/// Every test that the sources have.
+/// Every test in the sources.
 fn in_the_sources() -> Vec<Test> {
     let root = root();
     let manifest = std::fs::read_to_string(root.join("Cargo.toml")).expect("a manifest");
@@ -56,7 +56,7 @@ fn written() -> Inventory {
     }
 }
 
-/// Durations that the test programs have told, by program and name \[s\].
+/// Durations printed by the test programs, by program and name \[s\].
 fn told(log: &str) -> BTreeMap<(String, String), f64> {
     let mut program = String::new();
     let mut found = BTreeMap::new();
@@ -77,7 +77,7 @@ fn told(log: &str) -> BTreeMap<(String, String), f64> {
     found
 }
 
-/// The inventory as its file has it: durations rounded to 0.1 s.
+/// The inventory as the text of its file: durations rounded to 0.1 s.
 fn rendered(inventory: &Inventory) -> String {
     let mut text = HEAD.to_owned();
     for (program, places) in inventory {

@@ -1,5 +1,5 @@
-//! Whoever is killed in the middle of the exercise, it is completed, and its recording holds everything: every
-//! kind of actor once, the Model and the recorder too, in a random order at random times.
+//! Kills every kind of actor once in the middle of the exercise, including the Model and the recorder, in a random
+//! order at random times: the exercise is completed, and its recording is complete.
 //!
 //! The seed is printed; `TROCAR_KILL_SEED` sets it.
 
@@ -15,9 +15,9 @@ use trocar_scene::SimTime;
 use trocar_test_support::alone;
 use trocar_tests::{app, finish, lockstep, peg_transfer};
 
-/// Seed of the victims and times when nobody asks for another one.
+/// Default seed of the victims and times.
 const SEED: u64 = 7;
-/// Every kind of actor; of a kind with several members one is chosen.
+/// Every kind of actor; one member of each is chosen.
 const KINDS: [&[&str]; 7] = [
     &["haptics.left", "haptics.right"],
     &["engine"],
@@ -27,7 +27,7 @@ const KINDS: [&[&str]; 7] = [
     &["model"],
     &["recorder"],
 ];
-/// When they are killed \[s\]: from the first reach to a time before which no exercise is over.
+/// Period of the kills \[s\]: from the first reach to a time before which no exercise is over.
 const FIRST: f64 = 1.0;
 const LAST: f64 = 55.0;
 
@@ -54,7 +54,7 @@ fn seed() -> u64 {
     }
 }
 
-/// One of each kind, at any time.
+/// One kill of each kind, at random times.
 fn plan(seed: u64) -> FaultPlan {
     let mut random = Random(seed);
     let mut plan = FaultPlan::new(seed);
@@ -65,7 +65,7 @@ fn plan(seed: u64) -> FaultPlan {
     plan
 }
 
-/// Plays the exercise under the plan and holds everything but its completion against the promises.
+/// Runs the exercise under the plan and checks every guarantee except its completion.
 fn play(options: RunOptions) -> RunOutcome {
     let seed = seed();
     let plan = plan(seed);
@@ -109,14 +109,13 @@ fn told(outcome: &RunOutcome) -> String {
     )
 }
 
-/// Looks beside a live session whether the machine gives anybody the time that is asked for: a bare loop with the
-/// period of the physics, which does nothing else.
+/// Measures beside a live session whether the machine is overloaded: a bare loop with the period of the physics.
 struct Floor {
     over: Arc<AtomicBool>,
     missed: JoinHandle<(u64, u64)>,
 }
 
-/// Of the physics in the exercise, and how long the loop runs before it looks whether the session is over.
+/// Period of the physics in the exercise, and how long the loop runs between two checks whether the session is over.
 const PERIOD: SimTime = SimTime::from_millis(2);
 const SPAN: SimTime = SimTime::from_millis(200);
 
@@ -134,7 +133,7 @@ impl Floor {
         Self { over, missed }
     }
 
-    /// Share of its ticks that the loop has missed.
+    /// Share of missed ticks of the loop.
     fn end(self) -> f64 {
         self.over.store(true, Ordering::Relaxed);
         let (missed, scheduled) = self.missed.join().expect("a loop does not panic");
@@ -142,8 +141,7 @@ impl Floor {
     }
 }
 
-/// Share of the ticks of a bare loop that a machine takes away from it when it starves everybody: what a grip would have
-/// held then says nothing of the program.
+/// Share of missed ticks above which the machine counts as overloaded: a lost grip then says nothing about the program.
 const STARVED: f64 = 0.1;
 
 #[test]
@@ -153,8 +151,8 @@ fn every_kind_of_actor_is_killed_once_in_lockstep_and_the_exercise_completes() {
     assert!(outcome.summary.task.completed, "{}", told(&outcome));
 }
 
-/// With the time that it needs the exercise completes. That the time was missing is believed of a loop that has nothing to
-/// do with the program only, and not for ever.
+/// With enough processor time the exercise completes. Only the bare loop, which is independent of the program, can
+/// excuse a failure as overload, and only a limited number of times.
 #[test]
 fn every_kind_of_actor_is_killed_once_live_and_the_exercise_completes() {
     let _alone = alone();

@@ -1,5 +1,5 @@
-//! The scene with two rates, live: what it comes to and what hands feel is what it is in virtual time. How punctual everybody
-//! is belongs to the machine, and to `trocar bench simulator`.
+//! The scenario `two-rates`, live: its results and hand forces equal those in virtual time. Punctuality depends on the
+//! machine, and is measured by `trocar bench simulator`.
 
 use trocar::prelude::*;
 use trocar_test_support::alone;
@@ -18,11 +18,11 @@ fn two_rates_come_to_the_same_and_feel_the_same_live_as_in_virtual_time() {
         let row = row(name);
         assert_eq!((row.restarts, row.rejected), (0, 0), "{name}");
     }
-    // None waits for another: each has a rate of its own, in the order of their targets.
+    // None blocks another: each has its own rate, in the order of their targets.
     let rates = ["organ", "membrane", "haptics.left"].map(|name| row(name).achieved_hz);
     assert!(rates.windows(2).all(|pair| pair[0] < pair[1]), "{rates:?} Hz");
-    // Where in one of the organ's steps of 50 ms a hand begins to press is chance, live: what it feels lies among what it feels
-    // when it begins at any of them.
+    // In live time a hand may begin to press at any phase of the organ's steps of 50 ms: its force must be in the range
+    // over all phases.
     let begins = "seconds = 1.5, to = [-0.050, 0.0, 0.0]";
     let phases = ["1.50", "1.51", "1.52", "1.53", "1.54"].map(|seconds| {
         let later = begins.replace("1.5,", &format!("{seconds},"));
@@ -31,8 +31,8 @@ fn two_rates_come_to_the_same_and_feel_the_same_live_as_in_virtual_time() {
     let felt = |of: &trocar::run::RunOutcome, measure: &str| of.summary.task.metrics["outcome"][measure];
     for (measure, tolerance) in [
         ("hand.left.felt_stiffness_n_per_m.mean", 0.1),
-        // A hand stays on the membrane for few of its steps: which of them meets the turn of the stroke is chance as well, and
-        // is worth a tenth of the peak.
+        // A hand stays on the membrane for few of its steps: which of them coincides with the turn of the stroke is
+        // chance as well, and changes the peak by a tenth.
         ("hand.right.felt_stiffness_n_per_m.mean", 0.15),
         ("organ.contact_force_n.largest", 0.1),
         ("membrane.contact_force_n.largest", 0.15),

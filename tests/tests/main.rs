@@ -1,6 +1,6 @@
-//! What crosses crates.
+//! Tests across crates that may run in parallel.
 //!
-//! All of these tests run beside each other.
+//! Tests that need the machine for themselves are in `alone.rs`.
 
 mod collision_gallery;
 mod detectors;

@@ -1,6 +1,6 @@
-//! Every reader of outside data, given what nobody meant: it must not panic, not hang, not take more memory than a
-//! fixed multiple of its input, and say what is wrong where. Meshes, keyframes and batches have tests of their own
-//! beside their readers; docs/guarantees.md lists them all.
+//! Robustness of every reader of outside data against malformed input: it must not panic or hang, must not use more
+//! memory than a fixed multiple of its input, and must report the error and its place. Meshes, keyframes and batches
+//! have tests beside their readers; docs/guarantees.md lists them all.
 
 use std::cell::RefCell;
 use std::path::Path;
@@ -43,11 +43,11 @@ impl Bound {
     }
 }
 
-/// A TOML value of one character ("a=0\n" is four) becomes a table entry with the places of key and value, twice:
-/// as a document and as what it means.
+/// A TOML value of one character ("a=0\n" is four) becomes a table entry with the places of key and value, twice: as a
+/// document and as parsed data.
 const TOML: Bound = Bound { per_byte: 1_024, always: 256 << 10 };
 
-/// Memory that a mesh may cost while a scenario has it made.
+/// Memory for a mesh that a scenario generates.
 const MADE_MESH: usize = 16 << 20;
 
 thread_local! {
@@ -71,17 +71,17 @@ fn check_scenario(text: &str) -> Checked {
     APP.with(|app| {
         let file = Path::new("hostile.toml");
         let (parsed, peak) = peak_of(|| Scenario::parse(file, text, app.registry()));
-        // A few letters may ask for a mesh of thousands of elements: each is made within limits of its own.
+        // A few letters may request a mesh of thousands of elements: each is generated within its own limits.
         let asked = text.matches("mesh").count();
         Bound { always: TOML.always + asked * MADE_MESH, ..TOML }.holds(peak, text.len())?;
         match parsed {
             Ok(scenario) => {
-                // What was accepted can be spawned, and every controller's parameters are judged without a panic.
+                // An accepted scenario can be spawned, and every controller's parameters are checked without a panic.
                 let (spawned, peak) = peak_of(|| scenario.spawn(app.registry()));
                 TOML.holds(peak, text.len())?;
                 prop_assert!(spawned.is_ok());
             }
-            // A mesh that a mutation invented: the place is that of the reference.
+            // A mesh name created by a mutation: the place is that of the reference.
             Err(error @ (ScenarioError::Invalid { .. } | ScenarioError::Mesh { .. })) => {
                 let message = error.to_string();
                 prop_assert!(names_a_place(&message, "hostile.toml"), "{}", message);
@@ -223,7 +223,7 @@ fn check_spec(text: &str) -> Checked {
     Ok(())
 }
 
-/// A short recording of the wall, as it is and without checksums, so that damage reaches the decoders behind them.
+/// A short recording of the wall, unchanged and without checksums, so that damage reaches the decoders behind them.
 fn recordings() -> Vec<Vec<u8>> {
     let app = app();
     let scenario = edited(&app, "wall", &[]);
@@ -283,7 +283,7 @@ fn check_recording(bytes: &[u8]) -> Checked {
         let (read, peak) = peak_of(|| {
             for item in recording.items() {
                 if let Item::Keyframe(keyframe) = item? {
-                    // Refused or not: it must not harm.
+                    // Whether refused or not, it must not panic.
                     let _ = keyframe.load(registry);
                 }
             }
@@ -294,7 +294,7 @@ fn check_recording(bytes: &[u8]) -> Checked {
     })
 }
 
-/// One value of every component that a peg transfer has on its way, be it a trainee's or a person's: its NAME and its
+/// One value of every component that occurs in a peg transfer, with a virtual trainee or a person: its NAME and its
 /// bytes.
 fn components() -> Vec<(&'static str, Vec<u8>)> {
     APP.with(|app| {
@@ -319,7 +319,7 @@ fn components() -> Vec<(&'static str, Vec<u8>)> {
     })
 }
 
-/// A row, its place in the buffer for commands, and what it holds: the largest values are states of controllers.
+/// A row, its place in the command buffer, and its content: the largest values are states of controllers.
 const COMPONENT: Bound = Bound { per_byte: 128, always: 64 << 10 };
 
 fn check_component(name: &str, bytes: &[u8]) -> Checked {
@@ -463,7 +463,7 @@ fn what_the_mutations_start_from_is_valid() {
     });
 }
 
-/// Shapes of text that cost more than their length where nesting is followed by recursion, or each by each.
+/// Texts that would cost more than linear time in a parser with recursion or pairwise comparison.
 #[test]
 fn deep_and_wide_documents_are_refused_or_read_in_time() {
     let deep_keys = format!("{}=1\n", vec!["a"; 100_000].join("."));

@@ -1,4 +1,4 @@
-//! Pausing a session with hands in it: no force while it rests, and afterwards the exercise goes on.
+//! Pausing a session with hands in it: no force while it is paused, and afterwards the exercise goes on.
 
 use std::time::Duration;
 
@@ -37,8 +37,8 @@ fn a_paused_hand_feels_nothing_and_the_exercise_goes_on_where_it_stood() {
     assert!(session.resume());
     assert!(session.run_until(time + SimTime::from_millis(3_000)));
     assert!(session.snapshot().revision() > revision);
-    // And the wall is felt again. How hard at one moment is not said here: a bare device that is pushed against a wall
-    // takes its time to come to rest.
+    // And the wall is felt again. The force at one moment is not checked: a free device that is pushed against a wall
+    // takes time to come to rest.
     let mut until = time + SimTime::from_millis(3_000);
     while forces(&session)[0] < 0.5 {
         let limit = time + SimTime::from_millis(20_000);

@@ -1,7 +1,7 @@
-//! A person with a mouse and a keyboard, and nobody else, does a ring of the peg transfer.
+//! A person with only mouse and keyboard transfers a ring of the peg transfer.
 //!
-//! The person is a script that sees what a person sees, where things are in the picture, and does what a
-//! person can do: move the pointer, turn the wheel, press buttons and keys, sixty times per second.
+//! The person is a script with a person's means: it sees positions in the picture, and moves the pointer, turns the
+//! wheel, and presses buttons and keys, sixty times per second.
 
 use std::time::Duration;
 
@@ -16,11 +16,11 @@ use trocar_scene::{
 };
 use trocar_tests::{Names, app, names};
 
-/// Between two pictures.
+/// Interval between two pictures.
 const FRAME: SimTime = SimTime::from_micros(16_667);
-/// Share of the distance in the picture that the hand on the mouse makes good per picture.
+/// Share of the remaining distance in the picture that the mouse moves per picture.
 const HASTE: f64 = 0.08;
-/// Farthest that the pointer goes between two pictures \[heights of the picture\].
+/// Largest motion of the pointer between two pictures \[heights of the picture\].
 const STROKE_MAX: f64 = 0.012;
 
 struct Person {
@@ -53,7 +53,7 @@ impl Person {
         assert!(self.controls.press(control, f64::from(u8::from(down))), "{name} means something");
     }
 
-    /// One picture: what was pressed is written, and time passes.
+    /// One picture: writes the input, and lets time pass.
     fn frame(&mut self) {
         self.controls.advance(FRAME.as_secs_f64());
         let input = self.controls.input(Some(self.view), self.session.now());
@@ -66,7 +66,7 @@ impl Person {
         (0..frames).for_each(|_| self.frame());
     }
 
-    /// Right and down in heights of the picture, and the logarithm of the depth.
+    /// Position in the picture: right and down in heights of the picture, and the logarithm of the depth.
     fn seen(&self, point_in_world: &Vector3<f64>) -> Vector3<f64> {
         let eye = self.view.world_from_view.isometry();
         let point = eye.inverse_transform_point(&Point3::from(*point_in_world));
@@ -79,7 +79,7 @@ impl Person {
         self.scene().world_pose(instrument)
     }
 
-    /// Leads the tip of the hand in charge to a place, as far as mouse and wheel can; true when it got there.
+    /// Moves the tip of the active hand to a place with mouse and wheel; true once it is there.
     fn lead(&mut self, to: impl Fn(&Snapshot) -> Vector3<f64>, tolerance: f64, frames: usize) -> bool {
         for _ in 0..frames {
             let side = self.controls.in_charge();
@@ -108,7 +108,7 @@ impl Person {
     }
 }
 
-/// A point on a ring's centre line: where the direction in which the jaws close crosses it, on the side of `towards`.
+/// A point on a ring's centre line: its intersection with the closing direction of the jaws, on the side of `towards`.
 fn grasp_point(scene: &Snapshot, ring: Entity, tip: Entity, towards: &Vector3<f64>) -> Vector3<f64> {
     let pose = scene.world_pose(ring);
     let normal = pose.rotation * Vector3::z();
@@ -123,7 +123,7 @@ fn open(seed: u64) -> Person {
     Person::sits_down(session)
 }
 
-/// Takes a ring with the left hand, lifts it, and carries it away; gives what the hand did and the state hash.
+/// Grasps a ring with the left hand, lifts it, and carries it away; returns the person and the state hash.
 fn carry_a_ring(seed: u64) -> (Person, Entity) {
     let mut person = open(seed);
     let ring = person.ring("ring.3");
@@ -146,7 +146,7 @@ fn carry_a_ring(seed: u64) -> (Person, Entity) {
     (person, ring)
 }
 
-/// Leads a held ring's centre to a place, by the tip that holds it.
+/// Moves a held ring's centre to a place, by the tip that holds it.
 fn lead_ring(person: &mut Person, ring: Entity, to: &Vector3<f64>, tolerance: f64) -> bool {
     let tip = person.names.instruments[person.controls.in_charge() as usize];
     let goal = |scene: &Snapshot| {
@@ -165,7 +165,7 @@ fn a_person_with_a_mouse_takes_a_ring_carries_it_and_puts_it_back() {
         "carried away: {:?}",
         person.scene().world_pose(ring)
     );
-    // Around another peg, which its own ring has left free: the one where it was taken.
+    // Around the peg that its own ring has left free.
     let peg = Vector3::new(-0.012, -0.015, 0.0);
     let over = peg + Vector3::z() * held.z;
     assert!(
@@ -187,7 +187,7 @@ fn a_person_with_a_mouse_takes_a_ring_carries_it_and_puts_it_back() {
     assert!(lies.z.abs() < 0.003 && speed < 0.01, "it lies on the board: {lies:?}, {speed} m/s");
     assert!((lies - peg).xy().norm() < 0.0065, "around its peg: {lies:?}");
     assert_eq!(person.session.task().errors, [], "the referee has seen nothing wrong");
-    // The other hand has kept still through all of it.
+    // The other hand has not moved.
     let target = scene.get::<HandTarget>(person.names.hands[1]).expect("a target");
     assert!(target.handle_in_device.translation.norm() < 1e-9, "{target:?}");
 }
@@ -198,7 +198,7 @@ fn a_person_with_a_mouse_hands_a_ring_over_and_puts_it_on_the_other_board() {
     let held = person.scene().world_pose(ring).translation.vector;
     let meeting = Vector3::new(0.0, 0.0, held.z);
     assert!(lead_ring(&mut person, ring, &meeting, 0.002), "brought: {:?}", person.scene().world_pose(ring));
-    // The left hand keeps its grip, whatever becomes of the button.
+    // The left hand keeps its grip, whatever happens to the button.
     person.press("Tab", true);
     person.press("Tab", false);
     person.press("MouseLeft", false);
@@ -217,7 +217,7 @@ fn a_person_with_a_mouse_hands_a_ring_over_and_puts_it_on_the_other_board() {
     person.press("MouseLeft", true);
     person.wait(30);
     assert_eq!([Side::Left, Side::Right].map(|side| person.holds(side)), [Some(ring); 2], "both hold it");
-    // Back to the left hand, which opens and goes.
+    // Back to the left hand, which opens and retracts.
     person.press("Tab", true);
     person.press("Tab", false);
     person.press("MouseLeft", false);
@@ -267,7 +267,7 @@ fn the_same_person_does_the_same_to_the_bit() {
     assert_eq!(hash(), hash());
 }
 
-/// What the left hand is told and what it does, millisecond by millisecond, while a person drags, presses and drags on.
+/// Target and motion of the left hand, millisecond by millisecond, while a person drags, presses and drags on.
 struct Drag {
     targets: Vec<HandTarget>,
     handles: Vec<Vector3<f64>>,
@@ -301,7 +301,7 @@ impl Drag {
         drag
     }
 
-    /// Largest way of the target between two changes, by the time between them \[m/s\].
+    /// Largest speed of the target between two changes \[m/s\].
     fn target_speed(&self) -> f64 {
         let place = |index: usize| self.targets[index].handle_in_device.translation;
         let (mut changed, mut speed) = (None, 0.0_f64);
@@ -316,7 +316,7 @@ impl Drag {
         speed
     }
 
-    /// Largest way of the handle in a millisecond \[m\].
+    /// Largest motion of the handle in a millisecond \[m\].
     fn handle_step(&self) -> f64 {
         self.handles.windows(2).map(|pair| (pair[1] - pair[0]).norm()).fold(0.0, f64::max)
     }
@@ -325,7 +325,7 @@ impl Drag {
 #[test]
 fn a_controller_that_dies_in_the_middle_of_a_drag_goes_on_without_a_jump() {
     let undisturbed = Drag::of(None);
-    // In mid drag, and while the jaws close.
+    // During a drag, and while the jaws close.
     let plan = FaultPlan::new(2)
         .at(SimTime::from_millis(300))
         .kill("manual")
@@ -338,7 +338,7 @@ fn a_controller_that_dies_in_the_middle_of_a_drag_goes_on_without_a_jump() {
     let (first, last) = (undisturbed.targets[0], undisturbed.targets[undisturbed.targets.len() - 1]);
     let moved = (last.handle_in_device.translation - first.handle_in_device.translation).norm();
     assert!(moved > 0.01, "the drag goes somewhere: {moved} m");
-    // The time that was missed is made up for, and nothing more; the hand itself hardly notices.
+    // The missed time is made up for, without overshoot; the hand itself hardly changes.
     let speeds = [undisturbed.target_speed(), killed.target_speed()];
     assert!(speeds[1] <= 1.1 * speeds[0], "{speeds:?} m/s");
     let steps = [undisturbed.handle_step(), killed.handle_step()];
@@ -395,7 +395,7 @@ fn in_real_time_a_window_writes_from_a_thread_of_its_own() {
         let target = scene.get::<HandTarget>(hand);
         target.map_or(0.0, |target| target.handle_in_device.translation.norm())
     };
-    // However slow the machine is.
+    // For a machine of any speed.
     while moved(&session.snapshot()) < 0.01 && session.now() < SimTime::from_millis(60_000) {
         session.step(SimTime::from_millis(10));
     }

@@ -1,4 +1,4 @@
-//! The scenarios of the repository: valid, with everything that they name, each part of the program.
+//! The scenarios of the repository are valid, everything that they name exists, and each is part of the program.
 
 use std::path::{Path, PathBuf};
 
@@ -51,9 +51,9 @@ fn every_shipped_scenario_loads_and_its_named_things_exist() {
     }
 }
 
-/// What soft bodies are made of, by component.
+/// Components with the material of soft bodies.
 const MATTER: [&str; 7] = ["mass_spring", "xpbd", "linear_fem", "dynamic_fem", "sewn", "tied", "cauterised"];
-/// Numbers of those components that are not of what a body is made of: how it is computed, and what pushes it.
+/// Numbers of those components that are no material parameters: numerical settings and loads.
 const METHOD: [&str; 15] = [
     "lag",
     "damping",
@@ -72,7 +72,7 @@ const METHOD: [&str; 15] = [
     "latent_heat",
 ];
 
-/// Every number of a component, with the table that it stands in.
+/// Every number of a component, with the name of its table.
 fn numbers<'a>(value: &'a Value, within: &'a str, found: &mut Vec<(&'a str, &'a str, f64)>) {
     for (name, value) in value.as_object().into_iter().flatten() {
         found.extend(value.as_f64().map(|value| (within, name.as_str(), value)));
@@ -82,7 +82,7 @@ fn numbers<'a>(value: &'a Value, within: &'a str, found: &mut Vec<(&'a str, &'a 
     }
 }
 
-/// Numbers of what a scene's soft bodies are made of that have neither a source nor a range of a tissue.
+/// Material numbers of a scene's soft bodies that have neither a source nor a tissue's range.
 fn without_source(scene: &Snapshot) -> Vec<String> {
     let mut bare = Vec::new();
     for entity in scene.entities() {
@@ -93,9 +93,9 @@ fn without_source(scene: &Snapshot) -> Vec<String> {
             let mut found = Vec::new();
             numbers(&all[*component], component, &mut found);
             for (within, name, value) in found {
-                // Friction of what others meet it with is theirs as much; that of `tied` and `sewn` is their matter.
+                // Friction depends on the other body as much; that of `tied` and `sewn` is a material parameter.
                 let is_method = METHOD.contains(&name) || (name == "friction" && *component != "tied");
-                // Sheets and lines have a mass by area or length, which is no tissue's.
+                // Sheets and lines have a mass by area or length, which is no tissue parameter.
                 let of_tissue = || {
                     let of = tissue.and_then(|of| of.parameter(name))?;
                     (within == *component || within == "volume").then_some(of)
@@ -115,7 +115,7 @@ fn without_source(scene: &Snapshot) -> Vec<String> {
 fn what_soft_bodies_of_shipped_scenarios_are_made_of_has_a_source_and_is_within_its_range() {
     let app = app();
     let registry = app.registry();
-    // Whoever else takes a stiffness of matter has to be among those that are looked at.
+    // Any other component with a material stiffness must be in the list.
     let elsewhere = ["engine_soft", "thread", "needle"];
     for (_, entry) in registry.iter() {
         let schema = (entry.schema)().map(|schema| schema.to_string()).unwrap_or_default();
@@ -142,7 +142,7 @@ fn what_soft_bodies_of_shipped_scenarios_are_made_of_has_a_source_and_is_within_
     }
     assert!(bodies >= 16, "only {bodies} bodies were looked at");
 
-    // One that says nothing of where its numbers are from is found, and so is a number out of its range.
+    // A number without a source is found, and so is a number out of its range.
     let text = std::fs::read_to_string(shipped()[0].with_file_name("band.toml")).expect("readable");
     let load = |text: &str| Scenario::parse(Path::new("band.toml"), text, registry);
     let spawned = |text: &str| {
@@ -155,7 +155,7 @@ fn what_soft_bodies_of_shipped_scenarios_are_made_of_has_a_source_and_is_within_
     let far = spawned(&text.replace("density = 1100.0", "density = 2000.0"));
     let doubt = far.iter::<OutOfValidity>().next().expect("no such silicone").1.reason.clone();
     assert!(doubt.contains("density of 2000") && doubt.contains("970 to 1250"), "{doubt}");
-    // A source of nothing is refused by name.
+    // A source for a missing parameter is refused by name.
     for (from, to, says) in [
         ("poisson_ratio = {", "possion_ratio = {", "'xpbd' gives no number 'possion_ratio'"),
         (

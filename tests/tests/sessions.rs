@@ -1,4 +1,4 @@
-//! Sessions as a researcher uses them: opened, stepped, written to, begun again, branched, and many at once.
+//! Sessions from a researcher's program: opened, stepped, written to, reset, branched, and many in parallel.
 
 use nalgebra::Vector3;
 use trocar::prelude::*;
@@ -47,7 +47,7 @@ fn branches_of_one_moment_are_alike_and_their_parent_is_as_it_was() {
     let (mut one, mut other) = (parent.branch().expect("branches"), parent.branch().expect("branches"));
     assert_eq!((one.hash(), one.now()), (parent.hash(), parent.now()));
     assert_eq!(hash_after(&mut one, 700), hash_after(&mut other, 700));
-    // A branch of a branch, and one of the moment at which the first two began.
+    // A branch of a branch, and one from the moment of the first two branches.
     let mut grandchild = other.branch().expect("branches");
     let mut twin = other.branch().expect("branches");
     assert_eq!(hash_after(&mut grandchild, 500), hash_after(&mut twin, 500));
@@ -57,7 +57,7 @@ fn branches_of_one_moment_are_alike_and_their_parent_is_as_it_was() {
     let (mut late, mut later) = (past(&parent), past(&parent));
     assert_eq!(carried(&late.snapshot(), &names), Some(ring));
     assert_eq!(hash_after(&mut late, 700), hash_after(&mut later, 700));
-    // What is written into one of them makes it another.
+    // A write into one of them makes it differ.
     let lighter = |out: &mut Commands, scene: &Snapshot| {
         let mut body = scene.get::<RigidBody>(ring).cloned().expect("a body");
         body.mass *= 0.5;
@@ -95,7 +95,7 @@ fn a_branch_taken_while_a_ring_is_carried_completes_the_exercise() {
     });
 }
 
-/// Largest change of the carried ring's place \[m\] and of a hand's force \[N\] from one millisecond to the next.
+/// Largest change of the carried ring's position \[m\] and of a hand's force \[N\] from one millisecond to the next.
 fn jumps(session: &mut Session, ring: Entity, before: &Snapshot, milliseconds: u64) -> (f64, f64) {
     let names = names(before);
     let look = |scene: &Snapshot| {
@@ -140,7 +140,7 @@ fn a_hand_feels_no_jump_where_a_session_is_branched() {
         pose[0] * 1e3,
         pose[1] * 1e3
     );
-    // As for an engine that is restarted.
+    // As after a restart of the engine.
     assert!(pose.iter().all(|jump| *jump <= 1e-3), "pose jump {pose:?} m");
     assert!(force.iter().all(|jump| *jump <= 0.5), "force jump {force:?} N");
 }
@@ -155,7 +155,7 @@ fn beginning_again_gives_the_same_bits_and_another_seed_those_of_that_seed() {
     assert_eq!(hash_after(&mut session, 3_000), first);
     session.reset_with_seed(6).expect("begins again");
     assert_eq!(hash_after(&mut session, 3_000), hash_after(&mut open(6), 3_000));
-    // A branch begins again at the start, not where it branched off.
+    // A reset branch restarts at time zero, not where it branched off.
     let mut branch = session.branch().expect("branches");
     branch.reset_with_seed(5).expect("begins again");
     assert_eq!(hash_after(&mut branch, 3_000), first);
@@ -174,7 +174,7 @@ fn sessions_side_by_side_give_the_bits_that_each_gives_alone() {
         threads.into_iter().map(|thread| thread.join().expect("no panic")).collect::<Vec<_>>()
     });
     assert_eq!(alone, together);
-    // Branches on threads of their own, of a parent that goes on meanwhile.
+    // Branches on threads of their own, while their parent goes on.
     let mut parent = open(1);
     carry(&mut parent, 200);
     let branches: Vec<Session> = (0..3).map(|_| parent.branch().expect("branches")).collect();
@@ -195,7 +195,7 @@ fn what_is_written_from_outside_is_recorded_replayed_and_can_be_branched_from() 
     let builder = || Session::builder().app(&app).seed(4);
     let mut session = builder().record(&file).open("peg-transfer").expect("opens");
     let ring = carry(&mut session, 300);
-    // Teleported out of the jaws: the engine takes it from there.
+    // Teleported out of the jaws: the engine continues from there.
     let pose = Pose::at(0.0, 0.0, 0.05);
     session.apply(|out| out.put(ring, pose)).expect("applied");
     session.step(SimTime::from_millis(300));
@@ -206,7 +206,7 @@ fn what_is_written_from_outside_is_recorded_replayed_and_can_be_branched_from() 
     let recording = Recording::open(&file).expect("opens");
     let mut replay = Replay::new(&recording, app.registry()).expect("has a keyframe");
     assert_eq!(replay.run_to_end().expect("agrees"), hash);
-    // A moment of a recording is as good as one of a session.
+    // A snapshot of a recording is as good as one of a session.
     let live = builder().open("peg-transfer").expect("opens");
     let branch = || live.branch_from(replay.view()).expect("branches");
     let (mut one, mut other) = (branch(), branch());

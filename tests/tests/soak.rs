@@ -1,5 +1,4 @@
-//! A sample of the random fault plans, a larger one in a thorough run of the tests; `trocar soak` runs as many as one
-//! likes.
+//! A sample of the random fault plans, a larger one in a thorough run of the tests; `trocar soak` runs any number.
 
 use trocar::soak::soak;
 use trocar_test_support::thorough;

@@ -1,4 +1,4 @@
-//! Scenes of soft matter, in lock-step: judged by what came of them, and with a control that fails.
+//! Scenes of soft matter, in lock-step: each checked by its outcome, and with a control that fails.
 
 use trocar::run::{RunOutcome, start};
 use trocar_scene::scenario::Scenario;
@@ -10,7 +10,7 @@ fn run(name: &str, replacements: &[(&str, &str)]) -> RunOutcome {
     finish(&app, &edited(&app, name, replacements), &lockstep(1))
 }
 
-/// What was measured at the end.
+/// The final value of a measure.
 fn outcome(run: &RunOutcome, measure: &str) -> f64 {
     let values = &run.summary.task.metrics["outcome"];
     *values.get(measure).unwrap_or_else(|| panic!("no '{measure}': {values:?}"))
@@ -26,7 +26,8 @@ fn holds(name: &str) -> RunOutcome {
 #[test]
 fn two_hands_cut_a_circle_out_of_a_gauze() {
     let cut = holds("cloth-cut");
-    // Nor does it hang on the moment: hands that begin in the middle of a step of the gauze, as live ones do, come to the same.
+    // The result does not depend on the phase either: hands that begin in the middle of a step of the gauze, as live
+    // ones do, give the same.
     let late = [(
         "step = [\n    { seconds = 1.0 },\n    { seconds = 1.5",
         "step = [\n    { seconds = 1.013 },\n    { seconds = 1.5",
@@ -46,11 +47,11 @@ fn two_hands_cut_a_circle_out_of_a_gauze() {
 #[test]
 fn a_hook_cuts_a_membrane_through_and_burns_a_crater() {
     holds("cautery");
-    // Without the other current nothing chars: what is cut bursts.
+    // Without coagulation current nothing chars: the cutting current vaporises the tissue.
     let cut = run("cautery", &[(", mode = \"coagulate\"", "")]);
     assert!(!cut.summary.task.completed);
     assert_eq!(outcome(&cut, "liver.charred_cells"), 0.0);
-    // A hook that is off burns nothing.
+    // A hook without power burns nothing.
     let off = run("cautery", &[("power = 30.0", "power = 0.0")]);
     assert!(!off.summary.task.completed);
     assert_eq!(outcome(&off, "liver.removed_volume_m3"), 0.0);
@@ -61,7 +62,7 @@ fn a_hook_cuts_a_membrane_through_and_burns_a_crater() {
 fn a_probe_presses_on_a_stomach_and_feels_it() {
     let pressed = holds("soft-stomach");
     assert!(pressed.summary.force_newtons_max > 0.1, "{} N", pressed.summary.force_newtons_max);
-    // A stiffer one pushes back harder.
+    // A stiffer stomach gives larger forces.
     let stiffer = run("soft-stomach", &[("young_modulus = 6000.0", "young_modulus = 18000.0")]);
     let force = |run: &RunOutcome| outcome(run, "stomach.contact_force_n.largest");
     assert!(force(&stiffer) > 1.5 * force(&pressed), "{} and {} N", force(&stiffer), force(&pressed));
@@ -71,7 +72,7 @@ fn a_probe_presses_on_a_stomach_and_feels_it() {
 #[test]
 fn constraints_of_ours_or_of_the_engine_take_the_place_of_finite_elements_by_two_lines() {
     let force = |run: &RunOutcome| outcome(run, "stomach.contact_force_n.largest");
-    // Coarser than in the scenario, for the engine takes its time.
+    // A coarser mesh than in the scenario, since the engine is slow.
     let coarse = ("edge = 0.012", "edge = 0.018");
     let wanted = force(&run("soft-stomach", &[coarse]));
     let volume = "{ young_modulus = 6000.0, poisson_ratio = 0.45, density = 1060.0 }";
@@ -99,11 +100,11 @@ fn an_implicit_and_an_explicit_simulator_share_a_scene() {
     let rate =
         |name: &str| both.summary.controllers.iter().find(|row| row.name == name).expect("it").achieved_hz;
     assert!((rate("organ") - 20.0).abs() < 0.2 && (rate("membrane") - 500.0).abs() < 1.0);
-    // What the explicit one computes does not depend on how often the implicit one does.
+    // The results of the explicit body do not depend on the rate of the implicit one.
     let other = run("two-rates", &[("rate_hz = 20\n", "rate_hz = 10\n")]);
     let force = |run: &RunOutcome| outcome(run, "membrane.contact_force_n.largest");
     assert_eq!(force(&both), force(&other));
-    // An organ of half the stiffness is felt to be another one.
+    // An organ of half the stiffness gives a different force.
     let softer = run("two-rates", &[("young_modulus = 6000.0", "young_modulus = 3000.0")]);
     let felt =
         |run: &RunOutcome, hand: &str| outcome(run, &format!("hand.{hand}.felt_stiffness_n_per_m.mean"));
@@ -111,8 +112,8 @@ fn an_implicit_and_an_explicit_simulator_share_a_scene() {
     assert_eq!(felt(&softer, "right"), felt(&both, "right"), "the other hand feels what it felt");
 }
 
-/// What the left hand feels of the organ in `two-rates`, with pieces of the scenario replaced: stiffness while it presses
-/// \[N/m\], the force while it holds still \[N\], and by how much that goes up and down \[N\].
+/// The left hand's contact with the organ in `two-rates`, with pieces of the scenario replaced: stiffness while it
+/// presses \[N/m\], the force while it holds still \[N\], and its fluctuation \[N\].
 fn felt(replacements: &[(&str, &str)]) -> [f64; 3] {
     let app = app();
     let mut session = start(&app, &edited(&app, "two-rates", replacements), &lockstep(1)).expect("it starts");
@@ -147,12 +148,12 @@ fn a_hand_feels_an_organ_alike_however_slowly_it_is_computed() {
     let [stiffness, force, _] = felts[3];
     for (felt, (_, hz)) in felts.iter().zip(&cases) {
         assert!((felt[0] / stiffness - 1.0).abs() < 0.15, "{hz}{} of {stiffness} N/m", felt[0]);
-        // Hands tell forces apart that differ by 7 %.
+        // Humans can distinguish forces that differ by 7 %.
         assert!((felt[1] / force - 1.0).abs() < 0.03, "{hz}{} of {force} N", felt[1]);
-        // A hand trembles; what it holds does not shake it.
+        // The hand trembles; the simulation adds no vibration.
         assert!(felt[2] < 0.5 * felt[1], "{hz}{} of {} N up and down", felt[2], felt[1]);
     }
-    // The last force held instead, at 20 Hz, is a softer organ.
+    // A zero-order hold of the force at 20 Hz feels like a softer organ.
     let held = felt(&[("renderer = { kind = \"proxy\" }", "renderer = { kind = \"held\" }")]);
     assert!(held[0] < 0.8 * stiffness, "{} of {stiffness} N/m", held[0]);
 }
@@ -165,7 +166,7 @@ fn a_bleeding_artery_is_clamped_and_sealed_and_the_patient_minds_when_nobody_doe
         (outcome(&sealed, "piglet.blood_lost_m3") / lost - 1.0).abs() < 1e-9,
         "what is lost is the patient's"
     );
-    // A clamp that stays open lets it bleed, and what runs keeps the hole from being sealed.
+    // An open clamp lets the vessel bleed, and the flow prevents sealing.
     let open = run("bleeding", &[("{ seconds = 0.4, jaws = 0.0 }", "{ seconds = 0.4, jaws = 0.5 }")]);
     assert!(!open.summary.task.completed);
     assert!(
@@ -182,7 +183,7 @@ fn a_bleeding_artery_is_clamped_and_sealed_and_the_patient_minds_when_nobody_doe
 fn a_needle_goes_through_a_pad_and_draws_its_thread_after_it() {
     let sewn = holds("needle-tissue");
     assert!(sewn.summary.force_newtons_max > 0.1, "{} N", sewn.summary.force_newtons_max);
-    // A needle that nobody holds goes in nowhere, nor does one through a skin that does not give.
+    // A needle without a grip does not penetrate, nor does one on a skin that is too tough.
     let dropped = run("needle-tissue", &[("jaws = 0.0\nstep", "jaws = 0.5\nstep")]);
     let hard = run("needle-tissue", &[("puncture_force = 0.3", "puncture_force = 1000.0")]);
     for control in [&dropped, &hard] {
@@ -195,10 +196,10 @@ fn a_needle_goes_through_a_pad_and_draws_its_thread_after_it() {
 fn three_throws_are_drawn_tight_and_hold_and_less_does_not() {
     let tied = holds("knot");
     assert!(outcome(&tied, "thread.slip_m") > 0.0, "what bears a load gives way");
-    // Three throws that all go to the same side are another knot, and that is seen.
+    // Three throws in the same direction form another knot (a granny), and the task detects it.
     let granny = run("knot", &[("half_turns = [3, -3, 3]", "half_turns = [3, 3, 3]")]);
     assert!(!granny.summary.task.completed && outcome(&granny, "thread.knot_alternates") == 0.0);
-    // Without friction the knot is gone, and a single throw opens.
+    // Without friction the knot comes undone, and a single throw opens.
     let smooth = run("knot", &[("friction = { value = 0.3", "friction = { value = 0.0")]);
     assert_eq!(outcome(&smooth, "thread.knot"), 0.0);
     let single = run("knot", &[("half_turns = [3, -3, 3]", "half_turns = [3]")]);
@@ -212,13 +213,13 @@ fn three_throws_are_drawn_tight_and_hold_and_less_does_not() {
 #[test]
 fn a_loop_is_carried_to_the_line_on_a_tube_and_drawn_close() {
     holds("tube-loop");
-    // Drawn where it was it is beside the line; laid on the line and not drawn it holds nothing.
+    // A loop drawn tight in the wrong place misses the line; a loop on the line that is not drawn tight holds nothing.
     let beside = run("tube-loop", &[("0.006000", "0.002000"), ("0.004000, 0.006975", "0.002000, 0.006975")]);
     assert!(outcome(&beside, "tube.line_off_m") > 2e-3, "{} m", outcome(&beside, "tube.line_off_m"));
     let loose = run("tube-loop", &[("0.020300", "0.011500")]);
     assert!(outcome(&loose, "tube.loop_tension_n") < 0.05, "{} N", outcome(&loose, "tube.loop_tension_n"));
     assert!(!beside.summary.task.completed && !loose.summary.task.completed);
-    // A softer tube gives way further to the same hands, beyond what it is told by.
+    // A softer tube deforms more under the same hands, beyond the linear range.
     let soft = run("tube-loop", &[("young_modulus = 3e6", "young_modulus = 3e5")]);
     assert_eq!(outcome(&soft, "tube.beyond_linear"), 1.0);
 }
@@ -227,8 +228,8 @@ fn a_loop_is_carried_to_the_line_on_a_tube_and_drawn_close() {
 fn a_probe_presses_on_a_liver_with_a_precomputed_inverse() {
     let pressed = holds("fem-liver");
     assert!(pressed.summary.force_newtons_max > 0.05, "{} N", pressed.summary.force_newtons_max);
-    // Linear: three times as stiff answers with three times the force where the displacement is the same.
-    // On a mesh of three times as many tetrahedra it feels the same, which single vertices do not.
+    // Linear elasticity: three times the stiffness gives three times the force at the same displacement. A mesh of
+    // three times as many tetrahedra gives the same force, which single vertices do not.
     let finer = ("edge = 0.010", "edge = 0.007");
     let felt = |edits: &[(&str, &str)]| outcome(&run("fem-liver", edits), "liver.contact_force_n.largest");
     let change = felt(&[finer]) / outcome(&pressed, "liver.contact_force_n.largest") - 1.0;
@@ -243,7 +244,7 @@ fn a_probe_presses_on_a_liver_with_a_precomputed_inverse() {
     assert!(!stiffer.summary.task.completed, "it is not the liver that was asked for");
 }
 
-/// What is expected of `fem-liver`, from the first line to the last.
+/// The expectations of `fem-liver`, from the first line to the last.
 const EXPECTED: &str = r#"    { measure = "liver.displacement_max_m", which = "largest", min = 0.004, max = 0.006 },
     { measure = "liver.contact_force_n", which = "largest", min = 0.5, max = 0.8 },
     { measure = "liver.contact_force_n", max = 0.001 },
@@ -276,7 +277,7 @@ fn closed_blades_slit_a_liver_with_a_precomputed_inverse() {
     let cut = blades("cut = true,");
     assert!(cut.summary.task.completed, "{:?} {:?}", cut.summary.task, cut.summary.error);
     assert!(cut.summary.controllers.iter().all(|row| row.rejected == 0 && row.restarts == 0));
-    // Its surface has two lips, and where nothing touches it any longer it is where it was.
+    // The cut has two lips, and where nothing touches it any longer the surface is back at rest.
     let nodes = |run: &RunOutcome| {
         let scene = &run.kernel.snapshot;
         let liver = scene.find("liver").expect("a liver");
@@ -293,7 +294,7 @@ fn closed_blades_slit_a_liver_with_a_precomputed_inverse() {
 
 #[test]
 fn a_hand_feels_what_its_instrument_has_been_driven_into() {
-    // Driven in to a point in the midst of the liver, drawn up by 5 mm and brought back, as exactly as a hand comes back.
+    // Driven in to a point in the middle of the liver, retracted by 5 mm and returned, as exactly as a hand can.
     let drawn = |pinned: &str| {
         run(
             "fem-liver",
@@ -326,7 +327,7 @@ fn a_mesh_of_ones_own_takes_the_place_of_an_organ_by_one_line() {
     let liver = scene.find("liver").expect("a liver");
     let mesh = scene.get::<TetMesh>(liver).expect("a volume");
     let rest = scene.get::<RestPositions>(liver).expect("its shape at rest");
-    // The same liver as a file of Gmsh, as somebody else would write it.
+    // The same liver as an external Gmsh file.
     let mut file = format!("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n{}\n", rest.positions.len());
     for (node, at) in rest.positions.iter().enumerate() {
         file.push_str(&format!("{} {:e} {:e} {:e}\n", node + 1, at.x, at.y, at.z));
@@ -359,12 +360,12 @@ fn a_membrane_that_has_grown_onto_two_organs_draws_both_along() {
     let pulled = |replacements: &[(&str, &str)], organ: &str| {
         outcome(&run("omentum", replacements), &format!("{organ}.displacement_max_m.largest"))
     };
-    // Without weight nothing but the membrane deforms the organs.
+    // Without gravity only the membrane deforms the organs.
     let weightless = ("gravity = [0.0, 0.0, -9.81]", "gravity = [0.0, 0.0, 0.0]");
     let down = ("to = [0.0, 0.0, -0.024]", "to = [0.0, 0.0, -0.014]");
     let joined = [pulled(&[weightless, down], "liver"), pulled(&[weightless, down], "stomach")];
     assert!(joined.iter().all(|organ| *organ > 5e-4), "{joined:?}");
-    // A stiffer organ gives way less, and one that nothing holds on to not at all.
+    // A stiffer organ deforms less, and one without fixation not at all.
     let stiffer = pulled(&[weightless, down, ("young_modulus = 6000.0", "young_modulus = 24000.0")], "liver");
     assert!(stiffer < 0.7 * joined[0], "{stiffer} and {} m", joined[0]);
     let loose =
@@ -375,11 +376,11 @@ fn a_membrane_that_has_grown_onto_two_organs_draws_both_along() {
 #[test]
 fn a_band_of_two_meshes_stays_about_an_organ() {
     holds("band");
-    // A cushion that does not lie on the stomach falls through it, and the belt with it.
+    // A cushion without contact with the stomach falls through it, and the belt with it.
     let through = run("band", &[("stiffness = 200.0, friction = 0.3", "stiffness = 0.01, friction = 0.3")]);
     assert!(!through.summary.task.completed);
     assert!(outcome(&through, "belt.displacement_max_m") > 0.1);
-    // A belt that has not grown onto it stays where jaws take it to, and the cushion does not come along.
+    // A belt that is not attached to it stays where the jaws take it, and the cushion does not follow.
     let apart = run("band", &[("stiffness = 300.0, damping", "stiffness = 0.001, damping")]);
     assert!(!apart.summary.task.completed);
 }
@@ -388,11 +389,11 @@ fn a_band_of_two_meshes_stays_about_an_organ() {
 fn nine_instruments_do_what_each_is_for_and_straight_rods_in_their_place_do_not() {
     let all = holds("instruments");
     assert!(all.summary.task.errors.is_empty());
-    // By the engine as by ours.
+    // With the engine's rigid bodies as with ours.
     let by_the_engine = run("instruments", &[("kind = \"rigid-bodies\"", "kind = \"rapier\"")]);
     assert!(by_the_engine.summary.task.completed, "{:?}", by_the_engine.summary.task.errors);
-    // A rod does not take, spread, cut, catch, hold up level or reach behind. A fork that is wider than the knot goes past
-    // it, and where there is no loop none is carried.
+    // A plain rod cannot grasp, spread, cut, catch, hold up level or reach behind. A fork wider than the knot misses
+    // it, and without a loop there is none to carry.
     let controls = [
         ("kind = \"grasper\"", "kind = \"probe\"", "ring."),
         ("kind = \"suture_grasper\"", "kind = \"probe\"", "rod."),

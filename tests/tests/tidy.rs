@@ -1,4 +1,4 @@
-//! The invariants of the design that can be read off the sources.
+//! Architecture tests: the invariants of the design that can be checked on the sources.
 
 #[path = "tidy/mod.rs"]
 mod tidy;

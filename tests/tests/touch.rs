@@ -1,15 +1,15 @@
-//! A hand on a surface that the physics engine does not know: what it feels comes from the finger proxy alone.
+//! A hand on a surface that the physics engine does not know: its force comes from the finger proxy alone.
 
 use nalgebra::{Point3, Vector3};
 use trocar::prelude::*;
 
 const MS: SimTime = SimTime::from_millis(1);
-/// Distance at which the proxy's middle is held off a surface \[m\]: its radius, and its skin.
+/// Distance of the proxy's centre from a surface \[m\]: its radius, and its skin.
 const HOLD: f64 = 0.00201;
-/// Of the organ \[N/m\].
+/// Contact stiffness of the organ \[N/m\].
 const STIFFNESS: f64 = 150.0;
 
-/// A probe that points down with its tip at z = 10 mm, and below it an organ of which the engine knows nothing.
+/// A probe that points down with its tip at z = 10 mm, and below it an organ that the engine does not know.
 fn scene(organ: &str) -> String {
     format!(
         r#"
@@ -88,7 +88,7 @@ impl Bench {
         Self { hand: find("hand.right"), probe: find("probe.right"), session }
     }
 
-    /// The arm aims at this height of the tip \[m\].
+    /// Moves the arm's target to this height of the tip \[m\].
     fn aim(&mut self, z: f64) {
         // The device's z axis points down.
         let target = HandTarget { handle_in_device: Pose::at(0.0, 0.0, 0.010 - z), gripper: 0.0 };
@@ -101,20 +101,20 @@ impl Bench {
         scene.get::<InstrumentTarget>(self.probe).expect("a target").tip_in_world.translation
     }
 
-    /// Where the proxy is; `None` where nobody models the contact.
+    /// Position of the proxy; `None` without a contact model.
     fn proxy(&mut self) -> Option<Vector3<f64>> {
         let scene = self.session.snapshot();
         scene.get::<LocalContactModel>(self.probe).map(|model| model.proxy_in_world.translation)
     }
 
-    /// What haptics ask for, before the driver damps what would give energy, in world \[N\].
+    /// Commanded force, before the driver's passivity damping, in world \[N\].
     fn rendered(&mut self) -> Vector3<f64> {
         let scene = self.session.snapshot();
         let in_device = scene.get::<DeviceForce>(self.hand).expect("a force").force;
         Vector3::new(in_device.x, -in_device.y, -in_device.z)
     }
 
-    /// What the motors do, in world \[N\].
+    /// Force of the motors, in world \[N\].
     fn force(&mut self) -> Vector3<f64> {
         let scene = self.session.snapshot();
         let in_device = scene.get::<DeviceState>(self.hand).expect("a device").applied_force;
@@ -141,12 +141,12 @@ fn a_hand_feels_stiffness_times_depth_of_an_organ_that_the_engine_does_not_know(
         let proxy = bench.proxy().expect("a model");
         assert!((proxy.z - HOLD).abs() < 1e-6, "{proxy:?}");
         felt.push(force.z);
-        // The instrument that one sees stays on the organ too.
+        // The visible instrument stays on the organ too.
         let seen = bench.session.snapshot().world_pose(bench.probe).translation.z;
         assert!((seen - HOLD).abs() < 3e-4, "{seen}");
     }
     assert!(felt[2] > felt[0] + 0.5, "{felt:?}");
-    // What is pressed stands in the collision list, with the same force.
+    // The contact is in the collision list, with the same force.
     let now = bench.session.snapshot();
     let found: Vec<Collision> =
         now.iter::<CollisionList>().flat_map(|(_, list)| list.collisions.clone()).collect();
@@ -186,7 +186,7 @@ fn no_stroke_however_fast_pops_through() {
     let mut bench = Bench::new(&scene(SLAB), &app, Session::builder().app(&app));
     bench.session.step(SimTime::from_millis(100));
     let (mut lowest, mut fastest) = (f64::INFINITY, 0.0_f64);
-    // Far beyond the bottom, and back, as fast as the arm goes.
+    // Far beyond the bottom, and back, at the arm's full speed.
     for stroke in 0..6 {
         bench.aim(if stroke % 2 == 0 { -0.060 } else { 0.010 });
         for _ in 0..250 {
@@ -203,7 +203,7 @@ fn no_stroke_however_fast_pops_through() {
     assert!(lowest < -0.010 && fastest > 0.3, "it was pressed hard: {lowest} m, {fastest} m/s");
 }
 
-/// A jump of what haptics ask for within a tick that a hand may feel when an actor dies \[N\]: as for the engine.
+/// Largest acceptable jump of the commanded force within a tick when an actor dies \[N\]: as for the engine.
 const JUMP_MAX: f64 = 0.5;
 
 #[test]
@@ -231,7 +231,7 @@ fn killed_in_mid_contact_it_goes_on_on_its_side_and_no_hand_feels_a_jump() {
         let restarts = bench.session.reports().iter().find(|row| row.name == "touch").map(|row| row.restarts);
         (before, bench.force(), restarts, jump)
     };
-    // Shallow; and deeper than the middle, where what began anew would go out on the other side.
+    // Shallow; and deeper than the middle, where a new proxy would leave on the other side.
     for (aim, least) in [(-0.004, 0.5), (-0.021, 2.0)] {
         let (before, undisturbed, restarts, calm) = run(aim, None);
         assert_eq!(restarts, Some(0));
@@ -248,7 +248,7 @@ fn killed_in_mid_contact_it_goes_on_on_its_side_and_no_hand_feels_a_jump() {
     }
 }
 
-/// Lets the organ breathe: its vertices go out and in by a twentieth.
+/// Lets the organ breathe: its vertices move out and in by a twentieth.
 struct Breath {
     organ: Entity,
     rest: Vec<Point3<f64>>,
@@ -291,11 +291,11 @@ fn an_organ_that_breathes_is_felt_as_it_is_now() {
     for _ in 0..1_000 {
         bench.session.step(MS);
         let (tip, force, proxy) = (bench.tip(), bench.force(), bench.proxy().expect("a model"));
-        // 200 Hz and a haptic tick late, at 10 mm/s at most: 60 µm.
+        // Delay of 200 Hz and a haptic tick, at 10 mm/s at most: 60 µm.
         let top = 0.030 * Breath::swell(bench.session.now()) - 0.030;
         assert!((proxy.z - top - HOLD).abs() < 1e-4, "at {top} the proxy is at {proxy:?}");
         let expected = STIFFNESS * (top + HOLD - tip.z);
-        // Damping of the contact at that speed comes on top.
+        // Contact damping at that speed is added.
         assert!((force.z - expected).abs() < 0.03 + 0.02 * expected, "{force:?}, expected {expected}");
         (least, most) = (least.min(force.z), most.max(force.z));
     }

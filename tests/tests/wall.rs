@@ -1,33 +1,33 @@
-//! A hand on a wall: what is felt must be stiff, passive and still, however slow the physics is and however hard
-//! the wall is met.
+//! A hand on a virtual wall: the contact must be stiff, passive and stable, at any rate of the physics and any speed of
+//! impact.
 
 use trocar::run::{RunOptions, start};
 use trocar_scene::{DeviceState, HapticStatus, InstrumentTarget, SimTime};
 use trocar_tests::{app, edited, lockstep};
 
-/// Friction of the virtual device [N]: within it, a hand at rest may stand beside its balance.
+/// Friction of the virtual device [N]: within it, a hand may rest beside its equilibrium.
 const FRICTION: f64 = 0.26;
 const RATES_HZ: [u32; 3] = [10, 100, 500];
 
-/// Who meets the wall, and how.
+/// How the device meets the wall.
 #[derive(Clone, Copy, Debug)]
 enum Press {
-    /// A device that nobody holds, pushed with this force [N].
+    /// A free device, pushed with this force [N].
     Push(f64),
-    /// An arm that aims this far inside of the wall [m].
+    /// An arm that aims at this depth inside the wall [m].
     Aim(f64),
 }
 
 #[derive(Debug)]
 struct Felt {
-    /// Rendered by the motors, at rest [N].
+    /// Force of the motors at rest [N].
     force: f64,
     depth: f64,
     speed_rms: f64,
     energy_least: f64,
 }
 
-/// Lets go `gap` [m] above the wall, waits for 4 s and looks at the last one.
+/// Releases the device `gap` [m] above the wall, waits for 4 s and returns the final state.
 fn press(physics_hz: u32, press: Press, gap: f64) -> Felt {
     let app = app();
     let mut edits = vec![
@@ -70,7 +70,7 @@ fn press(physics_hz: u32, press: Press, gap: f64) -> Felt {
     Felt { force: force / count, depth: depth / count, speed_rms: (square / count).sqrt(), energy_least }
 }
 
-/// Whether the touch was passive and has come to rest.
+/// Whether the contact was passive and has come to rest.
 fn holds(physics_hz: u32, how: Press, gap: f64) -> Felt {
     let felt = press(physics_hz, how, gap);
     let case = format!("{how:?} from {gap} m, physics at {physics_hz} Hz: {felt:?}");
@@ -108,8 +108,8 @@ fn a_free_device_pushed_on_the_wall_feels_it_stiff_passive_and_still() {
     }
 }
 
-/// Forces ramp in over 50 ms. A hand that meets the wall meanwhile gets in, deeper than it pays for: the wall then
-/// stands as far out as is paid, and holds there.
+/// Forces ramp in over 50 ms. A hand that meets the wall meanwhile penetrates deeper than its energy pays for: the wall
+/// then pushes it out only as far as that energy permits, and holds there.
 #[test]
 fn an_impact_within_the_ramp_in_is_passive_and_comes_to_rest() {
     for physics_hz in RATES_HZ {

@@ -1,11 +1,11 @@
-//! An allocator that counts what each thread asks for, frees and holds. A program that wants to know says
+//! A counting allocator: counts what each thread allocates, frees and holds. A program enables it by
 //!
 //! ```ignore
 //! #[global_allocator]
 //! static ALLOCATOR: CountingAllocator = CountingAllocator;
 //! ```
 //!
-//! What other threads do at the same time is not counted, so that tests may run beside each other.
+//! Other threads are not counted, so that tests may run in parallel.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -27,7 +27,7 @@ thread_local! {
 }
 
 fn allocated(bytes: usize) {
-    // Threads that are being torn down no longer count.
+    // Threads that are being torn down are not counted.
     let _ = COUNTS.try_with(|counts| {
         let held = counts.held.get() + bytes as isize;
         counts.held.set(held);
@@ -43,28 +43,28 @@ fn freed(bytes: usize) {
     });
 }
 
-// SAFETY: every call goes to the system's allocator unchanged; counting allocates nothing.
+// SAFETY: every call is forwarded to the system's allocator unchanged; counting allocates nothing.
 unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         allocated(layout.size());
-        // SAFETY: the caller's obligations are passed on.
+        // SAFETY: the caller keeps the contract.
         unsafe { System.alloc(layout) }
     }
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         allocated(layout.size());
-        // SAFETY: the caller's obligations are passed on.
+        // SAFETY: the caller keeps the contract.
         unsafe { System.alloc_zeroed(layout) }
     }
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         freed(layout.size());
-        // SAFETY: the caller's obligations are passed on.
+        // SAFETY: the caller keeps the contract.
         unsafe { System.dealloc(pointer, layout) }
     }
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
-        // As if it were copied: both are held for a moment.
+        // As if it were copied: both blocks are held for a moment.
         allocated(new_size);
         freed(layout.size());
-        // SAFETY: the caller's obligations are passed on.
+        // SAFETY: the caller keeps the contract.
         unsafe { System.realloc(pointer, layout, new_size) }
     }
 }
@@ -74,18 +74,18 @@ pub fn held() -> isize {
     COUNTS.with(|counts| counts.held.get())
 }
 
-/// How often the calling thread has allocated, and how often it has freed.
+/// Numbers of allocations and frees of the calling thread.
 pub fn calls() -> (u64, u64) {
     COUNTS.with(|counts| (counts.allocations.get(), counts.frees.get()))
 }
 
-/// How often the calling thread has allocated or freed anything.
+/// Number of allocations and frees of the calling thread together.
 pub fn touches() -> u64 {
     let (allocations, frees) = calls();
     allocations + frees
 }
 
-/// Runs `work` on this thread; how often it allocated, and how often it freed.
+/// Runs `work` on this thread; returns its numbers of allocations and frees.
 pub fn counted(work: impl FnOnce()) -> (u64, u64) {
     let before = calls();
     work();

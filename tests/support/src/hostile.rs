@@ -1,54 +1,54 @@
-//! Input that nobody meant: what the property tests of the readers share.
+//! Malformed input: mutations shared by the property tests of the readers.
 
 use std::sync::Arc;
 
 use proptest::prelude::*;
 use proptest::sample::{Index, select};
 
-/// Something that happens to a valid file.
+/// A mutation of a valid file.
 #[derive(Clone, Debug)]
 pub enum Mutation {
-    /// One bit is another.
+    /// Flips a bit.
     Flip {
         /// Which byte.
         at: Index,
         /// Which of its bits.
         bit: u8,
     },
-    /// Some bytes are others.
+    /// Overwrites some bytes.
     Set {
-        /// The first of them.
+        /// The first byte.
         at: Index,
-        /// What stands there then.
+        /// The new bytes.
         bytes: Vec<u8>,
     },
-    /// The end is missing.
+    /// Truncates the file.
     Cut {
         /// The first byte that is missing.
         at: Index,
     },
-    /// A piece is missing.
+    /// Removes a piece.
     Remove {
         /// Its first byte.
         at: Index,
-        /// Its bytes.
+        /// Its length in bytes.
         length: usize,
     },
-    /// A piece comes twice.
+    /// Repeats a piece.
     Repeat {
         /// Its first byte.
         at: Index,
-        /// Its bytes.
+        /// Its length in bytes.
         length: usize,
     },
-    /// A word that has a meaning somewhere stands where it should not.
+    /// Inserts a word with a meaning in some format.
     Insert {
-        /// Before which byte.
+        /// The byte before which it is inserted.
         at: Index,
         /// The word.
         word: &'static str,
     },
-    /// A run of digits becomes another number.
+    /// Replaces a run of digits by another number.
     Number {
         /// The first digit after this byte begins the run.
         at: Index,
@@ -57,7 +57,7 @@ pub enum Mutation {
     },
 }
 
-/// One mutation.
+/// A random mutation.
 pub fn mutation() -> impl Strategy<Value = Mutation> {
     let at = any::<Index>;
     let numbers = select(vec![

@@ -1,5 +1,5 @@
-//! What the tests of several crates share: an allocator that counts, input that nobody meant, a lock for tests that
-//! need the machine for themselves, and how long a test may take.
+//! Shared test support: a counting allocator, malformed input, a lock for tests that need the machine for themselves,
+//! and the test length.
 
 pub mod allocations;
 #[cfg(feature = "hostile")]
@@ -7,21 +7,21 @@ pub mod hostile;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Keeps every other test of the program waiting while its result lives: for tests in real time, of signals, and of
+/// Blocks every other test of the program while the returned guard lives: for tests in real time, of signals, and of
 /// processes that must not be disturbed. Each test of a program `alone` begins with `let _alone = alone();`. Cargo runs
 /// one program after another, so that such a test has the machine for itself.
 #[must_use = "the test is alone as long as the guard lives"]
 pub fn alone() -> MutexGuard<'static, ()> {
     static ALONE: Mutex<()> = Mutex::new(());
-    // A test that failed leaves nothing behind that the next one could trip over.
+    // A failed test leaves no state that could affect the next one.
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Whether tests run at their full length, as `tests/run --thorough` does before a release: the environment variable
-/// `TROCAR_THOROUGH` says `1`.
+/// `TROCAR_THOROUGH` is `1`.
 ///
 /// # Panics
-/// When the variable says anything else than `0` or `1`.
+/// When the variable is anything else than `0` or `1`.
 pub fn thorough() -> bool {
     match std::env::var("TROCAR_THOROUGH").as_deref() {
         Err(_) | Ok("" | "0") => false,
@@ -30,7 +30,7 @@ pub fn thorough() -> bool {
     }
 }
 
-/// The middle value; of an even number of values the mean of the two in the middle.
+/// The median; for an even number of values the mean of the two in the middle.
 ///
 /// # Panics
 /// When there is no value.

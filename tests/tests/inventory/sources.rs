@@ -1,5 +1,5 @@
-//! Which tests the sources have: files are read as the compiler finds them, from the root of each program along its
-//! `mod` lines, so that a file that nobody includes has no tests.
+//! Lists the tests in the sources: files are found as the compiler finds them, from the root of each program along its
+//! `mod` lines, so that a file outside every program has no tests.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ pub struct Test {
     pub program: String,
     /// Its modules and its name, as its program lists it.
     pub name: String,
-    /// Whether it begins by taking the lock of those who run alone.
+    /// Whether it begins by taking the lock of the tests that run alone.
     pub takes_the_lock: bool,
 }
 
@@ -22,7 +22,7 @@ enum Token {
     Sign(char),
 }
 
-/// Words, strings and signs of a source, without comments and characters.
+/// Words, strings and symbols of a source, without comments and character literals.
 fn tokens(source: &str) -> Vec<Token> {
     let text: Vec<char> = source.chars().collect();
     let at = |i: usize| text.get(i).copied().unwrap_or('\0');
@@ -58,7 +58,7 @@ fn tokens(source: &str) -> Vec<Token> {
                 found.push(Token::Text(text[begin..i.min(text.len())].iter().collect()));
                 i += 1;
             }
-            // A character ends within a few places; a lifetime does not end in a quote.
+            // A character literal ends within a few characters; a lifetime does not end in a quote.
             '\'' if at(i + 1) == '\\' => {
                 i += 3;
                 while i < text.len() && at(i) != '\'' {
@@ -97,19 +97,19 @@ fn tokens(source: &str) -> Vec<Token> {
     found
 }
 
-/// What stands before a function or a module.
+/// The attributes before a function or a module.
 #[derive(Default)]
 struct Attributes {
     is_test: bool,
     path: Option<String>,
 }
 
-/// A file on the way from a program's root.
+/// A source file reached from a program's root.
 struct File {
     path: PathBuf,
-    /// Modules that lead to it.
+    /// Its module path.
     modules: Vec<String>,
-    /// Where the files of its modules lie.
+    /// The folder of its modules' files.
     folder: PathBuf,
 }
 
@@ -135,7 +135,7 @@ impl Reader {
         let source = std::fs::read_to_string(&file.path)
             .unwrap_or_else(|error| panic!("{}: {error}", file.path.display()));
         let tokens = tokens(&source);
-        // Of each brace that is open, the module that it belongs to.
+        // The module of each open brace, if it belongs to one.
         let mut braces: Vec<Option<String>> = Vec::new();
         let mut before = Attributes::default();
         let mut i = 0;
@@ -188,7 +188,7 @@ impl Reader {
     }
 }
 
-/// Reads an attribute from behind its bracket; the place behind it.
+/// Reads an attribute after its bracket; returns the position after it.
 fn attribute(tokens: &[Token], from: usize, into: &mut Attributes) -> usize {
     let mut depth = 1;
     let mut i = from;
@@ -226,7 +226,7 @@ fn below(file: &File, inline: &[&String], name: &str, path: Option<&str>) -> Fil
     File { path, modules, folder }
 }
 
-/// Whether the first that a function does is to take the lock.
+/// Whether a function begins by taking the lock.
 fn takes_the_lock(function: &[Token]) -> bool {
     const LOCK: &str = "let _alone = alone ( ) ;";
     let Some(begin) = function.iter().position(|token| *token == Token::Sign('{')) else {
@@ -258,7 +258,7 @@ pub fn programs(root: &Path, folders: &[String]) -> Vec<(String, PathBuf)> {
             let (name, path) = (test["name"].as_str().expect("text"), test["path"].as_str().expect("text"));
             found.push((format!("{package}::{name}"), folder.join(path)));
         }
-        // A file that no program names would be lost without a word.
+        // A file that no program names would be lost silently.
         let finds_itself =
             manifest["package"].get("autotests").is_none_or(|value| value.as_bool() != Some(false));
         assert!(
@@ -270,8 +270,8 @@ pub fn programs(root: &Path, folders: &[String]) -> Vec<(String, PathBuf)> {
     found
 }
 
-/// Files beside the roots of a package's tests that none of its programs includes: as programs of their own, so that
-/// their tests are missing in the inventory.
+/// Files beside the roots of a package's tests that none of its programs includes. They are returned as programs of
+/// their own, so that the inventory lacks their tests and the comparison fails.
 fn files_left_out(package: &str, folder: &Path, programs: &[(String, PathBuf)]) -> Vec<(String, PathBuf)> {
     let Ok(entries) = std::fs::read_dir(folder.join("tests")) else {
         return Vec::new();

@@ -1,8 +1,8 @@
-//! What is absent: clocks and threads in algorithms, order from hash maps, unsafe code, queues without a bound.
+//! Forbidden constructs: clocks and threads in algorithms, iteration over hash maps, unsafe code, unbounded queues.
 
 use super::{production, production_sources, refuse, root, sources};
 
-/// Crates that are pure: no clock, no thread, no socket of their own.
+/// Pure crates: no clock, no thread, no socket of their own.
 const PURE: [&str; 7] = [
     "scene",
     "actors/dynamics",
@@ -12,15 +12,15 @@ const PURE: [&str; 7] = [
     "actors/haptics",
     "actors/tasks",
 ];
-/// Modules with a hash map that is only looked up in, never walked.
+/// Modules with a hash map that is used for look-ups only, never iterated.
 const LOOKUPS: [&str; 4] = [
     "scene/src/registry.rs",
     "scene/src/mesh/gmsh.rs",
     "scene/src/mesh/gmsh_v4.rs",
     "ui/viewer/src/gpu/passes.rs",
 ];
-/// Modules in which unsafe code is allowed: scheduling, timers, what the kernel says of event devices, counting
-/// allocations, a foreign engine's ABI, an X display that is lost.
+/// Modules in which unsafe code is allowed: scheduling, timers, the kernel's event devices, counting allocations, a
+/// foreign engine's ABI, the loss of an X display.
 const UNSAFE: [&str; 6] = [
     "devices/src/gamepad/evdev.rs",
     "devices/src/sched.rs",
@@ -116,7 +116,7 @@ fn every_queue_is_bounded() {
 
 #[test]
 fn nothing_is_left_unfinished() {
-    // Written apart, so that this file does not find itself.
+    // Split, so that this file does not match itself.
     let marks = [
         ["to", "do!("].concat(),
         ["unimple", "mented!("].concat(),

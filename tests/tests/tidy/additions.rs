@@ -1,22 +1,22 @@
-//! What it takes to add something: how many existing files have to learn its name.
+//! Cost of additions: the number of existing files that must name a new type.
 //!
-//! One example of each kind stands for the next. Counted are production sources that name its types, apart from its
-//! own files, benchmarks, and the tables of kinds.
+//! One example of each kind represents the next one. The count includes production sources that name its types, except
+//! for its own files, benchmarks, and the tables of kinds.
 
 use super::{ROOMS, production_sources, refuse};
 
-/// Where the kinds of controllers and of devices are listed: the one place that may name everything.
+/// The tables of the kinds of controllers and devices: the only files that may name everything.
 const TABLES: [&str; 4] =
     ["ui/sdk/src/kinds", "ui/sdk/src/device_kinds.rs", "devices/src/spec.rs", "ui/cli/src/bench/"];
 
-/// An example of something that is added.
+/// An example of an addition.
 struct Addition {
     what: &'static str,
-    /// Its types. `*` stands for any ending.
+    /// Its types. `*` matches any ending.
     types: &'static [&'static str],
-    /// Parts of paths by which its own files are known.
+    /// Parts of the paths of its own files.
     own: &'static [&'static str],
-    /// Files that may name its types. These numbers only shrink; `wanted` is where they should arrive.
+    /// Limit on the files that name its types. These numbers only shrink; `wanted` is the goal.
     most: usize,
     wanted: usize,
 }

@@ -1,4 +1,4 @@
-//! Who depends on whom: crates, the libraries that only some may know, and where crates lie.
+//! Allowed dependencies: between crates, on restricted libraries, and the crates' folders.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,7 +6,7 @@ use cargo_metadata::{DependencyKind, Metadata, MetadataCommand};
 
 use super::{ROOMS, refuse, root};
 
-/// Whom each crate may know of its neighbours. What is not listed is not allowed.
+/// The allowed dependencies of each crate on its neighbours. All others are forbidden.
 const ARROWS: [(&str, &[&str]); 15] = [
     ("trocar-scene", &[]),
     ("trocar-devices", &[]),
@@ -64,7 +64,7 @@ const ARROWS: [(&str, &[&str]); 15] = [
     ),
 ];
 
-/// Libraries that only some crates may know directly. `*` stands for any ending.
+/// Libraries that only some crates may depend on directly. `*` matches any ending.
 const RESERVED: [(&str, &[&str]); 10] = [
     ("actix*", &["trocar-kernel"]),
     ("tokio*", &["trocar-kernel"]),
@@ -100,7 +100,7 @@ fn dependencies_point_only_where_the_house_allows() {
             continue;
         };
         for dependency in &package.dependencies {
-            // A test may look at more than the crate itself.
+            // Tests may depend on more than the crate itself.
             let counts = dependency.kind == DependencyKind::Normal && ours.contains(dependency.name.as_str());
             if counts && !arrows.contains(&dependency.name.as_str()) {
                 wrong.push(format!("{} → {}", package.name, dependency.name));
@@ -143,7 +143,7 @@ fn every_crate_lies_in_its_room_and_takes_the_lints_of_the_workspace() {
     }
 }
 
-/// The drawing leaves out an arrow that follows from others.
+/// The drawing leaves out arrows that follow from others.
 #[test]
 fn the_drawing_of_the_crates_shows_the_arrows_of_the_house() {
     let page = std::fs::read_to_string(root().join("docs/architecture.md")).expect("a readable page");

@@ -1,19 +1,19 @@
-//! No circles: what a file needs can be read without what needs it.
+//! No import cycles: a file's dependencies can be read without the file.
 
 use std::collections::BTreeSet;
 
 use super::graph::{Edges, Graph, circles};
 use super::{ROOMS, refuse, root};
 
-/// Files that may form a circle: a concept and its parts, which are read together.
+/// Files that may form a cycle: a concept and its parts, which are read together.
 const FILES_MAX: usize = 4;
-/// Circles of files that are still larger: how many files each has, the largest first. The list only shrinks.
+/// Larger cycles of files that remain: the number of files of each, the largest first. The list only shrinks.
 const LARGE: [(&str, &[usize]); 0] = [];
-/// Circles of folders that are still there: how many folders each has, the largest first. The list only shrinks.
+/// Cycles of folders that remain: the number of folders of each, the largest first. The list only shrinks.
 const BETWEEN_FOLDERS: [(&str, &[usize]); 0] = [];
-/// Modules that their crates declare for tests only, under a name that does not say so.
+/// Modules that their crates declare for tests only, without `tests` in their names.
 const TEST_ONLY: [&str; 1] = ["actors/collision/src/primitive/arbitrary.rs"];
-/// Names of an import that a failure shows at most.
+/// Most names of an import in a failure message.
 const SHOWN_MAX: usize = 6;
 
 #[test]
@@ -49,7 +49,7 @@ fn graph(room: &str) -> Graph {
     Graph::read("src/lib.rs", &|name| std::fs::read_to_string(folder.join(name)).ok())
 }
 
-/// Where the circles of more than `most` nodes are others than listed.
+/// Differences between the listed cycles and those with more than `most` nodes.
 fn differences(
     room: &str,
     what: &str,
@@ -64,7 +64,7 @@ fn differences(
     if sizes == listed {
         return Vec::new();
     }
-    // The largest come first, so a circle that is smaller than the listed one in its place is an allowed one.
+    // Sorted by size, so a cycle smaller than the listed one in its place is allowed.
     let grown = |place: usize| listed.get(place).is_none_or(|listed| sizes[place] > *listed);
     let grown: Vec<usize> = (0..sizes.len()).filter(|place| grown(*place)).collect();
     if grown.is_empty() {
@@ -73,7 +73,7 @@ fn differences(
     grown.into_iter().map(|place| format!("{room}: {}", told(what, &found[place], edges))).collect()
 }
 
-/// A circle with the imports that make it one.
+/// A cycle with the imports that form it.
 fn told(what: &str, circle: &BTreeSet<String>, edges: &Edges) -> String {
     let within = edges.iter().filter(|((from, to), _)| circle.contains(from) && circle.contains(to));
     let lines = within.map(|((from, to), names)| {

@@ -1,11 +1,11 @@
-//! Links and pictures of the README and of `docs/`: none is dead, no picture lies unused, and the README stays short.
+//! Links and pictures of the README and of `docs/`: no dead links, no unused pictures, and a short README.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::{refuse, root};
 
-/// Lines of the README: what it is, how to start, and where more stands.
+/// Most lines of the README.
 const README_LINES_MAX: usize = 200;
 const PICTURES: [&str; 5] = ["png", "svg", "gif", "jpg", "jpeg"];
 
@@ -50,7 +50,7 @@ fn every_picture_is_shown_by_a_page() {
     assert!(pictures.len() > 5, "{} pictures were found", pictures.len());
 }
 
-/// What is wrong with a link of a page.
+/// The fault of a link, if any.
 fn fault(page: &Path, link: &str) -> Option<String> {
     let (path, anchor) = link.split_once('#').unwrap_or((link, ""));
     let target = if path.is_empty() { page.to_owned() } else { from(page, path) };
@@ -64,7 +64,7 @@ fn fault(page: &Path, link: &str) -> Option<String> {
     (!anchors(&text).contains(anchor)).then(|| format!("{} has no such heading", target.display()))
 }
 
-/// Where a page's link leads, from the root.
+/// The target of a page's link, from the root.
 fn from(page: &Path, link: &str) -> PathBuf {
     let mut place = page.parent().unwrap_or(Path::new("")).to_owned();
     for part in link.split('#').next().unwrap_or_default().split('/') {
@@ -112,10 +112,10 @@ fn prose(text: &str) -> impl Iterator<Item = &str> {
     })
 }
 
-/// Targets of links and pictures that lie in this repository.
+/// Targets of links and pictures within this repository.
 fn targets(text: &str) -> Vec<String> {
     let text = prose(text).collect::<Vec<_>>().join("\n");
-    // Between backticks stands code, not a link.
+    // Text between backticks is code, not a link.
     let text: String = text.split('`').step_by(2).collect::<Vec<_>>().join("code");
     let written = text.split("](").skip(1).map(|rest| rest.split(')').next().unwrap_or_default());
     let tags = ["src=\"", "href=\""];
@@ -131,14 +131,14 @@ fn targets(text: &str) -> Vec<String> {
         .collect()
 }
 
-/// The anchors of a page's headings, as they are made where pages are shown.
+/// The anchors of a page's headings, as GitHub generates them.
 fn anchors(text: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for line in prose(text).filter(|line| line.starts_with('#')) {
         let heading = line.trim_start_matches('#').trim().to_lowercase();
         let kept = heading.chars().filter(|c| c.is_alphanumeric() || [' ', '-', '_'].contains(c));
         let anchor: String = kept.map(|c| if c == ' ' { '-' } else { c }).collect();
-        // A heading that comes again is numbered.
+        // A repeated heading gets a number.
         let numbered = (1..).map(|number| format!("{anchor}-{number}"));
         let free = std::iter::once(anchor.clone()).chain(numbered).find(|name| !found.contains(name));
         found.extend(free);

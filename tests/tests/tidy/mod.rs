@@ -1,5 +1,5 @@
-//! The invariants of the design that can be read off the sources: who depends on whom, what is absent where, that
-//! the house is as wide and as deep as people can follow, and that what is written about it is so.
+//! Architecture tests on the sources: allowed dependencies, forbidden constructs, sizes of files and folders, and the
+//! truth of the documentation.
 
 mod absent;
 mod additions;
@@ -12,7 +12,7 @@ mod size;
 
 use std::path::{Path, PathBuf};
 
-/// Rooms of the house: crate → folder.
+/// The crates' folders: crate → folder.
 pub(super) const ROOMS: [(&str, &str); 15] = [
     ("trocar-scene", "scene"),
     ("trocar-devices", "devices"),
@@ -69,7 +69,7 @@ pub(super) fn production(text: &str) -> String {
     code.lines().map(|line| line.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
 }
 
-/// Production code of a crate: what lies in its `src`, without modules that exist for tests only.
+/// Production code of a crate: its `src` without modules for tests only.
 pub(super) fn production_sources(folder: &str) -> Vec<(String, String)> {
     let test_only = |name: &str| name.ends_with("tests.rs") || name.ends_with("testing.rs");
     sources(&format!("{folder}/src"))

@@ -1,4 +1,4 @@
-//! The README and the pages of `docs/`: what they show exists, and what they name is so.
+//! The README and the pages of `docs/`: the files that they show exist, and their statements hold.
 
 use super::{ROOMS, root};
 
@@ -47,7 +47,7 @@ fn the_readme_shows_the_rooms_that_exist() {
         });
         assert!(shown, "the README's tree does not show {folder} as {name}");
     }
-    // Nothing is shown that does not exist.
+    // Every file in the tree must exist.
     for line in tree.lines() {
         if let Some(folder) = line.split_whitespace().next().and_then(|word| word.strip_suffix('/')) {
             let exists =
@@ -75,7 +75,7 @@ fn every_test_that_the_guarantees_and_the_validation_name_exists() {
     for (page, least) in [("docs/guarantees.md", 20), ("docs/validation.md", 40)] {
         let text = std::fs::read_to_string(root().join(page)).expect("a readable page");
         let (mut file, mut named) = (None, 0);
-        // Between backticks stands a test file, or a test of the file named before.
+        // Backticks hold a test file, or a test of the file named before.
         for word in text.split('`').skip(1).step_by(2) {
             if word.ends_with(".rs") {
                 let text = std::fs::read_to_string(root().join(word));

@@ -1,18 +1,18 @@
-//! What a newcomer can follow: the length of files and the width of folders.
+//! Limits on the length of files and the width of folders.
 
 use std::collections::BTreeMap;
 
 use super::{refuse, sources};
 
-/// Lines of a file beyond which it may hold more than one concept.
+/// Files with more lines may hold more than one concept.
 const LINES_MANY: usize = 600;
-/// Lines of a file beyond which a newcomer loses the way.
+/// Most lines of a file.
 const LINES_MAX: usize = 1_000;
-/// Files of a folder beyond which it may hold more than one concept.
+/// Folders with more files may hold more than one concept.
 const FILES_MANY: usize = 20;
-/// Files of a folder beyond which a newcomer loses the way.
+/// Most files of a folder.
 const FILES_MAX: usize = 25;
-/// Folders that are still wider, and how wide. The list only shrinks.
+/// Wider folders that remain, with their widths. The list only shrinks.
 const WIDE: [(&str, usize); 0] = [];
 
 const FOLDERS: [&str; 5] = ["scene", "devices", "actors", "ui", "tests"];

@@ -438,7 +438,7 @@ mod tests {
         assert!(hand("left").is_err() && hand("=virtual").is_err() && hand("left=").is_err());
     }
 
-    /// Words of which command lines are made, and others.
+    /// Words of command lines, and others.
     fn word() -> impl Strategy<Value = String> {
         prop_oneof![
             2 => select(vec![

@@ -1,4 +1,4 @@
-//! `trocar doctor`: what limits the rates on this machine, and how to mend it.
+//! `trocar doctor`: checks what limits the rates on this machine, and how to fix it.
 
 use std::net::{Ipv4Addr, TcpListener, UdpSocket};
 use std::path::Path;
@@ -22,26 +22,26 @@ const PERIOD_NS: i64 = 1_000_000;
 /// Above this p99 lateness of a bare loop, 1 kHz is not kept \[µs\].
 const FLOOR_P99_US: f64 = 250.0;
 
-/// How one thing is.
+/// The status of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum Status {
-    /// As it should be.
+    /// Good.
     Ok,
-    /// It works, but not as well as it could.
+    /// It works, but with limits.
     Warn,
-    /// Something does not work.
+    /// It does not work.
     Fail,
 }
 
-/// One thing that was looked at.
+/// One check.
 #[derive(Clone, Debug, Serialize)]
 struct Check {
     name: &'static str,
     status: Status,
-    /// What was found.
+    /// The finding.
     found: String,
-    /// How to mend it; null when there is nothing to mend.
+    /// The remedy; null when none is needed.
     mend: Option<String>,
 }
 
@@ -57,7 +57,7 @@ impl Check {
     }
 }
 
-/// Looks at everything and prints it.
+/// Runs all checks and prints them.
 pub fn doctor(args: &DoctorArgs) -> Result<Exit, Failure> {
     let machine = machine();
     let checks = [
@@ -96,7 +96,7 @@ fn text(checks: &[Check]) -> String {
     lines.join("\n")
 }
 
-/// The machine as the bench and the doctor name it.
+/// The machine, as bench and doctor describe it.
 pub fn machine() -> Machine {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = cpuinfo
@@ -202,7 +202,7 @@ fn locked_memory() -> Check {
     }
 }
 
-/// Only whether there is one: nothing of this program draws on it yet.
+/// Only whether there is a graphics card; none is needed.
 fn gpu() -> Check {
     let mut found = Vec::new();
     if let Ok(folder) = std::fs::read_dir("/dev/dri") {

@@ -1,6 +1,6 @@
-//! Names from outside made safe: for HTML, for graphs, for terminals.
+//! Escapes names from outside for HTML, graphs and terminals.
 
-/// Text as it may stand in HTML or SVG, in element content and in quoted attributes.
+/// Escapes text for HTML or SVG, in element content and in quoted attributes.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -18,12 +18,12 @@ pub fn escape(text: &str) -> String {
     out
 }
 
-/// JSON as it may stand inside of a `script` element, where `</script` would end it.
+/// Escapes JSON for a `script` element, where `</script` would end it.
 pub fn escape_json(json: &str) -> String {
     json.replace('<', "\\u003c").replace('>', "\\u003e").replace('&', "\\u0026")
 }
 
-/// Text as it may be sent to a terminal: nothing that it would act on.
+/// Removes control sequences that a terminal would act on.
 pub fn printable(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c }).collect()
 }

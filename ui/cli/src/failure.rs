@@ -1,4 +1,4 @@
-//! What can end a command early: a message for people and an exit code for scripts.
+//! A command's failure: a message for people and an exit code for scripts.
 
 use std::fmt::Display;
 use std::path::Path;
@@ -9,25 +9,25 @@ use trocar::run::RunError;
 use trocar::summary::Exit;
 use trocar_kernel::live::LiveError;
 
-/// A command that could not do what it was asked for.
+/// Why a command failed.
 #[derive(Debug)]
 pub struct Failure {
-    /// How the process ends.
+    /// The exit code.
     pub exit: Exit,
-    /// What is wrong, where, and what would be valid.
+    /// The error, its place, and the valid choices.
     pub message: String,
 }
 
 impl Failure {
-    /// A command line that makes no sense.
+    /// An invalid command line.
     pub fn usage(message: impl Display) -> Self {
         Self { exit: Exit::Usage, message: message.to_string() }
     }
-    /// A scenario or file that cannot be used.
+    /// An invalid scenario or file.
     pub fn invalid(message: impl Display) -> Self {
         Self { exit: Exit::Invalid, message: message.to_string() }
     }
-    /// Something that is the program's or the machine's fault.
+    /// A fault of the program or the machine.
     pub fn internal(message: impl Display) -> Self {
         Self { exit: Exit::Internal, message: message.to_string() }
     }

@@ -38,7 +38,7 @@ pub struct GalleryArgs {
     pub json: bool,
 }
 
-/// One picture of it.
+/// The row of one picture.
 struct Shot {
     scenario: String,
     title: String,
@@ -46,7 +46,7 @@ struct Shot {
     file: String,
 }
 
-/// Makes the pictures that are asked for.
+/// Makes the requested pictures.
 pub fn gallery(app: &App, args: &GalleryArgs) -> Result<Exit, Failure> {
     std::fs::create_dir_all(&args.folder)
         .map_err(|error| Failure::invalid(format!("{}: {error}", args.folder.display())))?;
@@ -82,7 +82,7 @@ pub fn gallery(app: &App, args: &GalleryArgs) -> Result<Exit, Failure> {
     Ok(Exit::Ok)
 }
 
-/// Lets a scenario run in virtual time up to the moment that is asked for, and looks.
+/// Runs a scenario in virtual time up to the requested moment, and takes the picture.
 fn shoot(app: &App, args: &GalleryArgs, name: &str) -> Result<Shot, Failure> {
     let scenario = app.scenario(name)?;
     let options =

@@ -1,4 +1,4 @@
-//! `trocar graph`: who acts in a scenario, at which rates, and what flows between them.
+//! `trocar graph`: draws the actor graph of a scenario with its rates and data flows.
 
 use std::fmt::Write as _;
 
@@ -39,7 +39,7 @@ pub fn graph(app: &App, args: &GraphArgs) -> Result<Exit, Failure> {
     Ok(Exit::Ok)
 }
 
-/// What everyone declares, without a tick.
+/// Every controller's declared access, without a tick.
 fn declared(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<ActorGraph, Failure> {
     let accesses = accesses(app, scenario, options)?;
     Ok(ActorGraph::from_access(
@@ -48,7 +48,7 @@ fn declared(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Acto
     ))
 }
 
-/// Devices stand outside of the scene: their drivers talk to haptics directly.
+/// Devices are outside the scene: their drivers exchange data with haptics directly.
 fn add_devices(graph: &mut ActorGraph, scenario: &Scenario) {
     for hand in &scenario.hands {
         let (device, haptics) = (format!("device.{}", hand.name), format!("haptics.{}", hand.name));

@@ -44,7 +44,7 @@ use failure::Failure;
 use trocar::app::App;
 use trocar::summary::{Exit, SCHEMA};
 
-/// The command line as a whole: every command with its options, for tests of what documents say of it.
+/// The whole command line, every command with its options, for tests of the documentation.
 pub fn command_line() -> clap::Command {
     Cli::command()
 }
@@ -52,13 +52,13 @@ pub fn command_line() -> clap::Command {
 /// Gives an application the whole command line: every command of `trocar`, with its own components and
 /// controllers among them.
 pub trait CommandLine {
-    /// Does what the arguments of the process say.
+    /// Runs the command in the arguments of the process.
     fn run(self) -> ExitCode;
 }
 
 impl CommandLine for App {
     fn run(self) -> ExitCode {
-        // Help and completions are about the program as it was called.
+        // Help and completions use the name by which the program was called.
         let name = std::env::args_os().next().map(PathBuf::from);
         let name =
             name.as_deref().and_then(Path::file_stem).and_then(|stem| stem.to_str()).unwrap_or("trocar");
@@ -111,7 +111,7 @@ fn dispatch(app: &App, command: Command, mut line: clap::Command) -> Result<Exit
     }
 }
 
-/// A command line that does not parse; help and version are no failures.
+/// The exit for a command line that does not parse; help and version are no failures.
 fn usage(error: &clap::Error) -> ExitCode {
     let failed = error.use_stderr();
     if failed && std::env::args().any(|argument| argument == "--json") {
@@ -122,7 +122,7 @@ fn usage(error: &clap::Error) -> ExitCode {
             say(&failure.message);
         }
     }
-    // Printing fails only when nobody listens.
+    // Printing fails only when the terminal or pipe is closed.
     let _ = error.print();
     ExitCode::from(if failed { Exit::Usage.code() } else { Exit::Ok.code() })
 }
@@ -141,7 +141,7 @@ fn start_log(verbose: u8) {
         2 => "debug",
         _ => "trace",
     };
-    // What the window's library warns of (a display without a size in millimetres) helps nobody.
+    // Warnings of the window library (a display without a size in millimetres) are useless to users.
     let usual = || EnvFilter::new(format!("{level},winit=error"));
     let filter = EnvFilter::try_from_env("TROCAR_LOG").unwrap_or_else(|_| usual());
     tracing_subscriber::fmt()

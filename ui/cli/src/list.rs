@@ -1,4 +1,4 @@
-//! `trocar list`: what a scenario or a command line can name.
+//! `trocar list`: the names that scenarios and command lines can use.
 
 use std::collections::BTreeSet;
 
@@ -17,20 +17,20 @@ use crate::failure::Failure;
 use crate::output;
 use crate::report::short;
 
-/// Something that is listed.
+/// A listed item.
 struct Listing {
     name: String,
     about: String,
-    /// What is known of controllers only.
+    /// For controllers only.
     controller: Option<Usage>,
-    /// And of tissues only.
+    /// For tissues only.
     parameters: &'static [TissueParameter],
 }
 
-/// How a kind of controller takes part.
+/// Rate and access of a kind of controller.
 #[derive(Serialize)]
 struct Usage {
-    /// Usual rate \[Hz\]; null when nobody said it.
+    /// Usual rate \[Hz\]; null when unknown.
     rate_hz: Option<f64>,
     /// NAMEs of components, in order.
     reads: Vec<String>,
@@ -159,7 +159,7 @@ fn listings(app: &App, what: Listed) -> Result<Vec<Listing>, Failure> {
     })
 }
 
-/// Every kind with what it declares in the first of our scenarios that uses it.
+/// Every kind with its access in the first of our scenarios that uses it.
 fn controllers(app: &App) -> Result<Vec<Listing>, Failure> {
     let mut rows: Vec<Listing> = app
         .kinds()
@@ -173,7 +173,7 @@ fn controllers(app: &App) -> Result<Vec<Listing>, Failure> {
     let mut scenarios = Vec::with_capacity(2 * SCENARIOS.len());
     for (name, _) in SCENARIOS {
         let scenario = app.scenario(name)?;
-        // Some kinds only take part where a person plays.
+        // Some kinds take part only when a person plays.
         let played = trocar::play::played(&scenario).map_err(RunError::from)?;
         scenarios.extend([scenario, played]);
     }
@@ -194,7 +194,7 @@ fn controllers(app: &App) -> Result<Vec<Listing>, Failure> {
     Ok(rows)
 }
 
-/// In order, each once.
+/// Sorted, without duplicates.
 fn names<'a>(names: impl Iterator<Item = &'a str>) -> Vec<String> {
     names.collect::<BTreeSet<_>>().into_iter().map(str::to_owned).collect()
 }

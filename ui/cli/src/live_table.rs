@@ -1,4 +1,4 @@
-//! What a terminal shows while a session runs: a table of rates live, a progress bar in virtual time.
+//! The terminal display of a running session: a table of rates live, a progress bar in virtual time.
 //!
 //! Everything goes to stderr, and only when that is a terminal.
 
@@ -16,12 +16,12 @@ use crate::escape::printable;
 use crate::output::columns;
 use crate::report::short;
 
-/// Between two drawings of the table.
+/// Redraw interval of the table.
 const REDRAW: Duration = Duration::from_millis(250);
 /// Resolution of the progress bar.
 const BAR_STEPS: u64 = 1000;
 
-/// A session's place on the terminal.
+/// A session's display on the terminal.
 pub struct Display {
     kind: Kind,
     title: String,
@@ -34,7 +34,7 @@ enum Kind {
 }
 
 impl Display {
-    /// The right one for this terminal; none when `silent` or when nobody looks.
+    /// The display for this terminal; none when `silent` or when stderr is no terminal.
     pub fn new(scenario: &Scenario, options: &RunOptions, silent: bool) -> Self {
         let term = Term::stderr();
         let kind = if silent || !term.is_term() {
@@ -52,7 +52,7 @@ impl Display {
         Self { kind, title: printable(&scenario.name) }
     }
 
-    /// Shows how the session stands; cheap when it is not time yet.
+    /// Shows the state of the session; returns at once between two redraws.
     pub fn update(&mut self, progress: &Progress<'_>) {
         match &mut self.kind {
             Kind::Silent => {}
@@ -79,7 +79,7 @@ impl Display {
                     .map(|line| console::truncate_str(&line, width - 1, "…").into_owned())
                     .collect();
                 *before = reports.iter().map(|row| (row.scheduled - row.missed, now)).collect();
-                // A terminal that goes away takes the table with it, not the session.
+                // A closed terminal ends the table, not the session.
                 let _ = term.clear_last_lines(*lines);
                 let _ = term.write_line(&text.join("\n"));
                 *lines = text.len();
@@ -88,7 +88,7 @@ impl Display {
         }
     }
 
-    /// Takes everything off the terminal.
+    /// Clears the display.
     pub fn clear(&mut self) {
         match &mut self.kind {
             Kind::Silent => {}
@@ -188,7 +188,7 @@ fn rate_row(row: &ControllerReport, before: Option<&(u64, f64)>, now: f64) -> Ve
     ]
 }
 
-/// Bodies that cannot move before something is computed, and the share of it that is done.
+/// Bodies that wait for a precomputation, and the share of it that is done.
 fn waiting(scene: &Snapshot) -> impl Iterator<Item = (&str, f64)> {
     let measured = scene.iter::<Measured>().flat_map(|(_, measured)| &measured.values);
     let shares =

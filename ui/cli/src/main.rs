@@ -1,4 +1,4 @@
-//! The program `trocar`: what comes with the framework, on the command line.
+//! The program `trocar`: the command line with Trocar's own components and controllers.
 
 use std::process::ExitCode;
 

@@ -1,4 +1,4 @@
-//! `trocar new`: a project to start from.
+//! `trocar new`: writes a project from a template.
 
 use std::path::{Path, PathBuf};
 
@@ -33,7 +33,7 @@ pub fn new(args: &NewArgs) -> Result<Exit, Failure> {
     Ok(Exit::Ok)
 }
 
-/// Where the project finds Trocar: what was asked for, or the checkout that this program comes from.
+/// The source of Trocar for the project: the requested one, or the checkout that this program was built from.
 fn source(args: &NewArgs) -> Result<Source, Failure> {
     match &args.trocar {
         Some(text) if text.contains("://") || text.starts_with("git@") => Ok(Source::Git(text.clone())),

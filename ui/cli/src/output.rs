@@ -1,4 +1,4 @@
-//! Data to stdout, files by rename, everything else to stderr.
+//! Output: data to stdout, files by rename, all other text to stderr.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -7,20 +7,20 @@ use serde::Serialize;
 
 use crate::failure::Failure;
 
-/// Writes a file completely or not at all: to a neighbour first, then by rename.
+/// Writes a file completely or not at all: to a temporary file beside it, then by rename.
 pub fn write_file(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));
     let part = path.with_file_name(name);
     let written = std::fs::write(&part, bytes).and_then(|()| std::fs::rename(&part, path));
     written.map_err(|error| {
-        // The part is of no use to anybody; that it cannot be removed either is no further news.
+        // The partial file is useless; a failure to remove it adds nothing to the first error.
         let _ = std::fs::remove_file(&part);
         Failure::write(path, error)
     })
 }
 
-/// Says now rather than after a long run that a file cannot be written.
+/// Checks before a long run that a file can be written.
 pub fn check_writable(path: &Path) -> Result<(), Failure> {
     let folder = match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
@@ -42,7 +42,7 @@ pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
     print_text(&text)
 }
 
-/// Text on stdout; a reader that went away (`| head`) is no failure.
+/// Text on stdout; a reader that closed the pipe (`| head`) is no failure.
 pub fn print_text(text: &str) -> Result<(), Failure> {
     let mut stdout = io::stdout().lock();
     match writeln!(stdout, "{}", text.trim_end()).and_then(|()| stdout.flush()) {
@@ -51,7 +51,7 @@ pub fn print_text(text: &str) -> Result<(), Failure> {
     }
 }
 
-/// Columns aligned by the widest cell: text to the left, what begins with a digit to the right.
+/// Columns aligned by the widest cell: text to the left, cells that begin with a digit to the right.
 pub fn columns(head: &[&str], rows: &[Vec<String>]) -> Vec<String> {
     let width_of = |column: usize| {
         let cells =

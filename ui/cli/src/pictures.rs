@@ -12,10 +12,10 @@ use crate::args::{Care, Eyes, PictureArgs};
 use crate::failure::Failure;
 use crate::output;
 
-/// Looks on while time passes, and leaves what was asked for.
+/// Takes pictures and film frames during a run.
 pub struct Photographer {
     eye: Eye,
-    /// `None` for four views, until the first picture shows what there is to see.
+    /// `None` for four views, until the first picture fits them to the scene.
     layout: Option<Layout>,
     cameras: Vec<String>,
     size: [u32; 2],
@@ -28,10 +28,11 @@ pub struct Photographer {
 }
 
 impl Photographer {
-    /// `folder` is the scenario's, below which files of textures are. `None` when no picture is asked for, or when there is no graphics adapter: that is said, and the rest goes on.
+    /// `folder` is the scenario's, below which files of textures are. Returns `None` when no picture is asked for, or
+    /// when there is no graphics adapter: that is reported, and the run goes on.
     ///
     /// # Errors
-    /// When a file cannot be written, there is no such camera, or nothing that can be shown by a name.
+    /// When a file cannot be written, or a camera or overlay is unknown.
     pub fn new(args: &PictureArgs, folder: Option<&Path>, scene: &Snapshot) -> Result<Option<Self>, Failure> {
         if args.picture.is_none() && args.film.is_none() {
             return Ok(None);
@@ -83,8 +84,8 @@ impl Photographer {
         }))
     }
 
-    /// Adds frames to the film, as many as are due: what moves slowly on its way. Whoever looks more often sees more of
-    /// what has been.
+    /// Adds the frames that are due to the film. Frequent calls also capture the past that slow overlays such as trails
+    /// show.
     pub fn look(&mut self, scene: &Snapshot, now: SimTime) {
         self.eye.renderer_mut().watch(scene);
         if self.film.is_none() || self.failed.is_some() {
@@ -98,7 +99,7 @@ impl Photographer {
         let taken = self.take(&shown);
         let Some((film, _)) = &mut self.film else { return };
         let mut shot = Ok(());
-        // Whoever was kept away from looking shows what is now for as long as that took.
+        // After a delay the current picture fills the frames that were missed.
         while self.next <= now && shot.is_ok() {
             shot = match &taken {
                 Ok(picture) => film.frame(picture),
@@ -131,11 +132,11 @@ impl Photographer {
         self.eye.picture(scene, &view, layout, self.size)
     }
 
-    /// Takes the last picture, and completes the film. What could not be drawn or written is a loss that the summary
-    /// tells of: score, recording and report of the session are kept all the same.
+    /// Takes the last picture, and completes the film. A failure is added to the summary's losses; score, recording and
+    /// report of the session are kept.
     pub fn finish(mut self, scene: &Snapshot, summary: &mut RunSummary) {
         if let Some(error) = self.failed.take() {
-            // Half a film is none.
+            // An incomplete film is discarded.
             self.film = None;
             summary.losses.push(format!("no film: {error}"));
         }

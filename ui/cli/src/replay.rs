@@ -1,4 +1,4 @@
-//! `trocar replay`: a recording played back commit by commit, checked against its own state hashes.
+//! `trocar replay`: plays a recording back commit by commit, and checks its state hashes.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -18,7 +18,7 @@ use crate::report::{self, Report};
 use crate::window::{self, Findings};
 use crate::{output, run};
 
-/// Between two samples of the trace.
+/// Interval between two samples of the trace.
 const SAMPLE_EVERY: SimTime = SimTime::from_millis(10);
 
 /// Plays a recording back.
@@ -34,12 +34,12 @@ pub fn replay(app: &App, args: &ReplayArgs) -> Result<Exit, Failure> {
     let recordings: Result<Vec<_>, _> = files.map(|file| Recording::open(file)).collect();
     let recordings = recordings.map_err(Failure::invalid)?;
     window::with_recordings(app, windows, &args.pictures, args.folder.as_deref(), &recordings, |found| {
-        // While people look, it is played once more as fast as it goes, and checked.
+        // While the window plays the recording, it is also replayed at full speed and checked.
         check(app, args, &|findings| drop(found.send(findings)))
     })
 }
 
-/// Plays a recording from start to end, checks it, and says what came of it.
+/// Plays a recording from start to end, checks it, and returns the result.
 fn check(app: &App, args: &ReplayArgs, tell: &dyn Fn(Findings)) -> Result<Exit, Failure> {
     let mut summary = RunSummary::new("", Mode::Replay, 0);
     summary.recording = Some(args.file.display().to_string());
@@ -59,7 +59,7 @@ fn check(app: &App, args: &ReplayArgs, tell: &dyn Fn(Findings)) -> Result<Exit, 
     result
 }
 
-/// What stands on the timeline of a recording, and what to tell people who look.
+/// Marks for the timeline of a recording, and a note for people.
 fn findings(summary: &RunSummary, result: &Result<Exit, Failure>) -> Findings {
     let error = |error: &TaskErrorSummary| Mark {
         time: SimTime::from_secs_f64(error.at_secs),

@@ -23,7 +23,7 @@ use crate::report::{self, Report, short};
 use crate::tune::{self, Desk};
 use crate::window::{self, Attendant, Next, Show};
 
-/// Runs what the command line asks for, in a window where there is a display.
+/// Runs the scenario of the command line, in a window where there is a display.
 pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
     let by_default = !(args.json || args.lockstep || args.pictures.are_asked_for());
     let Some(windows) = window::connect(&args.window, by_default)? else {
@@ -33,7 +33,7 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
         Some(file) => bindings(file)?,
         None => Bindings::default(),
     };
-    // What cannot begin is said before a window opens.
+    // Errors in the scenario are reported before a window opens.
     let (scenario, _) = tune::scenario(app, &args.session)?;
     let show = Show {
         title: if scenario.title.is_empty() { scenario.name.clone() } else { scenario.title.clone() },
@@ -62,7 +62,7 @@ pub fn run(app: &App, args: &RunArgs) -> Result<Exit, Failure> {
     })
 }
 
-/// How it ended, for people who look at a window.
+/// The result as a note for the window.
 fn verdict(summary: &RunSummary) -> String {
     let task = &summary.task;
     if !is_exercise(task) {
@@ -79,7 +79,7 @@ fn bindings(file: &Path) -> Result<Bindings, Failure> {
     Bindings::parse(&text).map_err(|error| Failure::invalid(format!("{}: {error}", file.display())))
 }
 
-/// Prints what came of a run.
+/// Prints the result of a run.
 fn told(args: &RunArgs, outcome: Result<(RunSummary, Exit), Failure>) -> Result<Exit, Failure> {
     match outcome {
         Ok((summary, exit)) => {
@@ -99,7 +99,7 @@ fn told(args: &RunArgs, outcome: Result<(RunSummary, Exit), Failure>) -> Result<
     }
 }
 
-/// One session from start to end: the first one, or one more.
+/// One session from start to end: the first one, or a repetition.
 fn attempt(
     app: &App,
     args: &RunArgs,
@@ -141,7 +141,7 @@ fn attempt(
     let mut display = Display::new(&scenario, &options, args.window.headless || args.json);
     let mut desk = Desk::new(app, &scenario, tuner);
     if !args.lockstep {
-        // In virtual time a session is over before anybody could say something to it.
+        // In virtual time a session is over before a user could tune it.
         desk.open();
     }
     let first = scenario.spawn(app.registry()).map_err(Failure::invalid)?.snapshot();
@@ -190,7 +190,7 @@ fn attempt(
     Ok((outcome.summary, exit))
 }
 
-/// The file of another try stands beside that of the first one.
+/// The file name for a repetition, beside that of the first run.
 fn numbered(file: PathBuf, number: u32) -> PathBuf {
     if number == 1 {
         return file;
@@ -200,11 +200,11 @@ fn numbered(file: PathBuf, number: u32) -> PathBuf {
     file.with_file_name(format!("{stem}-{number}{ending}"))
 }
 
-/// Options that every command with a session shares; an interrupt ends the session in good order.
+/// Options that every command with a session shares; an interrupt ends the session in an orderly way.
 pub fn options(args: &SessionArgs) -> Result<RunOptions, Failure> {
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
-        // The second one does not wait for anybody.
+        // The second interrupt ends the process at once.
         signal_hook::flag::register_conditional_shutdown(
             signal,
             i32::from(Exit::Internal.code()),
@@ -233,7 +233,7 @@ fn plan(name_or_file: &str) -> Result<FaultPlan, Failure> {
     })
 }
 
-/// The scenario's name as it may stand in a file name.
+/// The scenario's name with only characters that are valid in a file name.
 fn file_stem(scenario: &Scenario) -> String {
     let safe = |c: char| if c.is_alphanumeric() || c == '-' || c == '_' { c } else { '-' };
     scenario.name.chars().take(60).map(safe).collect()
@@ -303,12 +303,12 @@ fn cause(cause: &Cause) -> String {
     }
 }
 
-/// Whether there was something to do. What there is not is not left undone, and has no score.
+/// Whether the scenario has an exercise. Without one there is no score.
 fn is_exercise(task: &TaskSummary) -> bool {
     !task.completed || task.score.is_some()
 }
 
-/// What a person wants to know after a run.
+/// The summary as text for people.
 pub fn text(summary: &RunSummary) -> String {
     let bold = |text: String| console::style(text).bold().to_string();
     let task = &summary.task;

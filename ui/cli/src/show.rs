@@ -1,4 +1,4 @@
-//! Reads the names after `--show`.
+//! Parses the names after `--show`.
 
 use std::ffi::OsStr;
 
@@ -6,7 +6,7 @@ use clap::builder::{NonEmptyStringValueParser, PossibleValue, TypedValueParser};
 use clap::error::ErrorKind;
 use trocar_viewer::{Overlay, Overlays};
 
-/// Reads what `--show` names.
+/// The parser of `--show`.
 #[derive(Clone, Copy)]
 pub struct Show;
 

@@ -1,4 +1,4 @@
-//! `trocar soak`: random fault plans on the exercise, on all cores, until one breaks something.
+//! `trocar soak`: random fault plans on the exercise, on all cores, until one causes a violation.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -14,7 +14,7 @@ use crate::args::SoakArgs;
 use crate::failure::Failure;
 use crate::output;
 
-/// Runs the plans that are asked for.
+/// Runs the requested plans.
 pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
     let scenario = app.scenario(&args.scenario)?;
     let folder = tempfile::tempdir().map_err(Failure::internal)?;
@@ -36,7 +36,7 @@ pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
                     }
                     let seed = args.from.wrapping_add(number);
                     let soaked = soak(app, scenario, seed, args.seconds, &file).unwrap_or_else(|error| {
-                        // The other plans' hour is not thrown away for it.
+                        // The results of the other plans are kept.
                         Soaked {
                             seed,
                             faults: Vec::new(),
@@ -46,7 +46,7 @@ pub fn run(app: &App, args: &SoakArgs) -> Result<Exit, Failure> {
                     });
                     if is_broken(&soaked) {
                         let told = told(args, &soaked);
-                        // Said at once: whoever waits for hours may begin to look.
+                        // Printed at once, so that the user can investigate during a long soak.
                         bar.suspend(|| eprintln!("{told}"));
                     }
                     let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
@@ -74,7 +74,7 @@ fn again(args: &SoakArgs, seed: u64) -> String {
     format!("trocar soak {} --plans 1 --from {seed}{seconds}", args.scenario)
 }
 
-/// What a plan broke, in words.
+/// A plan's violations, in words.
 fn told(args: &SoakArgs, row: &Soaked) -> String {
     let Soaked { seed, faults, violations, .. } = row;
     let again = again(args, *seed);

@@ -1,4 +1,5 @@
-//! The table of what a program knows: components, and kinds of controllers by the names that scenarios use.
+//! The application: the registry of components, and the kinds of controllers and devices by the names that scenarios
+//! use.
 
 pub(crate) mod actors;
 
@@ -21,7 +22,7 @@ use crate::kind::joining;
 pub use crate::kind::{Arrange, Blueprint, ForHands, Kind, KindContext, KindInfo};
 use crate::kinds;
 
-/// Scenarios that are part of the program: (name, text).
+/// Built-in scenarios: (name, text).
 pub const SCENARIOS: [(&str, &str); 15] = [
     ("peg-transfer", include_str!("../../../scenarios/peg-transfer.toml")),
     ("wall", include_str!("../../../scenarios/wall.toml")),
@@ -40,10 +41,10 @@ pub const SCENARIOS: [(&str, &str); 15] = [
     ("two-rates", include_str!("../../../scenarios/two-rates.toml")),
 ];
 
-/// A name that cannot be given: what an [`App`] remembers until somebody asks it for a scenario.
+/// A name that an [`App`] cannot register. The `App` keeps the error until a scenario is loaded.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum SetupError {
-    /// Two components of one name.
+    /// Two components have the same name.
     #[error(transparent)]
     Registry(#[from] RegistryError),
     /// A kind's name is taken.
@@ -52,13 +53,13 @@ pub enum SetupError {
     /// A device's name is taken.
     #[error("a device of kind '{0}' exists already")]
     DeviceTaken(String),
-    /// A device's name that would be hard to write.
+    /// A device's name with letters that are hard to type.
     #[error("'{0}' cannot name a device; valid: lower-case letters, digits, '-' and '_'")]
     DeviceName(String),
     /// An actor's name is taken.
     #[error("an actor '{0}' exists already")]
     ActorTaken(String),
-    /// A rate that no controller can have.
+    /// A rate outside the range of controllers.
     #[error(
         "controller '{name}': {rate_hz} Hz is out of range ({} to {} Hz)",
         RATE_HZ.start(),
@@ -72,28 +73,28 @@ pub enum SetupError {
     },
 }
 
-/// Why an application has no such scenario.
+/// Why a scenario cannot be loaded.
 #[derive(Debug, Error)]
 pub enum AppError {
-    /// The application itself is contradictory.
+    /// The application's registrations conflict.
     #[error(transparent)]
     Setup(#[from] SetupError),
     /// No such scenario.
     #[error("no scenario is called '{name}', and there is no such file; there are: {known}")]
     UnknownScenario {
-        /// What was asked for.
+        /// The name that was asked for.
         name: String,
-        /// What there is.
+        /// The valid names.
         known: String,
     },
-    /// The scenario is wrong.
+    /// The scenario is invalid.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
 }
 
 /// Components and kinds of controllers: Trocar's own, and those that a program adds.
 ///
-/// Adding chains and never fails on the spot; what was wrong is said when the first scenario is asked for.
+/// Registration chains and never fails on the spot; errors are returned when the first scenario is loaded.
 ///
 /// ```
 /// use serde::{Deserialize, Serialize};
@@ -111,7 +112,7 @@ pub enum AppError {
 /// ```
 pub struct App {
     components: RegistryBuilder,
-    /// Made when it is first asked for.
+    /// Built on first use.
     registry: OnceLock<Arc<Registry>>,
     kinds: BTreeMap<String, Kind>,
     about: BTreeMap<String, KindInfo>,
@@ -157,7 +158,7 @@ impl App {
         }
     }
 
-    /// Adds a component; scenario files and recordings know it by its NAME from then on.
+    /// Adds a component; scenario files and recordings refer to it by its NAME.
     #[must_use]
     pub fn component<T: Component>(mut self) -> Self {
         if let Err(error) = self.components.register::<T>() {
@@ -167,15 +168,14 @@ impl App {
         self
     }
 
-    /// Adds a kind of controller that needs nothing to begin with.
+    /// Adds a kind of controller that needs no data to be built.
     #[must_use]
     pub fn controller<C: Controller + Default>(self, kind: &str) -> Self {
         self.controller_with(kind, |(): &(), _| Ok(C::default()))
     }
 
-    /// Adds a kind of controller that is built from the scene, at the start and after every failure, and from
-    /// what the scenario says under its `params`: `P` is `()` for none, or a struct whose defaults apply when
-    /// nothing is written.
+    /// Adds a kind of controller that is built, at the start and after every failure, from the scene and from its
+    /// `params` in the scenario. `P` is `()` for none, or a struct whose defaults apply to missing keys.
     #[must_use]
     pub fn controller_with<C, P>(
         self,
@@ -195,7 +195,7 @@ impl App {
         self.kind(kind, Arc::new(blueprint))
     }
 
-    /// Adds a kind of controller that says itself how it is scheduled and fenced.
+    /// Adds a kind of controller that chooses its own scheduling and fences.
     #[must_use]
     pub fn kind(mut self, name: impl Into<String>, kind: Kind) -> Self {
         match self.kinds.entry(name.into()) {
@@ -209,16 +209,16 @@ impl App {
         self
     }
 
-    /// Says what a kind of controller does, in a line, and at which rate \[Hz\] it is usually run: for
-    /// `trocar list controllers`.
+    /// Describes a kind of controller for `trocar list controllers`: what it does, in a line, and its usual rate
+    /// \[Hz\].
     #[must_use]
     pub fn about(mut self, kind: impl Into<String>, info: KindInfo) -> Self {
         self.about.insert(kind.into(), info);
         self
     }
 
-    /// Lets a controller of this kind, and of the same name, join every session at `rate_hz`, whatever the
-    /// scenario says; one that has a controller of that name already keeps its own.
+    /// Adds a controller of this kind and name to every session, at `rate_hz`, whatever the scenario says. A scenario
+    /// that already has a controller of that name keeps its own.
     #[must_use]
     pub fn joins(mut self, kind: &str, rate_hz: f64) -> Self {
         if RATE_HZ.contains(&rate_hz) {
@@ -237,21 +237,20 @@ impl App {
     pub fn kinds(&self) -> impl Iterator<Item = &str> {
         self.kinds.keys().map(String::as_str)
     }
-    /// What people are told about the kind of that name, if anything was said.
+    /// The description of that kind, if it has one.
     pub fn kind_info(&self, name: &str) -> Option<&KindInfo> {
         self.about.get(name)
     }
-    /// The kind of that name, to be used or wrapped.
+    /// The kind of that name, for use or to wrap it.
     pub fn kind_of(&self, name: &str) -> Option<&Kind> {
         self.kinds.get(name)
     }
 
-    /// Loads a scenario: a name that comes with the program, or a file. The controllers that join every session
-    /// stand at its end.
+    /// Loads a scenario: a built-in name, or a file. The controllers that join every session are appended to it.
     ///
     /// # Errors
-    /// When the application is contradictory, there is no such scenario, or it is wrong; the message names the
-    /// place.
+    /// When the application's registrations conflict, or the scenario does not exist or is invalid; the message names
+    /// the place.
     pub fn scenario(&self, name_or_file: &str) -> Result<Scenario, AppError> {
         self.check()?;
         if let Some((name, text)) = SCENARIOS.iter().find(|(name, _)| *name == name_or_file) {
@@ -267,7 +266,7 @@ impl App {
         })
     }
 
-    /// Reads a scenario that is in memory; `file` is what messages call it, and where it would lie.
+    /// Parses a scenario from memory; `file` is its name in messages, and the folder for its relative paths.
     ///
     /// # Errors
     /// As [`Self::scenario`].

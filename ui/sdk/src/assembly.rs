@@ -1,4 +1,4 @@
-//! From a scenario and the options of a run to a session that either driver of time can take.
+//! Assembles a session from a scenario and the options of a run, for either time driver.
 
 use std::path::{Component, Path};
 use std::sync::Arc;
@@ -17,20 +17,20 @@ use crate::options::RunOptions;
 use crate::play;
 use crate::session::plan::{Role, SessionPlan};
 
-/// A session and its hands, not yet running.
+/// A session and its hands, before it runs.
 pub struct Assembly {
-    /// What the kernel takes; without peers, which depend on the driver of time.
+    /// The kernel's specification; without peers, which depend on the time driver.
     pub spec: SessionSpec,
     /// The opened hands.
     pub hands: Vec<OpenedHand>,
-    /// What others can be made from. What is changed in `spec` holds for this session only.
+    /// The plan for branches and resets. Changes to `spec` hold for this session only.
     pub(crate) plan: Arc<SessionPlan>,
-    /// Who joins when it runs live.
+    /// Actors that join when the session runs live.
     pub(crate) actors: Vec<ActorKind>,
 }
 
 impl Assembly {
-    /// Opens the hands, spawns the scene and makes every controller's blueprint.
+    /// Opens the hands, spawns the scene and makes the blueprint of every controller.
     ///
     /// # Errors
     /// [`AssemblyError`] names file, place and valid choices.
@@ -41,7 +41,7 @@ impl Assembly {
         let ports: Vec<HandPort> = hands.iter().map(|hand| hand.port().clone()).collect();
         let mut store = scenario.spawn(app.registry())?;
         let allocator = EntityAllocator::new(0, SCENARIO_SPAWNER);
-        // What is added to the scene is numbered after what the file has.
+        // Entities that are added to the scene are numbered after those of the file.
         allocator.skip_to(store.view().first_free(0, SCENARIO_SPAWNER));
         let mut commands = Commands::new(app.registry().clone(), allocator);
         for hand in &hands {
@@ -82,8 +82,8 @@ impl Assembly {
     }
 }
 
-/// Spreads the haptic controllers over their period. Drivers tick at whole milliseconds and rank above them: on
-/// few cores hands that tick at the same instants wait for them, and for each other.
+/// Staggers the haptic controllers over their period. Drivers tick at whole milliseconds with a higher priority: with
+/// few cores, haptic controllers that tick at the same instant wait for the drivers and for each other.
 fn stagger_haptics(roles: &mut [Role]) {
     let hands = roles.iter().filter(|role| role.class == RuntimeClass::Haptics).count() as u64;
     let haptics = roles.iter_mut().filter(|role| role.class == RuntimeClass::Haptics);
@@ -121,7 +121,7 @@ fn open_hands(
     Ok(opened)
 }
 
-/// Whether a device's text names a file by an absolute path or one that climbs up.
+/// Whether a device's text names a file by an absolute path or one that leaves the folder.
 fn names_a_file_elsewhere(device: &str) -> bool {
     let Some((_, rest)) = device.split_once(':') else { return false };
     let file = Path::new(rest.split(',').next().unwrap_or(rest));

@@ -1,4 +1,4 @@
-//! Sessions in virtual time that begin again, or go on from where another one stands.
+//! Reset and branching of sessions in virtual time.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -14,30 +14,30 @@ use crate::hands::{HandPort, OpenedHand, SteppedHand};
 use crate::session::plan::{Bound, SessionPlan};
 use crate::session::{Running, Session};
 
-/// Why a session cannot begin again or be branched.
+/// Why a session cannot be reset or branched.
 #[derive(Debug, Error)]
 pub enum BranchError {
-    /// Time passes by itself in it.
+    /// The session runs in real time.
     #[error("a session in real time can neither begin again nor be branched; open it in virtual time")]
     Live,
-    /// A device that somebody holds, or that its driver does not know how to copy.
+    /// A device that a person holds, or whose driver cannot copy it.
     #[error("hand {0}: its device exists only once; virtual and replayed hands can be copied")]
     Device(String),
     /// A controller that is bound to the hands that it was made for.
     #[error("controller '{0}' does not say how it serves other hands: Blueprint::for_hands")]
     Controller(String),
-    /// The snapshot is none to go on from.
+    /// The snapshot cannot be continued from.
     #[error(transparent)]
     Snapshot(#[from] KernelError),
-    /// Somebody could not be built from the scene.
+    /// A controller could not be built from the scene.
     #[error(transparent)]
     Session(#[from] SessionError),
 }
 
-/// What a session in virtual time was made from.
+/// The plan and prototypes of a session in virtual time.
 pub(crate) struct Origin {
     pub plan: Arc<SessionPlan>,
-    /// A device as it was before it was opened, for each hand; `None` of one that exists only once.
+    /// For each hand its device before it was opened; `None` for a device that exists only once.
     pub prototypes: Vec<Option<Box<dyn HapticDevice>>>,
     pub seed: u64,
 }
@@ -74,8 +74,8 @@ fn once(port: &HandPort) -> BranchError {
 }
 
 impl Session {
-    /// Begins again: the scene of the start, time zero, the same seed. Nothing is read or parsed again. A recording
-    /// ends here; what follows is not recorded.
+    /// Resets the session: the scene of the start, time zero, the same seed. Nothing is read or parsed again. A
+    /// recording ends here; what follows is not recorded.
     ///
     /// ```
     /// use trocar::prelude::*;
@@ -91,17 +91,17 @@ impl Session {
     /// ```
     ///
     /// # Errors
-    /// [`BranchError`]; the session is as it was.
+    /// [`BranchError`]; the session is unchanged.
     pub fn reset(&mut self) -> Result<(), BranchError> {
         let (_, origin) = self.virtual_time()?;
         let seed = origin.seed;
         self.reset_with_seed(seed)
     }
 
-    /// Begins again with another seed: another trainee's tremor, other random faults.
+    /// Resets the session with another seed, for another tremor of the trainee and other random faults.
     ///
     /// # Errors
-    /// [`BranchError`]; the session is as it was.
+    /// [`BranchError`]; the session is unchanged.
     pub fn reset_with_seed(&mut self, seed: u64) -> Result<(), BranchError> {
         let (_, origin) = self.virtual_time()?;
         let hands = origin
@@ -125,11 +125,11 @@ impl Session {
         Ok(())
     }
 
-    /// Another session that stands where this one does, and shares nothing with it but what never changes: the same
-    /// scene, time, score and state hash, every ring still held, the hands moving on. This one is as it was.
+    /// Branches the session: another one in the same state, with the same scene, time, score and state hash; rings stay
+    /// held and hands keep moving. The two share only immutable data. This session is unchanged.
     ///
-    /// Every controller is built anew from the scene, as it is after a failure; drivers, virtual hands and faults
-    /// under way are copied. A branch is not recorded. It costs less than a millisecond in the peg transfer.
+    /// Every controller is rebuilt from the scene, as after a failure; drivers, virtual hands and faults in progress
+    /// are copied. A branch is not recorded. It costs less than a millisecond in the peg transfer.
     ///
     /// ```
     /// use trocar::prelude::*;
@@ -151,13 +151,13 @@ impl Session {
         self.branch_at(session.present())
     }
 
-    /// Another session that goes on from `snapshot`: one of this session, of one that it was branched from or into, or
-    /// of a recording of the same scenario.
+    /// Another session that continues from `snapshot`: a snapshot of this session, of a session that it was branched
+    /// from or into, or of a recording of the same scenario.
     ///
-    /// Of the present it is [`Session::branch`]. Of the past, hands and drivers go on from what the scene tells of
-    /// them: position and velocity as measured, the force as rendered, and the energy account as last written down.
-    /// The state hash goes on from that of the snapshot, if this session gave it out lately (the last 256), and begins
-    /// at the snapshot's scene otherwise.
+    /// For the present snapshot this is [`Session::branch`]. For a past one, hands and drivers continue from their
+    /// state in the scene: position and velocity as measured, the force as rendered, and the last energy account that
+    /// was written. The state hash continues from that of the snapshot if it is among the last 256 of this session;
+    /// otherwise it starts at the snapshot's scene.
     ///
     /// # Errors
     /// [`BranchError`].
@@ -193,7 +193,7 @@ impl Session {
     }
 }
 
-/// The controllers of the same plan for other hands.
+/// The controllers of the same plan, for other hands.
 fn cast(
     origin: &Origin,
     seed: u64,

@@ -5,9 +5,9 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What falls into one bucket can be summed up with what falls into its neighbour.
+/// Values that can be merged with those of the neighbouring bucket.
 pub trait Merge {
-    /// Takes in a later value.
+    /// Merges a later value.
     fn merge(&mut self, later: Self);
 }
 
@@ -34,7 +34,7 @@ impl Merge for Extent {
         self.last = later.last;
     }
 }
-/// A position: the latest in its bucket stands for all.
+/// A position: a bucket keeps its latest.
 impl Merge for [f64; 3] {
     fn merge(&mut self, later: Self) {
         *self = later;
@@ -46,7 +46,7 @@ impl Merge for [f64; 3] {
 pub struct Decimated<T> {
     interval_secs: f64,
     capacity: usize,
-    /// Number of the bucket since time 0, and what fell into it; numbers increase.
+    /// Number of the bucket since time 0, and its merged value; numbers increase.
     buckets: Vec<(u64, T)>,
 }
 
@@ -57,8 +57,7 @@ impl<T: Merge + Copy> Decimated<T> {
         Self { interval_secs: interval_secs.max(1e-6), capacity: capacity.max(2), buckets: Vec::new() }
     }
 
-    /// Takes in a value at `secs` \[s\]; one before the last bucket, or at a negative or non-finite time, is
-    /// ignored.
+    /// Adds a value at `secs` \[s\]. A time before the last bucket, negative or non-finite, is ignored.
     pub fn push(&mut self, secs: f64, value: T) {
         if !(secs.is_finite() && secs >= 0.0) {
             return;
@@ -95,7 +94,7 @@ impl<T: Merge + Copy> Decimated<T> {
     pub fn interval_secs(&self) -> f64 {
         self.interval_secs
     }
-    /// Middle of each bucket that is not empty \[s\], and what fell into it.
+    /// Middle \[s\] and merged value of each bucket that is not empty.
     pub fn iter(&self) -> impl Iterator<Item = (f64, T)> + '_ {
         self.buckets.iter().map(|(number, value)| ((*number as f64 + 0.5) * self.interval_secs, *value))
     }
@@ -103,7 +102,7 @@ impl<T: Merge + Copy> Decimated<T> {
     pub fn len(&self) -> usize {
         self.buckets.len()
     }
-    /// Whether nothing was taken in.
+    /// Whether no value was added.
     pub fn is_empty(&self) -> bool {
         self.buckets.is_empty()
     }

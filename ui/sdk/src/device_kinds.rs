@@ -1,4 +1,4 @@
-//! Kinds of devices by the texts that scenarios and `--hand NAME=SPEC` use: Trocar's own, and those that a program
+//! Kinds of devices by the texts that scenarios and `--hand NAME=SPEC` use: built-in ones, and those that a program
 //! adds.
 
 use std::fmt;
@@ -13,7 +13,7 @@ use crate::app::{App, SetupError};
 use crate::error::AssemblyError;
 use crate::recorded_hand;
 
-/// Devices that come with Trocar: the text that names one, and what it is.
+/// Built-in devices: the text that selects one, and a description.
 pub const STANDARD_DEVICES: [(&str, &str); 4] = [
     ("virtual", "a virtual hand: the inertia and limits of a Phantom Omni, and a human arm"),
     ("replay:FILE", "hand motion from CSV: t,x,y,z,qw,qx,qy,qz,gripper"),
@@ -31,7 +31,7 @@ pub(crate) struct DeviceKind {
     make: Make,
 }
 
-/// What stands before the colon.
+/// The part before the colon.
 fn kind_of(text: &str) -> &str {
     text.split_once(':').map_or(text, |(kind, _)| kind).trim()
 }
@@ -39,9 +39,9 @@ fn kind_of(text: &str) -> &str {
 impl App {
     /// Adds a kind of device, for `--hand right=KIND:TEXT` and for `device = "KIND:TEXT"` in a scenario.
     ///
-    /// `usage` is how people write it, such as `stylus:HOST:PORT`: what stands before the colon is its name.
-    /// `about` says in a line what it is. What follows the name's colon (nothing, without one) is parsed as `D`;
-    /// that opens nothing yet: the driver calls [`HapticDevice::open`], again and again until the device is there.
+    /// `usage` is the form for users, such as `stylus:HOST:PORT`; the part before the colon is the kind's name. `about`
+    /// describes it in a line. The text after the colon (empty without one) is parsed as `D`. Parsing opens nothing:
+    /// the driver calls [`HapticDevice::open`] repeatedly until the device is there.
     #[must_use]
     pub fn device<D>(self, usage: &str, about: &str) -> Self
     where
@@ -51,7 +51,7 @@ impl App {
         self.device_with(usage, about, |text| text.parse::<D>())
     }
 
-    /// Like [`App::device`], for a device that is made from the text by a function.
+    /// Like [`App::device`], for a device that a function makes from the text.
     #[must_use]
     pub fn device_with<D, E>(
         mut self,
@@ -82,7 +82,7 @@ impl App {
         self
     }
 
-    /// Every kind of device: how it is written, and what it is.
+    /// Every kind of device: its usage and description.
     pub fn devices(&self) -> impl Iterator<Item = (&str, &str)> {
         let own = self.devices.values().map(|kind| (kind.usage.as_str(), kind.about.as_str()));
         STANDARD_DEVICES.into_iter().chain(own)
@@ -130,7 +130,7 @@ mod tests {
     use crate::run::{RunOptions, start};
     use trocar_devices::{VirtualHand, VirtualHandConfig};
 
-    /// A virtual hand that weighs what the text says.
+    /// A virtual hand of the mass that the text gives.
     fn light_hand(text: &str) -> Result<VirtualHand, String> {
         let device_mass = text.parse().map_err(|_| format!("'{text}' is no mass; valid: kilograms"))?;
         let config = VirtualHandConfig { device_mass, ..VirtualHandConfig::default() };

@@ -1,4 +1,4 @@
-//! Why a session could not be put together, started or finished.
+//! Errors of assembling, starting and finishing a session.
 
 use thiserror::Error;
 use trocar_devices::{BuildError, DriverThreadError, SpecError};
@@ -9,24 +9,24 @@ use trocar_scene::scenario::ScenarioError;
 
 use crate::recorded_hand::RecordedHandError;
 
-/// Why a session could not be put together.
+/// Why a session could not be assembled.
 #[derive(Debug, Error)]
 pub enum AssemblyError {
-    /// Something in the scenario.
+    /// The scenario is invalid.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
     /// A hand that the scenario does not have.
     #[error("--hand {name}: the scenario has no such hand; there are: {known}")]
     UnknownHand {
-        /// What was asked for.
+        /// The name that was asked for.
         name: String,
-        /// What there is.
+        /// The valid names.
         known: String,
     },
-    /// A scenario that nobody can play.
+    /// A scenario without hands cannot be played.
     #[error("the scenario '{0}' has no hands, so nobody can play it: it needs a [[hand]]")]
     NoHands(String),
-    /// A device that cannot be named like that.
+    /// The device's text is invalid.
     #[error("hand {hand}: {source}")]
     Spec {
         /// The hand.
@@ -34,22 +34,22 @@ pub enum AssemblyError {
         /// Why.
         source: SpecError,
     },
-    /// A device that there is not.
+    /// An unknown kind of device.
     #[error("hand {hand}: unknown device '{kind}'; there are: {known}")]
     UnknownDevice {
         /// The hand.
         hand: String,
-        /// What was asked for.
+        /// The kind that was asked for.
         kind: String,
-        /// What there is.
+        /// The valid kinds.
         known: String,
     },
-    /// A device of the program's own that cannot be named like that.
+    /// The text for one of the program's own devices is invalid.
     #[error("hand {hand}: {usage}: {reason}")]
     OwnDevice {
         /// The hand.
         hand: String,
-        /// How it is written.
+        /// Its usage.
         usage: String,
         /// What is wrong.
         reason: String,
@@ -75,7 +75,7 @@ pub enum AssemblyError {
 /// Why a run could not start or could not be finished.
 #[derive(Debug, Error)]
 pub enum RunError {
-    /// The session could not be put together.
+    /// The session could not be assembled.
     #[error(transparent)]
     Assembly(#[from] AssemblyError),
     /// The kernel refused it in lock-step.

@@ -1,5 +1,4 @@
-//! Who acts in a session and what flows between them, from what everyone declares: the figure of the
-//! framework, drawn by the program.
+//! The actor graph of a session: its actors and the data flows between them, from their declared access.
 
 use std::collections::BTreeSet;
 
@@ -13,9 +12,9 @@ use trocar_scene::Access;
 pub enum NodeKind {
     /// The owner of the scene.
     Model,
-    /// Something that reads snapshots and writes commands at a rate of its own.
+    /// A controller: reads snapshots and writes commands at its own rate.
     Controller,
-    /// A device in a hand, with its driver.
+    /// A haptic device with its driver.
     Device,
 }
 
@@ -26,13 +25,13 @@ pub struct Node {
     pub name: String,
     /// What it is.
     pub kind: NodeKind,
-    /// Ticks per second that it should make; `None` for who is woken by messages.
+    /// Target ticks per second; `None` for an actor that messages wake.
     pub target_hz: Option<f64>,
-    /// Ticks per second that it made; `None` before a run.
+    /// Achieved ticks per second; `None` before a run.
     pub achieved_hz: Option<f64>,
 }
 
-/// What flows from one actor to another.
+/// A data flow from one actor to another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Flow {
     /// Writer.
@@ -41,7 +40,7 @@ pub struct Flow {
     pub to: String,
     /// NAMEs of the components, in order.
     pub components: Vec<String>,
-    /// Exchanges per second: those of whoever of the two has a rate; `None` when neither has one.
+    /// Exchanges per second, at the rate of the ticked end; `None` when neither end has a rate.
     pub hz: Option<f64>,
 }
 
@@ -52,15 +51,16 @@ pub struct ActorGraph {
     pub scenario: String,
     /// Actors in the order in which they were added.
     pub nodes: Vec<Node>,
-    /// Flows: of each actor in the order of `nodes` what it sends, then what it takes.
+    /// Flows: for each actor in the order of `nodes` its outputs, then its inputs.
     pub flows: Vec<Flow>,
 }
 
 impl ActorGraph {
     /// The controllers of a scenario (name, rate in Hz, access) around the Model.
     ///
-    /// Each controller sends the Model what it writes (or contributes), and takes from the Model's snapshots what
-    /// it reads of the others', each at its own rate; what nobody writes stands still and is no flow.
+    /// Each controller sends the Model the components that it writes or contributes, and receives from snapshots those
+    /// that it reads and others write, each at its own rate. Components that no controller writes are constant and give
+    /// no flow.
     pub fn from_access<'a>(
         scenario: impl Into<String>,
         controllers: impl IntoIterator<Item = (&'a str, f64, &'a Access)>,
@@ -93,7 +93,7 @@ impl ActorGraph {
         self.flows.push(Flow { from: from.to_owned(), to: to.to_owned(), components, hz });
     }
 
-    /// Notes the rate that an actor reached.
+    /// Sets the achieved rate of an actor.
     pub fn achieved(&mut self, name: &str, hz: f64) {
         if let Some(node) = self.nodes.iter_mut().find(|node| node.name == name) {
             node.achieved_hz = Some(hz);
@@ -101,7 +101,7 @@ impl ActorGraph {
     }
 }
 
-/// NAMEs of what a controller writes or contributes.
+/// NAMEs of the components that a controller writes or contributes.
 fn written_names(access: &Access) -> impl Iterator<Item = &'static str> + '_ {
     access.writes.iter().map(|(name, _)| *name).chain(access.contributes.iter().copied())
 }
@@ -134,7 +134,7 @@ mod tests {
             .iter()
             .map(|f| (&*f.from, &*f.to, f.components.iter().map(String::as_str).collect(), f.hz))
             .collect();
-        // What only the engine itself writes is no flow to it, nor is what stands still.
+        // Components that only the engine itself writes, or that are constant, give no flow to it.
         assert_eq!(
             flows,
             [

@@ -2,20 +2,20 @@
 //!
 //! | chapter | answers |
 //! |---|---|
-//! | [`concepts`] | What are the Model, controllers, snapshots and commands, and why is nobody waiting? |
+//! | [`concepts`] | What are the Model, controllers, snapshots and commands, and why does nothing block? |
 //! | [`first_behaviour`] | How do I write a behaviour of my own? |
 //! | [`components`] | How do I put data of my own into the scene? |
-//! | [`scenarios`] | How do I describe a scene, and who acts in it? |
+//! | [`scenarios`] | How do I describe a scene and its controllers? |
 //! | [`devices`] | How do I connect a haptic device? |
-//! | [`actors`] | How do I connect something that lives on messages: a console, a service, another program? |
+//! | [`actors`] | How do I connect a part that works by messages: a console, a service, another program? |
 //! | [`engines`] | How do I drive a physics engine that is not written in Rust? |
-//! | [`supervision`] | What happens when something fails, and how do I try it? |
+//! | [`supervision`] | What happens when something fails, and how do I test it? |
 //! | [`sessions`] | How do I run sessions from a program rather than from the command line? |
 //! | [`recording`] | How do I record, replay and evaluate? |
-//! | [`testing`] | How do I test what I have written, the same bits every time? |
+//! | [`testing`] | How do I write deterministic tests? |
 //! | [`performance`] | What may a tick do that runs a thousand times a second? |
 //!
-//! The code in the chapters is compiled, and nearly all of it run, by the tests.
+//! The tests compile all code in the chapters and run nearly all of it.
 //! [`templates`](crate::templates) are whole projects to start from: `trocar new my-sim --template controller`.
 
 pub mod concepts {

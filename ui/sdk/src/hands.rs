@@ -1,4 +1,4 @@
-//! Hands: devices opened for a session, each below its driver's safety, ready for either driver of time.
+//! Hands: devices opened for a session, each behind its driver's safety layer, for either time driver.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -16,25 +16,25 @@ use trocar_scene::{
 /// Steps per second of a driver, live and in lock-step \[Hz\].
 pub const DRIVER_RATE_HZ: f64 = 1_000.0;
 
-/// What the rest of the session keeps of a hand whose device runs elsewhere. Clones share it.
+/// The session's handle to a hand whose device runs elsewhere. Clones share it.
 #[derive(Clone)]
 pub struct HandPort {
     /// Name in the scenario, such as `left`.
     pub name: String,
     /// The entity with the `hand` component.
     pub entity: Entity,
-    /// Where each new haptics controller takes its link.
+    /// The slot from which each new haptics controller takes its link.
     pub slot: DeviceSlot,
     /// The driver's newest sample, with its statistics.
     pub monitor: DeviceMonitor,
-    /// Faults at the seam between driver and device.
+    /// Faults injected between driver and device.
     pub faults: DeviceFaults,
-    /// What the device can do.
+    /// The device's capabilities.
     pub capabilities: Capabilities,
 }
 
 impl HandPort {
-    /// Name of the device as a target of faults: `device.left`.
+    /// Name of the device as a fault target: `device.left`.
     pub fn fault_target(&self) -> String {
         format!("device.{}", self.name)
     }
@@ -44,7 +44,7 @@ impl HandPort {
     }
 }
 
-/// A device with its driver, not yet running.
+/// A device with its driver, before it runs.
 pub struct OpenedHand {
     port: HandPort,
     core: DriverCore,
@@ -52,7 +52,7 @@ pub struct OpenedHand {
 }
 
 impl OpenedHand {
-    /// Puts the driver's safety around a device.
+    /// Wraps a device in the driver's safety layer.
     pub fn new(name: impl Into<String>, entity: Entity, device: Box<dyn HapticDevice>) -> Self {
         let (end, slot, monitor) = link();
         let faults = DeviceFaults::new();
@@ -62,12 +62,13 @@ impl OpenedHand {
         Self { port, core, device }
     }
 
-    /// The same device at its start again, or `None` of one that exists only once; `prototype` has never been opened.
+    /// The same device in its initial state, or `None` for one that exists only once; `prototype` has never been
+    /// opened.
     pub(crate) fn anew(port: &HandPort, prototype: &dyn HapticDevice) -> Option<Self> {
         Some(Self::new(&port.name, port.entity, prototype.fork()?))
     }
 
-    /// A hand that goes on from what a scene tells of it at `time`.
+    /// A hand that continues from its state in a scene at `time`.
     pub(crate) fn resumed(
         port: &HandPort,
         prototype: &dyn HapticDevice,
@@ -81,37 +82,37 @@ impl OpenedHand {
         Some(hand)
     }
 
-    /// The device, before it is opened: what [`OpenedHand::anew`] makes others of. `None` of a device that exists only
+    /// The device, before it is opened: the prototype for [`OpenedHand::anew`]. `None` for a device that exists only
     /// once.
     pub(crate) fn prototype(&self) -> Option<Box<dyn HapticDevice>> {
         self.device.fork()
     }
 
-    /// What stays with the session.
+    /// The session's handle.
     pub fn port(&self) -> &HandPort {
         &self.port
     }
 
-    /// What the device can do, as a component.
+    /// The device's capabilities as a component.
     pub fn info(&self) -> DeviceInfo {
         device_info(self.device.capabilities())
     }
 
-    /// What the device can do, for the head of a recording.
+    /// The device's capabilities, for the header of a recording.
     pub fn describe(&self) -> serde_json::Value {
         serde_json::to_value(self.info()).unwrap_or_default()
     }
 
-    /// For the lock-step driver, which steps it in virtual time.
+    /// As a peer of the lock-step driver, which steps it in virtual time.
     pub fn into_peer(self) -> Box<dyn Peer> {
         let name = self.port.fault_target();
         Box::new(SteppedHand { name, port: self.port, core: self.core, device: self.device })
     }
 
-    /// For live sessions: a thread of its own above every actor.
+    /// Starts its own thread for live sessions, at a higher priority than every actor.
     ///
     /// # Errors
-    /// When the system starts no thread.
+    /// When the system cannot start a thread.
     pub fn into_thread(
         self,
         session_start: Instant,
@@ -126,7 +127,7 @@ impl OpenedHand {
     }
 }
 
-/// A device's capabilities as the scene tells them.
+/// A device's capabilities as the component in the scene.
 pub fn device_info(capabilities: &Capabilities) -> DeviceInfo {
     DeviceInfo {
         model: capabilities.name.clone(),
@@ -140,7 +141,7 @@ pub fn device_info(capabilities: &Capabilities) -> DeviceInfo {
     }
 }
 
-/// What a device had measured, as the scene tells it.
+/// A device's measured state, from the component in the scene.
 pub(crate) fn measured(state: &DeviceState) -> Measured {
     Measured {
         pose_in_device: state.handle_in_device.isometry(),
@@ -152,7 +153,7 @@ pub(crate) fn measured(state: &DeviceState) -> Measured {
     }
 }
 
-/// What the scene tells of a hand's driver at `time`, if it has been measured at all.
+/// The state of a hand's driver in the scene at `time`, if the device has been measured at all.
 fn driver_resume(scene: &Snapshot, hand: Entity, time: SimTime) -> Option<DriverResume> {
     let state = scene.get::<DeviceState>(hand)?;
     let measured = measured(state);
@@ -162,7 +163,7 @@ fn driver_resume(scene: &Snapshot, hand: Entity, time: SimTime) -> Option<Driver
     Some(DriverResume {
         state: measured,
         sampled_at_ns: state.sampled_at.min(time).as_nanos(),
-        // The torque that was rendered is not told; what was asked for is within the same limits.
+        // The scene does not hold the rendered torque; the commanded one is within the same limits.
         applied: Wrench { force: state.applied_force, torque: commanded.torque },
         commanded: Wrench { force: commanded.force, torque: commanded.torque },
         commanded_at_ns: commanded.at.min(time).as_nanos(),
@@ -189,7 +190,7 @@ pub(crate) struct SteppedHand {
 }
 
 impl SteppedHand {
-    /// The same in the same state, for a branch of the session; `None` of a device that exists only once.
+    /// A copy in the same state, for a branch of the session; `None` for a device that exists only once.
     pub(crate) fn fork(&self) -> Option<OpenedHand> {
         let device = self.device.fork()?;
         let (end, slot, monitor) = link();
@@ -215,7 +216,7 @@ impl Peer for SteppedHand {
     }
 }
 
-/// Lets the kernel raise a driver's fence when the controller that serves it dies or stalls.
+/// Lets the kernel raise a driver's fence when its controller dies or stalls.
 pub struct HandFence(pub DeviceFence);
 
 impl Fence for HandFence {
@@ -224,13 +225,13 @@ impl Fence for HandFence {
     }
 }
 
-/// How long a killed device stays away before its driver may open it again.
+/// How long a killed device stays away before its driver may reopen it.
 const KILLED_FOR: SimTime = SimTime::from_millis(100);
 
-/// A device whose latest good reading is older than this, at its driver, is not sound.
+/// A device whose latest good reading is older than this, at its driver, counts as unsound.
 const STALE_AFTER: SimTime = SimTime::from_millis(5);
 
-/// Takes the faults that are meant for a device.
+/// Receives the faults aimed at a device.
 pub struct HandFaults {
     faults: DeviceFaults,
     monitor: DeviceMonitor,
@@ -246,14 +247,14 @@ impl HandFaults {
 impl FaultSink for HandFaults {
     fn fault(&self, order: &FaultOrder) {
         let until = if order.begins { DeviceFaults::FOREVER } else { 0 };
-        // Faults that strike once end by themselves, counted from the driver's latest step.
+        // Instantaneous faults end by themselves, counted from the driver's latest step.
         let after = |span: SimTime| self.monitor.sample().published_at_ns.saturating_add(span.as_nanos());
         match order.kind {
             FaultKind::Unplug => self.faults.unplug_until(until),
             FaultKind::Nan => self.faults.nan_until(until),
             FaultKind::Kill => self.faults.unplug_until(after(KILLED_FOR)),
             FaultKind::Stall => self.faults.hold_until(after(order.span)),
-            // The plan's check against the target's class refuses every other kind before a session starts.
+            // The plan's check against the target's class has refused every other kind before the session starts.
             _ => {}
         }
     }

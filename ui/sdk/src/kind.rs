@@ -1,4 +1,4 @@
-//! A kind of controller: what it is made from, and how it is built and scheduled.
+//! A kind of controller: its inputs, and how it is built and scheduled.
 
 use std::sync::Arc;
 
@@ -10,50 +10,50 @@ use trocar_scene::{Commands, Snapshot};
 use crate::hands::HandPort;
 use crate::options::RunOptions;
 
-/// What a kind of controller is made from: its place in the scenario, the hands, the options of the run.
+/// Inputs of a kind of controller: its entry in the scenario, the hands, the options of the run.
 pub struct KindContext<'a> {
-    /// Its table in the scenario.
+    /// Its entry in the scenario.
     pub entry: &'a ControllerEntry,
     /// The scenario.
     pub scenario: &'a Scenario,
     /// The opened hands.
     pub hands: &'a [HandPort],
-    /// What the user asked for.
+    /// The options of the run.
     pub options: &'a RunOptions,
 }
 
 /// How a controller is built and scheduled.
 pub struct Blueprint {
-    /// Which priority and branch of the supervisor tree it gets.
+    /// Its priority and branch of the supervisor tree.
     pub class: RuntimeClass,
     /// Builds it, at the start and after every failure.
     pub factory: Factory,
-    /// Who must refuse its earlier lives.
+    /// The fences that must refuse its earlier instances.
     pub fences: Vec<Arc<dyn Fence>>,
-    /// Makes it serve the hands of another session instead: of a branch of this one, or of the same one begun again.
-    /// `None` for a controller that has nothing to do with hands, which is as good for any session.
+    /// Rebinds it to the hands of another session: a branch of this one, or the same one after a reset. `None` for a
+    /// controller without hands, which serves any session unchanged.
     pub for_hands: Option<ForHands>,
-    /// Changes the scene before the session starts, for exercises that arrange it.
+    /// Changes the scene before the session starts, for exercises that set it up.
     pub arrange: Option<Arrange>,
 }
 
-/// A controller's factory and fences for these hands; `None` when the one that it serves is not among them.
+/// A controller's factory and fences for these hands; `None` when its own hand is not among them.
 pub type ForHands = Arc<dyn Fn(&[HandPort]) -> Option<(Factory, Vec<Arc<dyn Fence>>)> + Send + Sync>;
 
-/// Writes to the scene as the scenario has spawned it.
+/// Writes to the scene just after the scenario has spawned it.
 pub type Arrange = Box<dyn FnOnce(&Snapshot, &mut Commands)>;
 
-/// What people are told about a kind of controller.
+/// The description of a kind of controller for users.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KindInfo {
     /// What it does, in a line.
     pub about: String,
-    /// The rate at which it is usually run \[Hz\]; the scenario decides.
+    /// Its usual rate \[Hz\]; the scenario decides.
     pub rate_hz: f64,
 }
 
 impl KindInfo {
-    /// A line about it, and its usual rate \[Hz\].
+    /// A one-line description and its usual rate \[Hz\].
     pub fn new(about: impl Into<String>, rate_hz: f64) -> Self {
         Self { about: about.into(), rate_hz }
     }
@@ -62,7 +62,7 @@ impl KindInfo {
 /// Makes the blueprint of one kind of controller.
 pub type Kind = Arc<dyn Fn(&KindContext<'_>) -> Result<Blueprint, ScenarioError> + Send + Sync>;
 
-/// A controller without a place in a file.
+/// A controller that joins without an entry in a file.
 pub(crate) fn joining(name: &str, kind: &str, rate_hz: f64) -> ControllerEntry {
     let params = Params::none(format!("controller '{name}'"));
     ControllerEntry { name: name.to_owned(), kind: kind.to_owned(), rate_hz, params }

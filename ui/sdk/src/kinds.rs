@@ -1,4 +1,4 @@
-//! The kinds of controllers that come with Trocar, by the names that scenarios use.
+//! The built-in kinds of controllers, by the names that scenarios use.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -36,14 +36,14 @@ use trocar_tasks::{OutcomeConfig, OutcomeController, PegTransferConfig, PegTrans
 use crate::hands::{HandFence, HandPort};
 use crate::kind::{Blueprint, Kind, KindContext, KindInfo};
 
-/// The kind of controller through which a person moves the hands.
+/// The kind that lets a person move the hands.
 pub(crate) const MANUAL: &str = "manual";
-/// The kind of a movement that the scenario writes down, in whose place as well a person moves the hand.
+/// The kind that moves a hand along the scenario's path. A person who plays takes its place.
 pub(crate) const PATH: &str = "path";
-/// The kind of the virtual trainee, whose place a person takes.
+/// The kind of the virtual trainee. A person who plays takes its place.
 pub(crate) const AUTOPILOT: &str = "autopilot";
 
-/// Every standard kind with its name.
+/// Every built-in kind with its name.
 pub(crate) fn standard() -> Vec<(&'static str, KindInfo, Kind)> {
     vec![
         (
@@ -211,7 +211,7 @@ pub(crate) fn parse_or_default<T: DeserializeOwned + Default>(params: &Params) -
     if params.parse::<toml::Table>()?.is_empty() { Ok(T::default()) } else { params.parse() }
 }
 
-/// Parameters of a haptics controller: the hand, and what differs from the default.
+/// Parameters of a haptics controller: the hand, and settings other than the defaults.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct HapticsParams {
@@ -252,7 +252,7 @@ fn haptics(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     })
 }
 
-/// Serves one hand, whose driver refuses the commands of earlier lives.
+/// Serves one hand, whose driver refuses the commands of earlier instances.
 fn haptics_of(port: &HandPort, config: HapticsConfig) -> (Factory, Vec<Arc<dyn Fence>>) {
     let fence: Arc<dyn Fence> = Arc::new(HandFence(port.slot.fence().clone()));
     let port = port.clone();
@@ -323,7 +323,7 @@ fn instruments(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     Ok(plain(RuntimeClass::Simulation, move |context| InstrumentsController::new(config, context)))
 }
 
-/// A simulator whose parameters are all at the entities that it moves, and which they weigh on.
+/// A simulator that takes all parameters from the entities that it moves, and the gravity of the scenario.
 fn under_gravity<C: Controller>(
     build: fn(Vector3<f64>, &BuildContext<'_>) -> Result<C, ControllerError>,
 ) -> Kind {
@@ -334,7 +334,7 @@ fn under_gravity<C: Controller>(
     })
 }
 
-/// A simulator that needs nothing but the scene.
+/// A simulator that takes all inputs from the scene.
 fn of_the_scene<C: Controller>(build: fn(&BuildContext<'_>) -> Result<C, ControllerError>) -> Kind {
     Arc::new(move |context| {
         nothing(&context.entry.params)?;
@@ -354,8 +354,8 @@ fn thread(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     Ok(plain(RuntimeClass::Simulation, move |context| ThreadController::new(gravity, cache.clone(), context)))
 }
 
-/// Where what was computed once is kept for the next run: the user's folder for such things, by the XDG base directory
-/// specification. Without one everything is computed anew.
+/// The folder that caches computed data between runs: the user's cache folder by the XDG base directory specification.
+/// Without one everything is recomputed.
 fn cache_folder() -> Option<PathBuf> {
     let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
     let user = absolute("XDG_CACHE_HOME").or_else(|| absolute("HOME").map(|home| home.join(".cache")));
@@ -373,7 +373,7 @@ fn path(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     Ok(plain(RuntimeClass::Task, move |context| PathController::new(&config, context)))
 }
 
-/// Refuses parameters of a kind that has none: what it needs is at the entities.
+/// Refuses parameters of a kind that has none, because its settings are components.
 fn nothing(params: &Params) -> Result<(), ScenarioError> {
     #[derive(Deserialize)]
     #[serde(deny_unknown_fields)]
@@ -381,7 +381,7 @@ fn nothing(params: &Params) -> Result<(), ScenarioError> {
     params.parse::<Nothing>().map(drop)
 }
 
-/// The exercise's parameters with what the user asked for.
+/// The exercise's parameters with the options of the run.
 fn peg_transfer_config(context: &KindContext<'_>) -> Result<PegTransferConfig, ScenarioError> {
     let mut config: PegTransferConfig = parse_or_default(&context.scenario.task)?;
     config.left_handed |= context.options.left_handed;
@@ -419,7 +419,7 @@ fn manual(context: &KindContext<'_>) -> Result<Blueprint, ScenarioError> {
     let config: ManualConfig = parse_or_default(&context.entry.params)?;
     config.check().map_err(|reason| context.entry.params.error(reason))?;
     let mut blueprint = plain(RuntimeClass::Task, move |context| ManualController::new(&config, context));
-    // Without a hand the controller says so itself when it is built.
+    // Without a hand the controller returns the error when it is built.
     blueprint.arrange = Some(Box::new(|scene, out| sit_down(scene, out).unwrap_or_default()));
     Ok(blueprint)
 }

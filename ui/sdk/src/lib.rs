@@ -1,7 +1,7 @@
 //! # Trocar
 //!
-//! A framework for surgical simulation in which devices, physics and people are actors around one shared scene:
-//! **one Model, many actors, nobody waits for anybody.** This crate is what programs depend on.
+//! A framework for surgical simulation in which devices, physics and people are actors around one shared scene: **one
+//! Model, many actors, no blocking.** Programs depend on this crate.
 //!
 //! ```text
 //!  hand ─▶ driver thread ─▶ haptics ──┐ batches                           ┌─▶ every controller, at its own rate
@@ -10,7 +10,7 @@
 //!                            autopilot ──┘
 //! ```
 //!
-//! A new behaviour is one struct and one trait. This is all of it:
+//! A new behaviour is one struct and one trait. This is a complete one:
 //!
 //! ```
 //! use trocar::prelude::*;
@@ -64,15 +64,15 @@
 //!   [sessions in a program](guide::sessions), [recording and replay](guide::recording),
 //!   [testing in lock-step](guide::testing), [performance](guide::performance).
 //! * **A project to copy**: `trocar new my-sim --template controller` ([`templates`] names the others).
-//! * **The types**: [`prelude`] has what most programs need; [`scene`] what exists and the contract of who acts on
-//!   it; [`kernel`] the Model, supervision, faults, recording; [`devices`] the contract of drivers.
+//! * **The types**: [`prelude`] has what most programs need; [`scene`] the scene's data and the contract of
+//!   controllers; [`kernel`] the Model, supervision, faults, recording; [`devices`] the contract of drivers.
 //!
 //! # Conventions
 //!
-//! SI units everywhere; angles in radians; time is [`SimTime`](scene::SimTime), in seconds in files. Names say
-//! their frames: `tip_in_world`, `world_from_device`. No score is clinically validated.
+//! SI units everywhere; angles in radians; time is [`SimTime`](scene::SimTime), in seconds in files. Names state their
+//! frames: `tip_in_world`, `world_from_device`. No score is clinically validated.
 
-/// The programs of the manual that no example shows, compiled and run as tests.
+/// The manual's programs that are not in any example, compiled and run as tests.
 #[cfg(doctest)]
 #[doc = include_str!("../../../docs/adding.md")]
 mod manual {}

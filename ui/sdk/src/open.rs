@@ -1,4 +1,4 @@
-//! Opening a session in one line, and letting time pass in it.
+//! Opens a session in one line, and steps it.
 
 use std::path::PathBuf;
 
@@ -16,23 +16,23 @@ use crate::summary::TaskSummary;
 /// Why a session could not be opened.
 #[derive(Debug, Error)]
 pub enum OpenError {
-    /// There is no such scenario, or it is wrong.
+    /// The scenario does not exist or is invalid.
     #[error(transparent)]
     App(#[from] AppError),
     /// The session could not start.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// A controller to be left out that the scenario does not have.
+    /// The scenario has no controller of the name to be left out.
     #[error("without '{name}': the scenario has no such controller; there are: {known}")]
     UnknownController {
-        /// What was asked for.
+        /// The name that was asked for.
         name: String,
-        /// What there is.
+        /// The valid names.
         known: String,
     },
 }
 
-/// What a session is opened with; [`Session::builder`] makes one.
+/// Options of a session to open; [`Session::builder`] makes one.
 ///
 /// ```
 /// use trocar::prelude::*;
@@ -55,27 +55,27 @@ pub struct SessionBuilder<'a> {
 }
 
 impl<'a> SessionBuilder<'a> {
-    /// With the components and controllers of this program; without, those that come with Trocar.
+    /// Uses the components and controllers of this program instead of the built-in ones.
     pub fn app(mut self, app: &'a App) -> Self {
         self.app = Some(app);
         self
     }
-    /// Seeds everything random; 1 otherwise.
+    /// Sets the seed of all randomness; the default is 1.
     pub fn seed(mut self, seed: u64) -> Self {
         self.options.seed = seed;
         self
     }
-    /// Ends after so much time of the session \[s\], also before the exercise is over.
+    /// Ends after this much session time \[s\], even before the exercise is over.
     pub fn seconds(mut self, seconds: f64) -> Self {
         self.options.seconds = Some(seconds);
         self
     }
-    /// Another device for a hand than the scenario's: `hand("left", "virtual:mass=0.05")`.
+    /// Replaces the scenario's device for a hand: `hand("left", "virtual:mass=0.05")`.
     pub fn hand(mut self, name: &str, device: &str) -> Self {
         self.options.hands.push((name.to_owned(), device.to_owned()));
         self
     }
-    /// What shall go wrong.
+    /// Sets the fault plan.
     pub fn faults(mut self, plan: FaultPlan) -> Self {
         self.options.faults = Some(plan);
         self
@@ -85,7 +85,7 @@ impl<'a> SessionBuilder<'a> {
         self.options.record = Some(file.into());
         self
     }
-    /// Skill of the virtual trainee instead of the scenario's.
+    /// Sets the skill of the virtual trainee instead of the scenario's.
     pub fn skill(mut self, skill: &str) -> Self {
         self.options.skill = Some(skill.to_owned());
         self
@@ -95,12 +95,12 @@ impl<'a> SessionBuilder<'a> {
         self.options.left_handed = true;
         self
     }
-    /// A person moves the hands, in the place of the virtual trainee: see [`crate::play`].
+    /// Lets a person move the hands instead of the virtual trainee: see [`crate::play`].
     pub fn play(mut self) -> Self {
         self.options.play = true;
         self
     }
-    /// Leaves a controller of the scenario out, to do its work through [`Session::apply`].
+    /// Leaves a controller of the scenario out; the program does its work through [`Session::apply`].
     pub fn without(mut self, controller: &str) -> Self {
         self.without.push(controller.to_owned());
         self
@@ -109,7 +109,7 @@ impl<'a> SessionBuilder<'a> {
     /// Opens a session of a scenario, by its name or file, in virtual time.
     ///
     /// # Errors
-    /// [`OpenError`] says what is wrong and what there is.
+    /// [`OpenError`] says what is wrong and what is valid.
     pub fn open(self, name_or_file: &str) -> Result<Session, OpenError> {
         let standard;
         let app = match self.app {
@@ -123,10 +123,10 @@ impl<'a> SessionBuilder<'a> {
         Self { app: None, ..self }.open_in(app, scenario)
     }
 
-    /// Opens a session of a scenario that was read, and perhaps changed, before.
+    /// Opens a session of a scenario that is loaded already, perhaps with changes.
     ///
     /// # Errors
-    /// [`OpenError`] says what is wrong and what there is.
+    /// [`OpenError`] says what is wrong and what is valid.
     pub fn open_scenario(self, scenario: &Scenario) -> Result<Session, OpenError> {
         match self.app {
             Some(app) => self.open_in(app, scenario.clone()),
@@ -151,7 +151,7 @@ impl<'a> SessionBuilder<'a> {
 }
 
 impl Session {
-    /// Opens a session of a scenario, by its name or file, in virtual time, with everything as the scenario says.
+    /// Opens a session of a scenario, by its name or file, in virtual time, with the scenario's own settings.
     ///
     /// ```
     /// use trocar::prelude::*;
@@ -163,23 +163,23 @@ impl Session {
     /// ```
     ///
     /// # Errors
-    /// [`OpenError`] says what is wrong and what there is.
+    /// [`OpenError`] says what is wrong and what is valid.
     pub fn open(name_or_file: &str) -> Result<Self, OpenError> {
         Self::builder().open(name_or_file)
     }
 
-    /// What a session is to be opened with, beginning with everything as the scenario says.
+    /// A builder that begins with the scenario's own settings.
     pub fn builder<'a>() -> SessionBuilder<'a> {
         SessionBuilder::default()
     }
 
-    /// Lets `dt` pass: computes in virtual time, waits in real time. Whether the session goes on: `false` once its
-    /// exercise is over, its time is up, or its supervisor gave up.
+    /// Advances the session by `dt`: computes in virtual time, waits in real time. Returns whether the session goes on:
+    /// `false` once its exercise is over, its time is up, or its supervisor gave up.
     pub fn step(&mut self, dt: SimTime) -> bool {
         self.run_until(self.now() + dt)
     }
 
-    /// How the exercise stands; without one there is nothing left undone.
+    /// The state of the exercise; a scenario without one counts as completed.
     pub fn task(&self) -> TaskSummary {
         match &self.running {
             Running::Lockstep(session) => run::task_summary(session.view()),
@@ -187,7 +187,7 @@ impl Session {
         }
     }
 
-    /// The state hash over everything that was ever written; of a session in real time only its end has one.
+    /// The state hash over all commits. A session in real time has one only at its end.
     pub fn hash(&self) -> Option<StateHash> {
         match &self.running {
             Running::Lockstep(session) => Some(session.hash()),

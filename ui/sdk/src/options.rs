@@ -1,4 +1,4 @@
-//! What a user asks of a run.
+//! Options of a run.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use trocar_kernel::faults::FaultPlan;
 use trocar_kernel::recorder::RecorderOptions;
 use trocar_kernel::spec::FaultSink;
 
-/// Parts of a program that faults can be aimed at, by name.
+/// Further targets for faults, by name, that belong to the program.
 #[derive(Clone, Default)]
 pub struct FaultTargets(pub Vec<(String, Arc<dyn FaultSink>)>);
 
@@ -18,32 +18,32 @@ impl std::fmt::Debug for FaultTargets {
     }
 }
 
-/// What a user asks of a run.
+/// Options of a run.
 #[derive(Clone, Debug)]
 pub struct RunOptions {
-    /// Virtual time on one thread instead of real time.
+    /// Run in virtual time on one thread instead of real time.
     pub lockstep: bool,
-    /// End after this much session time \[s\]; none: when the exercise is over.
+    /// End after this much session time \[s\]; `None`: when the exercise is over.
     pub seconds: Option<f64>,
-    /// Seeds everything random.
+    /// Seed of all randomness.
     pub seed: u64,
     /// Devices instead of the scenario's: (hand, spec).
     pub hands: Vec<(String, String)>,
-    /// What shall go wrong.
+    /// The fault plan.
     pub faults: Option<FaultPlan>,
-    /// Who else faults can be aimed at: what belongs to a program and not to the session.
+    /// Further targets for faults: parts of the program outside the session.
     pub fault_targets: FaultTargets,
     /// File to record to.
     pub record: Option<PathBuf>,
-    /// How it is recorded.
+    /// Options of the recorder.
     pub recorder: RecorderOptions,
     /// Skill of the virtual trainee instead of the scenario's.
     pub skill: Option<String>,
     /// The trainee is left-handed.
     pub left_handed: bool,
-    /// A person moves the hands, in the place of the virtual trainee: see [`crate::play`].
+    /// A person moves the hands instead of the virtual trainee: see [`crate::play`].
     pub play: bool,
-    /// Set by somebody else to end the run early.
+    /// Set from outside to end the run early.
     pub stop: Arc<AtomicBool>,
 }
 

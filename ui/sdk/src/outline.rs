@@ -1,4 +1,4 @@
-//! Outlines of the things in a scene as polylines in world, for drawings on paper.
+//! Outlines of the scene's shapes as polylines in world, for vector drawings.
 
 use std::f64::consts::TAU;
 

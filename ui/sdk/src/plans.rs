@@ -5,7 +5,7 @@ use std::path::Path;
 use thiserror::Error;
 use trocar_kernel::faults::{FaultPlan, FaultPlanError};
 
-/// Plans that are part of the program: (name, text).
+/// Built-in plans: (name, text).
 pub const PLANS: [(&str, &str); 20] = [
     ("bad-day", include_str!("../../../faults/bad-day.toml")),
     ("device-stalled", include_str!("../../../faults/device-stalled.toml")),
@@ -29,31 +29,31 @@ pub const PLANS: [(&str, &str); 20] = [
     ("unplugged", include_str!("../../../faults/unplugged.toml")),
 ];
 
-/// Why there is no such plan.
+/// Why a plan cannot be loaded.
 #[derive(Debug, Error)]
 pub enum PlanError {
-    /// It cannot be used.
+    /// It is invalid.
     #[error(transparent)]
     Plan(#[from] FaultPlanError),
     /// No such plan.
     #[error("no fault plan is called '{name}', and there is no such file; there are: {known}")]
     Unknown {
-        /// What was asked for.
+        /// The name that was asked for.
         name: String,
-        /// What there is.
+        /// The valid names.
         known: String,
     },
 }
 
-/// What a plan says about itself in its first line.
+/// The description in a plan's first line.
 pub fn about(text: &str) -> &str {
     text.lines().next().unwrap_or_default().trim_start_matches('#').trim()
 }
 
-/// Loads a plan: a name that comes with the program, or a file.
+/// Loads a plan: a built-in name, or a file.
 ///
 /// # Errors
-/// When there is none, or it is wrong; the message names the place.
+/// When it does not exist or is invalid; the message names the place.
 pub fn plan(name_or_file: &str) -> Result<FaultPlan, PlanError> {
     if let Some((name, text)) = PLANS.iter().find(|(name, _)| *name == name_or_file) {
         return Ok(FaultPlan::parse(text, &format!("{name}.toml"))?);

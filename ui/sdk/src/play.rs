@@ -1,8 +1,8 @@
-//! Sessions that a person plays, without a haptic device: by pointer, keyboard or gamepad.
+//! Sessions that a person plays without a haptic device: by pointer, keyboard or gamepad.
 //!
-//! With [`RunOptions::play`](crate::run::RunOptions::play) a controller of kind `manual` takes the place of the virtual
-//! trainee, and the scene has a person: an entity with a [`PersonInput`]. Whoever has a window keeps
-//! [`Controls`], tells them what is pressed, and writes what came of it, as often as it shows a picture:
+//! With [`RunOptions::play`](crate::run::RunOptions::play) a controller of kind `manual` replaces the virtual trainee,
+//! and the scene has an entity with a [`PersonInput`]. The program that owns the window keeps [`Controls`], passes them
+//! key and button presses, and writes their input into the scene once per picture:
 //!
 //! ```
 //! use trocar::play::{Bindings, Control, Controls, person};
@@ -27,7 +27,7 @@
 //! ```
 //!
 //! In real time a window on another thread writes through [`Session::operator`](crate::session::Session::operator)
-//! instead, and [`GamepadReader`] tells what a gamepad says.
+//! instead, and [`GamepadReader`] reads a gamepad.
 
 use trocar_scene::scenario::Scenario;
 use trocar_scene::{Entity, PersonInput, Snapshot};
@@ -39,18 +39,18 @@ use crate::error::AssemblyError;
 use crate::kind::joining;
 use crate::kinds::{AUTOPILOT, MANUAL, PATH};
 
-/// Ticks per second of the person's controller where no virtual trainee says it \[Hz\].
+/// Ticks per second of the person's controller where there is no virtual trainee to take the rate from \[Hz\].
 const RATE_HZ: f64 = 100.0;
 
-/// The entity to which what a person asks for is to be written, in a session that somebody plays.
+/// The entity that takes the person's input, in a session that a person plays.
 pub fn person(scene: &Snapshot) -> Option<Entity> {
     scene.iter::<PersonInput>().next().map(|(entity, _)| entity)
 }
 
-/// The scenario with a person in the place of its virtual trainee, or beside everybody where there is none.
+/// The scenario with a person instead of its virtual trainee, or as a further controller where there is none.
 ///
 /// # Errors
-/// [`AssemblyError::NoHands`] when there is nothing to drive.
+/// [`AssemblyError::NoHands`] when the scenario has no hands.
 pub fn played(scenario: &Scenario) -> Result<Scenario, AssemblyError> {
     if scenario.hands.is_empty() {
         return Err(AssemblyError::NoHands(scenario.name.clone()));
@@ -60,7 +60,7 @@ pub fn played(scenario: &Scenario) -> Result<Scenario, AssemblyError> {
     let already = played.controllers.iter().any(|entry| entry.kind == MANUAL);
     match played.controllers.iter().position(is_trainee) {
         _ if already => {}
-        // One person for all hands that were moved.
+        // One person for all moved hands.
         Some(at) => played.controllers[at] = joining(MANUAL, MANUAL, played.controllers[at].rate_hz),
         None => played.controllers.push(joining(MANUAL, MANUAL, RATE_HZ)),
     }
@@ -87,7 +87,7 @@ mod tests {
         let transfer = controllers("peg-transfer");
         assert_eq!(transfer[4], manual());
         assert!(transfer.iter().all(|(_, kind, _)| kind != AUTOPILOT) && transfer.len() == 5);
-        // Two paths for two hands, and one person in their place.
+        // Two paths for two hands; one person replaces both.
         let cut = controllers("cloth-cut");
         assert!(cut.iter().all(|(_, kind, _)| kind != PATH), "{cut:?}");
         assert_eq!(cut.iter().filter(|(_, kind, _)| kind == MANUAL).count(), 1);

@@ -1,4 +1,4 @@
-//! Hands out of our own recordings: what a device measured, step by step.
+//! Recorded hands: a device's measured states, read from a recording.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use trocar_scene::{DeviceInfo, DeviceState, Entity, Registry};
 
 use crate::hands::measured;
 
-/// Why a recording cannot play a hand.
+/// Why a recording cannot drive a hand.
 #[derive(Debug, Error)]
 pub enum RecordedHandError {
     /// The file cannot be read.
@@ -23,13 +23,12 @@ pub enum RecordedHandError {
         /// The file.
         file: String,
     },
-    /// What it holds is no motion.
+    /// Its states are no valid motion.
     #[error(transparent)]
     Trajectory(#[from] TrajectoryError),
 }
 
-/// Every state that the device of `hand` measured, under the time of the driver's step, and what the device
-/// could do.
+/// Every measured state of `hand`'s device, with the time of the driver's step, and the device's capabilities.
 ///
 /// # Errors
 /// [`RecordedHandError`].
@@ -46,7 +45,7 @@ pub fn read(
     let mut points: Vec<TrajectoryPoint> = Vec::new();
     for (_, state) in recording.series::<DeviceState>(registry, hand)? {
         let point = TrajectoryPoint { time_ns: state.sampled_at.as_nanos(), state: measured(&state) };
-        // A haptic controller faster than the driver sees one sample several times.
+        // A haptic controller that is faster than the driver records the same sample several times.
         if points.last().is_none_or(|last| last.time_ns < point.time_ns) {
             points.push(point);
         }

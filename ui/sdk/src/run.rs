@@ -1,4 +1,4 @@
-//! One run of a scenario from start to end: what `trocar run` does, for programs.
+//! Runs a scenario from start to end, as `trocar run` does.
 
 use std::sync::atomic::Ordering;
 use std::time::Instant;
@@ -20,44 +20,44 @@ use crate::session::{Finished, Session, doubts};
 use crate::summary::{FaultSummary, Mode, RunSummary, TaskErrorSummary, TaskSummary};
 use crate::trace::RunTrace;
 
-/// How often a run looks at its session.
+/// Session time between two calls of the observer.
 const LOOK_EVERY: SimTime = SimTime::from_millis(20);
 
-/// A look at a running session.
+/// The observer's view of a running session.
 pub struct Progress<'a> {
-    /// The session, which may be written to.
+    /// The session; the observer may write to it.
     pub session: &'a mut Session,
     /// Its latest snapshot.
     pub scene: &'a Snapshot,
     /// Time of the session.
     pub now: SimTime,
-    /// Time on the wall \[s\].
+    /// Wall-clock time \[s\].
     pub wall_secs: f64,
-    /// Set by whoever looks, to end the run here.
+    /// Set by the observer to end the run here.
     pub end: bool,
 }
 
-/// Everything that is known after a run.
+/// All results of a run.
 pub struct RunOutcome {
-    /// The machine-readable contract.
+    /// The machine-readable summary.
     pub summary: RunSummary,
-    /// Series for plots.
+    /// Time series for plots.
     pub trace: RunTrace,
     /// One row per controller.
     pub reports: Vec<ControllerReport>,
-    /// What the kernel says.
+    /// The kernel's outcome.
     pub kernel: SessionOutcome,
-    /// What each driver counted, hand by hand.
+    /// Counters of each driver, hand by hand.
     pub drivers: Vec<DriverStatistics>,
     /// Supervised children with their health just before the end.
     pub health: Vec<(String, &'static str)>,
-    /// Who told whom what, with achieved rates.
+    /// The actor graph, with achieved rates.
     pub graph: ActorGraph,
-    /// Expectations of the fault plan that did not hold, one sentence each.
+    /// Expectations of the fault plan that failed, one sentence each.
     pub failed_expectations: Vec<String>,
 }
 
-/// Starts a session as the options say.
+/// Starts a session with these options.
 ///
 /// # Errors
 /// [`RunError`].
@@ -78,14 +78,14 @@ pub fn start(app: &App, scenario: &Scenario, options: &RunOptions) -> Result<Ses
     }
     let started = if options.lockstep { Session::lockstep(assembly) } else { Session::live(assembly) };
     if let (Err(_), Some(file)) = (&started, &options.record) {
-        // A recording of nothing helps nobody; if it cannot be removed, the error that counts is the other one.
+        // An empty recording is useless. If it cannot be removed, the first error is still the one to return.
         let _ = std::fs::remove_file(file);
     }
     started
 }
 
-/// Runs a scenario to its end and shows `observer` how it goes, about 50 times per second of the session. An observer
-/// that takes its time keeps a session in virtual time waiting, and may pause one in real time.
+/// Runs a scenario to its end and calls `observer` about 50 times per second of the session. A slow observer holds up a
+/// session in virtual time, and may pause one in real time.
 ///
 /// # Errors
 /// [`RunError`]; a run that started is always finished and summarised.
@@ -105,7 +105,7 @@ pub fn run(
         let scene = session.snapshot();
         trace.sample(&scene);
         let now = session.now();
-        // The last look before the end: afterwards everybody is stopped.
+        // The last look before the end: afterwards all controllers are stopped.
         health = session.health();
         let mut progress = Progress {
             session: &mut session,
@@ -118,7 +118,7 @@ pub fn run(
         if progress.end {
             break;
         }
-        // A caller that was kept away, or has let time pass itself, does not look several times in a row.
+        // After a delay, or after the observer itself advanced the session, skip the looks that were missed.
         let now = session.now();
         while next <= now {
             next += LOOK_EVERY;
@@ -197,7 +197,7 @@ fn summarise(scenario: &Scenario, options: &RunOptions, finished: &Finished, wal
     summary
 }
 
-/// What every controller of a scenario declares to read and write, with its rate \[Hz\]; nothing is run.
+/// The declared access of every controller of a scenario, with its rate \[Hz\]; nothing is run.
 ///
 /// # Errors
 /// [`RunError`] when the session cannot start.
@@ -212,10 +212,10 @@ pub fn accesses(
     Ok(accesses)
 }
 
-/// How the exercise stands in a scene.
+/// The state of the exercise in a scene.
 pub fn task_summary(scene: &Snapshot) -> TaskSummary {
     let Some((_, task)) = scene.iter::<TaskState>().next() else {
-        // Without an exercise there is nothing left undone.
+        // Without an exercise the task counts as completed.
         return TaskSummary { completed: true, ..TaskSummary::default() };
     };
     TaskSummary {

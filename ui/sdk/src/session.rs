@@ -1,4 +1,4 @@
-//! A running session, whichever way time passes.
+//! A running session, in virtual or real time.
 
 mod losses;
 mod pause;
@@ -25,14 +25,14 @@ use crate::branching::Origin;
 use crate::error::RunError;
 use crate::hands::{HandPort, OpenedHand};
 
-/// Numbers of guests among the writers: above those of any scenario's controllers, below the operator's.
+/// First writer number of guests: above those of any scenario's controllers, below the operator's.
 const GUESTS_FROM: u16 = 0x8000;
-/// Batches of a guest that may wait for the Model.
+/// Capacity of a guest's ring, in batches.
 const GUEST_CAPACITY: usize = 64;
-/// Longest wait for the Model's answer to what is written from outside.
+/// Longest wait for the Model's answer to the operator.
 const ANSWER_MAX: Duration = Duration::from_secs(1);
 
-/// A session that runs.
+/// A running session.
 pub struct Session {
     pub(crate) running: Running,
     pub(crate) hands: Vec<HandPort>,
@@ -40,12 +40,12 @@ pub struct Session {
     actors: Vec<HostedActor>,
     next_guest: u16,
     pub(crate) fences_raised: bool,
-    /// In virtual time, what others can be made from.
+    /// In virtual time, the plan and prototypes for resets and branches.
     pub(crate) origin: Option<Origin>,
 }
 
-/// Reads the latest snapshot of a session from any thread, also after the session's end. Loads a pointer: nobody is
-/// asked, and nobody waits.
+/// Reads the latest snapshot of a session from any thread, also after the session's end. Reading loads a pointer and
+/// never blocks.
 #[derive(Clone)]
 pub struct SceneReader(Arc<ArcSwap<Snapshot>>);
 
@@ -58,28 +58,28 @@ impl SceneReader {
 
 pub(crate) enum Running {
     Lockstep(Box<LockstepSession>),
-    /// With the operator of [`Session::apply`], made when it is first needed.
+    /// With the operator of [`Session::apply`], made on first use.
     Live(LiveSession, Option<Box<Operator>>),
 }
 
-/// What is left of a session: the kernel's outcome and the drivers' figures.
+/// The results of a finished session: the kernel's outcome and the drivers' counters.
 pub struct Finished {
-    /// What the kernel says.
+    /// The kernel's outcome.
     pub outcome: SessionOutcome,
     /// Largest force at any driver, after its clamp \[N\].
     pub force_newtons_max: f64,
-    /// Commands that drivers refused because a dead or abandoned controller had sent them.
+    /// Commands that drivers refused because they came from a dead or abandoned controller.
     pub commands_refused: u64,
-    /// What each driver counted, hand by hand.
+    /// Counters of each driver, hand by hand.
     pub drivers: Vec<DriverStatistics>,
-    /// Ways in which drivers and plain actors did not end well, in words.
+    /// Errors of drivers and plain actors at their end, in words.
     pub driver_errors: Vec<String>,
-    /// What the system refused or took away: [`Session::losses`].
+    /// Losses of the session: [`Session::losses`].
     pub losses: Vec<String>,
 }
 
 impl Finished {
-    /// Greatest age of the last command that a driver had accepted, while it still held a force.
+    /// Greatest age of a driver's last accepted command while it still rendered a force.
     pub fn force_age_max(&self) -> SimTime {
         SimTime(self.drivers.iter().map(|driver| driver.force_age_max_ns).max().unwrap_or(0))
     }
@@ -103,10 +103,10 @@ impl Session {
         Ok(Self::new(running, hands, Vec::new(), Some(origin)))
     }
 
-    /// Starts a session in real time: drivers first, so that the first haptic tick finds a sample.
+    /// Starts a session in real time. Drivers start first, so that the first haptic tick finds a sample.
     ///
     /// # Errors
-    /// When the session's specification is contradictory, or the system starts no thread.
+    /// When the session's specification is contradictory, or the system cannot start a thread.
     pub fn live(assembly: Assembly) -> Result<Self, RunError> {
         let hands: Vec<HandPort> = assembly.hands.iter().map(|hand| hand.port().clone()).collect();
         let (start, still) = (Instant::now(), Arc::<Standstill>::default());
@@ -138,7 +138,7 @@ impl Session {
     }
 
     fn number_of_a_guest(&mut self) -> Result<WriterId, LiveError> {
-        // The last numbers are the operator's and the recorder's.
+        // The last numbers are reserved for the operator and the recorder.
         if self.next_guest >= OPERATOR.0 {
             let reason = "there is no room for another one".to_owned();
             return Err(LiveError::Controller { name: "guest".to_owned(), reason });
@@ -147,12 +147,12 @@ impl Session {
         Ok(WriterId(self.next_guest - 1))
     }
 
-    /// Lets somebody take part in a live session without being ticked: from any thread it reads snapshots and
-    /// events, and sends batches that the Model checks like a controller's. It can slow nobody down.
+    /// Adds a guest to a live session, which is not ticked: from any thread it reads snapshots and events, and sends
+    /// batches that the Model checks like a controller's. A guest cannot slow the session down.
     ///
     /// # Errors
-    /// When the session runs in lock-step, where nobody acts at a time of his own choice, when the name is taken,
-    /// or when `access` overlaps with what others write.
+    /// When the session runs in lock-step, where only ticked controllers act, when the name is taken, or when `access`
+    /// overlaps with the writes of others.
     pub fn guest(&mut self, name: &str, access: &Access) -> Result<Guest, RunError> {
         let id = self.number_of_a_guest()?;
         match &self.running {
@@ -164,7 +164,7 @@ impl Session {
         }
     }
 
-    /// The plain actors that take part.
+    /// The plain actors of the session.
     pub fn actors(&self) -> &[HostedActor] {
         &self.actors
     }
@@ -182,13 +182,13 @@ impl Session {
         }
     }
 
-    /// Lets the session run until `until`: computes in virtual time, waits in real time. False when it has
-    /// ended. Returns at once while the session is paused.
+    /// Runs the session until `until`: computes in virtual time, waits in real time. Returns false when it has ended,
+    /// and at once while it is paused.
     pub fn run_until(&mut self, until: SimTime) -> bool {
         match &mut self.running {
             Running::Lockstep(session) => session.step_until(until),
             Running::Live(session, _) => {
-                // Waiting wakes up at once when the session ends.
+                // The wait returns at once when the session ends.
                 while session.elapsed() < until
                     && !session.is_paused()
                     && !session.wait((until - session.elapsed()).to_duration())
@@ -206,8 +206,8 @@ impl Session {
         }
     }
 
-    /// Where the latest snapshot of a session in real time always is, for readers on other threads; `None` in virtual
-    /// time, where snapshots are those of [`Session::snapshot`].
+    /// A reader of the latest snapshot of a session in real time, for other threads; `None` in virtual time, where
+    /// snapshots come from [`Session::snapshot`].
     pub fn reader(&self) -> Option<SceneReader> {
         match &self.running {
             Running::Lockstep(_) => None,
@@ -215,16 +215,16 @@ impl Session {
         }
     }
 
-    /// Writes into the running session from outside: what `write` commands becomes one batch, all of it or nothing.
-    /// Any component of any entity may be written, whoever else writes it; a controller that does so overwrites it
-    /// at its next tick. The batch is screened as everybody's is, stands in the recording and the state hash under
-    /// the name `operator`, and comes back in a replay.
+    /// Writes into the running session from outside: the commands of `write` become one batch, applied completely or
+    /// not at all. It may write any component of any entity, also those that a controller owns; that controller
+    /// overwrites it at its next tick. The batch is checked like every batch, is part of the recording and the state
+    /// hash under the name `operator`, and is replayed.
     ///
-    /// In virtual time it is applied at the present instant, before whatever ticks next. In real time it waits for
-    /// the Model's answer, at most a second; nobody waits for it.
+    /// In virtual time the batch is applied at the present instant, before the next tick. In real time this call waits
+    /// for the Model's answer, at most a second; the session does not wait.
     ///
     /// # Errors
-    /// [`OperatorError`] says why nothing of it is in the scene.
+    /// [`OperatorError`] says why the batch was not applied.
     ///
     /// ```
     /// use trocar::prelude::*;
@@ -255,10 +255,10 @@ impl Session {
     }
 
     /// A handle for writing into a session in real time from another thread, as [`Session::apply`] does; `None` in
-    /// virtual time, where only whoever lets time pass can say when something is written.
+    /// virtual time, where only the thread that advances the session can write to it.
     ///
     /// # Errors
-    /// [`OperatorError::TooMany`] when too many of them exist.
+    /// [`OperatorError::TooMany`] when there are too many of them.
     pub fn operator(&self) -> Result<Option<Operator>, OperatorError> {
         match &self.running {
             Running::Lockstep(_) => Ok(None),
@@ -266,7 +266,7 @@ impl Session {
         }
     }
 
-    /// How every controller keeps its rate so far.
+    /// Achieved rate and lateness of every controller so far.
     pub fn reports(&self) -> Vec<ControllerReport> {
         match &self.running {
             Running::Lockstep(session) => session.reports(),
@@ -274,7 +274,7 @@ impl Session {
         }
     }
 
-    /// What every controller reads and writes, with its rate \[Hz\].
+    /// The declared access of every controller, with its rate \[Hz\].
     pub fn accesses(&self) -> Vec<(String, f64, Access)> {
         match &self.running {
             Running::Lockstep(session) => {
@@ -320,7 +320,7 @@ impl Session {
         }
     }
 
-    /// Forces to zero, at once and for good; the session itself goes on until [`Session::finish`].
+    /// Sets all forces to zero, at once and permanently; the session itself goes on until [`Session::finish`].
     pub fn zero_forces(&mut self) {
         if !self.fences_raised {
             self.hands.iter().for_each(|hand| hand.slot.fence().zero_all_forces());
@@ -328,7 +328,7 @@ impl Session {
         }
     }
 
-    /// Ends the session: forces to zero, controllers down, recording closed, drivers stopped.
+    /// Ends the session: zeroes forces, stops controllers, closes the recording, stops drivers.
     pub fn finish(mut self) -> Finished {
         self.zero_forces();
         let losses = self.losses();

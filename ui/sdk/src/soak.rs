@@ -1,6 +1,6 @@
-//! Random fault plans on an exercise, in lock-step, and what must hold whatever they do.
+//! Soak tests: an exercise under random fault plans in lock-step, and the invariants that must hold.
 //!
-//! A seed decides everything: the plan, the session, and so the outcome. Whatever fails once fails again.
+//! The seed decides the plan, the session and so the outcome. A failure is reproducible.
 
 use std::path::Path;
 
@@ -19,25 +19,25 @@ use crate::run::{Progress, RunError, RunOptions, RunOutcome, run};
 const FAULTS_MAX: u32 = 5;
 /// Faults strike within this time of the session \[s\].
 const WINDOW: (f64, f64) = (1.0, 40.0);
-/// Longest random fault that ends by itself \[s\].
+/// Longest random fault of limited duration \[s\].
 const LASTING_MAX: f64 = 0.6;
 /// Greatest force that any of the exercise's devices may render \[N\].
 pub const FORCE_MAX: f64 = 3.3;
 
-/// What became of one seed.
+/// The outcome for one seed.
 #[derive(Clone, Debug)]
 pub struct Soaked {
     /// The seed.
     pub seed: u64,
-    /// What went wrong on purpose, one name each.
+    /// The injected faults, one name each.
     pub faults: Vec<String>,
-    /// Whether the exercise was completed all the same.
+    /// Whether the exercise was completed despite the faults.
     pub completed: bool,
-    /// What must not have happened, in words; empty when all is well.
+    /// Violated invariants, in words; empty when all hold.
     pub violations: Vec<String>,
 }
 
-/// A plan of one to five faults of random kinds at random moments, aimed at anybody in the scenario.
+/// A plan of one to five faults of random kinds at random moments, aimed at random targets of the scenario.
 pub fn random_plan(scenario: &Scenario, seed: u64) -> FaultPlan {
     let mut random = Pcg32::new(seed, 0xfa17);
     let mut targets: Vec<(String, TargetClass)> =
@@ -73,10 +73,10 @@ pub fn random_plan(scenario: &Scenario, seed: u64) -> FaultPlan {
     plan
 }
 
-/// Runs a scenario under the random plan of `seed`, recording into `file`, and checks what must hold.
+/// Runs a scenario under the random plan of `seed`, recording into `file`, and checks the invariants.
 ///
 /// # Errors
-/// When the session cannot start, which no plan of this module is a reason for.
+/// When the session cannot start; plans of this module never cause that.
 pub fn soak(
     app: &App,
     scenario: &Scenario,
@@ -100,10 +100,10 @@ pub fn soak(
     Ok(Soaked { seed, faults, completed: outcome.summary.task.completed, violations })
 }
 
-/// What must hold at every moment.
+/// The invariants of every moment.
 fn look(progress: &Progress<'_>, violations: &mut Vec<String>) {
     let mut wrong = |what: String| {
-        // The first few tell everything.
+        // The first few are enough.
         if violations.len() < 8 {
             violations.push(format!("{what} at {} s", progress.now.as_secs_f64()));
         }
@@ -123,14 +123,14 @@ fn look(progress: &Progress<'_>, violations: &mut Vec<String>) {
     }
 }
 
-/// Whether every pose, velocity and force in a scene is a number.
+/// Whether every pose, velocity and force in a scene is finite.
 pub fn is_finite(scene: &Snapshot) -> bool {
     scene.iter::<Pose>().all(|(_, pose)| pose.translation.iter().all(|x| x.is_finite()))
         && scene.iter::<Velocity>().all(|(_, velocity)| velocity.linear.iter().all(|x| x.is_finite()))
         && scene.iter::<DeviceForce>().all(|(_, force)| force.force.iter().all(|x| x.is_finite()))
 }
 
-/// What must hold in the end.
+/// The invariants at the end.
 fn judge(app: &App, outcome: &RunOutcome, file: &Path, violations: &mut Vec<String>) {
     let summary = &outcome.summary;
     let mut wrong = |what: String| violations.push(what);
@@ -142,14 +142,14 @@ fn judge(app: &App, outcome: &RunOutcome, file: &Path, violations: &mut Vec<Stri
     }
     for fault in &outcome.kernel.faults {
         let (Some(injected), None) = (fault.injected, fault.resumed) else { continue };
-        // A device that nobody reads any more, and a fault that the end cut off, cannot tell.
+        // A device that is no longer read, or a fault cut off by the end, has no detection time.
         let left = outcome.kernel.sim.since(fault.healed.unwrap_or(injected));
         let told = fault.detected.is_some() || fault.restarted.is_some();
         if told && left > SimTime::from_millis(1_500) && !is_held(outcome, &fault.target) {
             wrong(format!("'{}' was not overcome and nobody says so", fault.id));
         }
     }
-    // An exercise that ended without being completed says what went wrong in it.
+    // An exercise that ended without being completed names its errors.
     let over = outcome.kernel.snapshot.iter::<TaskState>().any(|(_, task)| task.over);
     let excused = !summary.task.errors.is_empty() || summary.task.seconds >= 299.0;
     if over && !summary.task.completed && !excused {
@@ -194,7 +194,7 @@ mod tests {
             assert!((1..=FAULTS_MAX as usize).contains(&plan.faults.len()));
             kinds.extend(plan.faults.iter().map(|fault| fault.kind));
         }
-        // Everything there is.
+        // All fault kinds.
         let expected = [
             FaultKind::Kill,
             FaultKind::Stall,

@@ -1,6 +1,6 @@
-//! What `run --json` and `bench --json` print: the machine-readable contract, with its JSON schema.
+//! The machine-readable output of `run --json` and `bench --json`, with its JSON schema.
 //!
-//! Every field is always present; what is not known is null. Times in seconds, latencies in microseconds.
+//! Every field is always present; unknown values are null. Times in seconds, latencies in microseconds.
 
 use std::collections::BTreeMap;
 
@@ -10,30 +10,30 @@ pub use trocar_kernel::bench::{Better, Row as BenchResult};
 pub use trocar_kernel::runtime::{ControllerReport as ControllerSummary, Hits, Quantiles};
 use trocar_kernel::spec::FaultKind;
 
-/// Version of the objects in this file; it rises when a field changes its meaning or goes away.
+/// Version of the objects in this file; it rises when a field changes its meaning or is removed.
 pub const SCHEMA: u32 = 1;
 
-/// How a process of this program ends.
+/// Exit codes of this program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 #[repr(u8)]
 pub enum Exit {
-    /// All is well.
+    /// Success.
     Ok = 0,
     /// An expectation failed, or the exercise was not completed (and `--seconds` did not cut it off).
     Failed = 1,
-    /// The command line makes no sense.
+    /// The command line is invalid.
     Usage = 2,
-    /// A device that was asked for is not there.
+    /// A requested device is missing.
     DeviceMissing = 3,
-    /// A scenario or another file cannot be used.
+    /// A scenario or another file is invalid.
     Invalid = 4,
     /// The program itself failed.
     Internal = 70,
 }
 
 impl Exit {
-    /// The number that the shell sees.
+    /// The numeric exit code.
     pub const fn code(self) -> u8 {
         self as u8
     }
@@ -74,7 +74,7 @@ pub struct RunSummary {
     pub state_hash: Option<String>,
     /// How the exercise went.
     pub task: TaskSummary,
-    /// Everyone who acted on the scene, in the order of the scenario.
+    /// The controllers, in the order of the scenario.
     pub controllers: Vec<ControllerSummary>,
     /// Values that were not as in the scenario at the end, by the names of their fields.
     pub tuned: BTreeMap<String, serde_json::Value>,
@@ -85,7 +85,7 @@ pub struct RunSummary {
     /// Greatest age of the last accepted command while a driver still held a force \[µs\]: the promise is 20,000,
     /// and on a machine that keeps drivers waiting that wait comes on top.
     pub force_age_max_us: f64,
-    /// Commands that drivers refused because whoever sent them was dead or abandoned.
+    /// Commands that drivers refused because their sender was dead or abandoned.
     pub commands_refused: u64,
     /// Deepest penetration of two bodies \[m\].
     pub penetration_max: f64,
@@ -106,7 +106,7 @@ pub struct RunSummary {
 }
 
 impl RunSummary {
-    /// A summary of a run of `scenario` in which nothing has happened yet.
+    /// The summary of a run of `scenario` before it starts.
     pub fn new(scenario: impl Into<String>, mode: Mode, seed: u64) -> Self {
         Self {
             schema: SCHEMA,
@@ -134,8 +134,8 @@ impl RunSummary {
         }
     }
 
-    /// How the process should end when `expectations_failed` says whether a fault plan's `[expect]` was
-    /// missed; an `error` of the program itself is for the caller to judge.
+    /// The exit code of the process, where `expectations_failed` says whether a fault plan's `[expect]` failed. The
+    /// caller handles an `error` of the program itself.
     pub fn exit(&self, expectations_failed: bool) -> Exit {
         let finished = self.task.completed || self.task.cut_off;
         if finished && !expectations_failed { Exit::Ok } else { Exit::Failed }
@@ -178,7 +178,7 @@ pub struct TaskErrorSummary {
 pub struct FaultSummary {
     /// Its id in the plan.
     pub id: String,
-    /// Whom it struck.
+    /// Its target.
     pub target: String,
     /// What it did, such as `kill`.
     pub kind: String,
@@ -186,7 +186,7 @@ pub struct FaultSummary {
     pub injected_secs: Option<f64>,
     /// When it ended by itself \[s\].
     pub healed_secs: Option<f64>,
-    /// When somebody noticed \[s\].
+    /// When it was detected \[s\].
     pub detected_secs: Option<f64>,
     /// When the replacement was built \[s\].
     pub restarted_secs: Option<f64>,
@@ -195,13 +195,13 @@ pub struct FaultSummary {
 }
 
 impl FaultSummary {
-    /// Whether it was still under way when the run ended.
+    /// Whether it was still in progress when the run ended.
     pub fn is_under_way(&self) -> bool {
         let lasts = FaultKind::ALL.iter().any(|kind| kind.name() == self.kind && !kind.is_instant());
         lasts && self.injected_secs.is_some() && self.healed_secs.or(self.resumed_secs).is_none()
     }
 
-    /// From the moment at which nothing but recovery was left to do, to the first good work \[s\].
+    /// From the moment at which only recovery was left to do, to the first good work \[s\].
     pub fn recovery_secs(&self) -> Option<f64> {
         let from = match (self.restarted_secs, self.healed_secs) {
             (None, Some(healed)) => healed,
@@ -230,7 +230,7 @@ impl BenchSummary {
     pub fn new(machine: Machine) -> Self {
         Self { schema: SCHEMA, machine, results: Vec::new(), error: None }
     }
-    /// Names of the figures whose bar does not hold.
+    /// Names of the figures that miss their bar.
     pub fn missed(&self) -> impl Iterator<Item = &str> {
         self.results.iter().filter(|row| !row.holds).map(|row| row.name.as_str())
     }

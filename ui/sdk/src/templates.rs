@@ -1,7 +1,7 @@
-//! Projects to start from: complete little crates with a program, a scenario and tests, as `trocar new` writes them.
+//! Project templates: complete small crates with a program, a scenario and tests, as `trocar new` writes them.
 //!
-//! They lie in `ui/sdk/templates`, each as a crate that is built and tested as it stands; only its name and the
-//! place of Trocar are put in.
+//! They are in `ui/sdk/templates`, each a crate that is built and tested as it is; only its name and the path of Trocar
+//! are substituted.
 
 use std::fs;
 use std::io;
@@ -9,12 +9,12 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-/// What the manifests of the templates say instead of where Trocar is.
+/// The placeholder for Trocar's path in the templates' manifests.
 const SDK: &str = "{ path = \"../..\" }";
 const CLI: &str = "{ path = \"../../../cli\" }";
 /// Longest name of a crate.
 const NAME_MAX: usize = 64;
-/// What cannot name a crate, or would stand in the way of one that every project needs.
+/// Names that no crate can have, or that would collide with a crate that every project needs.
 const RESERVED: [&str; 12] = [
     "trocar",
     "trocar-cli",
@@ -30,12 +30,12 @@ const RESERVED: [&str; 12] = [
     "deps",
 ];
 
-/// A project to start from.
+/// A project template.
 #[derive(Clone, Copy, Debug)]
 pub struct Template {
     /// Its name: `controller`.
     pub name: &'static str,
-    /// What it shows, in a line.
+    /// One-line description.
     pub about: &'static str,
     /// Path in the project, and text.
     files: &'static [(&'static str, &'static str)],
@@ -107,7 +107,7 @@ pub const TEMPLATES: [Template; 5] = [
     ),
 ];
 
-/// Where a new project finds Trocar.
+/// The source of Trocar for a new project.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Source {
     /// A checkout of Trocar's repository.
@@ -116,15 +116,15 @@ pub enum Source {
     Git(String),
 }
 
-/// Why there is no project.
+/// Why a project cannot be created.
 #[derive(Debug, Error)]
 pub enum TemplateError {
     /// No such template.
     #[error("no template is called '{name}'; there are: {known}")]
     Unknown {
-        /// What was asked for.
+        /// The name that was asked for.
         name: String,
-        /// What there is.
+        /// The valid names.
         known: String,
     },
     /// A name that no crate can have.
@@ -135,23 +135,23 @@ pub enum TemplateError {
         /// Why.
         reason: String,
     },
-    /// The folder is not free.
+    /// The folder exists and is not empty.
     #[error("{}: exists already; nothing is overwritten", .0.display())]
     Exists(PathBuf),
     /// Not a checkout of Trocar.
     #[error("{}: is no checkout of Trocar (it has no ui/sdk/Cargo.toml)", .0.display())]
     NoCheckout(PathBuf),
-    /// A place that cannot stand in a manifest.
+    /// A path that a manifest cannot hold.
     #[error(
         "'{0}' cannot stand in a manifest; valid: text without quotes, backslashes and control characters"
     )]
     Place(String),
-    /// Something cannot be written.
+    /// A file cannot be written.
     #[error("{}: {error}", file.display())]
     Write {
         /// The file or folder.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         error: io::Error,
     },
 }
@@ -159,7 +159,7 @@ pub enum TemplateError {
 /// The template of that name.
 ///
 /// # Errors
-/// [`TemplateError::Unknown`] with the names that there are.
+/// [`TemplateError::Unknown`] with the valid names.
 pub fn template(name: &str) -> Result<&'static Template, TemplateError> {
     const ALL: &[Template] = &TEMPLATES;
     ALL.iter().find(|template| template.name == name).ok_or_else(|| TemplateError::Unknown {
@@ -182,7 +182,7 @@ impl Template {
     /// Writes the project `name` into `folder`, which must not exist or be empty. Returns the files, in order.
     ///
     /// # Errors
-    /// [`TemplateError`]; what was written up to then is taken away again.
+    /// [`TemplateError`]; files written so far are removed.
     pub fn write(&self, name: &str, folder: &Path, source: &Source) -> Result<Vec<PathBuf>, TemplateError> {
         check_name(name)?;
         let places = places(source)?;
@@ -193,7 +193,7 @@ impl Template {
         }
         let written = self.write_files(name, folder, &places);
         if written.is_err() {
-            // The error that counts is the first one.
+            // The first error is the one to return.
             let _ = fs::remove_dir_all(folder);
             if !fresh {
                 let _ = fs::create_dir(folder);
@@ -224,7 +224,7 @@ impl Template {
     }
 }
 
-/// What stands in a manifest for the SDK and for the command line.
+/// The manifest entries for the SDK and for the command line.
 fn places(source: &Source) -> Result<(String, String), TemplateError> {
     let plain = |text: &str| {
         let is_plain = !text.chars().any(|c| c == '"' || c == '\\' || c.is_control());
@@ -246,7 +246,7 @@ fn places(source: &Source) -> Result<(String, String), TemplateError> {
             }
             let path = |room: &str| -> Result<String, TemplateError> {
                 let path = whole.join(room);
-                // Forward slashes are understood everywhere, and need no escape.
+                // Every system accepts forward slashes, and they need no escape.
                 let text = path.to_string_lossy().replace(std::path::MAIN_SEPARATOR, "/");
                 Ok(format!("{{ path = \"{}\" }}", plain(&text)?))
             };
@@ -297,7 +297,7 @@ mod tests {
         }
     }
 
-    /// Nothing of a template's folder is forgotten in the table above.
+    /// The table above holds every file of the templates' folders.
     #[test]
     fn the_table_holds_every_file_that_lies_in_the_folders() {
         fn count(folder: &Path) -> usize {

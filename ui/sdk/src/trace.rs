@@ -1,4 +1,4 @@
-//! What a run looked like, in bounded memory however long it was: for the report.
+//! The trace of a run for the report: time series, marks and paths in bounded memory.
 
 use std::collections::BTreeMap;
 
@@ -16,23 +16,23 @@ const SERIES_BUCKETS: usize = 1024;
 const TRACK_BUCKETS: usize = 4096;
 /// Width of the first buckets \[s\].
 const INTERVAL_SECS: f64 = 0.005;
-/// Most phases, marks and events that are kept; more are counted.
+/// Most phases, marks and events that are kept; further ones are counted.
 pub const MARKS_MAX: usize = 4096;
 
-/// How one hand moved and what it felt.
+/// Motion and forces of one hand.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HandTrace {
     /// Path of the instrument's tip in world \[m\].
     pub tip_in_world: Track,
     /// Magnitude of the force that the driver rendered, after its limits \[N\].
     pub applied_force: Series,
-    /// Magnitude of the force that haptics asked for \[N\].
+    /// Magnitude of the force that haptics commanded \[N\].
     pub asked_force: Series,
     /// Energy observed at the device's port \[J\].
     pub energy: Series,
     /// Full opening of the jaws \[rad\].
     pub jaw_angle: Series,
-    /// When the instrument held something: from, to \[s\].
+    /// Intervals in which the instrument held something: from, to \[s\].
     pub held: Vec<(f64, f64)>,
 }
 
@@ -50,23 +50,23 @@ impl Default for HandTrace {
     }
 }
 
-/// Something that happened at an instant.
+/// An event at an instant.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Mark {
-    /// When \[s\].
+    /// Time \[s\].
     pub secs: f64,
     /// What: an error's kind, a phase, or the name of an event.
     pub what: String,
-    /// To what it happened.
+    /// The entity that it concerns.
     pub subject: Option<String>,
-    /// Where that was in world \[m\].
+    /// Its position in world \[m\].
     pub position_in_world: Option<[f64; 3]>,
 }
 
 /// A run as time series, sampled from snapshots.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunTrace {
-    /// What stood there at the first sample.
+    /// Outlines of the scene at the first sample.
     pub outlines: Vec<Outline>,
     /// Hands by side.
     pub hands: BTreeMap<String, HandTrace>,
@@ -78,7 +78,7 @@ pub struct RunTrace {
     pub errors: Vec<Mark>,
     /// Events of the scene.
     pub events: Vec<Mark>,
-    /// Events that nobody saw, or that were one too many to keep.
+    /// Events that were missed, or exceeded the limit.
     pub events_lost: u64,
     /// Time of the last sample \[s\].
     pub secs: f64,
@@ -88,13 +88,12 @@ pub struct RunTrace {
 }
 
 impl RunTrace {
-    /// An empty one.
+    /// An empty trace.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes in the scene as it is now. Meant to be called about a hundred times per second; a snapshot
-    /// that is older than the last one is ignored.
+    /// Samples the scene. Call it about a hundred times per second; a snapshot older than the last one is ignored.
     pub fn sample(&mut self, scene: &Snapshot) {
         let secs = scene.time().as_secs_f64();
         if secs < self.secs {
@@ -126,7 +125,7 @@ impl RunTrace {
         }
         for error in task.errors.iter().skip(self.errors_seen) {
             if self.errors.len() < MARKS_MAX {
-                // The error's own time may lie on the exercise's clock: this is the session's.
+                // The error's own time may be the exercise's clock: this is the session's.
                 self.errors.push(mark(secs, &error.kind, error.entity, scene));
             }
         }
@@ -164,7 +163,7 @@ impl HandTrace {
             let tip_in_world = scene.world_pose(instrument).translation.vector;
             self.tip_in_world.push(secs, tip_in_world.into());
         }
-        // A device's components stand on the hand; a scenario may as well put them on the instrument.
+        // A device's components are usually on the hand; a scenario may put them on the instrument instead.
         if let Some(state) = either::<DeviceState>(scene, hand, instrument) {
             self.applied_force.push(secs, state.applied_force.norm().into());
         }

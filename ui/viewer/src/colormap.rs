@@ -11,8 +11,8 @@ pub enum Colormap {
     Turbo,
 }
 
-/// Coefficients of a polynomial per channel, from the constant one on; Matt Zucker's fits of the sixth order to
-/// the tables of matplotlib (public domain, 2019).
+/// Coefficients of a polynomial per channel, from the constant term on; Matt Zucker's fits of the sixth order to the
+/// tables of matplotlib (public domain, 2019).
 const VIRIDIS: [[f64; 3]; 7] = [
     [0.277_727_327_223_417_7, 0.005_407_344_544_966_578, 0.334_099_805_335_306_1],
     [0.105_093_043_108_577_4, 1.404_613_529_898_575, 1.384_590_162_594_685],
@@ -31,8 +31,8 @@ const INFERNO: [[f64; 3]; 7] = [
     [-71.319_428_244_992_14, 32.626_064_263_977_23, 73.209_519_858_032_02],
     [25.131_126_224_773_41, -12.242_668_952_385_67, -23.070_325_002_871_72],
 ];
-/// Du's fit of the fifth order to Mikhailov's table (2019); it strays from the table by up to 33 of 255 at the dark
-/// end, 20 in between.
+/// Du's fit of the fifth order to Mikhailov's table (2019); its error is up to 33 of 255 at the dark end, 20 in
+/// between.
 const TURBO: [[f64; 3]; 6] = [
     [0.135_721_38, 0.091_402_61, 0.106_673_30],
     [4.615_392_60, 2.194_188_39, 12.641_946_08],
@@ -55,7 +55,7 @@ impl Colormap {
         }
     }
 
-    /// The sRGB colour of a fraction; what lies outside of \[0, 1\] has the colour of the nearer end.
+    /// The sRGB colour of a fraction, which is clamped to \[0, 1\].
     pub fn color(self, fraction: f64) -> [u8; 3] {
         let coefficients: &[[f64; 3]] = match self {
             Self::Viridis => &VIRIDIS,
@@ -67,7 +67,7 @@ impl Colormap {
         std::array::from_fn(|c| (channel(c).clamp(0.0, 1.0) * 255.0).round() as u8)
     }
 
-    /// Its 256 colours, opaque, as the texels of a picture one row high.
+    /// Its 256 colours, opaque, as the texels of an image one row high.
     pub fn table(self) -> [[u8; 4]; 256] {
         std::array::from_fn(|index| {
             let [r, g, b] = self.color(index as f64 / 255.0);
@@ -76,12 +76,12 @@ impl Colormap {
     }
 }
 
-/// Ticks of a scale: round numbers, with as many decimals as tell them apart.
+/// Ticks of a scale: round numbers, with just enough decimals to distinguish them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ticks {
     /// The numbers, rising, all within the range.
     pub values: Vec<f64>,
-    /// Digits after the point that they need.
+    /// Digits after the decimal point.
     pub decimals: usize,
 }
 
@@ -92,7 +92,7 @@ impl Ticks {
         let none = Self { values: Vec::new(), decimals: 0 };
         let span = high - low;
         let wanted = wanted.clamp(2, 20);
-        // A step below the resolution of the numbers would never get on.
+        // A step below the resolution of the numbers would not advance.
         if !span.is_finite() || span <= low.abs().max(high.abs()) * 1e-12 || span < 1e-300 {
             return none;
         }

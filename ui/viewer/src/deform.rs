@@ -7,11 +7,11 @@ use nalgebra::{Point3, Vector3};
 use thiserror::Error;
 use trocar_scene::mesh::SplitSurface;
 
-/// Vertices at one place whose normals at rest differ by less than this are smooth into each other: they were
-/// split for their texture coordinates, or by a file's rounding. cos 2°.
+/// Vertices at one place whose normals at rest differ by less than this share a normal: they were split for their
+/// texture coordinates, or by a file's rounding. cos 2°.
 const SAME_NORMAL: f64 = 0.999_39;
 
-/// Positions that do not fit the surface.
+/// Too few positions for the surface.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("a surface over {needed} vertices cannot follow {given} positions")]
 pub struct TooFewPositions {
@@ -21,8 +21,8 @@ pub struct TooFewPositions {
     pub given: usize,
 }
 
-/// Follows the positions of a deforming surface: the split vertices that are drawn, with smooth normals. Creases
-/// stay creases and seams of the texture stay smooth, as they were when it was made.
+/// Follows the positions of a deforming surface: the split vertices that are drawn, with smooth normals. Creases and
+/// smooth texture seams stay as they were at rest.
 #[derive(Clone, Debug)]
 pub struct DeformingSurface {
     triangles: Vec<[u32; 3]>,
@@ -30,7 +30,7 @@ pub struct DeformingSurface {
     sources: Vec<u32>,
     /// Vertices of one group share their normal.
     groups: Vec<u32>,
-    /// Normal that was last known of each group.
+    /// Last valid normal of each group.
     group_normals: Vec<[f32; 3]>,
     sums: Vec<[f32; 3]>,
     needed: usize,
@@ -39,7 +39,7 @@ pub struct DeformingSurface {
 }
 
 impl DeformingSurface {
-    /// Takes a surface at rest. Triangles that refer to vertices that do not exist are left out of the normals.
+    /// Takes a surface at rest. Triangles with invalid vertices are left out of the normals.
     pub fn new(rest: &SplitSurface) -> Self {
         let count = rest.positions.len().min(rest.sources.len()).min(rest.normals.len());
         let sources = rest.sources[..count].to_vec();
@@ -58,11 +58,11 @@ impl DeformingSurface {
         }
     }
 
-    /// Takes new positions of the Model's vertices. Allocates nothing. Where all triangles around a vertex have
-    /// no area, its last normal stays.
+    /// Takes new positions of the Model's vertices. Allocates nothing. Where all triangles around a vertex have zero
+    /// area, it keeps its last normal.
     ///
     /// # Errors
-    /// When there are fewer positions than the surface needs; it stays as it was.
+    /// When there are fewer positions than the surface needs; it stays unchanged.
     pub fn update(&mut self, positions: &[Point3<f64>]) -> Result<(), TooFewPositions> {
         if positions.len() < self.needed {
             return Err(TooFewPositions { needed: self.needed, given: positions.len() });
@@ -115,14 +115,14 @@ impl DeformingSurface {
         &self.normals
     }
 
-    /// Triangles of drawn vertices, without those that refer to none.
+    /// Triangles of drawn vertices, without invalid ones.
     pub fn triangles(&self) -> &[[u32; 3]] {
         &self.triangles
     }
 }
 
-/// Numbers the sets of vertices that share a place and, nearly, a normal; returns each vertex's set, and each set's
-/// normal.
+/// Numbers the sets of vertices with the same place and, nearly, the same normal; returns each vertex's set, and each
+/// set's normal.
 fn smooth_groups(sources: &[u32], normals: &[Vector3<f64>]) -> (Vec<u32>, Vec<[f32; 3]>) {
     let mut order: Vec<u32> = (0..sources.len() as u32).collect();
     order.sort_by_key(|vertex| (sources[*vertex as usize], *vertex));
@@ -154,8 +154,8 @@ fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// The angle of a cosine, within 7·10⁻⁵ rad (Abramowitz, Stegun, "Handbook of mathematical functions", 4.4.45); as
-/// a weight it need not be better, and a call into the C library costs several times as much.
+/// The angle of a cosine, within 7·10⁻⁵ rad (Abramowitz, Stegun, "Handbook of mathematical functions", 4.4.45). That is
+/// accurate enough for a weight, and a call into the C library costs several times as much.
 fn arc_cosine(cosine: f32) -> f32 {
     let x = cosine.abs().min(1.0);
     let angle = (1.0 - x).sqrt() * (1.570_728_8 + x * (-0.212_114_4 + x * (0.074_261 - 0.018_729_3 * x)));
@@ -287,7 +287,7 @@ mod tests {
         let before = surface.normals().to_vec();
         let error = surface.update(&[Point3::origin()]).expect_err("it is refused");
         assert!(error.given == 1 && error.to_string().contains("1 positions"), "{error}");
-        // Everything in one point, or as far as floats go: the last normals stay.
+        // All in one point, or at the range of floats: the last normals stay.
         for x in [0.0, 1e300] {
             surface
                 .update(&vec![Point3::new(x, 0.0, 0.0); error.needed])

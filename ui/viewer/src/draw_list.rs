@@ -1,4 +1,4 @@
-//! What there is to draw in a snapshot: geometry, poses, materials. Only what changed since the last one is looked at.
+//! The stage: geometry, poses and materials of a snapshot. Only changes since the last snapshot are processed.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -29,10 +29,10 @@ pub enum Part {
     JawB,
 }
 
-/// A surface under a number by which copies of it are known.
+/// A surface with a number for its copies on devices.
 #[derive(Clone, Debug)]
 pub struct Surface {
-    /// Never given twice by one stage.
+    /// Unique within a stage.
     pub id: u64,
     /// How often its triangles and texture coordinates changed.
     pub topology: u64,
@@ -42,28 +42,28 @@ pub struct Surface {
     pub geometry: Arc<Geometry>,
 }
 
-/// Something to draw.
+/// An item to draw.
 #[derive(Clone, Debug)]
 pub struct Item {
-    /// What it is in the scene.
+    /// Its entity.
     pub entity: Entity,
-    /// Which part of it.
+    /// The part of the entity.
     pub part: Part,
     /// Its surface.
     pub surface: Surface,
     /// Its pose in world.
     pub world_from_item: Isometry3<f64>,
-    /// What it looks like.
+    /// Its material.
     pub material: Arc<VisualMaterial>,
 }
 
 /// Surfaces and material of one entity.
 struct Entry {
     parts: Vec<(Part, Surface)>,
-    /// What makes the surface follow the entity's vertices.
+    /// Makes the surface follow the entity's vertices.
     moving: Option<Moving>,
     material: Arc<VisualMaterial>,
-    /// From the hinge of an instrument to its tip \[m\].
+    /// Distance from an instrument's hinge to its tip \[m\].
     jaw_length: f64,
 }
 
@@ -71,10 +71,10 @@ struct Entry {
 #[derive(Default)]
 pub struct Stage {
     entries: BTreeMap<Entity, Entry>,
-    /// Surfaces of shapes that several entities share, by what they are.
+    /// Surfaces of shapes that several entities share, by shape.
     shared: BTreeMap<String, Surface>,
     items: Vec<Item>,
-    /// With how often it had been retouched.
+    /// The last revision, with its interpolation counter.
     seen: Option<(Revision, u64)>,
     next_id: u64,
 }
@@ -85,13 +85,13 @@ impl Stage {
         Self::default()
     }
 
-    /// What there is to draw, in the order of entities.
+    /// The items, in the order of entities.
     pub fn items(&self) -> &[Item] {
         &self.items
     }
 
-    /// Follows the scene to this snapshot; `false` when nothing had changed. An earlier snapshot than the last one (a
-    /// replay that was wound back, another session) is looked at from the start, as is one that is less retouched.
+    /// Follows the scene to this snapshot; `false` when nothing has changed. An earlier snapshot than the last one (a
+    /// rewound replay, another session) is processed from the start, as is one with a lower interpolation counter.
     pub fn update(&mut self, scene: &Snapshot) -> bool {
         let (revision, retouches) = (scene.revision(), scene.retouches());
         if self.seen == Some((revision, retouches)) {
@@ -102,7 +102,7 @@ impl Stage {
         if since.is_none() {
             self.entries.clear();
         }
-        // Nobody but the entries holds surfaces now, so those that deform do so in place.
+        // Only the entries hold surfaces now, so those that deform do so in place.
         self.items.clear();
         self.entries.retain(|entity, _| scene.contains(*entity) && is_visible(scene, *entity));
         self.follow_shapes(scene, since);
@@ -240,7 +240,7 @@ impl Stage {
     }
 }
 
-/// Rows of a component that changed, or all of them.
+/// The changed rows of a component, or all of them.
 fn changed<T: Component>(scene: &Snapshot, since: Option<Revision>) -> impl Iterator<Item = (Entity, &T)> {
     let all = since.is_none();
     let newer = since.map(|since| scene.iter_changed::<T>(since));

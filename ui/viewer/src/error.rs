@@ -1,4 +1,4 @@
-//! What can go wrong with looking at a scene.
+//! Errors of rendering.
 
 /// Why there is no picture.
 #[derive(Debug, thiserror::Error)]
@@ -9,31 +9,31 @@ pub enum ViewError {
          (on Debian: mesa-vulkan-drivers); the simulation itself needs none"
     )]
     NoAdapter(String),
-    /// The adapter refuses what is needed.
+    /// The adapter lacks a required feature.
     #[error("the graphics adapter '{adapter}' cannot be used: {reason}")]
     Refused {
         /// Its name.
         adapter: String,
-        /// What it said.
+        /// Its reason.
         reason: String,
     },
     /// The device is gone: driver reset, adapter removed.
     #[error("the graphics device is lost: {0}")]
     DeviceLost(String),
-    /// A picture of no or too many pixels.
+    /// A picture of zero or too many pixels.
     #[error("a picture of {width} × {height} pixels cannot be drawn: each side takes 1 to {max}")]
     Size {
-        /// Asked for.
+        /// Requested width.
         width: u32,
-        /// Asked for.
+        /// Requested height.
         height: u32,
         /// Largest side.
         max: u32,
     },
-    /// Nothing to look through.
+    /// No such camera.
     #[error("there is no camera called '{name}'; there are: {known}")]
     NoCamera {
-        /// Asked for.
+        /// The name that was asked for.
         name: String,
         /// Cameras of the scene.
         known: String,

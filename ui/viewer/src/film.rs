@@ -1,4 +1,4 @@
-//! Pictures one after the other: a folder of frames, an animated PNG or a GIF.
+//! Films: a folder of frames, an animated PNG or a GIF.
 
 use std::fs::File;
 use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use crate::error::ViewError;
 use crate::picture::Picture;
 
-/// Frames of one film: hours of it, and no more than a chunk of an animated PNG can count.
+/// Most frames of one film: hours of it, and no more than the frame counter of an animated PNG can hold.
 const FRAMES_MAX: u32 = 1_000_000;
-/// Where the chunk that counts the frames of an animated PNG must begin at the latest \[bytes\].
+/// Latest offset of the frame-count chunk in an animated PNG \[bytes\].
 const HEAD: usize = 4096;
 
-/// How the frames are kept.
+/// The format of the film.
 enum Kind {
     /// `frame-00001.png` and so on, in a folder.
     Folder(PathBuf),
@@ -20,7 +20,7 @@ enum Kind {
     Gif(Box<gif::Encoder<BufWriter<File>>>),
 }
 
-/// A film that is being shot. What is on the disk before [`Film::finish`] is called has another name.
+/// A film in progress. Until [`Film::finish`] its file has a temporary name.
 pub struct Film {
     kind: Option<Kind>,
     file: PathBuf,
@@ -59,7 +59,7 @@ impl Film {
         Ok(film)
     }
 
-    /// Until the film is whole it has this name.
+    /// Temporary name of an incomplete film.
     fn partial(&self) -> PathBuf {
         let mut name = self.file.file_name().unwrap_or_default().to_owned();
         name.push(".part");
@@ -75,7 +75,7 @@ impl Film {
         let mut encoder = png::Encoder::new(self.open()?, self.size[0], self.size[1]);
         encoder.set_color(png::ColorType::Rgba);
         encoder.set_depth(png::BitDepth::Eight);
-        // How many there are is written when that is known.
+        // The true number is written at the end.
         encoder.set_animated(FRAMES_MAX, 0).map_err(error)?;
         let delay = (1000.0 / self.frames_per_second).round().clamp(1.0, f64::from(u16::MAX)) as u16;
         encoder.set_frame_delay(delay, 1000).map_err(error)?;
@@ -121,7 +121,7 @@ impl Film {
         }
     }
 
-    /// Completes the film; how many frames it has.
+    /// Completes the film; returns the number of its frames.
     ///
     /// # Errors
     /// [`ViewError::File`].
@@ -147,14 +147,14 @@ impl Film {
 
 impl Drop for Film {
     fn drop(&mut self) {
-        // Nobody finished it: half a film is none.
+        // Not finished: an incomplete film is removed.
         if let Some(Kind::Apng(_) | Kind::Gif(_)) = self.kind.take() {
             let _ = std::fs::remove_file(self.partial());
         }
     }
 }
 
-/// Writes into an animated PNG how many frames it has.
+/// Writes the number of frames into an animated PNG.
 fn count_frames(file: &Path, frames: u32) -> std::io::Result<()> {
     let mut file = File::options().read(true).write(true).open(file)?;
     let mut head = vec![0; HEAD];

@@ -1,4 +1,4 @@
-//! Triangles as a graphics adapter wants them, and where they come from.
+//! Triangle meshes in the layout of the graphics adapter, built from the scene's components.
 
 use nalgebra::{Point3, Vector3};
 use trocar_scene::mesh::{SplitSurface, SurfaceData, TetData};
@@ -7,7 +7,7 @@ use trocar_scene::{LineMesh, SurfaceMesh, TetMesh, TextureCoordinates, VertexPos
 use crate::deform::DeformingSurface;
 use crate::tube::{Tube, TubeStyle};
 
-/// Edges of meshes sharper than this stay sharp \[rad\].
+/// Edges of a larger angle stay sharp \[rad\].
 const CREASE: f64 = 1.2;
 
 /// A surface to draw: one entry per vertex in the first three.
@@ -21,9 +21,9 @@ pub struct Geometry {
     pub uvs: Vec<[f32; 2]>,
     /// Corners, three per triangle, counter-clockwise seen from outside.
     pub indices: Vec<u32>,
-    /// The vertex of the entity that each one follows; empty for what is not divided as the entity's vertices are.
+    /// The entity's vertex for each drawn one; empty for a surface that is not made from the entity's vertices.
     pub sources: Vec<u32>,
-    /// Radius about the frame's origin that holds all of it \[m\].
+    /// Bounding radius about the frame's origin \[m\].
     pub radius: f32,
 }
 
@@ -63,8 +63,8 @@ pub enum Moving {
 }
 
 impl Moving {
-    /// From the components of a mesh: its triangles, or else the boundary of its volume. Those that name vertices which
-    /// do not exist are left out.
+    /// From the components of a mesh: its triangles, or else the boundary of its volume. Triangles with invalid
+    /// vertices are left out.
     pub fn mesh(
         surface: Option<&SurfaceMesh>,
         volume: Option<&TetMesh>,
@@ -101,7 +101,7 @@ impl Moving {
         (moving, geometry)
     }
 
-    /// Follows new positions; whether the triangles are others now. Too few positions change nothing.
+    /// Follows new positions; returns whether the triangles changed. Too few positions change nothing.
     pub fn follow(
         &mut self,
         line: Option<&LineMesh>,

@@ -1,4 +1,4 @@
-//! Several views in one picture.
+//! Layouts: stereo and tiled views in one picture.
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use trocar_scene::{Entity, Snapshot};
@@ -6,7 +6,7 @@ use trocar_scene::{Entity, Snapshot};
 use crate::draw_list::{Part, Stage};
 use crate::view::{Lens, View};
 
-/// Field of view of what is to look as if it were seen from infinitely far away \[rad\].
+/// Field of view of nearly parallel projections \[rad\].
 const NARROW: f64 = 0.1;
 
 /// A part of a picture, in shares of its width and height from the left and the top.
@@ -23,10 +23,10 @@ pub struct Pane {
 }
 
 impl Pane {
-    /// All of the picture.
+    /// The whole picture.
     pub const WHOLE: Self = Self { x: 0.0, y: 0.0, width: 1.0, height: 1.0 };
 
-    /// The part of `outer` that it is, when it is given in shares of that one.
+    /// The pane in shares of the picture, when it is given in shares of `outer`.
     pub fn within(&self, outer: &Self) -> Self {
         Self {
             x: outer.x + self.x * outer.width,
@@ -63,44 +63,44 @@ pub enum Layout {
     Tiles(Vec<Tile>),
 }
 
-/// Through what a tile is seen.
+/// The view of a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Sight {
-    /// The view that the whole picture is drawn through.
+    /// The view of the whole picture.
     #[default]
     Given,
-    /// A camera of the scene, wherever it goes. A tile whose camera is gone stays empty.
+    /// A camera of the scene, followed as it moves. A tile without its camera stays empty.
     Camera(Entity),
     /// A view of its own.
     Free(View),
 }
 
-/// One of several views. Its lens takes the shape of its pane.
+/// One of several views. Its lens takes the aspect ratio of its pane.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tile {
-    /// Which part of the picture it is.
+    /// Its part of the picture.
     pub pane: Pane,
-    /// Through what it is seen.
+    /// Its view.
     pub sight: Sight,
-    /// Where its own eye is in the frame of that view.
+    /// Pose of its eye in the frame of that view.
     pub view_from_eye: Isometry3<f64>,
-    /// One eye or two within the tile, or tiles again.
+    /// Layout within the tile: one eye, two, or tiles again.
     pub layout: Layout,
 }
 
 impl Tile {
-    /// Seen with one eye.
+    /// A tile of one eye.
     pub fn new(pane: Pane, sight: Sight) -> Self {
         Self { pane, sight, view_from_eye: Isometry3::identity(), layout: Layout::Mono }
     }
 }
 
-/// Two eyes.
+/// The stereo parameters.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stereo {
-    /// Between the eyes \[m\]; that of a stereo laparoscope is a few millimetres.
+    /// Distance of the eyes \[m\]; a few millimetres for a stereo laparoscope.
     pub interocular: f64,
-    /// Depth at which both eyes see the same \[m\].
+    /// Depth of zero parallax \[m\].
     pub convergence: f64,
 }
 
@@ -110,7 +110,7 @@ impl Default for Stereo {
     }
 }
 
-/// How two pictures become one, pixel by pixel.
+/// The combination of two pictures into one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weave {
     /// Each in its own pane.
@@ -121,21 +121,21 @@ pub enum Weave {
     Colors,
 }
 
-/// What is drawn into one pane.
+/// The drawing of one pane.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shot {
-    /// Which part of the picture it is.
+    /// Its part of the picture.
     pub pane: Pane,
-    /// From between the eyes.
+    /// The view from the midpoint of the eyes.
     pub centre: View,
     /// One eye, or the left and the right one.
     pub eyes: Vec<View>,
-    /// How two become one.
+    /// The combination of two pictures.
     pub weave: Weave,
 }
 
 impl Layout {
-    /// Tiles of one size, row by row from the upper left: as many columns as rows, or one more.
+    /// Tiles of equal size, row by row from the upper left: as many columns as rows, or one more.
     pub fn grid(sights: impl IntoIterator<Item = Sight>) -> Self {
         let sights: Vec<Sight> = sights.into_iter().collect();
         let columns = (1..=sights.len()).find(|columns| columns * columns >= sights.len()).unwrap_or(1);
@@ -148,7 +148,7 @@ impl Layout {
         Self::Tiles(sights.into_iter().enumerate().map(tile).collect())
     }
 
-    /// The same tiles, each with that layout; what is no tile stays as it is.
+    /// The same tiles, each with that layout; other layouts are unchanged.
     #[must_use]
     pub fn each(mut self, layout: &Self) -> Self {
         if let Self::Tiles(tiles) = &mut self {
@@ -157,8 +157,8 @@ impl Layout {
         self
     }
 
-    /// Four tiles, as technical drawings have them: the given view, and what it shows from above, from the front (along
-    /// +y) and from the right (along −x), nearly without perspective.
+    /// Four tiles, as in technical drawings: the given view, and the same scene from above, from the front (along +y)
+    /// and from the right (along −x), nearly without perspective.
     pub fn quad(stage: &Stage, view: &View) -> Self {
         let (centre, radius) = shown(stage, view);
         let distance = radius / (0.5 * NARROW).tan();
@@ -175,7 +175,7 @@ impl Layout {
         Self::grid([Sight::Given, from(z, y), from(-y, z), from(x, z)])
     }
 
-    /// What is drawn, in order. `size` is that of the picture \[pixels\].
+    /// The drawings of the panes, in order. `size` is that of the picture \[pixels\].
     pub fn shots(&self, scene: &Snapshot, view: &View, size: [u32; 2]) -> Vec<Shot> {
         let mut shots = Vec::new();
         self.collect(scene, view, Pane::WHOLE, size, &mut shots);
@@ -224,7 +224,7 @@ impl Layout {
     }
 }
 
-/// A ball around what a view shows: centre and radius \[m\]. Shafts reach far out of what is looked at.
+/// A bounding sphere of what a view shows: centre and radius \[m\]. Shafts are left out, since they extend far outside.
 fn shown(stage: &Stage, view: &View) -> (Point3<f64>, f64) {
     let things = || stage.items().iter().filter(|item| item.part != Part::Shaft);
     let ball = |item: &crate::draw_list::Item| {

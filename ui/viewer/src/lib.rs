@@ -1,14 +1,14 @@
-//! Views of a surgical scene.
+//! The viewer: renders surgical scenes, in windows and off-screen.
 //!
-//! A viewer reads [`Snapshot`](trocar_scene::Snapshot)s and nothing else: it never keeps the Model or a controller
-//! waiting, and any number of them may look at one scene. What there is to see goes one way:
+//! A viewer only reads [`Snapshot`](trocar_scene::Snapshot)s: it never blocks the Model or a controller, and any number
+//! of viewers can show one scene. Data flows one way:
 //!
 //! ```text
 //! Snapshot ─▶ Stage (drawables: geometry, pose, material; only what changed) ─▶ GPU copies ─▶ frames
 //!    Camera, Optics, HeadTracked ─▶ View ─▶ Layout (mono, stereo, tiles) ───────────────────▶ panes of a frame
 //! ```
 //!
-//! [`Renderer`] draws into textures; [`Eye`] is the headless one that gives pictures to programs.
+//! [`Renderer`] draws into textures; [`Eye`] is the headless viewer for programs.
 
 pub mod bench;
 pub mod colormap;

@@ -1,39 +1,39 @@
-//! The lights of a scene, and how bright the picture is to be.
+//! Lights of a scene, their shadow projections, and the exposure of the picture.
 
 use nalgebra::{Isometry3, Matrix4, Perspective3, Point3, Vector3};
 use trocar_scene::{Light, Snapshot};
 
 use crate::view::View;
 
-/// Lights that shine at once; more are left out, the weakest first.
+/// Most active lights; further ones are left out, the weakest first.
 pub const LIGHTS_MAX: usize = 8;
-/// Lights that throw shadows at once.
+/// Most lights with shadows.
 pub const SHADOWS_MAX: usize = 2;
-/// What a white surface in the middle of the view is exposed to, before the tone curve.
+/// Exposed brightness of a white surface in the middle of the view, before the tone curve.
 const KEY: f64 = 1.5;
 /// Softness of a cone's edge, as a share of its half angle.
 const SOFT_EDGE: f64 = 0.25;
-/// Range of depths that a shadow is thrown over \[m\].
+/// Near and far plane of a shadow projection \[m\].
 const SHADOW_NEAR: f64 = 0.01;
 const SHADOW_FAR: f64 = 1.5;
 
-/// A light, ready to shine.
+/// A light, resolved for rendering.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shining {
-    /// Where it is \[m\].
+    /// Position \[m\].
     pub position_in_world: Point3<f64>,
-    /// Along its axis, of unit length.
+    /// Axis, of unit length.
     pub direction_in_world: Vector3<f64>,
     /// Luminous intensity per channel \[cd\].
     pub candela: Vector3<f64>,
-    /// Cosines of the angles between which its edge fades: outer, inner.
+    /// Cosines of the outer and inner angle between which the cone's edge fades.
     pub cone: [f64; 2],
-    /// Layer of its shadow, and `clip_from_world` of it.
+    /// Layer of its shadow map, and that map's `clip_from_world`.
     pub shadow: Option<(usize, Matrix4<f64>)>,
 }
 
 impl Shining {
-    /// How much of it falls on a point, facing it \[lx\].
+    /// Illuminance of a surface at a point that faces the light \[lx\].
     fn illuminance(&self, point: &Point3<f64>) -> f64 {
         let to_point = point - self.position_in_world;
         let distance = to_point.norm().max(1e-4);
@@ -44,7 +44,7 @@ impl Shining {
     }
 }
 
-/// The lights of the scene, the strongest first. A scene without any is lit from beside the eye.
+/// The active lights of the scene, the strongest first. A scene without lights is lit from beside the eye.
 pub fn shining(scene: &Snapshot, view: &View) -> Vec<Shining> {
     let mut lights: Vec<Shining> = Vec::new();
     for (entity, light) in scene.iter::<Light>() {
@@ -56,7 +56,7 @@ pub fn shining(scene: &Snapshot, view: &View) -> Vec<Shining> {
             &Light { cone_angle: 1.2, shadows: false, ..Light::default() },
         ));
     }
-    // Stable: equal ones stay in the order of entities.
+    // Stable sort: equal lights stay in the order of entities.
     lights.sort_by(|a, b| b.candela.sum().total_cmp(&a.candela.sum()));
     lights.truncate(LIGHTS_MAX);
     let mut layer = 0;
@@ -85,7 +85,7 @@ fn shine(world_from_light: &Isometry3<f64>, light: &Light) -> Shining {
     }
 }
 
-/// From a point of the world to the light's own picture: depth 0 to 1, x and y from −1 to 1.
+/// The light's shadow projection from world to clip space: depth 0 to 1, x and y from −1 to 1.
 fn shadow_clip_from_world(world_from_light: &Isometry3<f64>, half_angle: f64) -> Matrix4<f64> {
     let perspective = Perspective3::new(1.0, 2.0 * half_angle, SHADOW_NEAR, SHADOW_FAR);
     // nalgebra looks along −z and gives depths from −1 to 1.
@@ -95,8 +95,8 @@ fn shadow_clip_from_world(world_from_light: &Isometry3<f64>, half_angle: f64) ->
     half_depth * perspective.to_homogeneous() * turned * world_from_light.inverse().to_homogeneous()
 }
 
-/// What light is multiplied with, as the gain of a laparoscope's camera does: a white surface at `focus` that faces the
-/// lights comes out bright, whatever their strength.
+/// The exposure factor, like the automatic gain of a laparoscope's camera: a white surface at `focus` that faces the
+/// lights appears bright, whatever their strength.
 pub fn exposure(lights: &[Shining], focus: &Point3<f64>) -> f64 {
     let illuminance: f64 = lights.iter().map(|light| light.illuminance(focus)).sum();
     KEY * std::f64::consts::PI / illuminance.max(1e-3)

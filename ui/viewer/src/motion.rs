@@ -1,10 +1,10 @@
-//! What moves at 10 to 20 Hz is shown as if it moved all the time.
+//! Snapshot interpolation: bodies that a simulator moves at 10 to 20 Hz are shown in smooth motion.
 //!
-//! A simulator that takes 60 ms for a step gives a body a new place every 60 ms; shown at 60 frames a second it would
-//! jump in every fourth. So it is shown one step late, on the way between the two places that are known: snapshot
-//! interpolation, as networked games do it (Bernier, "Latency compensating methods in client/server in-game protocol
-//! design and optimization", 2001), with a delay of its own for every body. Nothing is guessed, so nothing overshoots.
-//! What changes at least as often as it is shown is shown as it is, without delay.
+//! A simulator with a step of 60 ms moves a body every 60 ms; at 60 frames a second the body would jump in every fourth
+//! frame. So it is shown one step late, interpolated between two known positions: snapshot interpolation, as in
+//! networked games (Bernier, "Latency compensating methods in client/server in-game protocol design and optimization",
+//! 2001), with a separate delay for every body. Nothing is extrapolated, so nothing overshoots. A body that changes at
+//! least once per frame is shown without delay.
 
 mod track;
 
@@ -15,16 +15,16 @@ use trocar_scene::{Entity, JawState, Parent, Particles, Pose, Revision, SimTime,
 
 use track::{Blend, Track};
 
-/// What a frame takes until it has been measured \[s\].
+/// Assumed frame time until it is measured \[s\].
 const FRAME_SECS: f64 = 1.0 / 60.0;
-/// A pause between frames that says nothing of their rate \[s\].
+/// A longer gap between frames does not count as a frame time \[s\].
 const PAUSE_SECS: f64 = 0.25;
-/// After so long nothing is known of how something moved \[s\].
+/// Motion data older than this is discarded \[s\].
 const FORGET_SECS: f64 = 10.0;
 
-/// What is between the snapshots that a viewer gets. One for each viewer: every snapshot that [`Motion::at`] gives has to
-/// be followed ([`Renderer::update`](crate::Renderer::update), [`Stage::update`](crate::draw_list::Stage::update)) before the
-/// next one is asked for.
+/// Interpolates between the snapshots of a viewer; one instance for each viewer. Every snapshot from [`Motion::at`]
+/// must be followed ([`Renderer::update`](crate::Renderer::update), [`Stage::update`](crate::draw_list::Stage::update))
+/// before the next one is asked for.
 #[derive(Default)]
 pub struct Motion {
     latest: Option<Snapshot>,
@@ -37,13 +37,13 @@ pub struct Motion {
     frame_secs: Option<f64>,
     number: u64,
     moving: bool,
-    /// Whether something has come since the last frame.
+    /// Whether a snapshot has arrived since the last frame.
     news: bool,
     /// Whether there was a reason to draw the last frame.
     active: bool,
 }
 
-/// All that moves of one kind.
+/// The tracks of one kind of component.
 struct Tracks<T>(BTreeMap<Entity, Track<T>>);
 
 impl<T> Default for Tracks<T> {
@@ -53,14 +53,14 @@ impl<T> Default for Tracks<T> {
 }
 
 impl Motion {
-    /// Of nothing yet.
+    /// Without any snapshot.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes a snapshot that came at `now`. The clock may be any that is also used for [`Motion::at`]: that of the
-    /// display, or that of the session when a film is made. Snapshots may come at any rate; the same one again is no news.
-    /// When time has gone back (a reset, a replay that was wound back), everything begins anew.
+    /// Takes a snapshot that arrived at `now`. The clock may be any that is also used for [`Motion::at`]: that of the
+    /// display, or that of the session for a film. Snapshots may arrive at any rate; a repeated one changes nothing. If
+    /// time has gone back (a reset, a rewound replay), everything restarts.
     pub fn feed(&mut self, scene: &Snapshot, now: SimTime) {
         let now = now.as_secs_f64();
         let before = self.latest.take().filter(|before| {
@@ -79,7 +79,7 @@ impl Motion {
             self.jaws.feed(&before, scene, since, now);
             self.vertices.feed(&before, scene, since, now);
             self.particles.feed(&before, scene, since, now);
-            // A pose below another parent has nothing to do with the one before.
+            // A pose relative to a new parent cannot be interpolated with the old one.
             for (entity, _) in scene.iter_changed::<Parent>(since) {
                 if before.get::<Parent>(entity) != scene.get::<Parent>(entity) {
                     self.poses.0.remove(&entity);
@@ -89,10 +89,10 @@ impl Motion {
         self.latest = Some(scene.clone());
     }
 
-    /// The scene as it is to be shown at `now`; `None` before anything has come. While nothing moves, the same again.
+    /// The interpolated scene at `now`; `None` before the first snapshot. While nothing moves, the same snapshot again.
     pub fn at(&mut self, now: SimTime) -> Option<Snapshot> {
         let now = now.as_secs_f64();
-        // Whoever draws only when there is something new does not draw more slowly for it.
+        // A viewer that draws only on changes must not measure its idle time as frame time.
         let active = std::mem::take(&mut self.news) || self.moving;
         let was_active = std::mem::replace(&mut self.active, active);
         if let Some(before) = self.shown_at
@@ -121,13 +121,13 @@ impl Motion {
         Some(scene)
     }
 
-    /// Whether something was on its way in what [`Motion::at`] gave last: then the next frame shows something else, also
-    /// when no news comes.
+    /// Whether the last snapshot of [`Motion::at`] had interpolated motion: then the next frame differs, even without a
+    /// new snapshot.
     pub fn is_moving(&self) -> bool {
         self.moving
     }
 
-    /// How long what is shown of an entity's pose lags behind what is known \[s\].
+    /// Delay of an entity's displayed pose behind the latest one \[s\].
     pub fn delay_secs(&self, entity: Entity) -> f64 {
         self.poses.0.get(&entity).map_or(0.0, Track::delay_secs)
     }
@@ -144,13 +144,13 @@ impl Motion {
 impl<T: Component + Blend> Tracks<T> {
     fn feed(&mut self, before: &Snapshot, scene: &Snapshot, since: Revision, now: f64) {
         for (entity, value) in scene.iter_changed::<T>(since) {
-            // What has just come into being has not come from anywhere.
+            // A new entity has no previous position.
             let Some(last) = before.get::<T>(entity) else { continue };
             self.0.entry(entity).or_insert_with(|| Track::new(last.clone())).push(value.clone(), now);
         }
     }
 
-    /// Values that are shown in the place of those in the scene.
+    /// Interpolated values that replace those in the scene.
     fn at(&mut self, scene: &Snapshot, now: f64, frame_secs: f64) -> Vec<(Entity, T)> {
         self.0
             .retain(|entity, track| scene.get::<T>(*entity).is_some() && !track.has_rested(now, FORGET_SECS));

@@ -1,8 +1,8 @@
-//! Off-axis views: an eye looks through a pane that stays where it is while the eye moves.
+//! Off-axis views: an eye looks through a fixed pane and may move.
 //!
-//! The pane may be a real screen and the eye that of a tracked head: what is drawn then lies behind (or in front of) the
-//! screen as if the screen were a window (Ware, Arthur, Booth, "Fish tank virtual reality", CHI 1993; the projection as in
-//! Kooima, "Generalized perspective projection", 2009).
+//! The pane may be a real screen and the eye that of a tracked head: the scene then lies behind (or in front of) the
+//! screen as if the screen were a window (Ware, Arthur, Booth, "Fish tank virtual reality", CHI 1993; the projection as
+//! in Kooima, "Generalized perspective projection", 2009).
 
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use trocar_scene::{Camera, Entity, HeadTracked, Pose, Snapshot};
@@ -12,17 +12,17 @@ use crate::view::{Lens, View};
 /// The two eyes of a head in front of a screen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Eyes {
-    /// From between the eyes to the right one, in the frame of the view \[m\].
+    /// From the midpoint of the eyes to the right eye, in the frame of the view \[m\].
     pub to_right: Vector3<f64>,
-    /// Depth of the screen as seen from between the eyes \[m\].
+    /// Depth of the screen from the midpoint of the eyes \[m\].
     pub screen: f64,
 }
 
 impl View {
-    /// Through a screen of this width and height \[m\], whose frame has its origin in the middle, x to the right, y down and
-    /// z into it: the corners of the screen are those of the picture, wherever the eye is. An eye that is nearer to the
-    /// screen than `near`, or behind it, is taken to be that far in front. `near` and `far` are depths from the eye, along
-    /// the screen's z \[m\].
+    /// The view through a screen of this width and height \[m\], whose frame has its origin in the middle, x to the
+    /// right, y down and z into it: the corners of the screen are those of the picture, wherever the eye is. An eye
+    /// nearer to the screen than `near`, or behind it, is moved to that distance in front. `near` and `far` are depths
+    /// from the eye, along the screen's z \[m\].
     pub fn through_screen(
         world_from_screen: &Isometry3<f64>,
         [width, height]: [f64; 2],
@@ -42,8 +42,9 @@ impl View {
         Self::new(world_from_screen * Translation3::new(x, y, -distance), lens)
     }
 
-    /// From between the eyes of a head in front of a screen, as [`Self::through_screen`]; [`Self::stereo`] is then that of
-    /// these eyes, `interocular` \[m\] apart. The head's frame has x towards the right eye.
+    /// The view from the midpoint of the eyes of a head in front of a screen, as [`Self::through_screen`];
+    /// [`Self::stereo`] then gives these eyes, `interocular` \[m\] apart. In the head's frame x points to the right
+    /// eye.
     pub fn of_head(
         world_from_screen: &Isometry3<f64>,
         size: [f64; 2],
@@ -58,8 +59,8 @@ impl View {
         view
     }
 
-    /// Through a camera of the scene that is a screen; `aspect` changes the screen's width. While there is no head, the
-    /// eye is in front of the middle of the screen, as far away as the camera's field of view says.
+    /// The view through a camera of the scene that is a screen; `aspect` changes the screen's width. Without a tracked
+    /// head, the eye is in front of the middle of the screen, at the distance of the camera's field of view.
     pub(crate) fn of_tracked(
         scene: &Snapshot,
         screen: Entity,
@@ -83,9 +84,10 @@ impl View {
         Self::of_head(&world_from_screen, [width, height], &screen_from_head, interocular, depths)
     }
 
-    /// From an eye that is off this one by so much in its frame; what lies at `depth` \[m\] keeps its place in the picture.
+    /// The view of an eye displaced by an offset in this eye's frame; points at `depth` \[m\] keep their place in the
+    /// picture.
     pub fn aside(&self, offset_in_eye: &Vector3<f64>, depth: f64) -> Self {
-        // Never up to the pane itself.
+        // Never as close as the pane itself.
         let distance = (depth - offset_in_eye.z).max(self.lens.near.min(depth));
         let half_height = (0.5 * self.lens.field_of_view).tan() * depth;
         let half_width = half_height * self.lens.aspect;
@@ -98,7 +100,7 @@ impl View {
         eye
     }
 
-    /// Widens or narrows the picture about the line of sight: what is seen keeps its height.
+    /// Widens or narrows the picture about the line of sight: its height keeps its content.
     pub fn set_aspect(&mut self, aspect: f64) {
         self.lens.shift[0] *= self.lens.aspect / aspect;
         self.lens.aspect = aspect;
@@ -112,7 +114,7 @@ mod tests {
     use super::*;
 
     const SIZE: [f64; 2] = [0.5, 0.3];
-    /// Where an eye may be: left, right, above, below, near and far.
+    /// Positions of an eye: left, right, above, below, near and far.
     const EYES: [[f64; 3]; 6] = [
         [0.0, 0.0, -0.6],
         [0.2, 0.0, -0.6],
@@ -158,7 +160,7 @@ mod tests {
         for depth_in_screen in [-0.03, 0.0, 0.05, 0.4] {
             let point = Point3::new(0.02, -0.03, depth_in_screen);
             for eye in EYES.into_iter().filter(|eye| eye[2] < depth_in_screen - 0.01) {
-                // Similar triangles: where the line from the eye to the point passes the screen.
+                // Similar triangles: where the line from the eye to the point intersects the screen.
                 let share = -eye[2] / (point.z - eye[2]);
                 let on_screen = [0, 1].map(|axis| eye[axis] + (point[axis] - eye[axis]) * share);
                 let expected = [0, 1].map(|axis| 0.5 + on_screen[axis] / SIZE[axis]);
@@ -221,7 +223,7 @@ mod tests {
             UnitQuaternion::from_euler_angles(0.1, 0.7, -0.3),
         );
         let view = View::of_head(&somewhere(), SIZE, &head, 0.063, [0.01, 5.0]);
-        // What is asked for does not matter: the eyes are where they are.
+        // The arguments do not matter: the eyes are given.
         let eyes = view.stereo(1.0, 7.0);
         for (side, eye) in [-1.0, 1.0].into_iter().zip(eyes) {
             let eye_in_screen = head * Point3::new(side * 0.0315, 0.0, 0.0);
@@ -246,7 +248,7 @@ mod tests {
             }
         }
         let face_on = Isometry3::translation(0.0, 0.0, -0.011);
-        // One eye of a head that looks along the screen would be behind it.
+        // For a head that looks along the screen one eye would be behind it.
         let along = face_on * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), -1.57);
         for eye in View::of_head(&somewhere(), SIZE, &along, 0.063, [0.01, 5.0]).stereo(0.0, 0.1) {
             for (at, corner) in corners() {

@@ -1,4 +1,4 @@
-//! Pictures for programs, without a window.
+//! Off-screen rendering for programs, without a window.
 
 use std::path::PathBuf;
 
@@ -12,13 +12,13 @@ use crate::quality::Quality;
 use crate::renderer::Renderer;
 use crate::view::View;
 
-/// A headless viewer: gives pictures, depths and segmentations of snapshots.
+/// A headless viewer: renders pictures, depths and segmentations of snapshots.
 pub struct Eye {
     gpu: Gpu,
     renderer: Renderer,
     target: Option<wgpu::Texture>,
     folder: Option<PathBuf>,
-    /// With how much care pictures are drawn.
+    /// Quality of the pictures.
     pub quality: Quality,
 }
 
@@ -33,7 +33,7 @@ impl Eye {
         Ok(Self { gpu, renderer, target: None, folder, quality: Quality::FINE })
     }
 
-    /// Begins again on any adapter that there is now, after a device was lost. On an error everything stays as it was.
+    /// Starts again on any available adapter after a device was lost. On an error everything stays unchanged.
     ///
     /// # Errors
     /// [`ViewError::NoAdapter`], [`ViewError::Refused`].
@@ -44,22 +44,22 @@ impl Eye {
         Ok(())
     }
 
-    /// What draws.
+    /// The device.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu
     }
 
-    /// What lies on it.
+    /// The renderer.
     pub fn renderer(&self) -> &Renderer {
         &self.renderer
     }
 
-    /// What lies on it, with what is shown over scenes.
+    /// The renderer, to change its overlays.
     pub fn renderer_mut(&mut self) -> &mut Renderer {
         &mut self.renderer
     }
 
-    /// The scene through a view.
+    /// A picture of the scene through a view.
     ///
     /// # Errors
     /// [`ViewError::Size`], [`ViewError::DeviceLost`].
@@ -82,7 +82,7 @@ impl Eye {
         Ok(Picture { width: size[0], height: size[1], color: bytes.as_chunks().0.to_vec() })
     }
 
-    /// How far away what is, and what it is, through an undistorted view.
+    /// Depths and entities of the scene, through an undistorted view.
     ///
     /// # Errors
     /// [`ViewError::Size`], [`ViewError::DeviceLost`].

@@ -1,16 +1,16 @@
-//! How much care a frame gets, so that frames come in time, and how long to rest between them, so that drawing never takes
-//! the processor from whoever holds the hands.
+//! Frame pacing: chooses the quality and resolution that keep the frame rate, and the rest between frames, so that
+//! drawing never takes processor time from the haptic threads.
 //!
-//! Without clocks: a [`Pacer`] is told how long frames took, and says how to draw the next one.
+//! It reads no clock: a [`Pacer`] is given frame times and returns how to draw the next frame.
 
 use crate::quality::Quality;
 
-/// How a frame is drawn.
+/// Quality and resolution of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pace {
-    /// With how much care.
+    /// Its quality.
     pub quality: Quality,
-    /// Width and height that are drawn, as a share of those that are shown.
+    /// Rendered resolution, as a share of the displayed one, per axis.
     pub scale: f64,
 }
 
@@ -18,7 +18,7 @@ const fn pace(quality: Quality, scale: f64) -> Pace {
     Pace { quality, scale }
 }
 
-/// From the best to the cheapest, each clearly cheaper than the one before.
+/// The steps from the best to the cheapest, each clearly cheaper than the one before.
 pub const LADDER: [Pace; 8] = [
     pace(Quality::FINE, 1.0),
     pace(Quality::FULL, 1.0),
@@ -30,24 +30,24 @@ pub const LADDER: [Pace; 8] = [
     pace(Quality::PLAIN, 0.5),
 ];
 
-/// Frames whose median counts: what one of them took tells of a pipeline that was made, or of another process.
+/// Frames over which the median is taken: a single frame may include a pipeline compilation, or another process.
 const WINDOW: usize = 5;
-/// A step may take this share of the period before it is left for a cheaper one.
+/// A step that takes more than this share of the period is too slow.
 const TOO_SLOW: f64 = 1.1;
-/// A better step is tried when it should take no more than this share of the period.
+/// A better step is tried when its expected time is at most this share of the period.
 const ROOM: f64 = 0.9;
-/// What more care for the same pixels is taken to cost, as long as nobody has tried: for smooth edges, and else.
+/// Assumed cost factor of more quality at the same resolution, until it is measured: for multisampling, and otherwise.
 const GUESS_FINE: f64 = 3.0;
 const GUESS: f64 = 1.5;
-/// Frames in time before a better step is tried; doubled whenever that was wrong, halved when it was right.
+/// Frames in time before a better step is tried; doubled after a failed attempt, halved after a successful one.
 const PATIENCE: u32 = 60;
-/// Most frames that are waited.
+/// Most frames to wait.
 const PATIENCE_MAX: u32 = 60 * 64;
-/// Frames at a step that was tried after which it was right to try.
+/// Frames at a tried step after which the attempt counts as successful.
 const PROVEN: u32 = 240;
 
-/// Chooses a step of the [`LADDER`]. It goes down as soon as frames come late, and up only when there is room, ever more
-/// reluctantly when that has been wrong before: so it does not swing between two steps of which one is too good.
+/// Chooses a step of the [`LADDER`]. It goes down as soon as frames are late, and up only when there is room, more
+/// reluctantly after failed attempts, so that it does not oscillate between two steps.
 #[derive(Clone, Debug)]
 pub struct Pacer {
     period: f64,
@@ -57,17 +57,17 @@ pub struct Pacer {
     /// The last frames at this step \[s\].
     times: [f64; WINDOW],
     count: usize,
-    /// What each step took when it was last drawn \[s\].
+    /// The last measured frame time of each step \[s\].
     known: [Option<f64>; LADDER.len()],
     in_time: u32,
     patience: u32,
-    /// Frames since a better step was taken, until it has proven right.
+    /// Frames since a better step was tried, until it has proven right.
     trying: Option<u32>,
 }
 
 impl Pacer {
-    /// For so many frames a second. `load_max` is the share of time that may pass drawing, in (0, 1]: 1 where a graphics
-    /// card draws; where the processor draws, hands need some of it. Values outside are brought into their ranges.
+    /// A pacer for so many frames a second. `load_max` is the share of time that drawing may take, in (0, 1]: 1 with a
+    /// graphics card; less with a software rasteriser, since haptics needs the processor. Values outside are clamped.
     pub fn new(frames_per_second: f64, load_max: f64) -> Self {
         let rate = if frames_per_second.is_finite() { frames_per_second.clamp(1.0, 1_000.0) } else { 60.0 };
         let load_max = if load_max.is_finite() { load_max.clamp(0.05, 1.0) } else { 1.0 };
@@ -85,7 +85,7 @@ impl Pacer {
         }
     }
 
-    /// With no more care than this, however much time there is.
+    /// Limits the quality, however much time there is.
     #[must_use]
     pub fn at_best(mut self, quality: Quality) -> Self {
         self.best = LADDER.iter().position(|pace| pace.quality == quality).unwrap_or(0);
@@ -93,12 +93,12 @@ impl Pacer {
         self
     }
 
-    /// How to draw the next frame.
+    /// Quality and resolution of the next frame.
     pub fn pace(&self) -> Pace {
         LADDER[self.step]
     }
 
-    /// Takes how long the last frame took to draw, waiting left out \[s\]; how to draw the next one.
+    /// Takes the drawing time of the last frame, without waits \[s\]; returns how to draw the next one.
     pub fn drawn(&mut self, secs: f64) -> Pace {
         if !secs.is_finite() || secs < 0.0 {
             return self.pace();
@@ -136,8 +136,8 @@ impl Pacer {
         self.pace()
     }
 
-    /// How long to rest after a frame that took so long \[s\]: until the next one is due, and never so short that drawing
-    /// takes more than its share. Where not even the cheapest step is in time, the frame rate gives way.
+    /// The rest after a frame of that duration \[s\]: until the next frame is due, and long enough that drawing keeps
+    /// within its share. If even the cheapest step is too slow, the frame rate drops.
     pub fn rest(&self, secs: f64) -> f64 {
         let secs = if secs.is_finite() { secs.max(0.0) } else { 0.0 };
         (self.period - secs).max(secs * (1.0 / self.load_max - 1.0))
@@ -153,8 +153,8 @@ impl Pacer {
         sorted[WINDOW / 2]
     }
 
-    /// Whether the step before this one should be in time. What it took long ago may no longer hold, so it is believed only
-    /// as far as the present step still takes what it took then.
+    /// Whether the next better step should be in time. An old measurement is trusted only as far as the present step
+    /// still takes its old time.
     fn has_room(&self, typical: f64, budget: f64) -> bool {
         let (now, better) = (LADDER[self.step], LADDER[self.step - 1]);
         let guess = typical
@@ -164,7 +164,7 @@ impl Pacer {
                 _ => GUESS,
             };
         let expected = match self.known[self.step - 1] {
-            // Nobody knows whether that still holds: once in a while it is tried all the same.
+            // An old measurement may be outdated: it is retried once in a while.
             Some(known) if self.in_time < 4 * self.patience => known.min(2.0 * guess),
             _ => guess,
         };
@@ -176,7 +176,7 @@ impl Pacer {
 mod tests {
     use super::*;
 
-    /// What a frame takes \[s\]: the same for every frame, and for every pixel by how it is shaded.
+    /// The cost of a frame \[s\]: a constant, and per pixel by its shading.
     #[derive(Clone, Copy)]
     struct Costs {
         fixed: f64,
@@ -196,7 +196,7 @@ mod tests {
         }
     }
 
-    /// A rasteriser in software, 800 × 600.
+    /// A software rasteriser at 800 × 600.
     const SOFTWARE: Costs = Costs { fixed: 0.002, fine: 0.120, full: 0.026, plain: 0.010 };
 
     /// Noise of ±`share`, the same in every run.
@@ -205,7 +205,7 @@ mod tests {
         1.0 + share * (2.0 * ((*seed >> 33) as f64 / f64::from(1_u32 << 31)) - 1.0)
     }
 
-    /// Draws frames; how often the step changed.
+    /// Draws frames; returns how often the step changed.
     fn draw(pacer: &mut Pacer, costs: &Costs, frames: usize, share: f64) -> usize {
         let (mut seed, mut changes) = (7, 0);
         for _ in 0..frames {
@@ -224,7 +224,7 @@ mod tests {
             let in_time = |pace: &Pace| SOFTWARE.of(pace) * rate <= TOO_SLOW;
             let first = LADDER.iter().position(in_time).unwrap_or(LADDER.len() - 1);
             let found = LADDER.iter().position(|pace| *pace == pacer.pace()).unwrap();
-            // The next cheaper one will do where the best has no room to spare.
+            // The next cheaper step is acceptable where the best has no room to spare.
             assert!((first..=first + 1).contains(&found), "{rate} Hz: {found}, not {first}");
         }
     }

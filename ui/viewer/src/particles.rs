@@ -1,4 +1,4 @@
-//! Smoke and fluids of a scene, as they are sent to the device: only what changed since the last snapshot is looked at.
+//! Smoke and fluids of a scene, packed for the device; only changes since the last snapshot are processed.
 
 use bytemuck::{Pod, Zeroable};
 use nalgebra::{Isometry3, Point3, Vector3};
@@ -7,12 +7,12 @@ use trocar_scene::{Entity, ParticleKind, Particles, Revision, Snapshot};
 use crate::texture::noise::Mixer;
 use crate::view::View;
 
-/// Particles of a scene that are drawn at once; entities that do not fit are left out, the last ones first.
+/// Most particles drawn; entities that do not fit are left out, the last ones first.
 pub const DRAWN_MAX: usize = 4 * trocar_scene::PARTICLES_MAX;
-/// Room that an entity gets at least \[particles\].
+/// Least capacity for an entity \[particles\].
 const ROOM_MIN: usize = 64;
 
-/// A particle, as shaders read it.
+/// A particle, in the layout of the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct Particle {
@@ -20,36 +20,36 @@ pub struct Particle {
     pub position: [f32; 3],
     /// \[m\].
     pub radius: f32,
-    /// Where it is densest \[1/m\].
+    /// Peak extinction coefficient \[1/m\].
     pub extinction: f32,
-    /// A number in \[0, 1) of its own: no two puffs look the same.
+    /// A random number in \[0, 1), so that no two puffs look the same.
     pub turn: f32,
-    /// Place of its entity in the list.
+    /// Index of its entity in the list.
     pub cloud: u32,
-    /// Nothing.
+    /// Padding.
     pub unused: u32,
 }
 
 /// The particles of one entity.
 #[derive(Clone, Debug)]
 pub struct Cloud {
-    /// Whose they are.
+    /// Their entity.
     pub entity: Entity,
-    /// What they are parts of.
+    /// Their kind.
     pub kind: ParticleKind,
     /// Pose of the entity in world.
     pub world_from_cloud: Isometry3<f64>,
     /// Linear RGB.
     pub color: [f32; 3],
-    /// Place of the first in the list of all particles.
+    /// Index of the first in the list of all particles.
     pub first: usize,
-    /// How many.
+    /// Their number.
     pub count: usize,
     /// Radius of the largest \[m\].
     pub radius: f64,
-    /// A ball around all of them in the entity's frame: its middle, and its radius \[m\].
+    /// A bounding sphere in the entity's frame: its centre, and its radius \[m\].
     pub ball: (Point3<f64>, f64),
-    /// Whether its particles have to be sent.
+    /// Whether its particles have to be uploaded.
     pub changed: bool,
     room: usize,
     revision: Option<Revision>,
@@ -59,23 +59,23 @@ pub struct Cloud {
 #[derive(Default)]
 pub struct Swarm {
     clouds: Vec<Cloud>,
-    /// Every entity has room for a few more than it has.
+    /// Every entity has some spare capacity.
     particles: Vec<Particle>,
     seen: Option<(Revision, u64)>,
 }
 
 impl Swarm {
-    /// The entities that have some, in order.
+    /// The entities with particles, in order.
     pub fn clouds(&self) -> &[Cloud] {
         &self.clouds
     }
 
-    /// The particles of all of them, with gaps.
+    /// The particles of all entities, with gaps.
     pub fn particles(&self) -> &[Particle] {
         &self.particles
     }
 
-    /// Whether there is any of that kind.
+    /// Whether the scene has particles of that kind.
     pub fn has(&self, kind: ParticleKind) -> bool {
         self.clouds.iter().any(|cloud| cloud.kind == kind && cloud.count > 0)
     }
@@ -86,7 +86,7 @@ impl Swarm {
         fluids.map(|cloud| cloud.radius).fold(0.0, f64::max)
     }
 
-    /// Follows the scene to this snapshot; `false` when nothing had changed. What has to be sent is marked.
+    /// Follows the scene to this snapshot; `false` when nothing has changed. Changed clouds are marked for upload.
     pub fn update(&mut self, scene: &Snapshot) -> bool {
         let now = (scene.revision(), scene.retouches());
         if self.seen == Some(now) {
@@ -117,13 +117,13 @@ impl Swarm {
         true
     }
 
-    /// Gives every entity a place in the list anew.
+    /// Reassigns the ranges of all entities in the list.
     fn lay_out(&mut self, scene: &Snapshot) {
         self.clouds.clear();
         self.particles.clear();
         for (entity, row) in scene.iter::<Particles>() {
             let (first, needed) = (self.particles.len(), row.positions.len());
-            // A list that has grown will grow.
+            // A cloud that has grown will probably grow again.
             let room = if first + needed > DRAWN_MAX { 0 } else { needed.next_power_of_two().max(ROOM_MIN) };
             self.particles.resize((first + room).min(DRAWN_MAX), Particle::default());
             self.clouds.push(Cloud {
@@ -169,7 +169,7 @@ impl Swarm {
         }
     }
 
-    /// The puffs of smoke that are before an eye, from back to front.
+    /// The puffs of smoke in front of an eye, from back to front.
     pub fn sorted(&self, view: &View, keys: &mut Vec<(f32, u32)>, order: &mut Vec<u32>) {
         keys.clear();
         order.clear();
@@ -190,7 +190,7 @@ impl Swarm {
         order.extend(keys.iter().map(|(_, index)| *index));
     }
 
-    /// All drops of fluids.
+    /// All drops of the fluids.
     pub fn drops(&self, order: &mut Vec<u32>) {
         order.clear();
         for cloud in self.clouds.iter().filter(|cloud| cloud.kind == ParticleKind::Fluid) {
@@ -198,8 +198,8 @@ impl Swarm {
         }
     }
 
-    /// The part of a pane that fluids may be seen in \[pixels of the pane\]: left, top, width, height; `None` when there
-    /// is none.
+    /// The part of a pane in which fluids may be visible \[pixels of the pane\]: left, top, width, height; `None` when
+    /// there is none.
     pub fn fluid_bounds(&self, view: &View, [width, height]: [u32; 2]) -> Option<[u32; 4]> {
         let (mut low, mut high) = ([1.0_f64; 2], [0.0_f64; 2]);
         let eye_from_world = view.world_from_eye.inverse();
@@ -212,7 +212,7 @@ impl Swarm {
             if centre.z - radius < view.lens.near {
                 return Some([0, 0, width, height]);
             }
-            // The corners of a box around the ball surround its picture.
+            // The corners of a box around the sphere bound its projection.
             for corner in 0..8_u32 {
                 let side = |bit: u32| if corner >> bit & 1 == 0 { -radius } else { radius };
                 let at = centre + Vector3::new(side(0), side(1), side(2));

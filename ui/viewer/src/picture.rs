@@ -6,7 +6,7 @@ use trocar_scene::Entity;
 
 use crate::error::ViewError;
 
-/// What an eye saw.
+/// A colour picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
     /// Pixels per row.
@@ -17,18 +17,18 @@ pub struct Picture {
     pub color: Vec<[u8; 4]>,
 }
 
-/// How far away what is, and what it is.
+/// Depths and entities of a view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Probe {
     /// Pixels per row.
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Depth along the line of sight \[m\], row by row from the top; infinite where nothing is.
+    /// Depth along the line of sight \[m\], row by row from the top; infinite for the background.
     pub depth: Vec<f32>,
-    /// Per pixel: what is seen, as a place in `entities` plus one; 0 where nothing is.
+    /// Per pixel: the index of the entity in `entities` plus one; 0 for the background.
     pub numbers: Vec<u32>,
-    /// Who is who.
+    /// The entities of the numbers.
     pub entities: Vec<Entity>,
 }
 
@@ -39,7 +39,7 @@ impl Picture {
         inside.then(|| self.color[(y * self.width + x) as usize])
     }
 
-    /// Writes a PNG file, whole or not at all.
+    /// Writes a PNG file, completely or not at all.
     ///
     /// # Errors
     /// [`ViewError::File`].
@@ -66,7 +66,7 @@ impl Picture {
 }
 
 impl Probe {
-    /// Who is seen at a pixel.
+    /// The entity at a pixel.
     pub fn entity(&self, x: u32, y: u32) -> Option<Entity> {
         let inside = x < self.width && y < self.height;
         let number = inside.then(|| self.numbers[(y * self.width + x) as usize])?;

@@ -1,16 +1,16 @@
-//! Drawing steps back behind whoever holds the hands.
+//! Lowers the priority of drawing below that of haptics.
 //!
-//! A rasteriser in software takes every core that it gets. Its threads are made by the graphics driver, and inherit the
-//! priority of the thread that asks for the device: so that is done by one that has stepped back.
+//! A software rasteriser takes every core that it gets. The graphics driver creates its threads, which inherit the
+//! priority of the thread that creates the device: so a thread of lowered priority creates it.
 
 use std::panic::resume_unwind;
 use std::thread;
 
-/// Steps that drawing is nicer than the rest of the process.
+/// Increase of the nice value of drawing threads.
 pub const NICER: i32 = 10;
 
-/// Does `work` on a thread of its own that has stepped back; threads that it starts stay behind as well. Where the system
-/// has no such thing, the work is done all the same.
+/// Runs `work` on its own thread of lowered priority, which its child threads inherit. Where the system does not
+/// support this, the work still runs.
 pub fn stepped_back<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     thread::scope(|scope| {
         let worker = scope.spawn(move || {
@@ -21,11 +21,11 @@ pub fn stepped_back<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     })
 }
 
-/// The calling thread steps back for good, and with it the threads that it starts from now on.
+/// Lowers the priority of the calling thread permanently, and of threads that it starts later.
 pub fn step_back() {
     #[cfg(target_os = "linux")]
     {
-        // On Linux a process of number 0 is the calling thread alone.
+        // On Linux process number 0 is the calling thread alone.
         let now = rustix::process::getpriority_process(None).unwrap_or(0);
         if let Err(error) = rustix::process::setpriority_process(None, (now + NICER).min(19)) {
             tracing::debug!("drawing keeps its priority: {error}");

@@ -1,4 +1,4 @@
-//! From where a scene is looked at, and through which lens.
+//! Views of a scene: camera poses, lenses and stereo.
 
 use nalgebra::{Isometry3, Matrix4, Point3, Translation3, UnitQuaternion, Vector3};
 use trocar_scene::{Camera, Entity, HeadTracked, Optics, Snapshot};
@@ -6,7 +6,7 @@ use trocar_scene::{Camera, Entity, HeadTracked, Optics, Snapshot};
 use crate::error::ViewError;
 use crate::off_axis::Eyes;
 
-/// A pinhole camera. Its frame has z along the line of sight, x to the right and y *down* in the picture, as that of
+/// A pinhole camera. In its frame z is along the line of sight, x to the right and y *down* in the picture, as for
 /// [`Camera`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Lens {
@@ -74,7 +74,7 @@ pub struct View {
     pub distortion: f64,
     /// Loss of light at the corner in \[0, 1\].
     pub vignette: f64,
-    /// Where the two eyes of a tracked head are, if it is one that looks.
+    /// The two eyes of a tracked head, if the view is that of one.
     pub eyes: Option<Eyes>,
 }
 
@@ -89,7 +89,7 @@ impl View {
         let forward = (target - eye).try_normalize(1e-12).unwrap_or_else(Vector3::z);
         let mut right = forward.cross(&up);
         if right.norm() < 1e-9 {
-            // Straight along `up`: any horizontal will do.
+            // Parallel to `up`: any horizontal direction will do.
             right = forward.cross(&Vector3::y()) + forward.cross(&Vector3::x()) * 1e-3;
         }
         let right = right.normalize();
@@ -100,7 +100,7 @@ impl View {
         Self::new(Isometry3::from_parts(Translation3::from(eye.coords), rotation), lens)
     }
 
-    /// Through a camera of the scene, its optics included, or with the eyes of the head that is tracked in front of it
+    /// The view of a camera of the scene, including its optics, or of the head that is tracked in front of it
     /// ([`HeadTracked`]); `aspect` replaces the camera's own.
     ///
     /// # Errors
@@ -120,7 +120,8 @@ impl View {
         };
         let mut view = Self::new(scene.world_pose(camera), lens);
         if let Some(optics) = scene.get::<Optics>(camera) {
-            // Turning the scope swings the tilted line of sight around; the camera head, and so the picture, stays.
+            // Rotating the scope turns the tilted line of sight; the camera head, and so the picture's orientation,
+            // stays.
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), optics.turn);
             let tilt = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), optics.tilt);
             view.world_from_eye *= turn * tilt * turn.inverse();
@@ -130,7 +131,7 @@ impl View {
         Ok(view)
     }
 
-    /// Through the first camera of the scene, or from in front of everything when it has none.
+    /// The view of the first camera of the scene, or a view of the whole scene when it has none.
     pub fn default_of(scene: &Snapshot, aspect: Option<f64>) -> Self {
         let first = scene.iter::<Camera>().next().map(|(entity, _)| entity);
         first.and_then(|camera| Self::through(scene, camera, aspect).ok()).unwrap_or_else(|| {
@@ -139,7 +140,7 @@ impl View {
         })
     }
 
-    /// The camera of that name, with the names of the others when there is none.
+    /// The camera of that name; the error lists the others.
     ///
     /// # Errors
     /// [`ViewError::NoCamera`].
@@ -151,9 +152,9 @@ impl View {
         Self::through(scene, camera, aspect)
     }
 
-    /// Left and right eye: parallel, `interocular` \[m\] apart, their pictures shifted so that what lies at the depth
-    /// `convergence` \[m\] has no parallax (off-axis stereo; Bourke, "Calculating stereo pairs", 1999). The eyes of a
-    /// tracked head ([`Self::eyes`]) are where they are, whatever is asked for, and what has no parallax is the screen.
+    /// Left and right eye: parallel, `interocular` \[m\] apart, their pictures shifted so that points at the depth
+    /// `convergence` \[m\] have no parallax (off-axis stereo; Bourke, "Calculating stereo pairs", 1999). For a tracked
+    /// head ([`Self::eyes`]) the arguments are ignored: its own eyes are used, and the screen has no parallax.
     pub fn stereo(&self, interocular: f64, convergence: f64) -> [Self; 2] {
         let given = Eyes { to_right: Vector3::new(0.5 * interocular, 0.0, 0.0), screen: convergence };
         let Eyes { to_right, screen } = self.eyes.unwrap_or(given);
@@ -165,7 +166,7 @@ impl View {
         self.lens.clip_from_eye() * self.world_from_eye.inverse().to_homogeneous()
     }
 
-    /// Where a point of the world is in the picture, each coordinate from 0 (left, top) to 1, and its depth \[m\];
+    /// The position of a world point in the picture, each coordinate from 0 (left, top) to 1, and its depth \[m\];
     /// `None` behind the eye. Lens distortion is left out.
     pub fn project(&self, point_in_world: &Point3<f64>) -> Option<([f64; 2], f64)> {
         let in_eye = self.world_from_eye.inverse() * point_in_world;
@@ -176,8 +177,8 @@ impl View {
         Some(([0.5 + 0.5 * clip.x / clip.w, 0.5 - 0.5 * clip.y / clip.w], in_eye.z))
     }
 
-    /// Where the straight picture is looked at by a point of the picture as it is seen through the lens (each coordinate
-    /// from 0 to 1): what `composite.wgsl` does.
+    /// Maps a point of the distorted picture (each coordinate from 0 to 1) to the undistorted one, as `composite.wgsl`
+    /// does.
     pub fn through_lens(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let aspect = self.lens.aspect;
         let offset = [(2.0 * x - 1.0) * aspect, 2.0 * y - 1.0];
@@ -186,10 +187,10 @@ impl View {
         [0.5 + 0.5 * offset[0] * bent / aspect, 0.5 + 0.5 * offset[1] * bent]
     }
 
-    /// Where a point of the straight picture is seen through the lens: the other way round.
+    /// The inverse: maps a point of the undistorted picture to the distorted one.
     pub fn onto_lens(&self, at: [f64; 2]) -> [f64; 2] {
         let mut seen = at;
-        // A fixed point; lenses bend so little that each step gains more than a digit.
+        // Fixed-point iteration; distortions are so small that each step gains more than a digit.
         for _ in 0..12 {
             let through = self.through_lens(seen);
             seen = [seen[0] + at[0] - through[0], seen[1] + at[1] - through[1]];
@@ -197,12 +198,12 @@ impl View {
         seen
     }
 
-    /// The view of a single pixel: of the one in which `at` lies (as for [`Self::ray`]), in a picture of this size.
+    /// The view of the single pixel that contains `at` (as for [`Self::ray`]), in a picture of this size.
     pub fn pixel(&self, at: [f64; 2], size: [u32; 2]) -> Self {
         let [width, height] = size.map(|side| f64::from(side.max(1)));
         let centre =
             |share: f64, side: f64| ((share.clamp(0.0, 1.0) * side).floor().min(side - 1.0) + 0.5) / side;
-        // In the picture's own measure: from −1 to 1, up.
+        // In the picture's coordinates: from −1 to 1, up.
         let (x, y) = (2.0 * centre(at[0], width) - 1.0, 1.0 - 2.0 * centre(at[1], height));
         let mut pixel = *self;
         pixel.lens.field_of_view = 2.0 * ((0.5 * self.lens.field_of_view).tan() / height).atan();
@@ -252,7 +253,7 @@ mod tests {
         let (at, depth) = view.project(&point).unwrap();
         let size = [640, 480];
         let (seen, alone) = view.pixel(at, size).project(&point).unwrap();
-        // Anywhere in the whole picture of that one pixel, and off its middle by what the point is.
+        // Anywhere in the picture of that one pixel, displaced from its middle by the point's offset.
         for (axis, side) in [(0, 640.0), (1, 480.0)] {
             let within = (at[axis] * side).fract();
             assert!((seen[axis] - within).abs() < 1e-6, "{seen:?} {within}");
@@ -273,7 +274,7 @@ mod tests {
             let back = view.through_lens(view.onto_lens(at));
             assert!((back[0] - at[0]).abs() < 1e-6 && (back[1] - at[1]).abs() < 1e-6, "{at:?} {back:?}");
         }
-        // A barrel shows more at the sides than a straight picture does at that place.
+        // Barrel distortion shows more at the sides than the undistorted picture.
         assert!(view.through_lens([0.75, 0.5])[0] > 0.75);
     }
 

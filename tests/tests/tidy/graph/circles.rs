@@ -1,10 +1,10 @@
-//! Circles of a graph: its strongly connected components of more than one node (Tarjan 1972).
+//! Cycles of a graph: its strongly connected components of more than one node (Tarjan 1972).
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::Edges;
 
-/// The circles of a graph, largest first.
+/// The cycles of a graph, largest first.
 pub fn circles(edges: &Edges) -> Vec<BTreeSet<String>> {
     let mut after: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for (from, to) in edges.keys() {

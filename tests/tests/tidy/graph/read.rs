@@ -1,4 +1,4 @@
-//! From a file's text to what its modules define, import and name.
+//! Parses a file into the definitions, imports and paths of its modules.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,35 +6,35 @@ use proc_macro2::{TokenStream, TokenTree};
 use syn::visit::{self, Visit};
 use syn::{Attribute, Expr, ImplItem, Item, ItemMod, ItemUse, Lit, Macro, Meta, Stmt, TraitItem, UseTree};
 
-/// A module, in a file of its own or within one.
+/// A module, in a file of its own or inline.
 #[derive(Debug, Default)]
 pub struct Module {
-    /// Where it stands.
+    /// Its file.
     pub file: String,
-    /// Who declares it.
+    /// Its parent module.
     pub parent: Option<usize>,
-    /// The modules that it declares.
+    /// Its child modules.
     pub children: BTreeMap<String, usize>,
-    /// What it defines.
+    /// Names that it defines.
     pub items: BTreeSet<String>,
-    /// What it imports, by one name each.
+    /// Imports of single names.
     pub imports: Vec<Import>,
-    /// From where it imports whatever there is.
+    /// Glob imports.
     pub globs: Vec<Import>,
-    /// Paths that its code names.
+    /// Paths in its code.
     pub paths: BTreeSet<Vec<String>>,
 }
 
-/// An import of one name, or of all of them.
+/// An import of one name, or a glob.
 #[derive(Debug)]
 pub struct Import {
-    /// How it is called here. Empty for a glob.
+    /// Its local name. Empty for a glob.
     pub name: String,
     pub path: Vec<String>,
     pub public: bool,
 }
 
-/// Reads a file and the modules that it declares.
+/// Parses a file and the modules that it declares.
 pub fn file(
     modules: &mut Vec<Module>,
     name: &str,
@@ -55,7 +55,7 @@ pub fn file(
     id
 }
 
-/// Takes in the items of a module. `below` is the folder for the modules that it declares.
+/// Adds the items of a module. `below` is the folder of its child modules.
 fn items(
     modules: &mut Vec<Module>,
     id: usize,
@@ -129,7 +129,7 @@ impl<'ast> Reader<'_, 'ast> {
         self.module.items.insert(name.to_string());
     }
 
-    /// A macro in an item's place defines what it is given: `component! { pub struct Pose { … } }`.
+    /// A macro in item position defines the items in its tokens: `component! { pub struct Pose { … } }`.
     fn define_by_macro(&mut self, tokens: TokenStream) {
         const MAKERS: [&str; 8] = ["struct", "enum", "fn", "trait", "type", "const", "static", "union"];
         let mut maker = false;

@@ -1,4 +1,4 @@
-//! The graph on small sources: it sees circles however they are written, and none where there is none.
+//! Tests of the graph on small sources: cycles are found in any notation, and none where there is none.
 
 use std::collections::BTreeMap;
 

@@ -1,14 +1,14 @@
-//! What `--help` says, of every command: plain words, and each option under the heading where it is looked for.
+//! Tests of the help texts of every command: plain words, and each option under its heading.
 
 use clap::builder::Styles;
 use clap::{Arg, Command, CommandFactory};
 
 use super::Cli;
 
-/// Names with a capital within that are no types.
+/// Names with a capital inside that are not types.
 const NAMES: [&str; 3] = ["MuJoCo", "PyElastica", "GitHub"];
 
-/// Headings of the options of `run` and `replay`: all others stand under `Options`.
+/// Headings of the options of `run` and `replay`; all others are under `Options`.
 const HEADINGS: [(&str, &[&str]); 4] = [
     (
         "Session",
@@ -46,7 +46,7 @@ const HEADINGS: [(&str, &[&str]); 4] = [
     ("Output", &["record", "no-record", "report", "no-report", "json"]),
 ];
 
-/// Every command with what it is called, from the program down.
+/// Every command with its full name, from the program down.
 fn commands() -> Vec<(String, Command)> {
     fn walk(command: &Command, above: &str, found: &mut Vec<(String, Command)>) {
         let name = format!("{above} {}", command.get_name()).trim().to_owned();
@@ -65,7 +65,7 @@ fn options(command: &Command) -> impl Iterator<Item = (&str, &Arg)> {
     command.get_arguments().filter_map(|arg| Some((arg.get_long()?, arg)))
 }
 
-/// What is wrong with a help text.
+/// Faults of a help text.
 fn faults(text: &str) -> Vec<String> {
     let mut found = Vec::new();
     for wrong in ["::", "\\", "``", "[`"] {
@@ -113,7 +113,7 @@ fn every_option_stands_under_the_heading_where_it_is_looked_for() {
             let listed = HEADINGS.iter().find(|(_, options)| options.contains(&option));
             let expected = match listed {
                 Some((heading, _)) if has_headings => heading,
-                // What a graph is drawn of is asked for as a run is.
+                // `trocar graph` takes the same session options as `run`.
                 Some(("Session", _)) if name == "trocar graph" => "Session",
                 _ => "Options",
             };

@@ -1,4 +1,4 @@
-//! What is seen: windows and pictures.
+//! Options of windows and pictures.
 
 use std::path::PathBuf;
 
@@ -86,7 +86,7 @@ pub enum Care {
 }
 
 impl Care {
-    /// The quality of that name.
+    /// The viewer's quality of that name.
     pub fn quality(self) -> Quality {
         match self {
             Self::Plain => Quality::PLAIN,
@@ -97,12 +97,12 @@ impl Care {
 }
 
 impl PictureArgs {
-    /// Two eyes, if there are two.
+    /// The stereo settings.
     pub fn stereo(&self) -> Stereo {
         Stereo { interocular: self.interocular, convergence: self.convergence }
     }
 
-    /// Whether pictures are to be drawn into files.
+    /// Whether the options ask for picture files.
     pub fn are_asked_for(&self) -> bool {
         self.picture.is_some() || self.film.is_some()
     }

@@ -1,4 +1,4 @@
-//! What a warmed haptic tick asks of the allocator.
+//! Allocations of a warmed-up haptic tick.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,7 +14,7 @@ use super::counting::{counts, is_counting};
 use super::exercise::SCENARIO;
 use crate::failure::Failure;
 
-/// Until then buffers may grow.
+/// Warm-up, during which buffers may grow.
 const WARM: SimTime = SimTime::from_millis(2_000);
 /// End of the measurement.
 const END: SimTime = SimTime::from_millis(12_000);
@@ -26,7 +26,7 @@ struct Totals {
     frees: AtomicU64,
 }
 
-/// A controller whose ticks are watched.
+/// A controller whose allocations are counted.
 struct Watched {
     inner: Box<dyn Controller>,
     totals: Arc<Totals>,
@@ -52,7 +52,7 @@ impl Controller for Watched {
 /// Allocations and frees per warmed tick of the haptic controllers, in the exercise.
 ///
 /// # Errors
-/// When the program has another allocator: zero would be no figure then.
+/// When the program has another allocator: a count of zero would then be meaningless.
 pub fn haptic_ticks() -> Result<Vec<BenchResult>, Failure> {
     if !is_counting() {
         return Err(Failure::usage(

@@ -1,5 +1,5 @@
-//! What a user pays before the first run: a cold build of the program from these sources, its size, and the disk that it
-//! takes.
+//! The suite `build`: time of a cold build of the program from these sources, the program's size, and the disk space of
+//! the build.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -18,7 +18,7 @@ const PROGRAM_MAX_MB: f64 = 60.0;
 /// Most disk of the target folder \[GB\].
 const TARGET_MAX_GB: f64 = 2.0;
 
-/// Builds the program into an empty folder as the README says, with downloads made before the clock starts.
+/// Builds the program into an empty folder as the README says, after downloading the dependencies.
 pub fn cold() -> Result<Vec<BenchResult>, Failure> {
     let sources = sources()?;
     let target = tempfile::tempdir().map_err(Failure::internal)?;
@@ -40,7 +40,7 @@ pub fn cold() -> Result<Vec<BenchResult>, Failure> {
     Ok(rows)
 }
 
-/// The sources that this program was built from, when they are still there.
+/// The sources that this program was built from, if they still exist.
 fn sources() -> Result<PathBuf, Failure> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     if root.join("Cargo.lock").is_file() {
@@ -63,17 +63,16 @@ fn cargo(sources: &Path, target: &Path, words: &[&str]) -> Result<(), Failure> {
     Err(Failure::internal(format!("cargo {} failed: {status}", words.join(" "))))
 }
 
-/// Processor time of all children that have ended, and of their children \[s\]; unknown where the system has no
-/// `/proc`.
+/// Processor time of all ended child processes and their descendants \[s\]; unknown where the system has no `/proc`.
 fn children_cpu_secs() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // The name of the program stands in parentheses and may hold spaces; the children's times are fields 16 and 17.
+    // The program's name is in parentheses and may contain spaces; the children's times are fields 16 and 17.
     let fields: Vec<&str> = text.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks = |field: usize| fields.get(field - 3)?.parse::<f64>().ok();
     Some((ticks(16)? + ticks(17)?) / rustix::param::clock_ticks_per_second() as f64)
 }
 
-/// Bytes of all files below a folder; a file with several names counts once for each.
+/// Bytes of all files below a folder; a hard-linked file counts once for each name.
 fn disk_bytes(folder: &Path) -> Result<u64, Failure> {
     let mut bytes = 0;
     for entry in std::fs::read_dir(folder).map_err(Failure::internal)? {

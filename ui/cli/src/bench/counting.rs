@@ -1,5 +1,5 @@
-//! An allocator that counts what each thread asks of it, so that "allocates nothing" is a figure. The only
-//! module of this crate with unsafe code. Which allocator a program has is for its `main` to say:
+//! A counting allocator: it counts each thread's allocations, so that "allocates nothing" can be measured. The only
+//! module of this crate with unsafe code. A program's `main` selects its allocator:
 //!
 //! ```
 //! #[global_allocator]
@@ -11,7 +11,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-/// The system's allocator, with three counters per thread that `trocar bench` looks at.
+/// The system's allocator, with three counters per thread for `trocar bench`.
 pub struct CountingAllocator;
 
 thread_local! {
@@ -26,12 +26,12 @@ pub fn counts() -> (u64, u64) {
     (ALLOCATIONS.with(Cell::get), FREES.with(Cell::get))
 }
 
-/// Bytes that the calling thread has allocated and not freed; what other threads free for it stays counted.
+/// Bytes that the calling thread has allocated and not freed; frees by other threads are not subtracted.
 pub fn held() -> isize {
     HELD.with(Cell::get)
 }
 
-/// Whether the program's allocator is this one; without it nothing is counted.
+/// Whether this is the program's allocator; otherwise nothing is counted.
 pub fn is_counting() -> bool {
     let before = counts();
     drop(std::hint::black_box(Box::new(0_u64)));
@@ -48,8 +48,8 @@ fn freed(bytes: usize) {
     HELD.with(|held| held.set(held.get().wrapping_sub_unsigned(bytes)));
 }
 
-// SAFETY: every call is handed on to the system's allocator unchanged; counting touches a thread-local
-// integer only and neither allocates nor unwinds.
+// SAFETY: every call is forwarded to the system's allocator unchanged; counting only touches a thread-local integer and
+// neither allocates nor unwinds.
 unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         allocated(layout.size());

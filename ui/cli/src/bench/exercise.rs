@@ -1,4 +1,4 @@
-//! The exercise as a whole: how fast it is in virtual time, how well it keeps its rates in real time.
+//! The whole exercise: its speed in virtual time, and its punctuality in real time.
 
 use std::time::Duration;
 
@@ -9,11 +9,11 @@ use trocar_kernel::bench::{BareRates, bare_rates, median_and_spread};
 
 use crate::failure::Failure;
 
-/// What is measured.
+/// The scenario under test.
 pub const SCENARIO: &str = "peg-transfer";
 /// Length of a live block \[s\].
 const BLOCK_SECS: f64 = 6.0;
-/// Blocks of ours, and as many of the floor between them.
+/// Number of our blocks, and of the bare loop's blocks between them.
 const BLOCKS: usize = 5;
 
 fn run(options: &RunOptions) -> Result<RunOutcome, Failure> {
@@ -22,7 +22,7 @@ fn run(options: &RunOptions) -> Result<RunOutcome, Failure> {
     Ok(trocar::run::run(&app, &scenario, options, &mut |_| {})?)
 }
 
-/// Simulated time per time on the wall of the whole exercise, on one core at full rates.
+/// Simulated time over wall-clock time of the whole exercise, on one core at full rates.
 pub fn lockstep() -> Result<Vec<BenchResult>, Failure> {
     let mut speeds = Vec::with_capacity(3);
     for seed in 1..=3 {
@@ -39,7 +39,7 @@ pub fn lockstep() -> Result<Vec<BenchResult>, Failure> {
     Ok(vec![row])
 }
 
-/// What one live block says about its two hands: the worse of the two each.
+/// The results of one live block: the worse of the two hands for each figure.
 #[derive(Clone, Copy)]
 struct Hands {
     on_time: f64,
@@ -58,7 +58,7 @@ fn live_block() -> Result<Hands, Failure> {
     }))
 }
 
-/// Two hands at 1 kHz in the live exercise, in blocks between those of two bare timer loops.
+/// Two hands at 1 kHz in the live exercise, in blocks that alternate with two bare timer loops.
 pub fn live() -> Result<Vec<BenchResult>, Failure> {
     let (mut ours, mut bare): (Vec<Hands>, Vec<BareRates>) = (Vec::new(), Vec::new());
     for _ in 0..BLOCKS {
@@ -70,7 +70,7 @@ pub fn live() -> Result<Vec<BenchResult>, Failure> {
         |value: fn(&BareRates) -> f64| median_and_spread(&bare.iter().map(value).collect::<Vec<_>>()).0;
     let on_time = of(|hands| hands.on_time);
     let floor_on_time = floor(|bare| bare.on_time);
-    // The stricter of the two: 99 %, or half a point below the bare loop.
+    // The stricter of two bars: 99 %, or half a percentage point below the bare loop.
     let bar = (floor_on_time - 0.005).max(0.99);
     let mut first =
         BenchResult::on_value("exercise_hands_on_time", "share", on_time, Some(bar), Better::Higher);

@@ -1,4 +1,4 @@
-//! What a session costs that is paused: processor time of all threads of the process.
+//! Cost of a paused session: processor time of all threads of the process.
 
 use std::time::{Duration, Instant};
 
@@ -13,7 +13,7 @@ use crate::failure::Failure;
 
 const BLOCK: Duration = Duration::from_secs(3);
 const BLOCKS: usize = 5;
-/// Most of a core.
+/// Bar on the share of a core.
 const SHARE_MAX: f64 = 0.02;
 
 /// Processor time of the whole process \[s\].
@@ -29,7 +29,7 @@ fn share() -> f64 {
     (cpu_secs() - before) / begun.elapsed().as_secs_f64()
 }
 
-/// The exercise with its hands paused in the middle, beside the same process without a session.
+/// The exercise paused in mid-movement, beside the same process without a session.
 pub fn paused() -> Result<Vec<BenchResult>, Failure> {
     let app = App::new();
     let scenario = app.scenario(super::exercise::SCENARIO)?;
@@ -42,7 +42,7 @@ pub fn paused() -> Result<Vec<BenchResult>, Failure> {
             return Err(Failure::internal("the session could not be paused"));
         }
         ours.push(share());
-        // A session that does not go on has cost nothing because it was dead.
+        // Make sure that the session resumes: a dead session would cost nothing.
         let stood = session.now();
         session.resume();
         session.run_until(stood + SimTime::from_millis(500));

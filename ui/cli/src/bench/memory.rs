@@ -1,4 +1,4 @@
-//! What sessions hold over an hour of simulated time: live bytes, counted by the program's own allocator.
+//! The suite `memory`: live bytes of sessions over an hour of simulated time, counted by the program's own allocator.
 
 use trocar::app::App;
 use trocar::run::{self, RunOptions};
@@ -9,12 +9,12 @@ use super::counting;
 use crate::failure::Failure;
 
 const HOUR: SimTime = SimTime::from_millis(3_600_000);
-/// Between two looks at an exercise.
+/// Interval between two samples of an exercise.
 const LOOK: SimTime = SimTime::from_millis(10_000);
-/// Between two looks at a long session, and when the first of them counts: logs are full by then.
+/// Interval between two samples of a long session, and the time of the first one that counts: logs are full by then.
 const MINUTE: SimTime = SimTime::from_millis(60_000);
 const WARM: SimTime = SimTime::from_millis(300_000);
-/// Most that live bytes may be off.
+/// Bar on the drift of live bytes.
 const DRIFT_MAX: f64 = 0.01;
 
 fn options(seconds: Option<f64>) -> RunOptions {
@@ -32,12 +32,12 @@ fn row(name: &str, drift: f64) -> BenchResult {
     BenchResult::on_value(name, "share", (drift, 0.0), Some(DRIFT_MAX), Better::Lower)
 }
 
-/// How far `bytes` are from `reference`, relative to a session that holds `session` bytes.
+/// Difference of `bytes` from `reference`, relative to a session of `session` bytes.
 fn off(bytes: isize, reference: isize, session: isize) -> f64 {
     (bytes - reference).unsigned_abs() as f64 / session.max(1) as f64
 }
 
-/// The exercise from start to end, again and again: at the same moment of each the same is held.
+/// The exercise from start to end, repeatedly: live bytes at the same moment of each run must be equal.
 pub fn exercises() -> Result<Vec<BenchResult>, Failure> {
     check_counting()?;
     let app = App::new();
@@ -55,7 +55,7 @@ pub fn exercises() -> Result<Vec<BenchResult>, Failure> {
         held.push(counting::held());
         Ok((ended, held))
     };
-    // The first one fills what is kept for good.
+    // The first run fills permanent caches.
     let (mut simulated, _) = once()?;
     let (length, reference) = once()?;
     simulated += length;
@@ -63,7 +63,7 @@ pub fn exercises() -> Result<Vec<BenchResult>, Failure> {
     while simulated < HOUR {
         let (length, held) = once()?;
         simulated += length;
-        // Between two sessions as little may stay behind as may be added within one.
+        // The drift between two sessions has the same bar as that within one.
         let session = reference[0] - before;
         for (bytes, reference) in held.iter().zip(&reference) {
             worst = worst.max(off(*bytes, *reference, session));
@@ -72,7 +72,7 @@ pub fn exercises() -> Result<Vec<BenchResult>, Failure> {
     Ok(vec![row("live_bytes_drift_over_an_hour_of_exercises", worst)])
 }
 
-/// One session for an hour: every minute the same is held as after five.
+/// One session for an hour: live bytes every minute must equal those after five minutes.
 pub fn session() -> Result<Vec<BenchResult>, Failure> {
     check_counting()?;
     let app = App::new();

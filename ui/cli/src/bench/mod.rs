@@ -1,4 +1,4 @@
-//! `trocar bench`: figures beside the floors of this machine.
+//! `trocar bench`: measures figures beside the lower bounds of this machine.
 
 mod allocation;
 mod build;
@@ -22,7 +22,7 @@ use crate::failure::{Failure, did_you_mean};
 use crate::output;
 use crate::report::short;
 
-/// Suites by name, and what they measure.
+/// Suites by name, and their contents.
 pub const SUITES: [(&str, &str); 7] = [
     (
         "kernel",
@@ -48,10 +48,10 @@ pub const SUITES: [(&str, &str); 7] = [
     ),
 ];
 
-/// Suites that look at how costs grow, and with the number of what.
+/// Suites with growth figures, and the quantity on their axis.
 const GROWING: [(&str, &str); 2] = [("collision", "triangles"), ("simulator", "elements")];
 
-/// A figure or a few, and what is shown while they are measured.
+/// A measurement of one or a few figures, and its name while it runs.
 type Part = (&'static str, fn() -> Result<Vec<BenchResult>, Failure>);
 
 type Measure<'a> = &'a dyn Fn() -> Result<Vec<BenchResult>, Failure>;
@@ -87,15 +87,15 @@ const MEMORY: [Part; 2] = [
     ("an hour of one session", memory::session),
 ];
 
-/// What the kernel measures of itself.
+/// The kernel's own figures.
 fn kernel() -> Result<Vec<BenchResult>, Failure> {
     trocar_kernel::bench::kernel(trocar_kernel::bench::Effort::Full).map_err(Failure::internal)
 }
 
-/// Measures a suite.
+/// Runs a suite.
 pub fn bench(args: &BenchArgs) -> Result<Exit, Failure> {
     if let Some(file) = &args.plot {
-        // Before minutes of measuring, not after.
+        // Checked before minutes of measuring.
         output::check_writable(file)?;
         if !GROWING.iter().any(|(suite, _)| *suite == args.suite) {
             return Err(Failure::usage(format!(
@@ -203,7 +203,7 @@ pub fn text(summary: &BenchSummary) -> String {
 /// Columns of every table of figures.
 const HEAD: [&str; 8] = ["figure", "value", "unit", "spread", "floor", "ratio", "bar", "holds"];
 
-/// What stands in all columns but the last.
+/// The cells of all columns but the last.
 fn cells(row: &BenchResult) -> [String; 7] {
     let number = |value: Option<f64>| value.map_or("–".to_owned(), short);
     let sign = match row.better {

@@ -1,5 +1,5 @@
-//! A peer program of somebody else's: a Python script as a child process that times its own blocks when asked, so that
-//! blocks of ours alternate with blocks of theirs. One JSON object per line, in and out.
+//! A peer program for comparison: a Python script in a child process that times its own blocks on request, so that our
+//! blocks alternate with the peer's. One JSON object per line, in and out.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Write};
@@ -11,7 +11,7 @@ use tempfile::TempDir;
 
 use crate::failure::Failure;
 
-/// A script that runs in a Python which has what it needs.
+/// A script, running in a Python with the packages that it needs.
 pub struct Peer {
     child: Child,
     requests: ChildStdin,
@@ -20,19 +20,19 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// Starts it.
+    /// Starts the script.
     ///
     /// # Errors
-    /// When it does not start.
+    /// When the process does not start.
     pub fn start(python: &Path, script: &str) -> Result<Self, Failure> {
         let folder = tempfile::tempdir().map_err(Failure::internal)?;
         let file = folder.path().join("peer.py");
         fs::write(&file, script).map_err(Failure::internal)?;
         let mut child = Command::new(python)
             .arg(file)
-            // Whatever it leaves behind is gone with the folder.
+            // Files that it leaves behind are removed with the folder.
             .current_dir(folder.path())
-            // One thread, as ours.
+            // One thread, as for our blocks.
             .envs(["OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"].map(|name| (name, "1")))
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -44,15 +44,15 @@ impl Peer {
         Ok(Self { child, requests, answers: BufReader::new(answers), folder })
     }
 
-    /// A folder for what it is to read, gone with it.
+    /// A temporary folder for its input files.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
 
-    /// Asks and waits for the answer.
+    /// Sends a request and waits for the answer.
     ///
     /// # Errors
-    /// When it has ended, or says what was wrong.
+    /// When it has ended, or reports an error.
     pub fn ask(&mut self, request: &Value) -> Result<Value, Failure> {
         writeln!(self.requests, "{request}").map_err(Failure::internal)?;
         let mut line = String::new();
@@ -68,14 +68,14 @@ impl Peer {
     }
 }
 
-/// A list of numbers in an answer; none where there is no such list.
+/// A list of numbers in an answer; empty where there is no such list.
 pub fn numbers(answer: &Value, key: &str) -> Vec<f64> {
     answer[key].as_array().map(|list| list.iter().filter_map(Value::as_f64).collect()).unwrap_or_default()
 }
 
 impl Drop for Peer {
     fn drop(&mut self) {
-        // It ends by itself when nobody asks any more; whether it does is nobody's concern.
+        // It ends by itself when its input closes; a failure to kill it does not matter.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -1,4 +1,4 @@
-//! How costs grow, as a picture: figures named `…_growth_WHAT_SIZE` as lines over the size, both axes logarithmic.
+//! Growth plots: figures named `…_growth_WHAT_SIZE` as lines over the size, both axes logarithmic.
 
 use std::collections::BTreeMap;
 
@@ -9,8 +9,8 @@ use crate::report::{Chart, Scale};
 const SIZE: [f64; 2] = [760.0, 520.0];
 /// Room for labels: left, top, right (the names of the lines), below.
 const MARGIN: [f64; 4] = [64.0, 24.0, 110.0, 48.0];
-/// The picture stands alone: it brings the style of its classes along. Colours that are told apart also by those who do
-/// not see red or green (Okabe, Ito, "Color universal design", 2008).
+/// The picture is self-contained, so it includes its style sheet. The colours are distinct for colour-blind readers
+/// (Okabe, Ito, "Color universal design", 2008).
 const STYLE: &str = "<style>svg{background:#fff;font:13px sans-serif}.grid{stroke:#ddd}.line{fill:none;stroke-width:2}\
                      .end{text-anchor:end}.mid{text-anchor:middle}\
                      .c0{stroke:#0072b2}.c1{stroke:#d55e00}.c2{stroke:#009e73}.c3{stroke:#cc79a7}\
@@ -29,7 +29,7 @@ const LEADING: f64 = 13.0;
 /// Sizes and times of one kind of work, smallest first.
 type Line = Vec<(f64, f64)>;
 
-/// The lines that a suite has; none when it looks at no growth.
+/// The lines of a suite; empty for a suite without growth figures.
 fn lines(rows: &[BenchResult]) -> BTreeMap<&str, Line> {
     let mut lines: BTreeMap<&str, Line> = BTreeMap::new();
     for row in rows {
@@ -46,7 +46,7 @@ fn lines(rows: &[BenchResult]) -> BTreeMap<&str, Line> {
     lines
 }
 
-/// Whole decades around some values.
+/// Whole decades around the values.
 fn decades(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let (low, high) =
         values.fold((f64::INFINITY, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
@@ -54,21 +54,21 @@ fn decades(values: impl Iterator<Item = f64>) -> (f64, f64) {
     (10f64.powf(low), 10f64.powf(high.log10().ceil().max(low + 1.0)))
 }
 
-/// The name of a line, at its end.
+/// The name of a line, at its right end.
 struct Name<'a> {
     class: String,
     what: &'a str,
     at: (f64, f64),
 }
 
-/// Moves names down until none is written over another, from the top on.
+/// Moves names down, from the top on, until none overlaps another.
 fn apart(mut names: Vec<Name<'_>>) -> Vec<Name<'_>> {
     names.sort_by(|a, b| a.at.1.total_cmp(&b.at.1));
     let width = |name: &Name<'_>| LETTER * name.what.len() as f64;
     for index in 1..names.len() {
         let (placed, rest) = names.split_at_mut(index);
         let name = &mut rest[0];
-        // Each that is in the way is above it afterwards, and they are few.
+        // Every name in the way is above it afterwards, and there are few.
         for _ in 0..placed.len() {
             let covers = |other: &&Name<'_>| {
                 (name.at.1 - other.at.1).abs() < LEADING
@@ -84,7 +84,7 @@ fn apart(mut names: Vec<Name<'_>>) -> Vec<Name<'_>> {
     names
 }
 
-/// The picture as SVG, over the number of what is named; `None` when there is nothing that grows.
+/// The picture as SVG, over the number of `of`; `None` without growth figures.
 pub fn growth(rows: &[BenchResult], of: &str) -> Option<String> {
     let lines = lines(rows);
     let unit = &rows.iter().find(|row| row.name.contains("_growth_"))?.unit;
@@ -97,7 +97,7 @@ pub fn growth(rows: &[BenchResult], of: &str) -> Option<String> {
     chart.axes(of, unit, 10, 10);
     let mut names = Vec::new();
     for (index, (what, line)) in lines.iter().enumerate() {
-        // Who comes second to a colour has a broken line, who comes third a dotted one.
+        // The second line of a colour is dashed, the third dotted.
         let colour = CLASSES[index % CLASSES.len()];
         let class = &match index / CLASSES.len() {
             0 => colour.to_owned(),
@@ -116,7 +116,7 @@ pub fn growth(rows: &[BenchResult], of: &str) -> Option<String> {
         chart.text(&class, at, what);
     }
     let svg = chart.finish();
-    // Behind the opening tag.
+    // After the opening tag.
     let opened = svg.find('>')? + 1;
     Some(format!("{}{STYLE}{}\n", &svg[..opened], &svg[opened..]))
 }

@@ -1,5 +1,4 @@
-//! Sessions as a program uses them: how fast time passes in one and in as many as there are cores, and what it costs
-//! to branch one or to begin again.
+//! The suite `session`: simulation speed of one session and of one per core, and the cost of branching and reset.
 
 use std::sync::Barrier;
 use std::thread;
@@ -20,9 +19,9 @@ const STEP: SimTime = SimTime::from_millis(1);
 const STEPS: u32 = 8_000;
 /// Measurements of each kind.
 const BLOCKS: u64 = 3;
-/// Branches and new beginnings that are timed.
+/// Number of timed branches and resets.
 const TIMES: usize = 200;
-/// Between two branches, so that they are taken at rest, on the way and with a ring in the jaws.
+/// Interval between two branches, so that they happen at rest, in motion and with a ring in the jaws.
 const BETWEEN: SimTime = SimTime::from_millis(37);
 
 /// Longest branch \[ms\].
@@ -66,7 +65,7 @@ fn steps_per_sec(sessions: Vec<Session>) -> f64 {
             });
         }
         start.wait();
-        // Read after the last thread has come and before any has ended: the scope waits for them.
+        // Read after the last thread has arrived and before any has ended: the scope waits for them.
         Instant::now()
     });
     steps / begun.elapsed().as_secs_f64()
@@ -103,7 +102,7 @@ fn branches() -> Result<Vec<BenchResult>, Failure> {
     ])
 }
 
-/// Does `work` and adds the time that it took \[ms\].
+/// Runs `work` and appends its duration \[ms\].
 fn timed<T>(times: &mut Vec<f64>, work: impl FnOnce() -> T) -> T {
     let begun = Instant::now();
     let done = work();

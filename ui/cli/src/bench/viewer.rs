@@ -1,5 +1,5 @@
-//! What looking costs: frames beside a bare loop that draws the same triangles, what is sent, what a picture that does not
-//! change costs, and what a rasteriser at full load does to the hands.
+//! The suite `viewer`: frames beside a bare loop that draws the same triangles, bytes sent, cost of an unchanged
+//! picture, and the effect of a fully loaded rasteriser on the hands.
 
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -19,20 +19,20 @@ use trocar_viewer::{Layout, Quality, priority};
 use super::exercise::SCENARIO;
 use crate::failure::Failure;
 
-/// The scene and the picture that are drawn.
+/// Triangles of the test scene, and size of the picture.
 const TRIANGLES: usize = 20_000;
 const SIZE: [u32; 2] = [800, 600];
-/// Those that a graphics card draws.
+/// The same for a graphics card.
 const GPU_TRIANGLES: usize = 200_000;
 const GPU_SIZE: [u32; 2] = [1920, 1080];
 const GPU_FRAMES: usize = 500;
-/// Blocks of each kind in turns, and frames of a block.
+/// Alternating blocks of each kind, and frames of a block.
 const BLOCKS: usize = 11;
 const FRAMES: usize = 5;
-/// Vertices along a side of the sheet that deforms: 5,041 of them; how often it is sent in a block.
+/// Vertices along a side of the deforming sheet: 5,041 of them; and uploads of it in a block.
 const SHEET_SIDE: usize = 71;
 const UPLOADS: usize = 60;
-/// A block in which nothing changes, and how often somebody looks whether that is so.
+/// Duration of a block without changes, and interval at which the viewer checks for changes.
 const IDLE: Duration = Duration::from_secs(2);
 const LOOK: Duration = Duration::from_micros(16_667);
 const IDLE_BLOCKS: usize = 5;
@@ -76,7 +76,7 @@ pub fn frames() -> Result<Vec<BenchResult>, Failure> {
     ])
 }
 
-/// What it takes to show a mesh whose every vertex has moved: from the snapshot to the device.
+/// Upload of a mesh with every vertex moved: from the snapshot to the device.
 pub fn uploads() -> Result<Vec<BenchResult>, Failure> {
     let studio = Studio::new(1_000, [64, 64]).map_err(Failure::internal)?;
     let mut upload = Upload::new(studio.gpu(), SHEET_SIDE);
@@ -107,7 +107,7 @@ pub fn uploads() -> Result<Vec<BenchResult>, Failure> {
     )])
 }
 
-/// What a viewer costs while nothing changes: it looks 60 times a second, and draws nothing.
+/// Cost of a viewer while nothing changes: it checks 60 times a second, and draws nothing.
 pub fn idle() -> Result<Vec<BenchResult>, Failure> {
     let mut studio = Studio::new(TRIANGLES, SIZE).map_err(Failure::internal)?;
     studio.look(Quality::FULL);
@@ -134,7 +134,7 @@ pub fn idle() -> Result<Vec<BenchResult>, Failure> {
     Ok(vec![row])
 }
 
-/// The worse of the two hands: share of its ticks that were on time; with a viewer, also the frames per second that it drew.
+/// On-time share of the worse of the two hands; with a viewer, also the frames per second that it drew.
 fn hands(app: &App, studio: Option<&mut Studio>) -> Result<(f64, f64), Failure> {
     let scenario = app.scenario(SCENARIO)?;
     let mut session = run::start(app, &scenario, &RunOptions::default())?;
@@ -168,7 +168,7 @@ fn hands(app: &App, studio: Option<&mut Studio>) -> Result<(f64, f64), Failure> 
     Ok((on_time, rate))
 }
 
-/// Two hands at 1 kHz while a rasteriser draws without a pause, beside the same without.
+/// Two hands at 1 kHz while a rasteriser draws continuously, compared with the same without it.
 pub fn full_load() -> Result<Vec<BenchResult>, Failure> {
     let app = App::new();
     let mut studio = Studio::new(TRIANGLES, SIZE).map_err(Failure::internal)?;
@@ -204,7 +204,7 @@ pub fn full_load() -> Result<Vec<BenchResult>, Failure> {
     Ok(vec![row, rate])
 }
 
-/// What a graphics card does; without one, that there is none.
+/// Figures of the graphics card, or that there is none.
 pub fn card() -> Result<Vec<BenchResult>, Failure> {
     let mut studio = Studio::new(GPU_TRIANGLES, GPU_SIZE).map_err(Failure::internal)?;
     if studio.gpu().is_software() {
@@ -222,7 +222,7 @@ pub fn card() -> Result<Vec<BenchResult>, Failure> {
             let frame_begun = Instant::now();
             studio.submit(&Layout::Mono, Quality::FULL);
             submitted.push(frame_begun.elapsed().as_secs_f64() * 1e3);
-            // As with a window: a few frames are on the way, not all of them.
+            // As with a window: a few frames are in flight, not all of them.
             if frame % 3 == 2 {
                 studio.finish();
             }

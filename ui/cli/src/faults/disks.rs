@@ -1,4 +1,4 @@
-//! Disks that are full or slow: a declared gap, and a simulation that does not notice.
+//! Full and slow disks: the recording declares a gap, and the simulation is unaffected.
 
 use std::path::Path;
 
@@ -15,28 +15,28 @@ use super::lockstep::{Wrong, options, recovery, run, run_with, violations};
 use super::{Plan, Rows};
 use crate::failure::Failure;
 
-/// What may wait for the disk [bytes]: little, so that something has to be given up.
+/// Limit of the recorder's backlog [bytes]: small, so that it must drop data.
 const BACKLOG_MAX: usize = 100_000;
-/// What the slow disk takes [bytes/s].
+/// Throughput of the slow disk [bytes/s].
 const SLOW: f64 = 200_000.0;
-/// How long it is full or slow \[s\].
+/// Duration of the fault \[s\].
 const LASTING: f64 = 6.0;
 
-/// In real time: how many sessions with a bad disk are held against one with a good one, how often the disk is bad in
-/// each, for how long, and how long apart \[s\].
+/// In real time: number of sessions with a bad disk, each compared with one with a good disk; number of faults in each,
+/// their duration and interval \[s\].
 const SESSIONS: u64 = 3;
 const STRIKES: usize = 8;
 const STRIKE: f64 = 0.3;
 const APART: f64 = 0.6;
-/// How often it is written then: several times while the disk is bad.
+/// Flush interval then: several flushes during each fault.
 const FLUSH: SimTime = SimTime::from_millis(100);
-/// Longest until the recorder writes again once it can \[ms\]: it looks every 20 ms, and what waits for it comes first.
+/// Longest until the recorder writes again after the fault \[ms\]: it checks every 20 ms, and writes its backlog first.
 const RESUME_MS_MAX: f64 = 100.0;
 
-/// Adds a bad disk to a plan.
+/// Adds a disk fault to a plan.
 type Strike = fn(FaultAt) -> FaultPlan;
 
-/// What can be wrong with a disk.
+/// Kinds of disk faults.
 const KINDS: [(&str, Strike); 2] = [("full", |at| at.disk_full()), ("slow", |at| at.disk_slow(SLOW))];
 
 /// Rows in virtual time.
@@ -81,7 +81,7 @@ fn worst_on_time(outcome: &RunOutcome) -> f64 {
     hands.map(|row| row.on_time).fold(1.0, f64::min)
 }
 
-/// The same sessions with a disk that is bad again and again.
+/// The same sessions with repeated disk faults.
 fn bad_disks(kind: &str, fault: Strike, file: &Path, good: &[f64]) -> Rows {
     let (mut resumed, mut costs, mut wrong) = (Vec::new(), Vec::new(), Wrong::default());
     for (seed, good) in (1..).zip(good) {
@@ -112,7 +112,7 @@ fn bad_disks(kind: &str, fault: Strike, file: &Path, good: &[f64]) -> Rows {
     ])
 }
 
-/// What was given up is declared, and what follows a gap can be replayed.
+/// Checks that dropped data is declared, and that the recording after a gap can be replayed.
 fn check_recording(
     file: &Path,
     outcome: &RunOutcome,
@@ -128,7 +128,7 @@ fn check_recording(
     let recording = Recording::open(file).map_err(Failure::internal)?;
     let app = App::new();
     let mut replay = Replay::new(&recording, app.registry()).map_err(Failure::internal)?;
-    // A gap that no keyframe follows could not be replayed across.
+    // A gap without a keyframe after it could not be replayed across.
     let end = replay.run_to_end().map_err(Failure::internal)?;
     wrong.check(replay.gaps().len() >= gaps_min, "a gap is not declared");
     wrong.check(Some(end.to_string()) == outcome.summary.state_hash, "the recording ends in another state");

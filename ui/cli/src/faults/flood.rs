@@ -1,4 +1,4 @@
-//! A guest that commands a million things per second, in real time, beside the same session without it.
+//! A guest that sends a million commands per second in real time, compared with the same session without it.
 
 use trocar::app::App;
 use trocar::session::Finished;
@@ -13,13 +13,13 @@ use super::live::{COMPARED_SECS, run, worst_on_time};
 use super::lockstep::split;
 use crate::failure::Failure;
 
-/// How often a session with a flood is compared with one without.
+/// Pairs of sessions, one with the flood and one without.
 const PAIRS: usize = 3;
-/// Ticks of the guest per second \[Hz\], and how many entities it spawns in each: they carry a component and are
-/// taken away again, so three commands each.
+/// The guest's rate \[Hz\], and how many entities it spawns per tick. Each gets a component and is despawned again:
+/// three commands.
 const RATE_HZ: f64 = 500.0;
 const PER_TICK: usize = 700;
-/// How much longer the others' batches may wait at the median.
+/// Bar on the median waiting time of the other batches, relative to the session without the flood.
 const QUEUE_AGE_RATIO_MAX: f64 = 1.5;
 
 /// The rows.
@@ -78,7 +78,7 @@ fn flood() -> Result<Vec<BenchResult>, Failure> {
     ])
 }
 
-/// How long the batches of the worse hand wait for the Model at the median \[µs\].
+/// Median time for which the batches of the worse hand wait for the Model \[µs\].
 fn queue_age(finished: &Finished) -> f64 {
     let hands = finished.outcome.controllers.iter().filter(|row| row.name.starts_with("haptics."));
     hands.map(|row| row.queue_age_us.p50).fold(0.0, f64::max)

@@ -1,4 +1,4 @@
-//! How long a driver holds a force whose controller is gone, measured in every step of the driver itself.
+//! How long a driver holds a force after its controller is gone, measured in every step of the driver itself.
 
 use std::sync::Arc;
 
@@ -19,9 +19,9 @@ use super::lockstep::{self, RUN_SECS, STALL, options, run, run_with, struck};
 use super::zombie::{GENTLE, Habit, Haunter, Haunting, VICTIM, WRITES, possessed};
 use crate::failure::Failure;
 
-/// A force is zero when its last fresh command is this old \[ms\].
+/// Longest age of the last fresh command until its force is zero \[ms\].
 const HELD_MS_MAX: f64 = 20.0;
-/// What the driver adds by itself: damping of the handle \[N\].
+/// The driver's own force: damping of the handle \[N\].
 const DAMPING_MAX: f64 = 0.5;
 
 /// Rows in virtual time.
@@ -39,7 +39,7 @@ pub fn lockstep(plan: &mut Plan<'_>) {
     });
     plan.row("lockstep_force_held_at_the_end", |name| {
         lockstep::worst(name, "ms", HELD_MS_MAX, |seed| {
-            // In the middle of a movement, so that there is something to be held.
+            // In the middle of a movement, so that the driver holds a force.
             let seconds = Some(6.0 + 0.5 * seed as f64);
             let outcome = run_with(
                 &App::new(),
@@ -63,14 +63,14 @@ pub fn lockstep(plan: &mut Plan<'_>) {
     });
 }
 
-/// Greatest age of a command while its force was held \[ms\], if forces were let go that often.
+/// Greatest age of a command while its force was held \[ms\], if the drivers released forces at least that often.
 fn held(drivers: &[DriverStatistics], releases: u64) -> f64 {
     let longest = drivers.iter().map(|driver| driver.force_age_max_ns).max().unwrap_or(u64::MAX);
     let enough = drivers.iter().map(|driver| driver.releases).sum::<u64>() >= releases;
     if enough { longest as f64 * 1e-6 } else { f64::INFINITY }
 }
 
-/// The exercise with a left hand whose first controller becomes a zombie, and how often that one commanded.
+/// The exercise with a left hand whose first controller becomes a zombie, and the number of its commands.
 fn haunted(seed: u64, loud: bool) -> Result<(Finished, u64), Failure> {
     let haunting = Arc::<Haunting>::default();
     let (app, scenario) = possessed(Habit::Once, &haunting)?;
@@ -88,7 +88,7 @@ pub fn live(plan: &mut Plan<'_>) {
     plan.rows("live_force_held_at_the_end", |_| ends());
 }
 
-/// Each life of the left hand's controller hangs, is replaced, wakes up and commands 100 N for a while.
+/// Each instance of the left hand's controller hangs, is replaced, wakes up and commands 100 N for a while.
 fn zombies() -> Result<Vec<BenchResult>, Failure> {
     let gap = 0.7;
     let mut plan = FaultPlan::new(1);
@@ -101,7 +101,7 @@ fn zombies() -> Result<Vec<BenchResult>, Failure> {
     let watched = watched(&app, &scenario, plan, WARM + gap * TIMES as f64 + 1.0)?;
     let drivers = &watched.finished.drivers;
     let refused = watched.finished.commands_refused as f64 / haunting.written().max(1) as f64;
-    // Of two commands within one step of the driver it sees the later one.
+    // Of two commands within one step the driver sees the later one.
     let mut share = BenchResult::on_value(
         "live_zombie_commands_of_100_n_refused",
         "of those written",
@@ -118,7 +118,7 @@ fn zombies() -> Result<Vec<BenchResult>, Failure> {
     Ok(rows)
 }
 
-/// The median of what the driver saw each time, and the longest beside what is due on this machine.
+/// The median over the driver's releases, and the longest one beside the bar for this machine.
 pub fn held_rows(name: &str, released_ms: &[f64], drivers: &[DriverStatistics]) -> Vec<BenchResult> {
     let median = median(released_ms);
     let mut row =
@@ -127,8 +127,8 @@ pub fn held_rows(name: &str, released_ms: &[f64], drivers: &[DriverStatistics]) 
     vec![row, longest(&format!("{name}_max"), drivers)]
 }
 
-/// The longest time for which any force was held, beside the promise and the greatest lateness of a driver: a driver
-/// that does not get to run holds what it holds.
+/// The longest time for which a driver held any force, beside the guaranteed limit plus the driver's greatest lateness:
+/// a driver that is not scheduled holds its force.
 pub fn longest(name: &str, drivers: &[DriverStatistics]) -> BenchResult {
     let late = drivers.iter().map(|driver| driver.lateness_max_ns).max().unwrap_or(0);
     let floor = HELD_MS_MAX + late as f64 * 1e-6;

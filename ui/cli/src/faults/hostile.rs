@@ -1,11 +1,11 @@
-//! Controllers that misbehave, to show that nobody else suffers from it.
+//! Controllers that misbehave, to test that the others are unaffected.
 
 use serde::{Deserialize, Serialize};
 use trocar_scene::{
     Access, Commands, Component, Controller, ControllerError, Entity, EntitySet, Snapshot, Tick,
 };
 
-/// What the hostile controllers write on entities of their own.
+/// The component that hostile controllers write on their own entities.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Nuisance(pub f64);
 impl Component for Nuisance {
@@ -27,7 +27,7 @@ impl Controller for AlwaysFails {
     }
 }
 
-/// Writes a number that is none on every tick.
+/// Writes NaN on every tick.
 pub struct WritesNan;
 impl Controller for WritesNan {
     fn access(&self) -> Access {
@@ -39,7 +39,7 @@ impl Controller for WritesNan {
     }
 }
 
-/// Spawns this many entities per tick and takes the last tick's away again.
+/// Spawns this many entities per tick and despawns those of the previous tick.
 pub struct Floods {
     per_tick: usize,
     last: Vec<Entity>,
@@ -69,7 +69,7 @@ impl Controller for Floods {
     }
 }
 
-/// Never returns from its first life's hundredth tick; later lives behave.
+/// Its first instance never returns from its hundredth tick; later instances behave.
 pub struct NeverReturns;
 impl Controller for NeverReturns {
     fn access(&self) -> Access {

@@ -1,4 +1,4 @@
-//! Bad links between a controller and the Model.
+//! Faulty links between a controller and the Model: lost, delayed, duplicated, reordered or corrupted batches, and partitions.
 
 use trocar::app::App;
 use trocar::plans;
@@ -16,16 +16,16 @@ use super::live::{TIMES, WARM, watched};
 use super::lockstep::{self, RESUME_MS_MAX, Wrong, options, recovery, row_of, run, run_with, split, struck};
 use crate::failure::Failure;
 
-/// Everything that befalls links.
+/// All kinds of link faults.
 fn kinds() -> impl Iterator<Item = FaultKind> {
     FaultKind::ALL.into_iter().filter(|kind| kind.is_of_link())
 }
 
-/// Whose link is bad.
+/// The controller with the faulty link.
 const WHO: &str = "haptics.left";
-/// Share of its batches that suffers.
+/// Share of its batches that is affected.
 const SHARE: f64 = 0.5;
-/// How late they are, and how much that varies.
+/// The delay, and its variation.
 const DELAY: SimTime = SimTime::from_millis(20);
 const JITTER: SimTime = SimTime::from_millis(10);
 
@@ -40,13 +40,13 @@ fn of_kind(kind: FaultKind, at: FaultAt) -> FaultPlan {
     }
 }
 
-/// Longest way back once the link is good again \[ms\]: what was late before still is.
+/// Longest recovery once the link is good again \[ms\]: batches that were delayed before arrive late.
 fn bar(kind: FaultKind) -> f64 {
     let late = if kind == FaultKind::Delay { DELAY + JITTER } else { SimTime::ZERO };
     RESUME_MS_MAX + late.as_secs_f64() * 1e3
 }
 
-/// How many batches a writer's row says this kind has touched.
+/// Number of batches that this kind of fault affected, by the writer's row.
 fn touched(kind: FaultKind, row: &ControllerReport) -> u64 {
     match kind {
         FaultKind::Delay | FaultKind::Reorder => row.delayed,
@@ -83,7 +83,7 @@ pub fn lockstep(plan: &mut Plan<'_>) {
     });
 }
 
-/// What must hold of an exercise behind the flaky network.
+/// Checks an exercise with the plan `flaky-network`.
 fn check_flaky(plan: &FaultPlan, outcome: &RunOutcome, wrong: &mut Wrong) {
     let summary = &outcome.summary;
     let honest = summary.task.completed || !summary.task.errors.is_empty();
@@ -100,7 +100,7 @@ fn check_flaky(plan: &FaultPlan, outcome: &RunOutcome, wrong: &mut Wrong) {
     wrong.check(outcome.kernel.faults.iter().all(|row| row.resumed.is_some()), "a fault was not overcome");
 }
 
-/// Rows in real time: every kind strikes again and again, all in one session.
+/// Rows in real time: every kind strikes repeatedly, all in one session.
 pub fn live(plan: &mut Plan<'_>) {
     plan.rows("live links", |_| {
         let (gap, span) = (0.12, 0.05);

@@ -1,4 +1,4 @@
-//! The fault table in real time: medians of at least twenty, beside what a bare thread needs.
+//! The fault table in real time: medians of at least twenty, beside a bare thread.
 
 use std::sync::Arc;
 use std::sync::mpsc::sync_channel;
@@ -23,13 +23,13 @@ use super::{Plan, forces};
 use crate::failure::Failure;
 use trocar_kernel::bench::median_and_spread as median;
 
-/// How often each fault strikes.
+/// Number of strikes of each fault.
 pub const TIMES: usize = 20;
-/// Until then everybody has warmed up.
+/// Warm-up time before the first fault \[s\].
 pub const WARM: f64 = 2.0;
-/// How often drivers are looked at: less than the time between two faults.
+/// Interval at which drivers are sampled: less than the time between two faults.
 const LOOK_EVERY: SimTime = SimTime::from_millis(5);
-/// Length of a run that is compared with another one \[s\].
+/// Length of the runs that are compared with each other \[s\].
 pub const COMPARED_SECS: f64 = 5.0;
 
 /// The rows of this table.
@@ -45,8 +45,8 @@ pub fn plan(plan: &mut Plan<'_>) {
     plan.rows("live endless loop", |_| endless_loop());
 }
 
-/// How late a bare thread of the watchdog's priority wakes up from sleeping to the end of a limit of 50 ms \[ms\]: no
-/// stall can be seen sooner than that.
+/// Lateness of a bare thread of the watchdog's priority that sleeps to the end of a 50 ms limit \[ms\]: a lower bound
+/// for the detection of a stall.
 pub fn bare_wakes() -> Vec<f64> {
     let sleeper = std::thread::spawn(|| {
         let _ = sched::promote_current(RuntimeClass::Watchdog);
@@ -61,14 +61,14 @@ pub fn bare_wakes() -> Vec<f64> {
     sleeper.join().unwrap_or_default()
 }
 
-/// What a bare thread needs from its panic until a replacement runs \[ms\].
+/// Time from the panic of a bare thread until a replacement runs \[ms\].
 fn bare_restarts() -> Vec<f64> {
     let once = || {
         let (died, inbox) = sync_channel(1);
         let (up, answer) = sync_channel(1);
         let first = std::thread::spawn(move || {
             let begun = Instant::now();
-            // No message: the hook would print it, and printing is not what is measured.
+            // No message: the panic hook would print it, and printing is not to be measured.
             let _ = std::panic::catch_unwind(|| std::panic::resume_unwind(Box::new(())));
             let _ = died.send(begun);
         });
@@ -81,14 +81,14 @@ fn bare_restarts() -> Vec<f64> {
     (0..TIMES).filter_map(|_| once()).collect()
 }
 
-/// Every actor is killed again and again, all in one session.
+/// Kills every actor repeatedly, all in one session.
 fn kills() -> Result<Vec<BenchResult>, Failure> {
     let gap = 0.06;
     let mut plan = FaultPlan::new(1);
     for time in 0..TIMES {
         for (index, (actor, _, _)) in ACTORS.iter().enumerate() {
             let from = WARM + gap * (time * ACTORS.len() + index) as f64;
-            // Anywhere within its slot: a fault that keeps step with its target's ticks would always wait longest.
+            // At a random time within its slot: a fault in phase with its target's ticks would always wait longest.
             plan = plan.between(secs(from), secs(from + 0.5 * gap)).kill(actor);
         }
     }
@@ -106,14 +106,14 @@ fn kills() -> Result<Vec<BenchResult>, Failure> {
     Ok(rows)
 }
 
-/// Every actor hangs for 300 ms again and again; its replacement has taken over long before.
+/// Every actor hangs for 300 ms repeatedly; its replacement takes over long before.
 fn stalls() -> Result<Vec<BenchResult>, Failure> {
     let (gap, span) = (0.5, 0.3);
     let stalled = || ACTORS.iter().filter(|(name, _, _)| *name != MODEL);
     let mut plan = FaultPlan::new(1);
     for time in 0..TIMES {
         for (index, (actor, _, _)) in stalled().enumerate() {
-            // All of them within one gap: threads that hang do not keep each other from being seen.
+            // All of them within one gap: hung threads do not hinder each other's detection.
             let at = WARM + gap * time as f64 + 0.02 * index as f64;
             plan = plan.between(secs(at), secs(at + 0.02)).lasting(secs(span)).stall(actor);
         }
@@ -125,7 +125,7 @@ fn stalls() -> Result<Vec<BenchResult>, Failure> {
     let mut rows = Vec::new();
     for (actor, class, rate_hz) in stalled() {
         let figures = figures(&finished, actor, |row| (row.injected, row.detected));
-        // The longest that detection may take, on a machine whose watchdog wakes up as late as this one's.
+        // The upper bound of detection, for a watchdog that wakes up as late as this machine's.
         let floor = detection_bar(actor, *class, *rate_hz) + late;
         let name = format!("live_stall_{actor}_detected_p50");
         rows.push(BenchResult::on_ratio(name, "ms", median(&figures), floor, Some(1.0), Better::Lower));
@@ -151,13 +151,13 @@ pub fn figures(
     let rows = finished.outcome.faults.iter().filter(|row| row.target == actor);
     rows.map(|row| match span(row) {
         (Some(from), Some(to)) => to.since(from).as_secs_f64() * 1e3,
-        // It never came: as long as a fault can matter at all.
+        // It never resumed: take a time longer than any fault.
         _ => 1e4,
     })
     .collect()
 }
 
-/// What a controller in an endless loop at real-time priority costs the two hands.
+/// The effect on the two hands of a controller in an endless loop at real-time priority.
 fn endless_loop() -> Result<Vec<BenchResult>, Failure> {
     let (mut costs, mut replaced) = (Vec::new(), true);
     for _ in 0..3 {
@@ -192,21 +192,21 @@ pub fn worst_on_time(finished: &Finished) -> f64 {
     hands.map(|row| row.on_time).fold(1.0, f64::min)
 }
 
-/// A session of that length; its drivers are not looked at while it runs.
+/// A session of that length; its drivers are not sampled while it runs.
 pub fn run(app: &App, plan: FaultPlan, seconds: f64) -> Result<Finished, Failure> {
     let mut session = start(app, &app.scenario(SCENARIO)?, plan, seconds)?;
     session.run_until(SimTime::from_secs_f64(seconds));
     finish(session)
 }
 
-/// A session, and what its drivers did in it.
+/// A session, and the releases of its drivers.
 pub struct Watched {
     pub finished: Finished,
-    /// Age of the last command each time that a driver let go of a force \[ms\].
+    /// Age of the last command at each release of a force \[ms\].
     pub released_ms: Vec<f64>,
 }
 
-/// A session of that length whose drivers are looked at again and again.
+/// A session of that length whose drivers are sampled.
 pub fn watched(app: &App, scenario: &Scenario, plan: FaultPlan, seconds: f64) -> Result<Watched, Failure> {
     let mut session = start(app, scenario, plan, seconds)?;
     let mut seen = vec![0; session.hands().len()];
@@ -237,12 +237,12 @@ fn finish(session: Session) -> Result<Finished, Failure> {
         let reason = finished.outcome.reason.unwrap_or_default();
         return Err(Failure::internal(format!("the session gave up: {reason}")));
     }
-    // Threads that were left behind come to their end before the next session measures anything.
+    // Let abandoned threads end before the next session measures.
     std::thread::sleep(Duration::from_millis(400));
     Ok(finished)
 }
 
-/// A tree that takes a hundred deaths in a row without a pause: what is measured is the restart itself.
+/// A supervisor tree without restart limit or pause, so that the restart itself is measured.
 fn endure(spec: &mut SessionSpec) {
     let mut tree = GroupSpec::default_tree(spec.children());
     for node in &mut tree.children {

@@ -1,4 +1,4 @@
-//! What strikes a live session without killing anybody, twenty times each; and guests that misbehave.
+//! Live faults that kill no actor, twenty times each; and guests that misbehave.
 
 use trocar::app::App;
 use trocar::run::RunOptions;
@@ -16,7 +16,7 @@ use super::live::{COMPARED_SECS, TIMES, WARM, bare_wakes, figures, run};
 use super::lockstep::{REPLUG_MS_MAX, RESUME_MS_MAX, SCENARIO, STALL, Wrong, detection_bar, recovery, split};
 use crate::failure::Failure;
 
-/// A fault that is struck again and again.
+/// A fault that strikes repeatedly.
 struct Strike {
     name: &'static str,
     span: f64,
@@ -84,7 +84,7 @@ fn struck_often(name: &str, strike: &Strike) -> Result<BenchResult, Failure> {
     Ok(row)
 }
 
-/// The Model hangs for 300 ms again and again; what waited for it is its successor's.
+/// The Model hangs for 300 ms repeatedly; its successor takes over the waiting batches.
 fn model_stalls() -> Result<Vec<BenchResult>, Failure> {
     let gap = 0.5;
     let mut plan = FaultPlan::new(1);
@@ -130,7 +130,7 @@ fn error_on_every_tick(name: &str) -> Result<BenchResult, Failure> {
     let app = App::new().component::<Nuisance>();
     let app = app.controller_with("guest", |(): &(), _| Ok(AlwaysFails)).joins("guest", 100.0);
     let scenario = app.scenario(SCENARIO)?;
-    // The tree as it is by default: it is what holds a child.
+    // The default tree: it is the one that holds a child.
     let options = RunOptions { seconds: Some(12.0), ..RunOptions::default() };
     let outcome = trocar::run::run(&app, &scenario, &options, &mut |_| {})?;
     let held: Vec<&str> = outcome.kernel.held.iter().map(|(name, _)| name.as_str()).collect();

@@ -1,4 +1,4 @@
-//! The fault table in virtual time: exact, the same on every machine.
+//! The fault table in lock-step: exact and the same on every machine.
 
 use std::path::Path;
 use std::thread;
@@ -17,24 +17,24 @@ use super::Plan;
 use super::hostile::{AlwaysFails, Floods, Nuisance, WritesNan};
 use crate::failure::Failure;
 
-/// What the faults strike.
+/// The scenario under test.
 pub const SCENARIO: &str = "peg-transfer";
-/// Time in which something is held at some moment, whatever the seed.
+/// Period in which an instrument holds something at some moment, for every seed \[s\].
 const WINDOW: (f64, f64) = (3.0, 12.0);
-/// Length of a run: faults that wait for a grasp have struck and are overcome.
+/// Length of a run \[s\]: by then faults that wait for a grasp have struck and are overcome.
 pub const RUN_SECS: f64 = 20.0;
-/// Seeds of each row; the worst one counts.
+/// Seeds of each row; the worst result counts.
 const SEEDS: std::ops::RangeInclusive<u64> = 1..=3;
-/// Longest way back from a death \[ms\].
+/// Longest recovery from a killed actor \[ms\].
 pub const RESUME_MS_MAX: f64 = 10.0;
-/// Longest way back from a plug that was put in again: the driver tries every 100 ms \[ms\].
+/// Longest recovery after a device is plugged in again: the driver tries every 100 ms \[ms\].
 pub const REPLUG_MS_MAX: f64 = 150.0;
 /// Rate of the Model's fastest clients \[Hz\].
 const FASTEST_HZ: f64 = 1_000.0;
-/// Length of an injected stall.
+/// Length of an injected stall \[s\].
 pub const STALL: f64 = 0.3;
 
-/// Who can die in the exercise; with the class and rate that its heartbeat limit follows from.
+/// Actors of the exercise that can be killed, with the class and rate that decide their heartbeat limit.
 pub const ACTORS: [(&str, RuntimeClass, f64); 6] = [
     (MODEL, RuntimeClass::Model, 0.0),
     ("haptics.left", RuntimeClass::Haptics, 1000.0),
@@ -81,7 +81,7 @@ fn stalls(plan: &mut Plan<'_>) {
                 let outcome = run(&App::new(), seed, struck(seed).lasting(secs(STALL)).stall(actor))?;
                 let unaccounted = outcome.reports.iter().map(ControllerReport::unaccounted).sum::<u64>();
                 let row = row_of(&outcome)?;
-                // The step that hangs is the first one after the injection.
+                // The stalled step is the first one after the injection.
                 let figure = millis(row.injected, row.detected);
                 Ok(if row.resumed.is_some() && unaccounted == 0 { figure } else { f64::INFINITY })
             })
@@ -89,7 +89,7 @@ fn stalls(plan: &mut Plan<'_>) {
     }
 }
 
-/// Heartbeat limit and one period \[ms\]; the Model has none of its own, so that of its fastest client.
+/// Heartbeat limit and one period \[ms\]; the Model has no rate of its own, so its fastest client's period counts.
 pub fn detection_bar(actor: &str, class: RuntimeClass, rate_hz: f64) -> f64 {
     let limit = ChildSpec::new(actor, class, rate_hz).heartbeat_limit.as_secs_f64();
     (limit + 1.0 / if rate_hz > 0.0 { rate_hz } else { FASTEST_HZ }) * 1e3
@@ -160,14 +160,14 @@ fn guests(plan: &mut Plan<'_>) {
     });
 }
 
-/// A fault at a random moment at which something is held.
+/// A fault at a random moment while an instrument holds something.
 pub fn struck(seed: u64) -> FaultAt {
     let expect = Expect { force_newtons_max: Some(FORCE_MAX), ..Expect::default() };
     let plan = FaultPlan::new(seed).expecting(expect);
     plan.between(secs(WINDOW.0), secs(WINDOW.1)).during(During::Grasp)
 }
 
-/// A run of the exercise in virtual time, for as long as faults that wait for a grasp take.
+/// A lock-step run of the exercise, long enough for faults that wait for a grasp.
 pub fn options(seed: u64, plan: FaultPlan) -> RunOptions {
     RunOptions { lockstep: true, seconds: Some(RUN_SECS), seed, faults: Some(plan), ..RunOptions::default() }
 }
@@ -191,13 +191,13 @@ fn with_guest(seed: u64, add: impl Fn(App) -> App) -> Result<RunOutcome, Failure
     run(&app, seed, FaultPlan::new(seed))
 }
 
-/// The row of `name` and those of everybody else.
+/// The row of `name`, and all other rows.
 pub fn split<'a>(rows: &'a [ControllerReport], name: &str) -> (ControllerReport, Vec<&'a ControllerReport>) {
     let guest = rows.iter().find(|row| row.name == name).cloned();
     (guest.unwrap_or_default(), rows.iter().filter(|row| row.name != name).collect())
 }
 
-/// From the moment at which a fault was over to the first good work \[ms\].
+/// From the end of a fault to the first good work \[ms\].
 pub fn recovery(row: &FaultRow) -> f64 {
     row.recovery().map_or(f64::INFINITY, |span| span.as_secs_f64() * 1e3)
 }
@@ -214,7 +214,7 @@ pub fn millis(from: Option<SimTime>, to: Option<SimTime>) -> f64 {
     }
 }
 
-/// Every seed, side by side.
+/// Runs every seed in parallel.
 fn each_seed<T: Send>(look: impl Fn(u64) -> Result<T, Failure> + Sync) -> Result<Vec<T>, Failure> {
     let look = &look;
     thread::scope(|scope| {
@@ -226,7 +226,7 @@ fn each_seed<T: Send>(look: impl Fn(u64) -> Result<T, Failure> + Sync) -> Result
     })
 }
 
-/// The largest figure over the seeds, held against a bar.
+/// The largest figure over the seeds, compared with a bar.
 pub fn worst(
     name: &str,
     unit: &str,
@@ -237,12 +237,12 @@ pub fn worst(
     let largest = figures.iter().copied().fold(0.0, f64::max);
     let smallest = figures.iter().copied().fold(f64::INFINITY, f64::min);
     let spread = if largest > 0.0 && largest.is_finite() { (largest - smallest) / largest } else { 0.0 };
-    // JSON has no infinity: what never came is the length of the run.
+    // JSON has no infinity: an event that never came counts as the length of the run.
     let largest = largest.min(RUN_SECS * 1e3);
     Ok(BenchResult::on_value(name, unit, (largest, spread), Some(bar), Better::Lower))
 }
 
-/// Counts what must not be.
+/// Collects violations.
 #[derive(Default)]
 pub struct Wrong(Vec<String>);
 
@@ -252,7 +252,7 @@ impl Wrong {
             self.0.push(otherwise.to_owned());
         }
     }
-    /// What was found, as a row.
+    /// The violations as a row.
     pub fn row(&self, name: &str) -> BenchResult {
         for what in &self.0 {
             tracing::warn!("{name}: {what}");

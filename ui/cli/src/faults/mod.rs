@@ -1,4 +1,4 @@
-//! `trocar faults verify`: what a session survives, shown by doing it.
+//! `trocar faults verify`: injects every kind of fault and measures recovery.
 
 mod disks;
 mod flood;
@@ -20,7 +20,7 @@ use crate::doctor::machine;
 use crate::failure::Failure;
 use crate::output;
 
-/// Does what is asked about faults.
+/// Runs the command.
 pub fn faults(command: &FaultsCommand) -> Result<Exit, Failure> {
     match command {
         FaultsCommand::Verify(args) => verify(args),
@@ -42,20 +42,20 @@ fn verify(args: &VerifyArgs) -> Result<Exit, Failure> {
     Ok(if summary.missed().next().is_none() { Exit::Ok } else { Exit::Failed })
 }
 
-/// What a measurement gives.
+/// The results of a measurement.
 type Rows = Result<Vec<BenchResult>, Failure>;
 
-/// Rows to be measured, one after the other.
+/// The list of measurements.
 pub struct Plan<'a>(Vec<Step<'a>>);
 
-/// A name for people, and what gives one row or several.
+/// A name for people, and a measurement of one or more rows.
 struct Step<'a> {
     name: String,
     measure: Box<dyn FnOnce(&str) -> Rows + 'a>,
 }
 
 impl<'a> Plan<'a> {
-    /// One row of that name.
+    /// Adds a measurement of one row.
     pub fn row(
         &mut self,
         name: impl Into<String>,
@@ -63,7 +63,7 @@ impl<'a> Plan<'a> {
     ) {
         self.rows(name, |name| Ok(vec![measure(name)?]));
     }
-    /// Rows that one measurement gives.
+    /// Adds a measurement of several rows.
     pub fn rows(&mut self, name: impl Into<String>, measure: impl FnOnce(&str) -> Rows + 'a) {
         self.0.push(Step { name: name.into(), measure: Box::new(measure) });
     }

@@ -1,4 +1,4 @@
-//! What is left when the process itself is killed or told to end.
+//! Recordings and exit after the process itself receives SIGKILL or SIGTERM.
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -35,13 +35,13 @@ fn recorded_secs(file: &Path) -> Option<f64> {
     Recording::open(file).ok().map(|recording| recording.duration().as_secs_f64())
 }
 
-/// Waits until the recording has grown for a while, so that the session surely runs.
+/// Waits until the recording has grown for a while, which shows that the session runs.
 fn wait_for(child: &mut Child, file: &Path, secs: f64) -> Result<(), Failure> {
     let begun = Instant::now();
     while recorded_secs(file).is_none_or(|recorded| recorded < secs) {
         let gone = child.try_wait().map_err(Failure::internal)?.is_some();
         if gone || begun.elapsed() > Duration::from_secs(60) {
-            // It may have ended by itself, and then there is nothing to kill.
+            // If it has ended by itself there is nothing to kill.
             let _ = child.kill();
             return Err(Failure::internal("the session did not get to run"));
         }
@@ -50,19 +50,19 @@ fn wait_for(child: &mut Child, file: &Path, secs: f64) -> Result<(), Failure> {
     Ok(())
 }
 
-/// SIGKILL: how much of the session is not in the file.
+/// SIGKILL: how much of the session is missing in the file.
 fn killed(folder: &Path) -> Result<Vec<BenchResult>, Failure> {
     let file = folder.join("sigkill.mcap");
     let mut lacking = Vec::new();
     for _ in 0..3 {
-        // A file of the run before would be read instead.
+        // Otherwise the file of the previous run would be read.
         let _ = std::fs::remove_file(&file);
         let mut child = start(folder, "sigkill.mcap", &[])?;
         wait_for(&mut child, &file, 2.0)?;
         let (seen, at) = (recorded_secs(&file).unwrap_or(0.0), Instant::now());
         std::thread::sleep(Duration::from_millis(1_700));
         child.kill().map_err(Failure::internal)?;
-        // Since the last look this much time has passed, of which the file has the difference.
+        // This much time has passed since the last look; the file holds the difference.
         let passed = at.elapsed().as_secs_f64();
         child.wait().map_err(Failure::internal)?;
         lacking.push((passed - (recorded_secs(&file).unwrap_or(0.0) - seen)).max(0.0));
@@ -72,7 +72,7 @@ fn killed(folder: &Path) -> Result<Vec<BenchResult>, Failure> {
     Ok(vec![BenchResult::on_value(name, "s", (worst, 0.0), Some(1.0), Better::Lower)])
 }
 
-/// SIGTERM while a thread hangs for good: how long the end takes, and whether the recording is closed.
+/// SIGTERM while a thread hangs for good: how long the exit takes, and whether the recording is closed.
 fn terminated(folder: &Path) -> Result<Vec<BenchResult>, Failure> {
     let plan = "schema = 1\n[[fault]]\nat_secs = 1.5\ntarget = \"task\"\nkind = \"stall\"\n";
     std::fs::write(folder.join("zombie.toml"), plan).map_err(Failure::internal)?;
@@ -88,7 +88,7 @@ fn terminated(folder: &Path) -> Result<Vec<BenchResult>, Failure> {
         std::thread::sleep(Duration::from_millis(5));
     }
     let took = begun.elapsed().as_secs_f64();
-    // Only after ten seconds is there anything left to kill.
+    // Only after ten seconds is there a process left to kill.
     let _ = child.kill();
     let closed = Recording::open(&file).is_ok_and(|recording| recording.end().is_some());
     let mut row =

@@ -1,5 +1,5 @@
-//! A haptics controller that hangs in its step, is fenced and replaced, then wakes up and commands 100 N through
-//! its old link, again and again.
+//! A zombie: a haptics controller that hangs in its step, is fenced and replaced, then wakes up and repeatedly commands
+//! 100 N through its old link.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -15,29 +15,29 @@ use trocar_scene::{Access, Commands, Controller, ControllerError, SimTime, Snaps
 
 use crate::failure::Failure;
 
-/// Whom it stands for.
+/// The controller that it replaces.
 pub const VICTIM: &str = "haptics.left";
-/// What it commands while it is well \[N\].
+/// Its force while it works \[N\].
 pub const GENTLE: f64 = 0.5;
-/// What it commands as a zombie \[N\].
+/// Its force as a zombie \[N\].
 const BRUTAL: f64 = 100.0;
-/// How often it does.
+/// Number of commands as a zombie.
 pub const WRITES: u64 = 300;
-/// A step this late is one that hung.
+/// A step that is this late counts as hung.
 const LATE: SimTime = SimTime::from_millis(40);
-/// Period of a zombie that has a thread of its own.
+/// Period of a zombie on its own thread.
 const PERIOD: SimTime = SimTime::from_millis(1);
 
-/// What goes on after the life is over.
+/// State of a zombie after its instance was replaced.
 #[derive(Default)]
 pub struct Haunting {
-    /// The old link, on its way from the step that hung to a thread in virtual time.
+    /// The old link, handed from the hung step to a [`Haunter`] in virtual time.
     link: Mutex<Option<DeviceLink>>,
     written: AtomicU64,
 }
 
 impl Haunting {
-    /// How often 100 N were commanded.
+    /// Number of times that 100 N were commanded.
     pub fn written(&self) -> u64 {
         self.written.load(Ordering::Relaxed)
     }
@@ -55,16 +55,16 @@ fn command(epoch: u32, time_ns: u64, force: f64) -> DeviceCommand {
     DeviceCommand { epoch, time_ns, wrench, passivity: false, intent: None }
 }
 
-/// Which lives of the controller are the zombie's, and where it goes on.
+/// Which instances of the controller become zombies, and where they continue.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Habit {
-    /// The first life only; in virtual time a [`Haunter`] goes on with its link.
+    /// The first instance only; in virtual time a [`Haunter`] continues with its link.
     Once,
-    /// Every life, each on the thread that it hung on.
+    /// Every instance, each on the thread that it hung on.
     Always,
 }
 
-/// The program with such a controller for the left hand, and the exercise in which it takes part.
+/// The application with such a controller for the left hand, and the exercise that uses it.
 pub fn possessed(habit: Habit, haunting: &Arc<Haunting>) -> Result<(App, Scenario), Failure> {
     let haptics = App::new().kind_of("haptics").cloned();
     let haptics = haptics.ok_or_else(|| Failure::internal("there is no kind 'haptics'"))?;
@@ -113,7 +113,7 @@ impl Controller for Zombie {
             return Ok(());
         }
         match self.habit {
-            // Nothing can be waited for in virtual time.
+            // Virtual time cannot wait.
             Habit::Once => *self.haunting.link() = self.link.take(),
             Habit::Always => {
                 for _ in 0..WRITES {
@@ -127,10 +127,10 @@ impl Controller for Zombie {
     }
 }
 
-/// The zombie's thread in virtual time.
+/// The zombie in virtual time.
 pub struct Haunter {
     haunting: Arc<Haunting>,
-    /// Without, it wakes up and keeps quiet.
+    /// Whether it commands a force; otherwise it wakes up and does nothing.
     loud: bool,
 }
 

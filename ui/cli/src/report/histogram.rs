@@ -1,5 +1,4 @@
-//! How late ticks started: one small histogram per controller, both axes logarithmic, because the tail is
-//! what matters.
+//! Histograms of the lateness of ticks: one small histogram per controller, both axes logarithmic to show the tail.
 
 use super::Lateness;
 use super::scale::{Scale, short};
@@ -7,7 +6,7 @@ use super::svg::Chart;
 
 const WIDTH: f64 = 350.0;
 const HEIGHT: f64 = 170.0;
-/// From here on a tick counts as late \[µs\].
+/// From this lateness on a tick counts as late \[µs\].
 const LATE_US: f64 = 1_000.0;
 
 /// The histogram of one controller; `None` when it never ran.

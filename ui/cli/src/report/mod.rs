@@ -19,19 +19,19 @@ pub use page::html;
 pub use scale::{Scale, short};
 pub use svg::Chart;
 
-/// Everything that a report shows.
+/// The contents of a report.
 pub struct Report<'a> {
-    /// What the scenario is called in words.
+    /// Title of the scenario.
     pub title: &'a str,
     /// The result.
     pub summary: &'a RunSummary,
-    /// How it went.
+    /// Time series of the run.
     pub trace: &'a RunTrace,
-    /// How late each controller's ticks started.
+    /// Lateness of each controller's ticks.
     pub lateness: &'a [Lateness],
-    /// How everyone who is supervised is.
+    /// Health of the supervised children.
     pub health: &'a [Health],
-    /// Failures that the supervisor saw, in order.
+    /// Failures that the supervisor detected, in order.
     pub incidents: &'a [Incident],
     /// Expectations of the fault plan that were missed, one sentence each.
     pub failures: &'a [String],
@@ -46,7 +46,7 @@ pub struct Lateness {
     pub name: String,
     /// Upper edges of the bars \[µs\].
     pub upper_us: Vec<f64>,
-    /// Counts; one more than edges, for what lies above the last.
+    /// Counts; one more than edges, for values above the last edge.
     pub counts: Vec<u64>,
 }
 
@@ -57,20 +57,20 @@ pub struct Health {
     pub name: String,
     /// `healthy`, `late`, `restarting`, …
     pub health: String,
-    /// Lives after the first.
+    /// Restarts.
     pub restarts: u64,
 }
 
-/// A failure that the supervisor saw.
+/// A failure that the supervisor detected.
 #[derive(Clone, Debug, Default)]
 pub struct Incident {
-    /// When \[s\].
+    /// Time \[s\].
     pub secs: f64,
-    /// Who.
+    /// The child.
     pub child: String,
-    /// What happened.
+    /// The failure.
     pub what: String,
-    /// What was done about it.
+    /// The supervisor's response.
     pub outcome: String,
 }
 

@@ -13,7 +13,7 @@ const KEY: &str = "<span class=\"key\"><i class=\"left\"></i>left <i class=\"rig
 const KEY_WITH_DROPS: &str = "<span class=\"key\"><i class=\"left\"></i>left <i class=\"right\"></i>right \
      <i class=\"cross\">×</i>error</span>";
 
-/// The whole report as one HTML document that loads nothing.
+/// The whole report as one HTML document without external resources.
 pub fn html(report: &Report) -> String {
     let mut out = String::with_capacity(1 << 18);
     let title = escape(report.title);
@@ -166,7 +166,7 @@ fn rates(out: &mut String, report: &Report) {
         return;
     }
     section(out, "Controllers", "", &tables::controllers(report));
-    // Lateness is zero by construction in lock-step: nothing to draw.
+    // Lateness is zero by construction in lock-step, so it is not drawn.
     if report.summary.mode != Mode::Live {
         return;
     }

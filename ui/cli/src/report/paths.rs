@@ -1,4 +1,4 @@
-//! Paths of the instruments' tips, from above and from the front, at one scale, with what fell where.
+//! Paths of the instruments' tips, from above and from the front, at one scale, with the places of dropped objects.
 
 use trocar::trace::RunTrace;
 
@@ -47,7 +47,7 @@ fn view(report: &Report, view: &View) -> String {
     let across = extent(report.trace, view.across);
     let up = extent(report.trace, view.up);
     let plot_width = WIDTH - MARGINS.left - MARGINS.right;
-    // One scale for both axes: what is as long looks as long.
+    // One scale for both axes.
     let pixels_per_mm = plot_width / (across.1 - across.0);
     let plot_height = ((up.1 - up.0) * pixels_per_mm).clamp(120.0, 620.0);
     let pixels_per_mm = pixels_per_mm.min(plot_height / (up.1 - up.0));

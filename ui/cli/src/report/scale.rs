@@ -3,7 +3,7 @@
 /// Largest number of ticks on an axis.
 const TICKS_MAX: usize = 24;
 
-/// How values spread over an axis.
+/// Linear or logarithmic.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Spacing {
     Linear,

@@ -1,4 +1,4 @@
-//! Numbers over time: forces at the driver, energy at the device's port, opening of the jaws.
+//! Charts of values over time: forces at the driver, energy at the device's port, opening of the jaws.
 
 use trocar::decimate::Series;
 use trocar::trace::HandTrace;
@@ -9,7 +9,7 @@ use super::{Report, hand_class};
 
 const WIDTH: f64 = 1080.0;
 
-/// What is drawn of each hand.
+/// The series of a hand to be drawn.
 type Of = fn(&HandTrace) -> &Series;
 
 /// Magnitude of the rendered force of each hand, with the devices' limits.
@@ -43,7 +43,7 @@ pub fn jaws(report: &Report) -> String {
     chart.finish()
 }
 
-/// Whether any hand has something to draw.
+/// Whether any hand has data for this series.
 pub fn any(report: &Report, of: Of) -> bool {
     report.trace.hands.values().any(|hand| !of(hand).is_empty())
 }

@@ -1,4 +1,4 @@
-//! What became of each fault: injected, detected, restarted or over, resumed, over the time since its injection.
+//! The stages of each fault: injected, detected, restarted or over, resumed, over the time since its injection.
 
 use trocar::summary::FaultSummary;
 
@@ -10,7 +10,7 @@ const WIDTH: f64 = 1080.0;
 const LEFT: f64 = 250.0;
 const ROW: f64 = 22.0;
 const TOP: f64 = 8.0;
-/// Earliest time on the axis \[ms\]: what came sooner is drawn there.
+/// Earliest time on the axis \[ms\]: earlier events are drawn there.
 const FIRST_MS: f64 = 0.1;
 /// Most faults that are drawn; the table has all.
 const ROWS_MAX: usize = 60;
@@ -45,7 +45,7 @@ pub fn stages(report: &Report) -> String {
         for (stage, ms) in marks {
             let tip = format!("{}: {stage} after {} ms", fault.id, short(ms));
             let at = chart.x.clamped(ms.max(FIRST_MS));
-            // What comes at once is drawn one around the other.
+            // Simultaneous stages are drawn around each other.
             let radius = match stage {
                 "detected" => 6.5,
                 "resumed" => 3.0,

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use super::scale::Scale;
 use crate::escape::escape;
 
-/// A chart under construction: axes first, then whatever is drawn on them.
+/// A chart under construction: axes first, then its marks.
 pub struct Chart {
     svg: String,
     height: f64,
@@ -32,7 +32,7 @@ pub struct Margins {
 pub const MARGINS: Margins = Margins { left: 60.0, right: 14.0, top: 12.0, bottom: 38.0 };
 
 impl Chart {
-    /// An empty chart of a size \[px\]; `describe` says what it shows to who cannot see it.
+    /// An empty chart of a size \[px\]; `describe` is its text alternative for screen readers.
     pub fn new(width: f64, height: f64, describe: &str, x: Scale, y: Scale) -> Self {
         let describe = escape(describe);
         let svg = format!(

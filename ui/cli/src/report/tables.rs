@@ -60,7 +60,7 @@ fn controller_row(row: &ControllerSummary) -> Vec<Cell> {
     cells
 }
 
-/// Values that somebody has set.
+/// Tuned values.
 pub fn tuned(report: &Report) -> String {
     let value = |value: &serde_json::Value| match value {
         serde_json::Value::String(word) => Cell::text(word),
@@ -70,7 +70,7 @@ pub fn tuned(report: &Report) -> String {
     table(&["field", "value"], rows, "")
 }
 
-/// What became of each fault.
+/// The outcome of each fault.
 pub fn faults(report: &Report) -> String {
     let head = [
         "fault",
@@ -151,7 +151,7 @@ pub fn errors(report: &Report) -> String {
     table(&["error", "at [s]"], rows, "")
 }
 
-/// Supervised children and the failures that the supervisor saw.
+/// Supervised children and the failures that the supervisor detected.
 pub fn health(report: &Report) -> String {
     let rows = report.health.iter().map(|child| {
         let health = Cell::text(&child.health);

@@ -1,4 +1,4 @@
-//! What happened when: phases of the exercise, what each hand held, errors, faults and restarts.
+//! The timeline: phases of the exercise, grasps of each hand, errors, faults and restarts.
 
 use super::Report;
 use super::hand_class;
@@ -74,7 +74,7 @@ fn phases(chart: &mut Chart, report: &Report, (top, bottom): (f64, f64)) {
     }
 }
 
-/// From injected to resumed: how long it lasted, when it was seen, when its target was started anew.
+/// From injected to resumed: duration, detection, and restart of the target.
 fn fault_track(chart: &mut Chart, report: &Report, (top, bottom): (f64, f64)) {
     label(chart, "faults", (top, bottom));
     let middle = 0.5 * (top + bottom);
@@ -91,7 +91,7 @@ fn fault_track(chart: &mut Chart, report: &Report, (top, bottom): (f64, f64)) {
         let stages: String = stages.into_iter().filter_map(|(what, secs)| stage(what, secs)).collect();
         let tip = format!("{}: {} {} at {injected:.3} s{stages}", fault.id, fault.kind, fault.target);
         let class = if fault.resumed_secs.is_some() { "fault" } else { "fault open" };
-        // However short it was, it can be pointed at.
+        // At least wide enough for the pointer.
         let to = chart.x.pixel(over).max(chart.x.pixel(injected) + 3.0);
         chart.rect(class, (chart.x.pixel(injected), top + 3.0), (to, bottom - 3.0), &tip);
         chart.cross("bad", (chart.x.pixel(injected), middle), &tip);

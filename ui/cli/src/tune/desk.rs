@@ -1,4 +1,4 @@
-//! The session's side of `trocar tune`: answers between two looks at the scene.
+//! The session's side of `trocar tune`: answers requests between two looks at the scene.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use crate::output;
 /// Most fields in an answer.
 const FIELDS_MAX: usize = 10_000;
 
-/// Tunes a session for whoever asks.
+/// Tunes a session on request.
 pub struct Desk<'a> {
     app: &'a App,
     scenario: &'a Scenario,
@@ -28,14 +28,14 @@ pub struct Desk<'a> {
 }
 
 impl<'a> Desk<'a> {
-    /// For a session of this scenario; nobody can ask it yet.
+    /// For a session of this scenario; its socket is not open yet.
     pub fn new(app: &'a App, scenario: &'a Scenario, tuner: Tuner) -> Self {
-        // Absolute, whatever becomes of the working folder.
+        // An absolute path, since the working folder may change.
         let file = std::fs::canonicalize(&scenario.file).ok().filter(|file| file.is_file());
         Self { app, scenario, file, tuner, server: None }
     }
 
-    /// Opens the socket of this process; without one the session runs all the same, and cannot be tuned.
+    /// Opens the socket of this process; without one the session runs, but cannot be tuned.
     pub fn open(&mut self) {
         self.server = Server::open()
             .map_err(|error| tracing::warn!("the session cannot be tuned while it runs: {error}"))
@@ -47,12 +47,12 @@ impl<'a> Desk<'a> {
         self.server = None;
     }
 
-    /// What is not as in the scenario.
+    /// The values that differ from the scenario.
     pub fn tuned(&self, scene: &Snapshot) -> BTreeMap<String, Value> {
         self.tuner.values(scene).into_iter().collect()
     }
 
-    /// Answers what was asked since the last time.
+    /// Answers the requests since the last call.
     pub fn serve(&mut self, session: &mut Session) {
         while let Some(asked) = self.server.as_ref().and_then(Server::question) {
             let reply = self.ask(session, &asked.request);
@@ -60,7 +60,7 @@ impl<'a> Desk<'a> {
         }
     }
 
-    /// Does what is asked, and says what came of it.
+    /// Carries out a request and returns its answer.
     pub fn ask(&mut self, session: &mut Session, request: &Request) -> Reply {
         match self.answer(session, request) {
             Ok(reply) => reply,
@@ -119,13 +119,13 @@ impl<'a> Desk<'a> {
         Ok(Reply { fields, file, text, left_out, ..self.reply(session) })
     }
 
-    /// Lets the Model apply a change and says what became of it.
+    /// Lets the Model apply a change and returns the answer.
     fn apply(&mut self, session: &mut Session, change: Change) -> Result<Vec<FieldRow>, String> {
         let tuned = self.tuner.apply(session, change).map_err(|error| error.to_string())?;
         Ok(tuned.into_iter().map(row).collect())
     }
 
-    /// Writes what is tuned into the scenario's own file, or a new one.
+    /// Writes the tuned values into the scenario's own file, or a new one.
     fn save(&self, scene: &Snapshot, wanted: Option<&Path>) -> Result<(PathBuf, Vec<String>), String> {
         let own = self.file.as_deref();
         let file = match (wanted, own) {
@@ -141,7 +141,7 @@ impl<'a> Desk<'a> {
                 return Err("the scenario comes with the program: name a file to save it to".to_owned());
             }
         };
-        // As it is on the disk now: somebody may have edited it since.
+        // The file as it is on the disk now: it may have been edited since the start.
         let text = match file.exists() {
             true => read(file)?,
             false => self.scenario.text().to_owned(),

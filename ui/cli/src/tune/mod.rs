@@ -1,4 +1,4 @@
-//! `trocar tune`: values of a running session, from another terminal.
+//! `trocar tune`: reads and changes values of a running session from another terminal.
 
 mod desk;
 pub mod protocol;
@@ -20,7 +20,7 @@ use crate::escape::printable;
 use crate::failure::{Failure, did_you_mean};
 use crate::output;
 
-/// The scenario that the command line asks for, with the values that it sets, and what is known of them.
+/// The scenario of the command line with its assigned values, and a tuner that knows the original ones.
 pub fn scenario(app: &App, args: &SessionArgs) -> Result<(Scenario, Tuner), Failure> {
     let scenario = app.scenario(&args.scenario)?;
     let sets = match &args.tuning {
@@ -48,7 +48,7 @@ pub fn scenario(app: &App, args: &SessionArgs) -> Result<(Scenario, Tuner), Fail
     Ok((tuned, tuner))
 }
 
-/// Asks a running session.
+/// Sends the command to a running session.
 pub fn tune(args: &TuneArgs) -> Result<Exit, Failure> {
     let result = attempt(args);
     if args.json
@@ -75,7 +75,7 @@ fn attempt(args: &TuneArgs) -> Result<Exit, Failure> {
     Ok(Exit::Ok)
 }
 
-/// The socket of the session that is meant: the only one, or that of a process.
+/// The socket of the session: the only running one, or that of the given process.
 fn session(wanted: Option<u32>) -> Result<PathBuf, Failure> {
     let sessions = socket::sessions().map_err(Failure::invalid)?;
     let known = || sessions.iter().map(|(pid, _)| pid.to_string()).collect::<Vec<_>>().join(", ");
@@ -118,7 +118,7 @@ fn ask(socket: &Path, request: &Request) -> Result<Reply, Failure> {
     }
 }
 
-/// What a person wants to know.
+/// The answer as text for people.
 fn text(command: &TuneCommand, reply: &Reply) -> String {
     let value = |value: &Value| match value {
         Value::String(word) => printable(word),

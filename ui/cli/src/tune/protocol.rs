@@ -1,4 +1,4 @@
-//! What `trocar tune` and a running session say to each other: a JSON object per line, one answer per question.
+//! The protocol between `trocar tune` and a running session: a JSON object per line, one answer per request.
 
 use std::path::PathBuf;
 
@@ -8,64 +8,64 @@ use serde_json::Value;
 /// Longest line \[bytes\].
 pub const LINE_BYTES_MAX: usize = 1 << 20;
 
-/// What is asked of a session.
+/// A request to a session.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "do", deny_unknown_fields)]
 pub enum Request {
-    /// Which fields there are, with their values.
+    /// List fields with their values.
     List {
         /// An entity, a component of it, or a field; `*` stands for any letters.
         pattern: String,
     },
-    /// Single fields are set.
+    /// Set single fields.
     Set {
         /// Fields and values.
         values: Vec<(String, Value)>,
     },
-    /// A set of values is used.
+    /// Switch to a set of values.
     Use {
         /// Its name, or `base`.
         set: String,
     },
-    /// What is tuned is kept as a set.
+    /// Store the tuned values as a set.
     Keep {
         /// Its name.
         set: String,
     },
-    /// What is tuned, and which sets there are.
+    /// Report the tuned fields and the sets.
     Status {},
-    /// What is tuned is written into the scenario.
+    /// Write the tuned values into the scenario.
     Save {
         /// A new file instead of the scenario's own; an absolute path.
         file: Option<PathBuf>,
     },
-    /// All sets, as the text of a file for `--tuning`.
+    /// Return all sets, as the text of a file for `--tuning`.
     Sets {},
 }
 
-/// What a session answers.
+/// A session's answer.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Reply {
-    /// What is wrong; nothing was done then.
+    /// The error; nothing was done then.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
     /// Name of the scenario.
     pub scenario: String,
     /// Time of the session \[s\].
     pub session_secs: f64,
-    /// The set in use; none when single fields were set since.
+    /// The set in use; `None` after single fields were set.
     pub in_use: Option<String>,
-    /// The sets that there are.
+    /// The names of all sets.
     pub sets: Vec<String>,
     /// Fields.
     pub fields: Vec<FieldRow>,
     /// The file that was written.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
-    /// A text that was asked for.
+    /// The requested text.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub text: Option<String>,
-    /// What could not be saved, in words.
+    /// Values that could not be saved, in words.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<String>,
 }
@@ -77,7 +77,7 @@ pub struct FieldRow {
     pub field: String,
     /// Its value.
     pub value: Value,
-    /// What it was before this, or before anybody tuned it.
+    /// Its value before this change, or before it was first tuned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub before: Option<Value>,
 }

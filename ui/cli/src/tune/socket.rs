@@ -1,4 +1,4 @@
-//! Where running sessions can be found: a socket each, in a folder that only this user can enter.
+//! The sockets of running sessions: one Unix socket for each, in a folder that only this user can enter.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
@@ -12,15 +12,15 @@ use std::time::Duration;
 
 use super::protocol::{LINE_BYTES_MAX, Reply, Request};
 
-/// Longest silence of the other side.
+/// Longest silence of the peer.
 const SILENCE_MAX: Duration = Duration::from_secs(2);
-/// Longest time that a session takes to answer; it answers between two looks at the scene.
+/// Longest time until a session answers; it answers between two looks at the scene.
 const ANSWER_MAX: Duration = Duration::from_secs(5);
 
-/// The folder of this user's sockets; `TROCAR_RUNTIME_DIR` names another one.
+/// The folder of this user's sockets; `TROCAR_RUNTIME_DIR` overrides it.
 ///
 /// # Errors
-/// When it cannot be made, or others could put something there.
+/// When it cannot be created, or other users could write to it.
 pub fn folder() -> io::Result<PathBuf> {
     let uid = rustix::process::getuid().as_raw();
     let folder = match (std::env::var_os("TROCAR_RUNTIME_DIR"), std::env::var_os("XDG_RUNTIME_DIR")) {
@@ -32,13 +32,13 @@ pub fn folder() -> io::Result<PathBuf> {
     Ok(folder)
 }
 
-/// Makes a folder that only `uid` can enter, or sees that it is one.
+/// Creates a folder that only `uid` can enter, or checks that an existing one is such a folder.
 fn private(folder: &Path, uid: u32) -> io::Result<()> {
     match std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder) {
         Err(error) if error.kind() != io::ErrorKind::AlreadyExists => return Err(error),
         _ => {}
     }
-    // Not followed: a link that somebody else has put there is no folder of ours.
+    // Symbolic links are not followed: another user's link is not our folder.
     let found = std::fs::symlink_metadata(folder)?;
     if !found.is_dir() || found.uid() != uid || found.mode() & 0o022 != 0 {
         let reason =
@@ -48,21 +48,21 @@ fn private(folder: &Path, uid: u32) -> io::Result<()> {
     Ok(())
 }
 
-/// A question with the way back for its answer.
+/// A request with the channel for its answer.
 pub struct Asked {
-    /// What is asked.
+    /// The request.
     pub request: Request,
     answer: SyncSender<Reply>,
 }
 
 impl Asked {
-    /// Answers; that nobody waits for it any more is no failure.
+    /// Sends the answer; it is no failure if the client has gone.
     pub fn answer(self, reply: Reply) {
         let _ = self.answer.try_send(reply);
     }
 }
 
-/// A session's socket. Its thread waits for questions and takes no time otherwise.
+/// A session's socket. Its thread blocks until a request arrives.
 pub struct Server {
     path: PathBuf,
     stop: Arc<AtomicBool>,
@@ -74,15 +74,15 @@ impl Server {
     /// Opens the socket of this process.
     ///
     /// # Errors
-    /// When the system refuses it.
+    /// When the system refuses.
     pub fn open() -> io::Result<Self> {
         let path = folder()?.join(format!("{}.sock", std::process::id()));
-        // One of that number was left behind by a process that is no more.
+        // A dead process with the same number may have left a socket behind.
         let _ = std::fs::remove_file(&path);
         let listener = UnixListener::bind(&path)?;
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
-        // One question at a time: whoever asks waits for the answer.
+        // One request at a time: the client waits for its answer.
         let (sender, questions) = sync_channel(1);
         let thread = std::thread::Builder::new().name("tune".into()).spawn(move || {
             for stream in listener.incoming() {
@@ -90,9 +90,9 @@ impl Server {
                     break;
                 }
                 match stream {
-                    // Who breaks off in the middle is none of the session's business.
+                    // A client that disconnects in the middle does not concern the session.
                     Ok(stream) => drop(converse(stream, &sender)),
-                    // Out of file handles: those of others will be closed at some time.
+                    // Out of file descriptors: retry once others have been closed.
                     Err(_) => std::thread::sleep(Duration::from_millis(100)),
                 }
             }
@@ -100,7 +100,7 @@ impl Server {
         Ok(Self { path, stop, thread: Some(thread), questions })
     }
 
-    /// The next question, if there is one.
+    /// The next request, if there is one.
     pub fn question(&self) -> Option<Asked> {
         self.questions.try_recv().ok()
     }
@@ -109,7 +109,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Release);
-        // Wakes the thread up; what waits to be answered gets no answer any more.
+        // Wakes the thread up; pending requests get no answer.
         let woken = UnixStream::connect(&self.path).is_ok();
         let _ = std::fs::remove_file(&self.path);
         while self.questions.try_recv().is_ok() {}
@@ -147,7 +147,7 @@ fn refused(why: &str) -> Reply {
     Reply { error: Some(why.to_owned()), ..Reply::default() }
 }
 
-/// A line without its end; `None` at the end of the stream.
+/// A line without its line break; `None` at the end of the stream.
 fn line(reader: &mut impl BufRead) -> io::Result<Option<String>> {
     let mut line = String::new();
     let read = reader.by_ref().take(LINE_BYTES_MAX as u64).read_line(&mut line)?;
@@ -158,10 +158,10 @@ fn line(reader: &mut impl BufRead) -> io::Result<Option<String>> {
     }
 }
 
-/// Asks the session behind a socket.
+/// Sends a request to the session behind a socket.
 ///
 /// # Errors
-/// When nobody is there or no answer comes.
+/// When no session listens, or no answer comes.
 pub fn ask(socket: &Path, request: &Request) -> io::Result<Reply> {
     let stream = UnixStream::connect(socket)?;
     stream.set_read_timeout(Some(ANSWER_MAX + SILENCE_MAX))?;
@@ -172,13 +172,13 @@ pub fn ask(socket: &Path, request: &Request) -> io::Result<Reply> {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "too many values at a time"));
     }
     (&stream).write_all(text.as_bytes())?;
-    // Answers come from a process of this user's own; a list of all fields may be long.
+    // Answers come from a process of the same user; a list of all fields may be long.
     let mut answer = String::new();
     BufReader::new(&stream).take(64 << 20).read_line(&mut answer)?;
     serde_json::from_str(&answer).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))
 }
 
-/// Sessions of this user: process numbers and sockets, in order. What dead ones have left behind is cleared away.
+/// Sessions of this user: process numbers and sockets, in order. Sockets of dead processes are removed.
 ///
 /// # Errors
 /// When the folder cannot be read.
@@ -204,7 +204,7 @@ pub fn sessions() -> io::Result<Vec<(u32, PathBuf)>> {
 mod tests {
     use super::*;
 
-    /// A session that answers every question with the pattern that it was asked for.
+    /// A session that answers every request with the pattern in it.
     fn parrot(session: Receiver<Asked>) -> JoinHandle<()> {
         std::thread::spawn(move || {
             while let Ok(asked) = session.recv() {

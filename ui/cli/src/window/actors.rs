@@ -1,4 +1,4 @@
-//! The supervisor tree as a window shows it.
+//! The supervisor tree for the window's panel.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use trocar_kernel::runtime::ControllerReport;
 use trocar_kernel::supervision::{Exhausted, GroupSpec, Intensity, Node};
 use trocar_viewer::window::subject::Actor;
 
-/// Everybody who acts, below their supervisors, with rates and health.
+/// All actors, below their supervisors, with rates and health.
 pub fn actors(session: &Session) -> Vec<Actor> {
     let known = Known {
         health: session.health().into_iter().collect(),
@@ -16,7 +16,7 @@ pub fn actors(session: &Session) -> Vec<Actor> {
     below(&session.tree(), &known)
 }
 
-/// What is known of those who act, by name.
+/// Known data of the actors, by name.
 struct Known {
     health: BTreeMap<String, &'static str>,
     rates: BTreeMap<String, ControllerReport>,
@@ -28,7 +28,7 @@ impl Known {
         let actor = Actor { name: name.to_owned(), depth, health, ..Actor::default() };
         let Some(row) = self.rates.get(name) else { return actor };
         Actor {
-            // What is woken by messages has no rate.
+            // An actor that messages wake has no rate.
             hz: (row.target_hz > 0.0).then_some([row.target_hz, row.achieved_hz]),
             on_time: row.on_time,
             late_us: [row.lateness_us.p50, row.lateness_us.p99],
@@ -48,7 +48,8 @@ fn below(tree: &GroupSpec, known: &Known) -> Vec<Actor> {
             Node::Child(child) => known.actor(&child.id, depth),
         });
     }
-    // A supervisor is as well as the worst of its own. Those below come later, so from behind they are known already.
+    // A supervisor is as healthy as the worst of its children. Children come later in the list, so it is walked
+    // backwards.
     for index in
         (0..actors.len()).rev().filter(|index| actors[*index].supervises.is_some()).collect::<Vec<_>>()
     {
@@ -57,7 +58,7 @@ fn below(tree: &GroupSpec, known: &Known) -> Vec<Actor> {
         let worst = own.max_by_key(|actor| severity(&actor.health)).map(|actor| actor.health.clone());
         actors[index].health = worst.unwrap_or_default();
     }
-    // Who takes part without a supervisor.
+    // Actors without a supervisor.
     let names = known.health.keys().chain(known.rates.keys());
     let mut others: Vec<&String> =
         names.filter(|name| actors.iter().all(|actor| actor.name != **name)).collect();

@@ -1,4 +1,4 @@
-//! What lies between a session and the windows onto it: neither waits for the other.
+//! The link between a session and its windows; neither end ever blocks the other.
 
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -12,37 +12,37 @@ use trocar_scene::{Entity, SimTime, Snapshot};
 use trocar_viewer::window::display;
 use trocar_viewer::window::subject::{Ask, Note, Standing, Subject};
 
-/// Wishes that may wait for the session.
+/// Most queued requests to the session.
 const ASKS_MAX: usize = 256;
-/// Notes that are kept for a window that was not there when they were made.
+/// Most notes kept for a window that is not open yet.
 const NOTES_MAX: usize = 8;
 
-/// Where a person who plays sits: written by the session, taken by the event loop.
+/// The seat of a person who plays: offered by the session, taken by the event loop.
 pub struct Seat {
-    /// Through whom it writes.
+    /// The guest that writes the input.
     pub guest: Guest,
-    /// Where.
+    /// The entity that takes it.
     pub person: Entity,
 }
 
-/// Who looks at a session.
+/// Whether a session has viewers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Audience {
-    /// Somebody does.
+    /// At least one window is open.
     There,
-    /// The last window was closed: nobody wants to see more.
+    /// The last window was closed by the user.
     Left,
-    /// Nothing can be shown any more. The session goes on without pictures.
+    /// The display is lost. The session goes on without pictures.
     Cut,
 }
 
-/// What the session and its windows share.
+/// State shared by the session and its windows.
 pub struct Shared {
     title: String,
     folder: Option<std::path::PathBuf>,
-    /// In real time: where the latest scene always is.
+    /// In real time: a reader of the latest scene.
     reader: ArcSwapOption<SceneReader>,
-    /// Otherwise: the latest that was shown.
+    /// Otherwise: the scene that was shown last.
     shown: ArcSwap<Snapshot>,
     standing: ArcSwap<Standing>,
     seat: Mutex<Option<Seat>>,
@@ -50,7 +50,7 @@ pub struct Shared {
 }
 
 impl Shared {
-    /// The seat of a new session, once.
+    /// Takes the seat of a new session; each seat can be taken once.
     pub fn take_seat(&self) -> Option<Seat> {
         self.seat.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
@@ -63,7 +63,7 @@ impl Shared {
         }
     }
 
-    /// Who looks.
+    /// The audience.
     pub fn audience(&self) -> Audience {
         match self.audience.load(Ordering::Acquire) {
             _ if display::is_gone() => Audience::Cut,
@@ -73,13 +73,13 @@ impl Shared {
         }
     }
 
-    /// Who looks from now on.
+    /// Sets the audience.
     pub fn set_audience(&self, audience: Audience) {
         self.audience.store(audience as u8, Ordering::Release);
     }
 }
 
-/// The session's end.
+/// The session's end of the link.
 pub struct Link {
     shared: Arc<Shared>,
     asks: Receiver<Ask>,
@@ -87,13 +87,13 @@ pub struct Link {
     notes: u64,
 }
 
-/// The windows' end: one per window.
+/// A window's end of the link.
 pub struct Looker {
     shared: Arc<Shared>,
     asks: SyncSender<Ask>,
 }
 
-/// Both ends, with the scene to begin with.
+/// Both ends, with the first scene.
 pub fn link(title: String, folder: Option<std::path::PathBuf>, first: Arc<Snapshot>) -> (Link, Looker) {
     let (sender, asks) = sync_channel(ASKS_MAX);
     let shared = Arc::new(Shared {
@@ -110,22 +110,22 @@ pub fn link(title: String, folder: Option<std::path::PathBuf>, first: Arc<Snapsh
 }
 
 impl Link {
-    /// What it shares with the windows.
+    /// The state shared with the windows.
     pub fn shared(&self) -> &Arc<Shared> {
         &self.shared
     }
 
-    /// The next wish, if there is one.
+    /// The next request, if there is one.
     pub fn asked(&self) -> Option<Ask> {
         self.asks.try_recv().ok()
     }
 
-    /// The next wish, or none within that time.
+    /// The next request, or `None` after that time.
     pub fn wait(&self, limit: Duration) -> Option<Ask> {
         self.asks.recv_timeout(limit).ok()
     }
 
-    /// From now on scenes are read there.
+    /// Sets the reader of the scene.
     pub fn read_from(&self, reader: Option<SceneReader>) {
         self.shared.reader.store(reader.map(Arc::new));
     }
@@ -135,23 +135,23 @@ impl Link {
         self.shared.shown.store(scene);
     }
 
-    /// Offers a seat to whoever plays.
+    /// Offers a seat to the person who plays.
     pub fn offer(&self, seat: Seat) {
         *self.shared.seat.lock().unwrap_or_else(PoisonError::into_inner) = Some(seat);
     }
 
-    /// Changes how things stand, for all to see.
+    /// Changes the session's state as the windows show it.
     pub fn tell(&mut self, change: impl FnOnce(&mut Standing)) {
         change(&mut self.standing);
         self.shared.standing.store(Arc::new(self.standing.clone()));
     }
 
-    /// How things stand.
+    /// The session's state as the windows show it.
     pub fn standing(&self) -> &Standing {
         &self.standing
     }
 
-    /// Tells people something.
+    /// Shows a note to people.
     pub fn note(&mut self, text: impl Into<String>, bad: bool) {
         self.notes += 1;
         let note = (self.notes, Note { text: text.into(), bad });
@@ -164,7 +164,7 @@ impl Link {
 }
 
 impl Looker {
-    /// What it shares with the session.
+    /// The state shared with the session.
     pub fn shared(&self) -> &Arc<Shared> {
         &self.shared
     }
@@ -192,7 +192,7 @@ impl Subject for Looker {
     }
 
     fn ask(&mut self, ask: Ask) {
-        // A session that is so far behind has been asked enough.
+        // A full queue means that the session is far behind: the request is dropped.
         let _ = self.asks.try_send(ask);
     }
 

@@ -1,4 +1,4 @@
-//! Sessions in a window: the event loop has the program's first thread, the session another one.
+//! Sessions in a window: the event loop runs on the program's first thread, the session on another.
 
 mod actors;
 mod faults;
@@ -27,10 +27,10 @@ use link::{Audience, Looker, Shared};
 pub use playback::Findings;
 pub use session_host::{Attendant, Next};
 
-/// Asks for the display; `None` where there is none, or nobody wants a window.
+/// Connects to the display; `None` where there is none, or no window is wanted.
 ///
 /// # Errors
-/// When a window is asked for and cannot be opened.
+/// When a window is requested and cannot be opened.
 pub fn connect(args: &WindowArgs, by_default: bool) -> Result<Option<Windows>, Failure> {
     if !args.window && (!by_default || args.headless || !display::is_announced()) {
         return Ok(None);
@@ -45,7 +45,7 @@ pub fn connect(args: &WindowArgs, by_default: bool) -> Result<Option<Windows>, F
     }
 }
 
-/// Runs a session on a thread of its own while windows show it on this one.
+/// Runs a session on its own thread while windows show it on this one.
 ///
 /// # Errors
 /// Those of the session.
@@ -64,22 +64,22 @@ pub fn with_session(
     with(windows, pictures, vec![looker], player, move || session(Attendant::new(link, plays, viewers)))
 }
 
-/// What a window shows, and who plays in it.
+/// The content of a window, and its player.
 pub struct Show {
-    /// For people.
+    /// Title for people.
     pub title: String,
-    /// The scenario's.
+    /// The scenario's folder.
     pub folder: Option<PathBuf>,
-    /// The scene to begin with.
+    /// The first scene.
     pub first: Arc<Snapshot>,
-    /// How a person's controls are bound, where one plays.
+    /// The control bindings, if a person plays.
     pub play: Option<Bindings>,
 }
 
-/// Shows recordings beside each other while `check` finds out about the first one on a thread of its own.
+/// Shows recordings beside each other while `check` verifies the first one on its own thread.
 ///
 /// # Errors
-/// What the check finds, and when a recording cannot be played.
+/// Errors of the check, and recordings that cannot be played.
 pub fn with_recordings(
     app: &App,
     windows: Windows,
@@ -105,7 +105,7 @@ pub fn with_recordings(
             let (found, findings) = sync_channel(1);
             let mut findings = Some(findings);
             for (link, recording) in links.into_iter().zip(recordings) {
-                // Only the first one is checked: of the others nobody has anything to tell.
+                // Only the first recording is checked: the others have no findings.
                 let findings = findings.take().unwrap_or_else(|| sync_channel(1).1);
                 let player = move || playback::play(link, recording, app.registry(), &findings);
                 let thread = std::thread::Builder::new().name("playback".into());
@@ -123,7 +123,7 @@ pub fn with_recordings(
     })
 }
 
-/// Runs `body` on a thread of its own while windows show subjects on this one.
+/// Runs `body` on its own thread while windows show subjects on this one.
 fn with(
     windows: Windows,
     pictures: &PictureArgs,
@@ -139,7 +139,7 @@ fn with(
         let runner = std::thread::Builder::new().name("session".into()).spawn_scoped(scope, move || {
             let result = body();
             if display::is_gone() {
-                // The first thread has been lost with the display: this one ends the program.
+                // The first thread died with the display: this one ends the program.
                 leave(&result);
             }
             // The windows may be closed already.
@@ -169,7 +169,7 @@ fn with(
     })
 }
 
-/// How eyes share a window.
+/// The stereo layout of a window.
 fn eyes(eyes: args::Eyes) -> Eyes {
     match eyes {
         args::Eyes::One => Eyes::One,
@@ -189,7 +189,7 @@ fn leave(result: &Result<Exit, Failure>) -> ! {
             failure.exit.code()
         }
     };
-    // Nobody is left to complain to.
+    // A failure can no longer be reported.
     let _ = std::io::stdout().flush();
     std::process::exit(i32::from(code))
 }

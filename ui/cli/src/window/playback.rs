@@ -1,4 +1,4 @@
-//! A recording as a window leads through it: forwards, faster, from anywhere, over and over.
+//! Playback of a recording under control of a window: speed, seek, loop.
 
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
@@ -10,27 +10,27 @@ use trocar_viewer::window::subject::{Abilities, Ask, Course, Mark, Note};
 
 use super::link::{Audience, Link};
 
-/// Between two scenes that are shown.
+/// Interval between two displayed scenes.
 const FRAME: Duration = Duration::from_millis(16);
-/// How long nobody looks whether something is asked for, while time stands still.
+/// Interval at which requests are checked while playback is paused.
 const REST: Duration = Duration::from_millis(50);
-/// What passes in a step.
+/// Session time of a single step.
 const STEP: SimTime = SimTime::from_millis(10);
-/// From so far ahead on it is shorter to begin at a keyframe than to play everything in between.
+/// A seek further ahead than this begins at a keyframe instead of playing all commits in between.
 const LEAP: SimTime = SimTime::from_millis(1_500);
 
-/// What was found out about a recording while it is shown.
+/// The results of checking a recording while it is shown.
 pub struct Findings {
-    /// What happened when.
+    /// Marks of the timeline.
     pub marks: Vec<Mark>,
-    /// What to tell people.
+    /// The note for people.
     pub note: Note,
 }
 
-/// Plays a recording until nobody looks any more.
+/// Plays a recording until all windows are closed.
 ///
 /// # Errors
-/// When it cannot be played at all; what is wrong later on is told to those who look.
+/// When it cannot be played at all; later errors are shown as notes.
 pub fn play(
     mut link: Link,
     recording: &Recording,
@@ -69,7 +69,7 @@ pub fn play(
                 if changed {
                     link.show(player.replay.snapshot());
                 }
-                // Whoever hears that it is over sees how it ended.
+                // The last scene is shown before the end is announced.
                 if ends {
                     link.tell(|standing| standing.course = Course::Over);
                 }
@@ -88,7 +88,7 @@ struct Player<'a> {
     recording: &'a Recording,
     registry: &'a Arc<Registry>,
     replay: Replay<'a>,
-    /// What time it is for those who look.
+    /// The displayed time.
     time: SimTime,
     shown: SimTime,
 }
@@ -129,7 +129,7 @@ impl<'a> Player<'a> {
         }
     }
 
-    /// Lets time go on; whether that brought it to the end.
+    /// Advances the time; returns whether it reached the end.
     fn pass(&mut self, link: &Link, passed: Duration, length: SimTime) -> bool {
         let span = passed.as_secs_f64() * link.standing().speed;
         self.time += SimTime::from_secs_f64(span);
@@ -141,12 +141,13 @@ impl<'a> Player<'a> {
         !again
     }
 
-    /// Brings the scene to the time that it is; whether it was another one.
+    /// Moves the scene to the displayed time; returns whether the scene changed.
     fn follow(&mut self) -> Result<bool, RecordingError> {
         if self.time == self.shown {
             return Ok(false);
         }
-        // What was published together is played together: the scene may be ahead a little, which is no reason to go back.
+        // Commits that were published together are played together: the scene may be slightly ahead, which needs no
+        // seek back.
         if self.time < self.shown || self.time > self.replay.time() + LEAP {
             self.replay = Replay::seek(self.recording, self.registry, self.time)?;
         }
@@ -155,7 +156,7 @@ impl<'a> Player<'a> {
         Ok(true)
     }
 
-    /// Here it cannot go on; elsewhere it may.
+    /// Playback cannot continue here; elsewhere it may.
     fn give_up(&mut self) {
         self.shown = self.time;
     }
@@ -171,7 +172,7 @@ mod tests {
     use trocar::run::{RunOptions, run};
     use trocar_viewer::window::Subject;
 
-    /// A recording of one second, played in the background; what `look` finds out about it.
+    /// Plays a one-second recording in the background and returns the result of `look`.
     fn shown<T>(look: impl FnOnce(&mut Looker, &std::sync::mpsc::SyncSender<Findings>) -> T) -> T {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("try.mcap");
@@ -192,7 +193,7 @@ mod tests {
         std::thread::scope(|scope| {
             let (recording, registry) = (&recording, app.registry());
             let player = scope.spawn(move || play(link, recording, registry, &findings));
-            // Also when somebody is disappointed: the player goes on as long as there is an audience.
+            // Also when an assertion fails: the player runs as long as it has an audience.
             let outcome = std::panic::catch_unwind(AssertUnwindSafe(|| look(&mut looker, &found)));
             shared.set_audience(Audience::Left);
             let outcome = outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -201,7 +202,7 @@ mod tests {
         })
     }
 
-    /// Waits, as long as it takes, until what is shown is as it should be.
+    /// Waits without limit until the displayed state is as expected.
     fn until(looker: &mut Looker, what: &str, is: impl Fn(&mut Looker) -> bool) {
         let begun = Instant::now();
         while !is(looker) {

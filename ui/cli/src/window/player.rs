@@ -1,4 +1,4 @@
-//! A person at a window with mouse, keyboard and gamepad.
+//! Input of a person at a window: mouse, keyboard and gamepad.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use trocar_viewer::window::Player;
 
 use super::link::{Seat, Shared};
 
-/// Turns what is pressed into what is meant, and writes that into the session.
+/// Turns key and button presses into control input, and writes it into the session.
 pub struct Person {
     shared: Arc<Shared>,
     bindings: Bindings,
@@ -18,7 +18,7 @@ pub struct Person {
 }
 
 impl Person {
-    /// Who will sit down as soon as there is a seat.
+    /// A person who takes the seat as soon as a session offers one.
     pub fn new(shared: Arc<Shared>, bindings: Bindings) -> Self {
         let pad =
             GamepadReader::start().map_err(|error| tracing::info!("no gamepads are read: {error}")).ok();
@@ -59,7 +59,7 @@ impl Player for Person {
 
     fn pass(&mut self, secs: f64, view: Option<PersonView>) {
         if let Some(seat) = self.shared.take_seat() {
-            // A new session: its hands begin where they are.
+            // A new session: its hands begin at their own positions.
             let controls = Controls::new(self.bindings.clone(), &seat.guest.snapshot());
             self.seated = Some((seat, controls));
         }
@@ -71,7 +71,7 @@ impl Player for Person {
         let input = controls.input(view, seat.guest.now());
         let person = seat.person;
         match seat.guest.write(|_, out| out.put(person, input)) {
-            // Everything in it is a total: the next one says it all.
+            // All values are totals: the next batch contains this one.
             Ok(Submitted::Dropped) => tracing::debug!("the session was too busy for what the person did"),
             Ok(_) => {}
             Err(error) => tracing::debug!("what the person did was refused: {error}"),

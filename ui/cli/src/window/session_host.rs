@@ -1,4 +1,4 @@
-//! A session with people looking on: what they ask for is done between two looks at the scene.
+//! Runs a session with windows: their requests are carried out between two looks at the scene.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,32 +16,32 @@ use super::link::{Audience, Link, Seat};
 use crate::tune::Desk;
 use crate::tune::protocol::Request;
 
-/// How often people are told how the actors do.
+/// Interval at which windows receive the actors' rates and health.
 const TELL_EVERY: Duration = Duration::from_millis(250);
-/// How often somebody looks whether the session shall go on.
+/// Longest wait for a request before the session checks whether it shall go on.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// What passes in a step.
+/// Session time of a single step.
 const STEP: SimTime = SimTime::from_millis(10);
 
-/// What comes after a session.
+/// What to do after a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Next {
-    /// The same once more.
+    /// Run it again.
     Again,
-    /// Nothing.
+    /// End.
     End,
 }
 
-/// Keeps a session and its windows together.
+/// Connects a session and its windows.
 pub struct Attendant {
     link: Link,
-    /// A person moves the hands.
+    /// Whether a person moves the hands.
     plays: bool,
     viewers: Arc<dyn FaultSink>,
     /// Set by a signal.
     stop: Arc<AtomicBool>,
     begun: bool,
-    /// In virtual time: since when time has passed at this speed, and from where on.
+    /// In virtual time: wall-clock time and session time at which the current speed was set.
     pace: Option<(Instant, SimTime)>,
     paused: bool,
     again: bool,
@@ -49,7 +49,7 @@ pub struct Attendant {
 }
 
 impl Attendant {
-    /// For a session that has not begun yet, which `viewers` show.
+    /// For a session that has not begun yet; `viewers` receives faults aimed at the windows.
     pub fn new(link: Link, plays: bool, viewers: Arc<dyn FaultSink>) -> Self {
         Self {
             link,
@@ -64,20 +64,20 @@ impl Attendant {
         }
     }
 
-    /// A session is about to begin: it may aim faults at the windows, and ends when they want it to.
+    /// Before a session starts: registers the windows as fault targets, and lets them end the session.
     pub fn prepare(&mut self, options: &mut RunOptions) {
         options.fault_targets.0.push((VIEWER.to_owned(), self.viewers.clone()));
         let stop = options.stop.clone();
         (self.stop, self.begun, self.paused, self.again, self.told) = (stop, false, false, false, None);
     }
 
-    /// The session has ended with this scene.
+    /// Shows the last scene of the ended session.
     pub fn ended(&mut self, last: Arc<Snapshot>) {
         self.link.show(last);
         self.link.read_from(None);
     }
 
-    /// Between two looks at the scene.
+    /// Serves the windows; called between two looks at the scene.
     pub fn attend(&mut self, progress: &mut Progress<'_>, desk: &mut Desk<'_>) {
         if !self.begun {
             self.begun = true;
@@ -93,7 +93,7 @@ impl Attendant {
         self.keep_pace(progress.session, desk);
         while self.paused && !self.shall_end() {
             if self.link.shared().audience() == Audience::Cut {
-                // Nobody could let it go on.
+                // Without a window nothing could resume it.
                 self.resume(progress.session);
                 break;
             }
@@ -127,7 +127,7 @@ impl Attendant {
         }
     }
 
-    /// A person who plays takes part in the session as a guest: what is asked of the hands is all it writes.
+    /// A person who plays takes part in the session as a guest, which writes only the input for the hands.
     fn offer_seat(&mut self, session: &mut Session) -> Result<(), String> {
         let person = play::person(&session.snapshot()).ok_or("the scenario has no hands")?;
         let access = Access::new().writes::<PersonInput>(EntitySet::Of(vec![person]));
@@ -136,13 +136,13 @@ impl Attendant {
         Ok(())
     }
 
-    /// In virtual time: waits until the wall has caught up.
+    /// In virtual time: waits until the wall clock has caught up.
     fn keep_pace(&mut self, session: &mut Session, desk: &mut Desk<'_>) {
         while let Some((since, from)) = self.pace.filter(|_| !self.paused && !self.shall_end()) {
             let passed = session.now().since(from).as_secs_f64() / self.link.standing().speed;
             let ahead = passed - since.elapsed().as_secs_f64();
             if ahead < -0.25 {
-                // The machine is slower than this: time passes as fast as it goes, and does not hurry later.
+                // The machine is too slow for this speed: run as fast as possible, and do not catch up later.
                 self.pace = Some((Instant::now(), session.now()));
                 return;
             }
@@ -187,7 +187,7 @@ impl Attendant {
             }
             Ask::Reset => self.again = true,
             Ask::Tune(tune) => self.tune(session, desk, tune),
-            // What cannot be done now was not offered.
+            // Windows do not offer requests that are impossible now.
             _ => {}
         }
     }
@@ -234,7 +234,7 @@ impl Attendant {
         self.link.tell(|standing| standing.actors = actors);
     }
 
-    /// The session is over: people see how it ended, until they want to see it once more, or have seen enough.
+    /// After the session: shows its last scene until the user restarts it or closes the window.
     pub fn wait(&mut self, verdict: String, bad: bool) -> Next {
         if self.again {
             return Next::Again;

@@ -18,14 +18,13 @@ pub(crate) struct ActorKind {
 }
 
 impl App {
-    /// Lets a plain actix actor take part in every live session, under this name among the writers.
+    /// Adds a plain actix actor, by this name among the writers, to every live session.
     ///
-    /// `build` makes it from the [`Guest`] that it acts through: at the start, and again whenever it has panicked.
-    /// It has a thread and an actix system of its own and ends with the session. Whatever it does there, be it an
-    /// endless loop, the Model and everybody else go on.
+    /// `build` makes it from the [`Guest`] that it acts through: at the start, and again after every panic. It has its
+    /// own thread and actix system and ends with the session. Even an endless loop in it does not hold up the session.
     ///
-    /// In lock-step there is no real time for it to live in, so it is left out there: what must take part in
-    /// virtual time is a [`Controller`](trocar_scene::Controller).
+    /// Lock-step has no real time, so actors are left out there: use a [`Controller`](trocar_scene::Controller) for
+    /// work in virtual time.
     #[must_use]
     pub fn actor<A>(
         mut self,

@@ -1,12 +1,12 @@
-//! What a session does without: because the system refused it, because it had to be taken away, because a solver gave up.
+//! Losses of a session: what the system refused, what was revoked, and which solvers gave up.
 
 use trocar_devices::Scheduling;
 use trocar_scene::{Frozen, HeatFrozen, MeshRepaired, OutOfValidity, Snapshot};
 
 use super::{Running, Session};
 
-/// Bodies that stand still because their solver could not go on, those that move on beyond what their method is right
-/// for, and those whose mesh had to be mended, one sentence each.
+/// One sentence for each body that stands still because its solver could not go on, that moves outside its method's
+/// range of validity, or whose mesh had to be repaired.
 #[must_use]
 pub fn doubts(scene: &Snapshot) -> Vec<String> {
     let frozen = scene.iter::<Frozen>().map(|(body, frozen)| {
@@ -28,8 +28,8 @@ pub fn doubts(scene: &Snapshot) -> Vec<String> {
 }
 
 impl Session {
-    /// What the system refused (real-time priority of drivers and controllers) and whose real-time priority was taken
-    /// away on the way, one sentence each with how to mend it. Empty in virtual time, and when nothing is amiss.
+    /// The real-time priority of drivers and controllers that the system refused or that was revoked during the run,
+    /// one sentence each with the remedy. Empty in virtual time, and when there are no losses.
     pub fn losses(&self) -> Vec<String> {
         let Running::Live(session, _) = &self.running else { return Vec::new() };
         let mut losses = Vec::new();

@@ -1,4 +1,4 @@
-//! Pausing a live session: forces fade, nobody ticks, time stands still.
+//! Pausing a live session: forces fade, no controller ticks, session time stops.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -13,19 +13,18 @@ use super::{Running, Session};
 const FADE_MAX: Duration = Duration::from_millis(200);
 const LOOK: Duration = Duration::from_millis(1);
 
-/// The time of a session for the drivers of its devices, whose time since the start is given.
+/// Session time for the device drivers, computed from the time since the start.
 pub(super) fn device_time(still: &Arc<Standstill>) -> SessionTime {
     let still = still.clone();
     SessionTime::new(move |elapsed_ns| (still.at(SimTime(elapsed_ns)).as_nanos(), still.is_still()))
 }
 
 impl Session {
-    /// Pauses a live session: no controller ticks any more, forces fade to zero, then time stands still and the drivers
-    /// look at their devices 20 times per second only. What would have happened meanwhile does not exist: no tick is
-    /// missed, nobody counts as stalled. In virtual time there is nothing to do: time passes only in
-    /// [`Session::run_until`].
+    /// Pauses a live session: controllers stop ticking, forces fade to zero, then session time stops and the drivers
+    /// poll their devices only 20 times per second. No tick is missed, and no controller counts as stalled. In virtual
+    /// time there is nothing to pause: time passes only in [`Session::run_until`].
     ///
-    /// False when the session is paused already, has ended, or runs in virtual time.
+    /// Returns false when the session is paused already, has ended, or runs in virtual time.
     pub fn pause(&self) -> bool {
         let Running::Live(session, _) = &self.running else { return false };
         session.pause(|| {
@@ -42,7 +41,7 @@ impl Session {
         })
     }
 
-    /// Lets a paused session go on where it stood, within 50 ms; forces ramp in. False when it is not paused.
+    /// Resumes a paused session within 50 ms; forces ramp in. Returns false when it is not paused.
     pub fn resume(&self) -> bool {
         match &self.running {
             Running::Live(session, _) => session.resume(),

@@ -1,4 +1,4 @@
-//! What a session is made from, kept so that it can be made again without reading anything: begun anew, or branched.
+//! The plan of a session, kept so that resets and branches need not read or parse anything.
 
 use std::sync::Arc;
 
@@ -11,10 +11,10 @@ use crate::hands::{HandFaults, HandPort};
 use crate::kind::{Blueprint, ForHands};
 use crate::options::FaultTargets;
 
-/// How often a session asks whether its exercise is over.
+/// Session time between two checks whether the exercise is over.
 const STOP_CHECK: SimTime = SimTime::from_millis(20);
 
-/// A session's controllers, scene and limits. Never changes, so that any number of sessions share it.
+/// A session's controllers, scene and limits. Immutable, so that any number of sessions share it.
 pub(crate) struct SessionPlan {
     pub scenario: String,
     pub station: u16,
@@ -22,13 +22,13 @@ pub(crate) struct SessionPlan {
     pub scene: Snapshot,
     pub roles: Vec<Role>,
     pub until: Option<SimTime>,
-    /// What shall go wrong; `None`: nothing.
+    /// The fault plan, if any.
     pub faults: Option<FaultPlan>,
-    /// Who else faults can be aimed at.
+    /// Further targets for faults.
     pub fault_targets: FaultTargets,
 }
 
-/// A controller of the session: its place, and how it is built.
+/// A controller of the session: its entry, and how it is built.
 pub(crate) struct Role {
     pub name: String,
     pub writer: u16,
@@ -69,17 +69,17 @@ impl Role {
         spec
     }
 
-    /// For the session that it was made for.
+    /// Its specification for the session that it was made for.
     fn first(&self) -> ControllerSpec {
         self.spec((self.factory.clone(), self.fences.clone()))
     }
 
-    /// For a session with other hands.
+    /// Its specification for a session with other hands.
     fn other(&self, hands: &[HandPort]) -> Result<ControllerSpec, Bound> {
         let bound = || Bound(self.name.clone());
         match &self.for_hands {
             Some(for_hands) => Ok(self.spec(for_hands(hands).ok_or_else(bound)?)),
-            // What fences a device serves one, whatever its kind says.
+            // A controller with a device's fence serves that device, whatever its kind says.
             None if self.fences.is_empty() => Ok(self.first()),
             None => Err(bound()),
         }
@@ -91,7 +91,7 @@ impl SessionPlan {
     pub fn first(&self, seed: u64, hands: &[HandPort]) -> SessionSpec {
         let controllers = self.roles.iter().map(Role::first).collect();
         let mut spec = self.session(seed, Store::from_snapshot(&self.scene), controllers, hands);
-        // A session made of this one later has windows of its own, if any.
+        // A session derived from this one later registers its own windows, if any.
         spec.fault_sinks.extend(self.fault_targets.0.iter().cloned());
         spec
     }

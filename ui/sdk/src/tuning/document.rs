@@ -1,4 +1,4 @@
-//! Values written into the text of a scenario, in place: comments, order and everything else stay as they are.
+//! Edits values in the text of a scenario in place: comments, order and all other text are preserved.
 
 use serde_json::Value;
 use thiserror::Error;
@@ -6,16 +6,16 @@ use toml_edit::{Array, DocumentMut, InlineTable, Item};
 
 use super::field::{Field, matches};
 
-/// Why a value cannot stand in a scenario.
+/// Why a value cannot be written into a scenario.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum DocumentError {
-    /// The text is no TOML.
+    /// The text is not valid TOML.
     #[error("the scenario cannot be read: {0}")]
     Syntax(String),
-    /// The entity was made at run time.
+    /// The entity was created at run time.
     #[error("'{0}': the scenario has no such entity")]
     NoEntity(String),
-    /// The component was made at run time.
+    /// The component was added at run time.
     #[error("'{field}': the scenario gives '{entity}' no '{component}'")]
     NoComponent {
         /// The field.
@@ -25,45 +25,45 @@ pub enum DocumentError {
         /// The component.
         component: &'static str,
     },
-    /// No such place.
+    /// No such key.
     #[error("'{text}': {reason}")]
     NoKey {
-        /// What was asked for.
+        /// The text that was asked for.
         text: String,
-        /// What there is instead.
+        /// The valid keys.
         reason: String,
     },
 }
 
-/// The text of a scenario that is being changed.
+/// A scenario's text under edit.
 pub struct ScenarioText {
     document: DocumentMut,
 }
 
-/// Tables with names: the key of the array and, below each, what may be set.
+/// Arrays of tables whose tables have a name.
 const NAMED: [&str; 2] = ["controller", "hand"];
 
 impl ScenarioText {
-    /// Takes a text apart.
+    /// Parses a text.
     ///
     /// # Errors
-    /// When it is no TOML.
+    /// When it is not valid TOML.
     pub fn parse(text: &str) -> Result<Self, DocumentError> {
         let document =
             text.parse::<DocumentMut>().map_err(|error| DocumentError::Syntax(error.message().to_owned()))?;
         Ok(Self { document })
     }
 
-    /// The text as it is now.
+    /// The edited text.
     pub fn text(&self) -> String {
         self.document.to_string()
     }
 
-    /// Writes the value of a field; `row` is the whole component with the new value in it. What the file leaves to
-    /// a default is added.
+    /// Writes the value of a field; `row` is the whole component with the new value. A key that the file leaves to its
+    /// default is added.
     ///
     /// # Errors
-    /// When the scenario does not have the entity, or not the component.
+    /// When the scenario does not have the entity or the component.
     pub fn set_field(&mut self, field: &Field, row: &Value) -> Result<(), DocumentError> {
         let entity = self
             .named("entity", &field.entity_name)
@@ -77,11 +77,11 @@ impl ScenarioText {
             .map_err(|reason| DocumentError::NoKey { text: field.to_string(), reason })
     }
 
-    /// Writes a value that is no component's: `gravity.2`, `controller.engine.rate_hz`,
-    /// `hand.left.renderer.stiffness`, `task.weights.cutoff_secs`. A `*` stands for any letters of a name.
+    /// Writes a value outside components: `gravity.2`, `controller.engine.rate_hz`, `hand.left.renderer.stiffness`,
+    /// `task.weights.cutoff_secs`. A `*` stands for any letters of a name.
     ///
     /// # Errors
-    /// When no such thing can be set; says what can.
+    /// When there is no such key; the error lists the valid ones.
     pub fn set_key(&mut self, text: &str, value: &Value) -> Result<(), DocumentError> {
         let no_key = |reason: String| DocumentError::NoKey { text: text.to_owned(), reason };
         let parts: Vec<String> = text.split('.').map(str::to_owned).collect();
@@ -137,8 +137,7 @@ impl ScenarioText {
     }
 }
 
-/// Writes the leaf of `row` that `path` leads to into `item`, which holds the same component as far as somebody has
-/// written it down.
+/// Writes the leaf of `row` at `path` into `item`, which holds the keys of the same component that the file states.
 fn put(item: &mut Item, path: &[String], row: &Value) -> Result<(), String> {
     let Some((step, rest)) = path.split_first() else { return replace(item, row) };
     let below = match row {
@@ -153,7 +152,7 @@ fn put(item: &mut Item, path: &[String], row: &Value) -> Result<(), String> {
     insert(item, step, to_toml(below)?)
 }
 
-/// Writes a value below `item`; tables on the way are made.
+/// Writes a value below `item`; missing tables are created.
 fn put_new(item: &mut Item, path: &[String], value: &Value) -> Result<(), String> {
     let Some((step, rest)) = path.split_first() else { return replace(item, value) };
     if child(item, step).is_none() {
@@ -167,7 +166,7 @@ fn put_new(item: &mut Item, path: &[String], value: &Value) -> Result<(), String
     }
 }
 
-/// What stands below an item; looking for it must not make it.
+/// The child of an item, without creating it.
 fn child<'a>(item: &'a mut Item, step: &str) -> Option<&'a mut Item> {
     if item.is_array() {
         return item.get_mut(step.parse::<usize>().ok()?);
@@ -200,7 +199,7 @@ fn insert(item: &mut Item, step: &str, mut value: toml_edit::Value) -> Result<()
     Ok(())
 }
 
-/// Another value in the same place, with the spaces and the comment that stood around the old one.
+/// Replaces a value, keeping the spaces and the comment around it.
 fn replace(item: &mut Item, value: &Value) -> Result<(), String> {
     let Item::Value(old) = item else { return Err("it is a table, not a single value".to_owned()) };
     let mut new = to_toml(value)?;
@@ -225,7 +224,7 @@ fn to_toml(value: &Value) -> Result<toml_edit::Value, String> {
         Value::Array(items) => items.iter().map(to_toml).collect::<Result<Array, _>>()?.into(),
         Value::Object(map) => {
             let mut table = InlineTable::new();
-            // What is absent is left out.
+            // Null values are left out.
             for (key, value) in map.iter().filter(|(_, value)| !value.is_null()) {
                 table.insert(key, to_toml(value)?);
             }
@@ -305,7 +304,7 @@ rate_hz = 500
         ] {
             match text.set_key(key, &json!(1)) {
                 Err(error) => assert!(error.to_string().contains(says), "{error}"),
-                // Whether gravity may be a number is known to the scenario's reader.
+                // Only the scenario's reader knows whether gravity may be a number.
                 Ok(()) => assert_eq!(says, "ok", "{key}"),
             }
         }

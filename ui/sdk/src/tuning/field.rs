@@ -1,9 +1,9 @@
 //! Fields by name: `ring.1.rigid_body.mass` is the field `mass` in the component `rigid_body` of the entity
 //! `ring.1`.
 //!
-//! Names of entities have dots in them, so a text is read against a scene: the longest name that some entity has,
-//! then a component that it has, then keys and indices down to the value. A `*` in the entity's part stands for any
-//! letters: `ring.*.rigid_body.mass` is the mass of every ring.
+//! Names of entities contain dots, so a text is resolved against a scene: the longest matching entity name, then one of
+//! its components, then keys and indices down to the value. A `*` in the entity's part stands for any letters:
+//! `ring.*.rigid_body.mass` is the mass of every ring.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -15,7 +15,7 @@ use trocar_scene::{Entity, Name, Snapshot};
 /// Longest text that names a field.
 pub const PATH_BYTES_MAX: usize = 512;
 
-/// Longer arrays (vertices, temperatures) are not taken apart when fields are listed.
+/// Longer arrays (vertices, temperatures) are listed as one value.
 const LISTED_ITEMS_MAX: usize = 16;
 
 /// A place in a component of an entity: a value, or a table or array of values.
@@ -38,10 +38,10 @@ impl fmt::Display for Field {
     }
 }
 
-/// A text that names no field, or a value that does not fit there.
+/// A text that names no field, or a value of the wrong type for it.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum FieldError {
-    /// Too long to be a name.
+    /// The text is too long.
     #[error("the name of a field has at most {PATH_BYTES_MAX} bytes")]
     TooLong,
     /// No component is named in it, or no entity before it.
@@ -49,7 +49,7 @@ pub enum FieldError {
         "'{text}': no entity is called like that; ENTITY.COMPONENT.FIELD is expected, and there are: {known}"
     )]
     NoEntity {
-        /// What was asked for.
+        /// The text that was asked for.
         text: String,
         /// Names of entities.
         known: String,
@@ -57,11 +57,11 @@ pub enum FieldError {
     /// The entity has no such component.
     #[error("'{text}': {entity} has no component '{component}'; it has: {known}")]
     NoComponent {
-        /// What was asked for.
+        /// The text that was asked for.
         text: String,
         /// The entity.
         entity: String,
-        /// What stands where the component should.
+        /// The text at the component's place.
         component: String,
         /// Components of the entity.
         known: String,
@@ -69,11 +69,11 @@ pub enum FieldError {
     /// The component has no such field.
     #[error("'{field}': there is no '{step}'; there are: {known}")]
     NoField {
-        /// The field as far as it exists, and the step that does not.
+        /// The existing part of the field, and the step that is missing.
         field: String,
         /// The step.
         step: String,
-        /// What there is instead.
+        /// The valid steps.
         known: String,
     },
     /// A table where a value is needed.
@@ -84,22 +84,22 @@ pub enum FieldError {
         /// Keys below it.
         known: String,
     },
-    /// A value of another kind.
+    /// A value of another type.
     #[error("'{field}' is {expected}, so '{found}' does not fit")]
     Kind {
         /// The field.
         field: String,
-        /// What it is.
+        /// Its type.
         expected: &'static str,
-        /// What was given.
+        /// The given value.
         found: String,
     },
 }
 
-/// The places in `scene` that `text` names, in the order of entities; never none.
+/// The places in `scene` that `text` names, in the order of entities; never empty.
 ///
 /// # Errors
-/// [`FieldError`] with what there is instead.
+/// [`FieldError`] with the valid alternatives.
 pub fn find(scene: &Snapshot, text: &str) -> Result<Vec<Field>, FieldError> {
     if text.len() > PATH_BYTES_MAX {
         return Err(FieldError::TooLong);
@@ -140,7 +140,7 @@ pub fn find(scene: &Snapshot, text: &str) -> Result<Vec<Field>, FieldError> {
     }))
 }
 
-/// Every single value that `pattern` names: an entity (or several), a component of it, a table in it, or a value.
+/// Every single value below `pattern`: an entity (or several), a component of it, a table in it, or a value.
 ///
 /// # Errors
 /// When the pattern names nothing.
@@ -158,7 +158,7 @@ pub fn list(scene: &Snapshot, pattern: &str) -> Result<Vec<(Field, Value)>, Fiel
 /// The value at a field.
 ///
 /// # Errors
-/// When the entity or the component has gone, or the component has another shape now.
+/// When the entity or the component is gone, or the component now has another shape.
 pub fn read(scene: &Snapshot, field: &Field) -> Result<Value, FieldError> {
     walk(field, &row(scene, field)?).cloned()
 }
@@ -184,7 +184,7 @@ pub fn row(scene: &Snapshot, field: &Field) -> Result<Value, FieldError> {
     Ok(row)
 }
 
-/// Entities as people write them, by name: their numbers are others after the next edit of the scenario.
+/// Replaces entity numbers by names, since numbers change with the next edit of the scenario.
 fn name_entities(scene: &Snapshot, value: &mut Value) {
     match value {
         Value::String(text) => {
@@ -201,8 +201,8 @@ fn name_entities(scene: &Snapshot, value: &mut Value) {
     }
 }
 
-/// What [`name_entities`] calls entities, for [`with_entity_names`](trocar_scene::with_entity_names): of several with
-/// one name the first.
+/// The names that [`name_entities`] gives to entities, for [`with_entity_names`](trocar_scene::with_entity_names); if
+/// several entities share a name, the first.
 pub(super) fn names(scene: &Snapshot) -> BTreeMap<String, Entity> {
     let mut names = BTreeMap::new();
     for (entity, name) in scene.iter::<Name>() {
@@ -211,11 +211,10 @@ pub(super) fn names(scene: &Snapshot) -> BTreeMap<String, Entity> {
     names
 }
 
-/// Puts `value` at the field of a whole component and returns what was there.
+/// Replaces the value at the field of a whole component and returns the old one.
 ///
 /// # Errors
-/// When it is of another kind than the value that it replaces; numbers without a fraction fit where whole numbers
-/// are.
+/// When its type differs from that of the old value; numbers without a fraction are valid whole numbers.
 pub fn write(field: &Field, row: &mut Value, value: &Value) -> Result<Value, FieldError> {
     walk(field, row)?;
     let mut at = row;
@@ -230,7 +229,7 @@ pub fn write(field: &Field, row: &mut Value, value: &Value) -> Result<Value, Fie
     Ok(std::mem::replace(at, fitted))
 }
 
-/// The value of a text as a person writes it: a number, `true` or `false`, or a word.
+/// Parses a value as a user types it: a number, `true` or `false`, or a word.
 pub fn parse_value(text: &str) -> Value {
     let text = text.trim();
     match serde_json::from_str::<Value>(text) {
@@ -242,10 +241,10 @@ pub fn parse_value(text: &str) -> Value {
     }
 }
 
-/// `FIELD=VALUE`.
+/// Parses `FIELD=VALUE`.
 ///
 /// # Errors
-/// When there is no `=` in it, or nothing on one side.
+/// When there is no `=` in it, or one side is empty.
 pub fn parse_assignment(text: &str) -> Result<(String, Value), String> {
     match text.split_once('=') {
         Some((field, value)) if !field.trim().is_empty() && !value.trim().is_empty() => {
@@ -268,11 +267,11 @@ fn fit(field: &Field, old: &Value, new: &Value) -> Result<Value, FieldError> {
             _ => Err(wrong("a whole number")),
         },
         (Value::Number(_), Value::Number(number)) => {
-            // A whole number is written as what it becomes, so that it reads back the same.
+            // A whole number is converted to the field's type, so that it reads back the same.
             number.as_f64().map(Value::from).ok_or_else(|| wrong("a number"))
         }
         (Value::Bool(_), Value::Bool(_)) | (Value::String(_), Value::String(_)) => Ok(new.clone()),
-        // Nothing was there; whether this may be is known to the component alone.
+        // The old value is null; only the component knows which types are valid.
         (Value::Null, Value::Number(_) | Value::Bool(_) | Value::String(_)) => Ok(new.clone()),
         (Value::Number(_), _) => Err(wrong("a number")),
         (Value::Bool(_), _) => Err(wrong("true or false")),

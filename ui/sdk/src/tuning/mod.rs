@@ -1,13 +1,13 @@
 //! Tuning: any value of any component, before a session and while it runs.
 //!
-//! A field is called `ENTITY.COMPONENT.FIELD`, such as `grasper.left.instrument.jaw_friction`; a `*` in the entity's
-//! part means several entities. Three things can be done with fields:
+//! A field is named `ENTITY.COMPONENT.FIELD`, such as `grasper.left.instrument.jaw_friction`; a `*` in the entity's
+//! part selects several entities. Three operations take fields:
 //!
-//! - [`tuned_scenario`] sets them before a session begins, together with what is no component's: `gravity.2`,
+//! - [`tuned_scenario`] sets them before a session begins, and also values outside components: `gravity.2`,
 //!   `controller.engine.rate_hz`, `task.weights.cutoff_secs`.
-//! - A [`Tuner`] changes them in a running scene and goes back and forth between sets of values ([`TuningSets`]), so
-//!   that two of them can be felt against each other.
-//! - [`save`] writes what was found good back into the scenario's text, in place: comments and order stay.
+//! - A [`Tuner`] changes them in a running scene and switches between sets of values ([`TuningSets`]), so that a person
+//!   can compare two of them by feel.
+//! - [`save`] writes the chosen values back into the scenario's text, in place: comments and order stay.
 //!
 //! ```
 //! use trocar::prelude::*;
@@ -41,21 +41,21 @@ pub use tuner::{Change, TuneError, Tuned, Tuner};
 
 use crate::app::{App, AppError};
 
-/// Why a scenario cannot be tuned, or what was tuned not be saved.
+/// Why a scenario cannot be tuned, or tuned values cannot be saved.
 #[derive(Debug, Error)]
 pub enum ScenarioTuneError {
-    /// A field, or the value for it.
+    /// The field or its value is invalid.
     #[error(transparent)]
     Tune(#[from] TuneError),
-    /// The scenario's text.
+    /// The scenario's text cannot be edited.
     #[error(transparent)]
     Document(#[from] DocumentError),
-    /// The scenario would be wrong with these values.
+    /// The scenario would be invalid with these values.
     #[error("with the values that were set, {}", in_short(.0))]
     Invalid(AppError),
 }
 
-/// Where the value stands in a text that nobody has seen is no help; what is wrong with it is.
+/// Drops the position, which refers to a text that the user never sees, and keeps the reason.
 fn in_short(error: &AppError) -> String {
     match error {
         AppError::Scenario(ScenarioError::Invalid { key, reason, .. }) => format!("{key}: {reason}"),
@@ -63,11 +63,11 @@ fn in_short(error: &AppError) -> String {
     }
 }
 
-/// The scenario with other values in it; nothing is read again but its text. What a recording of it holds as its
-/// scenario is the text with these values.
+/// The scenario with other values; only its text is parsed again. A recording stores the text with these values as its
+/// scenario.
 ///
 /// # Errors
-/// [`ScenarioTuneError`] names the field and what would be valid.
+/// [`ScenarioTuneError`] names the field and the valid values.
 pub fn tuned_scenario(
     app: &App,
     scenario: &Scenario,
@@ -78,20 +78,20 @@ pub fn tuned_scenario(
     app.scenario_from(&scenario.file, &text).map_err(ScenarioTuneError::Invalid)
 }
 
-/// What [`save`] made.
+/// The result of [`save`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Saved {
     /// The text of the scenario.
     pub text: String,
-    /// What no scenario can hold, in words: entities and components that came while the session ran.
+    /// Values that no scenario can hold, in words: those of entities and components created at run time.
     pub left_out: Vec<String>,
 }
 
-/// The text of a scenario with these values ([`Tuner::values`]) written into it. The text may have been edited by
-/// others since the session began: only the tuned values change.
+/// The text of a scenario with these values ([`Tuner::values`]) written into it. The text may have been edited since
+/// the session began: only the tuned values change.
 ///
 /// # Errors
-/// When the text is no scenario, or would be none with these values.
+/// When the text is not a valid scenario, or would not be with these values.
 pub fn save(
     app: &App,
     file: &Path,
@@ -99,7 +99,7 @@ pub fn save(
     values: &[(String, Value)],
 ) -> Result<Saved, ScenarioTuneError> {
     let scenario = app.scenario_from(file, text).map_err(ScenarioTuneError::Invalid)?;
-    // Entities are known by name: somebody may have put others before them in the file.
+    // Entities are matched by name: others may have been inserted before them in the file.
     let scene = scenario.spawn(app.registry()).map_err(|error| ScenarioTuneError::Invalid(error.into()))?;
     let scene = scene.snapshot();
     let mut saved = Saved { text: text.to_owned(), left_out: Vec::new() };
@@ -120,7 +120,7 @@ fn tuned_text(scene: &Snapshot, text: &str, values: &[(String, Value)]) -> Resul
     for (name, value) in values {
         match field::find(scene, name) {
             Ok(_) => fields.push((name.as_str(), value)),
-            // No entity is called like that: then it may be something else of the scenario.
+            // No such entity: the key may be outside components.
             Err(error @ FieldError::NoEntity { .. }) => {
                 if let Err(other) = document.set_key(name, value) {
                     let root = name.split('.').next().unwrap_or_default();

@@ -1,4 +1,4 @@
-//! Named sets of values for fields, to be held against each other: A and B.
+//! Named sets of field values for comparison (A/B).
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,7 +18,7 @@ pub const SETS_MAX: usize = 64;
 /// Most values in a set.
 pub const VALUES_MAX: usize = 4096;
 
-/// What every field is before anybody tunes it: the name of no set.
+/// The reserved name for the untuned values.
 pub const BASE: &str = "base";
 
 /// Values by the names of their fields, in which `*` may stand in the entity's part.
@@ -42,7 +42,7 @@ pub struct TuningSets {
     sets: BTreeMap<String, TuningSet>,
 }
 
-/// Why there are no such sets.
+/// Why the sets cannot be read or used.
 #[derive(Debug, Error)]
 pub enum SetsError {
     /// The file cannot be read.
@@ -64,18 +64,18 @@ pub enum SetsError {
     /// No such set.
     #[error("there is no set '{name}'; there are: {known}")]
     Unknown {
-        /// What was asked for.
+        /// The name that was asked for.
         name: String,
-        /// What there is.
+        /// The valid names.
         known: String,
     },
-    /// A name that no set can have.
+    /// An invalid name for a set.
     #[error(
         "'{0}' is no name of a set: 1 to 32 lower-case letters, digits, '-' and '_', and not '{BASE}', which is \\
         what every field was before"
     )]
     Name(String),
-    /// Too much.
+    /// Too many sets or values.
     #[error("at most {SETS_MAX} sets of {VALUES_MAX} values can be kept")]
     Full,
 }
@@ -96,7 +96,7 @@ impl TuningSets {
         Self::parse(&text, &named)
     }
 
-    /// Reads a text; `file` is what messages call it.
+    /// Parses a text; `file` is its name in messages.
     ///
     /// # Errors
     /// Names the file and the place.
@@ -130,7 +130,7 @@ impl TuningSets {
         Ok(sets)
     }
 
-    /// As the text of a file.
+    /// The sets as the text of a file.
     pub fn text(&self) -> String {
         let whole = Self { schema: SCHEMA_VERSION, sets: self.sets.clone() };
         toml::to_string(&whole).unwrap_or_default()
@@ -144,7 +144,7 @@ impl TuningSets {
     /// The set of that name.
     ///
     /// # Errors
-    /// [`SetsError::Unknown`] with the names that there are.
+    /// [`SetsError::Unknown`] with the valid names.
     pub fn get(&self, name: &str) -> Result<&TuningSet, SetsError> {
         self.sets.get(name).ok_or_else(|| SetsError::Unknown {
             name: name.to_owned(),
@@ -152,10 +152,10 @@ impl TuningSets {
         })
     }
 
-    /// Keeps a set, in the place of an earlier one of that name.
+    /// Stores a set, replacing an earlier one of that name.
     ///
     /// # Errors
-    /// When the name is none, or there is no room.
+    /// When the name is invalid, or there is no room.
     pub fn keep(&mut self, name: &str, set: TuningSet) -> Result<(), SetsError> {
         check_name(name)?;
         if set.len() > VALUES_MAX || (self.sets.len() >= SETS_MAX && !self.sets.contains_key(name)) {

@@ -1,4 +1,4 @@
-//! Changing fields of a running scene, and going back and forth between sets of values.
+//! Changes fields of a running scene, and switches between sets of values.
 
 use std::collections::BTreeMap;
 
@@ -14,10 +14,10 @@ use crate::session::Session;
 /// Why a value cannot be set.
 #[derive(Debug, Error)]
 pub enum TuneError {
-    /// The field.
+    /// The field is invalid.
     #[error(transparent)]
     Field(#[from] FieldError),
-    /// The set.
+    /// The set is invalid.
     #[error(transparent)]
     Sets(#[from] SetsError),
     /// The component refuses the value.
@@ -28,18 +28,18 @@ pub enum TuneError {
         /// Why.
         source: ComponentError,
     },
-    /// The session did not take it.
+    /// The session refused it.
     #[error(transparent)]
     Session(#[from] OperatorError),
-    /// Too many fields at a time.
+    /// Too many fields are tuned.
     #[error("at most {VALUES_MAX} fields can be tuned")]
     TooMany,
 }
 
-/// One field that changes.
+/// The change of one field.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tuned {
-    /// Which.
+    /// The field.
     pub field: Field,
     /// Its value before.
     pub before: Value,
@@ -47,23 +47,23 @@ pub struct Tuned {
     pub after: Value,
 }
 
-/// Fields to be changed together: made by a [`Tuner`], written by whoever may write to the scene.
+/// Fields to be changed together: made by a [`Tuner`], written by any writer of the scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Change {
     /// The fields, in order.
     pub fields: Vec<Tuned>,
-    /// The set that is in use afterwards.
+    /// The set in use afterwards.
     set: Option<String>,
     /// Whole components.
     rows: BTreeMap<Field, Value>,
 }
 
 impl Change {
-    /// Puts the changed components. Only the tuned fields change in them; but a component that its owner writes in
-    /// every tick will be written by its owner again.
+    /// Writes the changed components. Only the tuned fields change. A controller that writes the component in every
+    /// tick overwrites them.
     ///
     /// # Errors
-    /// When a component refuses its value; nothing is put then that the caller should apply.
+    /// When a component refuses its value; the commands must then not be applied.
     pub fn write(&self, scene: &Snapshot, out: &mut Commands) -> Result<(), TuneError> {
         with_entity_names(field::names(scene), || {
             for (at, row) in &self.rows {
@@ -83,7 +83,7 @@ impl Change {
         self.rows.is_empty()
     }
 
-    /// What a message calls a component: its only tuned field, if it is one.
+    /// The name of a component in messages: that of its tuned field, if there is only one.
     fn called(&self, row: &Field) -> String {
         let mut tuned = self
             .fields
@@ -96,28 +96,28 @@ impl Change {
     }
 }
 
-/// Knows what was tuned, from what, and the sets of values to choose from.
+/// Tracks the tuned fields, their original values, and the sets to choose from.
 ///
-/// A [`Change`] is made from a snapshot and [applied](Tuner::apply) to the session; whoever has no [`Session`] writes it
-/// to commands and [accepts](Tuner::accept) it when the Model has applied them.
+/// A [`Change`] is made from a snapshot and [applied](Tuner::apply) to the session. Without a [`Session`], write it to
+/// commands and [accept](Tuner::accept) it once the Model has applied them.
 #[derive(Clone, Debug, Default)]
 pub struct Tuner {
-    /// What every tuned field was before anybody tuned it.
+    /// The original value of every tuned field.
     base: BTreeMap<Field, Value>,
-    /// What was set before the session and is in no component: gravity, rates, parameters.
+    /// Values set before the session that are outside components: gravity, rates, parameters.
     keys: Vec<(String, Value)>,
     sets: TuningSets,
     in_use: Option<String>,
 }
 
 impl Tuner {
-    /// With these sets to choose from.
+    /// A tuner with these sets to choose from.
     pub fn new(sets: TuningSets) -> Self {
         Self { sets, ..Self::default() }
     }
 
-    /// Remembers values that were set before the session began, by [`tuned_scenario`](super::tuned_scenario): `scene`
-    /// is what the scenario would have spawned without them, and `set` the set that they were.
+    /// Records values that [`tuned_scenario`](super::tuned_scenario) set before the session began: `scene` is the
+    /// scenario's scene without them, and `set` the name of their set.
     ///
     /// # Errors
     /// When there are too many.
@@ -128,7 +128,7 @@ impl Tuner {
         set: Option<&str>,
     ) -> Result<(), TuneError> {
         for (name, value) in values {
-            // What names no field has named something else of the scenario, or there would be no session.
+            // A name that is no field is a key outside components; otherwise the session would not have started.
             let Ok(fields) = field::find(scene, name) else {
                 self.keys.retain(|(known, _)| known != name);
                 self.keys.push((name.clone(), value.clone()));
@@ -151,7 +151,7 @@ impl Tuner {
         &self.sets
     }
 
-    /// The set in use: [`BASE`], a set's name, or none when single fields were tuned since.
+    /// The set in use: [`BASE`], a set's name, or `None` after single fields were tuned.
     pub fn in_use(&self) -> Option<&str> {
         if self.base.is_empty() { Some(BASE) } else { self.in_use.as_deref() }
     }
@@ -159,7 +159,7 @@ impl Tuner {
     /// Sets single fields.
     ///
     /// # Errors
-    /// [`TuneError`] names the field and what would be valid.
+    /// [`TuneError`] names the field and the valid values.
     pub fn set<'a>(
         &self,
         scene: &Snapshot,
@@ -168,14 +168,14 @@ impl Tuner {
         self.change(scene, resolve(scene, values)?, None)
     }
 
-    /// Goes to a set of values: what is in it is set, and what was tuned and is not in it goes back to what it was.
-    /// [`BASE`] is the set with nothing in it.
+    /// Switches to a set of values: sets its fields, and restores other tuned fields to their original values. [`BASE`]
+    /// is the empty set.
     ///
     /// # Errors
-    /// [`TuneError`] when there is no such set, or something in it does not fit the scene.
+    /// [`TuneError`] when there is no such set, or a field of it does not fit the scene.
     pub fn switch(&self, scene: &Snapshot, name: &str) -> Result<Change, TuneError> {
         let mut wanted = self.base.clone();
-        // What has gone from the scene cannot go back.
+        // Fields that are gone from the scene cannot be restored.
         wanted.retain(|field, _| field::read(scene, field).is_ok());
         if name != BASE {
             let set = self.sets.get(name)?;
@@ -184,10 +184,10 @@ impl Tuner {
         self.change(scene, wanted, Some(name.to_owned()))
     }
 
-    /// Keeps what is tuned now as a set, in the place of an earlier one of that name.
+    /// Stores the tuned values as a set, replacing an earlier one of that name.
     ///
     /// # Errors
-    /// When the name is none or there is no room.
+    /// When the name is invalid or there is no room.
     pub fn keep(&mut self, scene: &Snapshot, name: &str) -> Result<&TuningSet, TuneError> {
         let set =
             self.changed(scene).into_iter().map(|tuned| (tuned.field.to_string(), tuned.after)).collect();
@@ -196,7 +196,7 @@ impl Tuner {
         Ok(self.sets.get(name)?)
     }
 
-    /// What is different now from what it was before anybody tuned it.
+    /// Fields whose values differ from the original ones.
     pub fn changed(&self, scene: &Snapshot) -> Vec<Tuned> {
         let now = |field: &Field| field::read(scene, field).ok();
         self.base
@@ -207,13 +207,13 @@ impl Tuner {
             .collect()
     }
 
-    /// What [`save`](super::save) writes: everything that is not as in the scenario, by name.
+    /// The values for [`save`](super::save): everything that differs from the scenario, by name.
     pub fn values(&self, scene: &Snapshot) -> Vec<(String, Value)> {
         let changed = self.changed(scene).into_iter().map(|tuned| (tuned.field.to_string(), tuned.after));
         self.keys.iter().cloned().chain(changed).collect()
     }
 
-    /// Writes a change into a running session and returns what is different now.
+    /// Writes a change into a running session and returns the changed fields.
     ///
     /// # Errors
     /// When a component refuses its value, or the Model does not answer; nothing has changed then.
@@ -223,7 +223,7 @@ impl Tuner {
             let scene = session.snapshot();
             let applied = session.apply(|out| {
                 if let Err(error) = change.write(&scene, out) {
-                    // What was put before it must not be applied without it.
+                    // Commands queued before it must not be applied without it.
                     out.clear();
                     refused = Some(error);
                 }
@@ -236,7 +236,7 @@ impl Tuner {
         Ok(tuned)
     }
 
-    /// Remembers a change that the Model has applied.
+    /// Records a change that the Model has applied.
     pub fn accept(&mut self, change: Change) {
         for tuned in change.fields {
             self.base.entry(tuned.field).or_insert(tuned.before);
@@ -267,7 +267,7 @@ impl Tuner {
             change.rows.insert(at, row);
             change.fields.push(Tuned { field, before, after });
         }
-        // A component that stays as it is need not be written.
+        // A component that does not change is not written.
         let fields = &change.fields;
         change.rows.retain(|row, _| {
             fields.iter().any(|tuned| {
@@ -279,8 +279,8 @@ impl Tuner {
     }
 }
 
-/// Which fields of the scene are meant; of two texts that mean the same field the one with fewer stars, and among
-/// those the later one, decides.
+/// Resolves names to fields of the scene; if two names mean the same field, the one with fewer stars wins, and of
+/// equals the later one.
 pub(super) fn resolve<'a>(
     scene: &Snapshot,
     values: impl IntoIterator<Item = (&'a str, &'a Value)>,
@@ -305,7 +305,7 @@ mod tests {
     use crate::app::App;
     use trocar_scene::{EntityAllocator, RigidBody, SimTime, Store};
 
-    /// A scene and somebody who may write to it.
+    /// A scene with a tuner that may write to it.
     struct Bench(Store, Tuner);
 
     impl Bench {

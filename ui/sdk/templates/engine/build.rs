@@ -1,7 +1,7 @@
-//! Builds the engine as a shared library beside the program, so that this crate runs as it is.
+//! Builds the engine as a shared library beside the program, so that this crate runs without further setup.
 //!
-//! With an engine that comes as a finished library, delete this file and the folder `engine`, and name the
-//! library in the environment: `CHAIN_ENGINE=/opt/vendor/libchain.so`.
+//! For an engine that comes as a compiled library, delete this file and the folder `engine`, and name the library in
+//! the environment: `CHAIN_ENGINE=/opt/vendor/libchain.so`.
 
 use std::path::Path;
 use std::process::Command;

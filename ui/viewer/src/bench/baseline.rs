@@ -1,6 +1,6 @@
-//! The floor: a bare loop that draws the triangles of a stage, one light with Phong's highlight (Phong 1975), nothing else.
-//! Written as one would who wants just that, and wants it fast: vertices interleaved, one draw for each surface from the
-//! nearest to the farthest, nothing made anew from frame to frame.
+//! The lower bound: a bare loop that draws the triangles of a stage with one light and Phong's highlight (Phong 1975).
+//! It is optimised for just that: interleaved vertices, one draw for each surface from the nearest to the farthest, no
+//! allocation per frame.
 
 use bytemuck::{Pod, Zeroable};
 use nalgebra::{Matrix4, Point3, Vector3};
@@ -10,7 +10,7 @@ use crate::draw_list::{Item, Stage};
 use crate::gpu::{Gpu, targets};
 use crate::view::View;
 
-/// Between the uniforms of two items: what every adapter takes.
+/// Stride of the items' uniforms: the alignment that every adapter supports.
 const STRIDE: usize = 256;
 
 #[repr(C)]
@@ -33,11 +33,11 @@ struct Part {
     vertices: wgpu::Buffer,
     indices: wgpu::Buffer,
     count: u32,
-    /// Its place in the list of uniforms.
+    /// Index in the list of uniforms.
     index: usize,
 }
 
-/// The loop.
+/// The bare loop.
 pub struct Bare {
     pipeline: wgpu::RenderPipeline,
     frame: wgpu::Buffer,
@@ -51,7 +51,7 @@ pub struct Bare {
 }
 
 impl Bare {
-    /// For the surfaces that are on the stage now, which must not deform, seen from `view`, into `target`.
+    /// For the present surfaces of the stage, which must not deform, seen from `view`, into `target`.
     pub fn new(gpu: &Gpu, stage: &Stage, view: &View, target: &wgpu::Texture) -> Self {
         let device = &gpu.device;
         let layout = |dynamic, bytes: usize| {
@@ -164,7 +164,7 @@ impl Bare {
     }
 }
 
-/// Interleaved, from the nearest to the farthest.
+/// Interleaved vertices, from the nearest to the farthest part.
 fn parts(gpu: &Gpu, stage: &Stage, view: &View) -> Vec<Part> {
     let eye_from_world = view.world_from_eye.inverse();
     let depth = |item: &Item| {

@@ -1,4 +1,4 @@
-//! A scene, what draws it, and a bare loop beside it.
+//! The benchmark's scene, its renderer, and a bare loop beside it.
 
 use trocar_scene::Snapshot;
 
@@ -41,12 +41,12 @@ impl Studio {
         Ok(Self { gpu, theatre, view, renderer, bare, target })
     }
 
-    /// What draws.
+    /// The device.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu
     }
 
-    /// The instruments move; the frame is drawn when this comes back.
+    /// Moves the instruments and draws a frame; returns when the device has finished it.
     pub fn frame(&mut self, layout: &Layout, quality: Quality) {
         self.submit(layout, quality);
         self.finish();
@@ -60,7 +60,7 @@ impl Studio {
         self.renderer.draw(&self.gpu, &scene, &self.view, layout, quality, &self.target);
     }
 
-    /// The same by the bare loop.
+    /// The same with the bare loop.
     pub fn bare_frame(&mut self) {
         self.theatre.move_instruments();
         self.renderer.update(&self.gpu, &self.theatre.snapshot());
@@ -68,7 +68,7 @@ impl Studio {
         self.finish();
     }
 
-    /// Looks whether there is anything new to draw, and draws it; whether there was.
+    /// Checks for changes and draws them; returns whether there were any.
     pub fn look(&mut self, quality: Quality) -> bool {
         let (scene, pace) = (self.theatre.snapshot(), Pace { quality, scale: 1.0 });
         let needed = self.renderer.needs_draw(&scene, &self.view, &Layout::Mono, pace, &self.target);
@@ -80,7 +80,7 @@ impl Studio {
         needed
     }
 
-    /// Draws another scene through its first camera; it is drawn when this comes back.
+    /// Draws another scene through its first camera; returns when the device has finished it.
     pub fn watch(&mut self, scene: &Snapshot, quality: Quality) {
         let aspect = f64::from(self.target.width()) / f64::from(self.target.height());
         let view = View::default_of(scene, Some(aspect));
@@ -89,7 +89,7 @@ impl Studio {
         self.finish();
     }
 
-    /// What was drawn last.
+    /// The last drawn picture.
     ///
     /// # Errors
     /// [`ViewError::DeviceLost`].
@@ -99,13 +99,13 @@ impl Studio {
         Ok(Picture { width, height, color: bytes.as_chunks().0.to_vec() })
     }
 
-    /// Waits until everything is drawn; a lost device is told of by [`Gpu::check`].
+    /// Waits for the device; [`Gpu::check`] reports a lost one.
     pub fn finish(&self) {
         finish(&self.gpu);
     }
 }
 
-/// A sheet that deforms, and its copy on the device.
+/// A deforming sheet, and its copy on the device.
 pub struct Upload {
     gpu: Gpu,
     theatre: Theatre,
@@ -123,12 +123,12 @@ impl Upload {
         upload
     }
 
-    /// Every vertex moves.
+    /// Moves every vertex.
     pub fn deform(&mut self) {
         self.theatre.deform();
     }
 
-    /// Follows the scene, and sends what changed; it is there when this comes back. How many bytes.
+    /// Follows the scene and uploads changes; returns their number of bytes once the device has them.
     pub fn send(&mut self) -> u64 {
         let before = self.copies.bytes_sent;
         self.stage.update(&self.theatre.snapshot());

@@ -1,7 +1,7 @@
-//! What frames cost: a generated scene, a bare loop that draws the same triangles, and how both are timed.
+//! Frame-time benchmarks: a generated scene, a bare loop that draws the same triangles, and their timing.
 //!
-//! On a shared machine a time alone says little, so every figure is measured beside another in the same run: a block of
-//! frames of each, in turns.
+//! On a shared machine a time alone says little, so every figure is measured beside another in the same run, in
+//! alternating blocks of frames.
 
 mod baseline;
 mod harness;
@@ -13,8 +13,8 @@ pub use baseline::Bare;
 pub use harness::{Studio, Upload};
 pub use test_scene::Theatre;
 
-/// Times of blocks in turns: `blocks` times a block of `frames` frames of each contestant, after one block that is not
-/// counted. Gives the median frame of every block \[s\], a list for each contestant.
+/// Times alternating blocks: `blocks` times a block of `frames` frames of each contestant, after one warm-up block.
+/// Returns the median frame time of every block \[s\], a list for each contestant.
 pub fn in_turns(blocks: usize, frames: usize, contestants: &mut [&mut dyn FnMut()]) -> Vec<Vec<f64>> {
     let mut medians = vec![Vec::with_capacity(blocks); contestants.len()];
     let mut times = Vec::with_capacity(frames);

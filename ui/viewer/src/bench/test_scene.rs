@@ -1,4 +1,4 @@
-//! A generated scene: tissue, instruments that move, a lamp that throws shadows.
+//! A generated test scene: tissue, moving instruments, a lamp with shadows.
 
 use std::sync::Arc;
 
@@ -12,16 +12,16 @@ use trocar_scene::{
 use crate::draw_list::Stage;
 use crate::view::{Lens, View};
 
-/// Tissues, each with where its middle is \[m\] and its size \[m\].
+/// Tissues, each with its centre \[m\] and its size \[m\].
 const SHEETS: [(&str, [f64; 3], f64); 4] = [
     ("peritoneum", [0.0, 0.03, -0.012], 0.40),
     ("liver", [-0.045, 0.04, 0.014], 0.10),
     ("fat", [0.050, 0.045, 0.020], 0.09),
     ("gallbladder", [0.005, -0.010, 0.010], 0.05),
 ];
-/// A scene with so many triangles: four wet tissues with all four maps, two instruments of steel and three rubber
-/// rings, under one lamp with shadows. Materials are those that the scenarios use, without relief; tissue fills the
-/// picture, so that every pixel is shaded.
+/// A scene with so many triangles: four wet tissues with all four maps, two steel instruments and three rubber rings,
+/// under one lamp with shadows. The materials are those of the scenarios, without relief; tissue fills the picture, so
+/// that every pixel is shaded.
 pub struct Theatre {
     store: Store,
     commands: Commands,
@@ -39,7 +39,7 @@ impl Theatre {
         stage.update(&theatre.snapshot());
         let hardware: usize = stage.items().iter().map(|item| item.surface.geometry.indices.len() / 3).sum();
         let share = triangles.saturating_sub(hardware) / SHEETS.len();
-        // Two triangles a square.
+        // Two triangles per square.
         let side = ((share as f64 / 2.0).sqrt().round() as usize).max(1);
         for (name, middle, size) in SHEETS {
             theatre.sheet(name, middle.into(), size, side);
@@ -56,7 +56,7 @@ impl Theatre {
 
     fn empty() -> Self {
         let mut builder = RegistryBuilder::default();
-        // The field's own components have names of their own.
+        // The standard components have unique names.
         let registered = trocar_scene::register(&mut builder);
         debug_assert!(registered.is_ok(), "{registered:?}");
         let registry = builder.build();
@@ -64,18 +64,18 @@ impl Theatre {
         Self { store: Store::new(registry), commands, instruments: Vec::new(), sheets: Vec::new(), steps: 0 }
     }
 
-    /// What a viewer gets to see.
+    /// The snapshot for the viewer.
     pub fn snapshot(&self) -> Snapshot {
         self.store.snapshot()
     }
 
-    /// From above the tissue, as through a laparoscope.
+    /// A view from above the tissue, as through a laparoscope.
     pub fn view(&self, aspect: f64) -> View {
         let lens = Lens { field_of_view: 0.75, aspect, near: 0.01, far: 1.0, shift: [0.0; 2] };
         View::looking_at(Point3::new(0.0, -0.11, 0.13), Point3::new(0.0, 0.012, 0.0), Vector3::z(), lens)
     }
 
-    /// Both instruments move on a little.
+    /// Moves both instruments a little.
     pub fn move_instruments(&mut self) {
         self.steps += 1;
         let swing = 0.05 * f64::from(self.steps).sin();
@@ -87,7 +87,7 @@ impl Theatre {
         });
     }
 
-    /// Every vertex of the first sheet moves.
+    /// Moves every vertex of the first sheet.
     pub fn deform(&mut self) {
         self.steps += 1;
         let phase = 0.1 * f64::from(self.steps);
@@ -114,7 +114,7 @@ impl Theatre {
             .map(uv)
             .map(|uv| {
                 let (x, y) = ((uv.x - 0.5) * size, (uv.y - 0.5) * size);
-                // A dome that dives under its neighbours at the edge, with folds.
+                // A dome that goes below its neighbours at the edge, with folds.
                 let rim = (2.0 * (uv - Vector2::repeat(0.5))).norm_squared();
                 let folds = (9.0 * uv.x).sin() * (7.0 * uv.y).cos() + 0.4 * (23.0 * uv.x + 17.0 * uv.y).sin();
                 middle + Vector3::new(x, y, size * (0.03 * folds + 0.06 * (1.0 - rim)))
@@ -128,7 +128,7 @@ impl Theatre {
                 [[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]]
             })
             .collect();
-        // Coagulated in one place: the edit map is not empty.
+        // Coagulated in one place, so that the edit map is not empty.
         let omega = grid().map(|at| 3.0 * (1.0 - 12.0 * (uv(at) - Vector2::new(0.45, 0.4)).norm()).max(0.0));
         let burn = Burn { omega: Arc::new(omega.collect()) };
         let map = || Some(Texture::Procedural(name.to_owned()));
@@ -189,7 +189,7 @@ impl Theatre {
     }
 }
 
-/// The tip lies beside the middle, the shaft comes from behind the eye.
+/// The tip is beside the middle, the shaft comes from behind the eye.
 fn instrument_pose(side: f64, swing: f64) -> Pose {
     let tip = Vector3::new(0.015 * side, 0.0, 0.025);
     let towards = Vector3::new(-0.4 * side + swing, 0.55, -0.7);

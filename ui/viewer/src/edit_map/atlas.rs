@@ -1,19 +1,19 @@
-//! Which triangle each texel of a surface's texture belongs to.
+//! The texture atlas: the triangle that owns each texel of a surface's texture.
 //!
 //! A texel belongs to the triangle whose image in texture space is nearest to the texel's centre (distance 0 inside);
-//! of equally near ones to the first. Texels farther than √2 from all triangles belong to nobody. So every texel
-//! that bilinear sampling inside of a triangle touches has an owner, also beyond the edge of a chart, and what is
-//! painted does not depend on the order of painting.
+//! of equally near ones to the first. Texels farther than √2 from all triangles have no owner. So every texel that
+//! bilinear sampling inside a triangle reads has an owner, also beyond the edge of a chart, and the result does not
+//! depend on the order of painting.
 
 use nalgebra::Vector2;
 
 use super::DirtyRect;
 
-/// Owner of texels that no triangle is near to.
+/// Owner of texels without a triangle nearby.
 const NOBODY: u32 = u32::MAX;
 /// Bilinear sampling reads texels less than one away in each direction, so at most √2; squared.
 const REACH: f32 = 2.0;
-/// Texture coordinates beyond this are no coordinates.
+/// Larger texture coordinates are invalid.
 const UV_MAX: f64 = 1e6;
 
 /// The texels of a surface's triangles.
@@ -22,11 +22,11 @@ pub struct Atlas {
     width: u32,
     height: u32,
     owners: Vec<u32>,
-    /// Corners in texels, per triangle; `None` for a triangle that cannot be drawn.
+    /// Corners in texels, per triangle; `None` for an invalid triangle.
     corners: Vec<Option<[[f32; 2]; 3]>>,
     shared: usize,
     left_out: usize,
-    /// Kept from one build to the next.
+    /// Kept between builds, to reuse the memory.
     distances: Vec<f32>,
 }
 
@@ -45,9 +45,9 @@ impl Atlas {
         }
     }
 
-    /// Gives the texels to the triangles of another topology. A triangle with a corner that has no texture
-    /// coordinate, or none that is finite, gets no texels; what lies outside of the unit square is cut off. Where
-    /// triangles lie upon each other dozens of times over, the last of them get none: the time is bounded.
+    /// Assigns the texels to the triangles of a new topology. A triangle with a missing or non-finite texture
+    /// coordinate gets no texels; parts outside the unit square are clipped. Where dozens of triangles overlap, the
+    /// last ones get none: the time is bounded.
     pub fn assign(&mut self, triangles: &[[u32; 3]], uv: &[Vector2<f64>]) {
         self.owners.fill(NOBODY);
         self.distances.fill(f32::MAX);
@@ -64,7 +64,7 @@ impl Atlas {
             }
             Some(corners)
         }));
-        // Charts that do not overlap need about two visits per texel, small triangles a margin of their own.
+        // Charts without overlap need about two visits per texel, and small triangles some extra.
         let mut budget = 64 * (self.owners.len() as u64 + triangles.len() as u64);
         for index in 0..self.corners.len() {
             let cost = self.bounds(index).map_or(0, |rect| u64::from(rect.width) * u64::from(rect.height));
@@ -98,7 +98,7 @@ impl Atlas {
                     continue;
                 }
                 let texel = y as usize * self.width as usize + x as usize;
-                // Texels on a common side are not meant.
+                // Texels on a shared side do not count.
                 if depth > 1e-2 && self.distances[texel] == 0.0 {
                     self.shared += 1;
                 }
@@ -123,8 +123,8 @@ impl Atlas {
         (width > 0 && height > 0).then_some(DirtyRect { x, y, width, height })
     }
 
-    /// Calls `paint` with each texel that a triangle owns and the weights of the triangle's corners there; returns
-    /// a rectangle around them.
+    /// Calls `paint` with each texel that a triangle owns and its barycentric weights; returns a rectangle around the
+    /// texels.
     pub fn visit(&self, index: usize, mut paint: impl FnMut(usize, [f32; 3])) -> Option<DirtyRect> {
         let (corners, rect) = self.corners.get(index).copied().flatten().zip(self.bounds(index))?;
         let mut painted: Option<DirtyRect> = None;
@@ -145,19 +145,19 @@ impl Atlas {
         self.owners.get(texel).copied().filter(|owner| *owner != NOBODY).map(|owner| owner as usize)
     }
 
-    /// Triangles that got no texels.
+    /// Number of triangles without texels.
     pub fn left_out(&self) -> usize {
         self.left_out
     }
 
-    /// Texels that lie inside of more than one triangle: texture coordinates that overlap cannot tell where on the
-    /// surface something was burned, and the first triangle's state is shown on all of them.
+    /// Texels inside more than one triangle: overlapping texture coordinates are ambiguous, and all of the triangles
+    /// show the state of the first.
     pub fn shared(&self) -> usize {
         self.shared
     }
 }
 
-/// The lines through a triangle's sides: `normal · p + offset` is the distance from one, above 0 inside.
+/// The lines through a triangle's sides: `normal · p + offset` is the signed distance, positive inside.
 struct Sides([[f32; 3]; 3]);
 
 impl Sides {
@@ -169,7 +169,7 @@ impl Sides {
             let normal = [(s[1] - t[1]) * scale, (t[0] - s[0]) * scale];
             [normal[0], normal[1], -(normal[0] * s[0] + normal[1] * s[1])]
         };
-        // Without area nothing is inside, and everything has to be looked at.
+        // Without area there is no inside, and all texels in the bounds are visited.
         if double_area.abs() > 1e-9 {
             Self([side(a, b), side(b, c), side(c, a)])
         } else {
@@ -177,15 +177,15 @@ impl Sides {
         }
     }
 
-    /// Distance from the nearest side inside; outside, less than 0 and no farther than the triangle is.
+    /// Inside, the distance from the nearest side; outside, negative and no farther than the triangle is.
     fn depth(&self, [x, y]: [f32; 2]) -> f32 {
         let [a, b, c] = self.0.map(|side| side[0] * x + side[1] * y + side[2]);
         a.min(b).min(c)
     }
 }
 
-/// The point of a triangle that is nearest to `p`: its barycentric weights and itself (after Ericson, "Real-time
-/// collision detection", 2005, 5.1.5). Triangles without area are their longest sides, or points.
+/// The point of a triangle nearest to `p`: its barycentric weights and itself (after Ericson, "Real-time collision
+/// detection", 2005, 5.1.5). Triangles without area count as their longest sides, or as points.
 fn closest(p: [f32; 2], [a, b, c]: &[[f32; 2]; 3]) -> ([f32; 3], [f32; 2]) {
     let cross = |o: &[f32; 2], s: &[f32; 2], t: [f32; 2]| {
         (s[0] - o[0]) * (t[1] - o[1]) - (s[1] - o[1]) * (t[0] - o[0])

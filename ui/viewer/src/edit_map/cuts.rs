@@ -1,17 +1,17 @@
-//! Cut edges, told from one topology to the next: a cut parts triangles that were neighbours, so it leaves edges
+//! Detects cut edges by comparing consecutive topologies: a cut separates neighbouring triangles, so it leaves edges
 //! with one triangle where there were two, or where there was no edge.
 //!
-//! Vertices get new numbers when a mesh is remade, so borders are compared by their place in texture space: an edge
-//! that lies on what was border before (a rim that was split finer, a seam of the texture) is no cut.
+//! Remeshing renumbers vertices, so borders are compared by their place in texture space: an edge that lies on an old
+//! border (a rim that was refined, a seam of the texture) is no cut.
 
 use nalgebra::Vector2;
 
-/// How far apart in texture space two lines may be that count as one.
+/// Largest distance in texture space between two lines that count as one.
 const TOLERANCE: f64 = 1e-6;
 /// Cells of the search grid each way.
 const GRID: usize = 64;
 
-/// Finds the border edges that a change of topology has made.
+/// Finds the border edges that a change of topology has created.
 #[derive(Clone, Debug, Default)]
 pub struct CutFinder {
     /// Border edges of the last topology; `None` before the first one.
@@ -20,14 +20,14 @@ pub struct CutFinder {
 }
 
 impl CutFinder {
-    /// Takes the next topology and returns its border edges that were no border in the one before, in texture
-    /// space. The first topology has none: a rim that is there from the start is no cut.
+    /// Takes the next topology and returns its border edges that were no border before, in texture space. The first
+    /// topology has none: its initial rim is no cut.
     pub fn update(&mut self, triangles: &[[u32; 3]], uv: &[Vector2<f64>]) -> &[[Vector2<f64>; 2]] {
         let border = border_edges(triangles, uv);
         self.found.clear();
         if let Some(before) = &self.border {
             let grid = Grid::new(before);
-            // The middle as well: a new edge between two points of the old border may run across the surface.
+            // The midpoint as well: a new edge between two points of the old border may run across the surface.
             let known = |[a, b]: &[Vector2<f64>; 2]| {
                 [*a, (a + b) / 2.0, *b].iter().all(|point| grid.is_on_an_edge(before, *point))
             };
@@ -56,9 +56,9 @@ fn border_edges(triangles: &[[u32; 3]], uv: &[Vector2<f64>]) -> Vec<[Vector2<f64
         .collect()
 }
 
-/// The edges that touch each cell of the unit square; what lies outside counts to the cells at its rim.
+/// The edges that touch each cell of the unit square; edges outside it count to the cells at its rim.
 struct Grid {
-    /// Where the edges of a cell start in `edges`; one more entry than cells.
+    /// Start of each cell's edges in `edges`; one more entry than cells.
     starts: Vec<u32>,
     edges: Vec<u32>,
 }
@@ -67,11 +67,11 @@ fn cell(x: f64) -> usize {
     ((x * GRID as f64).max(0.0) as usize).min(GRID - 1)
 }
 
-/// The cells that an edge passes, row by row: those of its bounding box would be too many.
+/// The cells that an edge crosses, row by row: those of its bounding box would be too many.
 fn cells(&[a, b]: &[Vector2<f64>; 2]) -> impl Iterator<Item = usize> + use<> {
     let rows = cell(a.y.min(b.y) - TOLERANCE)..=cell(a.y.max(b.y) + TOLERANCE);
     rows.flat_map(move |row| {
-        // The outermost rows hold what lies beyond them as well.
+        // The outermost rows include everything beyond them.
         let low = if row == 0 { f64::NEG_INFINITY } else { row as f64 / GRID as f64 };
         let high = if row + 1 == GRID { f64::INFINITY } else { (row + 1) as f64 / GRID as f64 };
         let (from, to) = span_between(a, b, low - TOLERANCE, high + TOLERANCE);
@@ -79,12 +79,12 @@ fn cells(&[a, b]: &[Vector2<f64>; 2]) -> impl Iterator<Item = usize> + use<> {
     })
 }
 
-/// The smallest and the largest x of the part of a segment that lies between two heights.
+/// The smallest and largest x of the part of a segment between two heights.
 pub(super) fn span_between(a: Vector2<f64>, b: Vector2<f64>, low: f64, high: f64) -> (f64, f64) {
     let rise = b.y - a.y;
     let at = |y: f64| {
         let share = if rise == 0.0 { f64::NAN } else { (y - a.y) / rise };
-        // A level segment lies between them as a whole or not at all.
+        // A level segment lies between them completely or not at all.
         if share.is_nan() { None } else { Some(a.x + (b.x - a.x) * share.clamp(0.0, 1.0)) }
     };
     match (at(low), at(high)) {

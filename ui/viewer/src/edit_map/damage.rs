@@ -1,9 +1,9 @@
-//! From the Arrhenius integral of a burn to what is seen of it.
+//! The appearance of a burn by its Arrhenius integral.
 //!
-//! Henriques and Moritz ("Studies of thermal injury I–V", American Journal of Pathology, 1947) describe damage by
-//! heat as a reaction of first order, with Ω its integral over time: a share of 1 − exp(−Ω) of the protein is
-//! denatured. Tissue blanches and dries while Ω goes from 0 to a few; by 10 all but 0.005 % is denatured and what
-//! happens from there on is drying out and charring. Third-degree burns are put at Ω = 10⁴.
+//! Henriques and Moritz ("Studies of thermal injury I–V", American Journal of Pathology, 1947) model thermal damage as
+//! a first-order reaction with the integral Ω over time: a share of 1 − exp(−Ω) of the protein is denatured. Tissue
+//! blanches and dries while Ω goes from 0 to a few; by 10 all but 0.005 % is denatured, and further damage is drying
+//! and charring. Third-degree burns are put at Ω = 10⁴.
 
 /// Ω from which tissue chars.
 pub const CHAR_FROM: f64 = 10.0;
@@ -15,19 +15,19 @@ pub fn denatured(omega: f64) -> f32 {
     (1.0 - (-omega.max(0.0)).exp()) as f32
 }
 
-/// How charred tissue is, in \[0, 1\]: by the order of magnitude of Ω between [`CHAR_FROM`] and [`CHAR_FULL`].
+/// Degree of charring, in \[0, 1\]: by the order of magnitude of Ω between [`CHAR_FROM`] and [`CHAR_FULL`].
 pub fn charred(omega: f64) -> f32 {
     let decades = (omega.max(CHAR_FROM) / CHAR_FROM).log10() / (CHAR_FULL / CHAR_FROM).log10();
     decades.min(1.0) as f32
 }
 
-/// What the edit map's R holds: the lower half is denaturation, the upper one char, so that a shader has
-/// `denatured = min(2R, 1)` and `charred = max(2R − 1, 0)`.
+/// The edit map's R channel: the lower half is denaturation, the upper half char, so that a shader computes `denatured
+/// = min(2R, 1)` and `charred = max(2R − 1, 0)`.
 pub fn encoded(omega: f64) -> f32 {
     0.5 * (denatured(omega) + charred(omega))
 }
 
-/// What is left of the surface's gloss, in \[0, 1\]: a film of fluid dries up while protein coagulates.
+/// Remaining gloss of the surface, in \[0, 1\]: the fluid film dries up as protein coagulates.
 pub fn gloss(omega: f64) -> f32 {
     let dry = denatured(omega);
     1.0 - dry * dry * (0.75 + 0.25 * charred(omega))

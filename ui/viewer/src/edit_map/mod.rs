@@ -1,9 +1,9 @@
-//! The edit map: burns, blood and cuts, painted into a picture in texture space as the Model's state changes.
+//! The edit map: burns, blood and cuts, painted into an image in texture space as the Model's state changes.
 //!
-//! What it shows of burns and blood is a function of the state alone: each texel belongs to one triangle
-//! ([`Atlas`]) and holds what lies between the values of its corners. So a triangle is painted again only when one
-//! of its vertices changed, nobody else's texels change with it, and a viewer that comes late shows the same.
-//! Cuts are the exception: they are told from one topology to the next, and stay.
+//! Burns and blood are a function of the state alone: each texel belongs to one triangle ([`Atlas`]) and interpolates
+//! the values of its corners. So a triangle is repainted only when one of its vertices changed, no other texels change
+//! with it, and a viewer that starts late shows the same. Cuts are the exception: they are detected by comparing
+//! consecutive topologies, and stay.
 
 mod atlas;
 mod cuts;
@@ -24,18 +24,18 @@ use painter::Painter;
 
 /// Largest width and height of a map \[texels\].
 pub const SIZE_MAX: u32 = 4096;
-/// What a map holds where nothing has happened: no burn, no blood, no cut, all of its gloss.
+/// A texel where nothing has happened: no burn, no blood, no cut, full gloss.
 pub const UNTOUCHED: [u8; 4] = [0, 0, 0, 255];
-/// Width of the line that marks the edge of a cut, unless told otherwise \[texels\].
+/// Default width of the line that marks the edge of a cut \[texels\].
 pub const CUT_WIDTH: f32 = 2.5;
 
-/// A map that cannot be made.
+/// An invalid size of a map.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("a map of {width} × {height} texels is not possible; valid are 1 to {SIZE_MAX} each way")]
 pub struct MapSizeError {
-    /// The width that was asked for \[texels\].
+    /// The requested width \[texels\].
     pub width: u32,
-    /// The height that was asked for \[texels\].
+    /// The requested height \[texels\].
     pub height: u32,
 }
 
@@ -60,7 +60,7 @@ pub struct DirtyRect {
 }
 
 impl DirtyRect {
-    /// The smallest rectangle around two.
+    /// The bounding rectangle of two.
     pub fn union(a: Option<Self>, b: Option<Self>) -> Option<Self> {
         let (Some(a), Some(b)) = (a, b) else { return a.or(b) };
         let (x, y) = (a.x.min(b.x), a.y.min(b.y));
@@ -70,22 +70,22 @@ impl DirtyRect {
     }
 }
 
-/// What happened to a surface's vertices. A vertex beyond the end of a list keeps what the map showed at its
-/// place when the topology last changed, as a cut makes vertices before anybody has told what they are like;
-/// without a list nothing has happened.
+/// The state of a surface's vertices. A vertex beyond the end of a list keeps what the map showed at its place when the
+/// topology last changed, since a cut creates vertices before their state is known; without a list nothing has
+/// happened.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SurfaceState<'a> {
     /// Arrhenius integral per vertex (`Burn::omega`).
     pub omega: Option<&'a [f64]>,
-    /// How bloody each vertex is, in \[0, 1\].
+    /// Amount of blood on each vertex, in \[0, 1\].
     pub blood: Option<&'a [f64]>,
 }
 
-/// The edit map of one entity: R burn ([`damage::encoded`]), G blood, B cut, A what is left of the gloss.
+/// The edit map of one entity: R burn ([`damage::encoded`]), G blood, B cut, A remaining gloss.
 #[derive(Clone, Debug)]
 pub struct EditMap {
     image: Image8,
-    /// What was there before anything happened, if not [`UNTOUCHED`].
+    /// The initial image, if not [`UNTOUCHED`].
     base: Option<Image8>,
     /// Damage, blood, gloss.
     painter: Painter<3>,
@@ -96,7 +96,7 @@ pub struct EditMap {
 }
 
 impl EditMap {
-    /// A map of a surface to which nothing has happened yet.
+    /// A map of an intact surface.
     ///
     /// # Errors
     /// When there is no texel, or more than [`SIZE_MAX`] each way.
@@ -112,10 +112,10 @@ impl EditMap {
         })
     }
 
-    /// A map that starts from a picture (a material's `edit_map`), to which painting adds.
+    /// A map that starts from an image (a material's `edit_map`), to which painting adds.
     ///
     /// # Errors
-    /// As [`EditMap::new`]; also when the picture does not have as many texels as its size says.
+    /// As [`EditMap::new`]; also when the image has fewer or more texels than its size says.
     pub fn with_base(base: Image8) -> Result<Self, MapSizeError> {
         let mut map = Self::new(base.width, base.height)?;
         if base.pixels.len() != map.image.pixels.len() {
@@ -126,24 +126,24 @@ impl EditMap {
         Ok(map)
     }
 
-    /// The same with another width of the line that marks a cut \[texels\], 0 for none.
+    /// Sets the width of the line that marks a cut \[texels\], 0 for none.
     pub fn with_cut_width(mut self, width: f32) -> Self {
         self.cut_width = width.clamp(0.0, 64.0);
         self
     }
 
-    /// The picture.
+    /// The image.
     pub fn image(&self) -> &Image8 {
         &self.image
     }
 
-    /// Texels that lie inside of more than one triangle (see [`Atlas::shared`]).
+    /// Texels inside more than one triangle (see [`Atlas::shared`]).
     pub fn shared(&self) -> usize {
         self.painter.atlas().shared()
     }
 
-    /// Takes a topology: triangles, and the texture coordinate of each vertex. Everything is painted anew with the
-    /// next state; edges that have become a border since the last topology are marked as cut.
+    /// Takes a topology: triangles, and the texture coordinate of each vertex. The next state repaints everything;
+    /// edges that have become a border since the last topology are marked as cut.
     pub fn set_surface(&mut self, triangles: &[[u32; 3]], uv: &[Vector2<f64>]) {
         let inherited = uv.iter().map(|at| {
             let [damage, blood, _, gloss] = self.sample(*at);
@@ -158,13 +158,13 @@ impl EditMap {
         let width = self.cut_width;
         let mut cuts = std::mem::take(&mut self.cuts);
         for edge in cuts.update(triangles, uv) {
-            // The whole map is due for upload with the next state.
+            // The next state uploads the whole map.
             self.mark_cut(edge, width);
         }
         self.cuts = cuts;
     }
 
-    /// Shows a state; returns what has to be uploaded, `None` when nothing changed.
+    /// Paints a state; returns the texels to be uploaded, `None` when nothing changed.
     pub fn paint(&mut self, state: &SurfaceState) -> Option<DirtyRect> {
         let inherited = &self.inherited;
         let value = |vertex: usize| {
@@ -191,8 +191,7 @@ impl EditMap {
         })
     }
 
-    /// Marks a line in texture space as cut, `width` texels wide and softened at its edge; returns what has to be
-    /// uploaded.
+    /// Marks a line in texture space as cut, `width` texels wide with a soft edge; returns the texels to be uploaded.
     pub fn mark_cut(&mut self, polyline: &[Vector2<f64>], width: f32) -> Option<DirtyRect> {
         if width.is_nan() || width <= 0.0 {
             return None;
@@ -232,7 +231,7 @@ impl EditMap {
         dirty
     }
 
-    /// What a shader reads at a texture coordinate (bilinear, held at the border), as fractions.
+    /// A shader's sample at a texture coordinate (bilinear, clamped at the border), as fractions.
     pub fn sample(&self, uv: Vector2<f64>) -> [f32; 4] {
         let axis = |x: f64, count: u32| {
             // `max` first: it turns NaN into 0.

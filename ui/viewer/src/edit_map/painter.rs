@@ -1,13 +1,13 @@
-//! Painting values per vertex into texels, only where they changed.
+//! Paints values per vertex into texels, only where they changed.
 
 use nalgebra::Vector2;
 
 use super::{Atlas, DirtyRect};
 
-/// Steps of a value between 0 and 1: finer than a byte, so that a change that is not seen is not painted.
+/// Quantisation steps between 0 and 1: finer than a byte, so that only visible changes are painted.
 const STEPS: f32 = 1020.0;
 
-/// `N` values per vertex, as they were painted last.
+/// `N` values per vertex, as last painted.
 #[derive(Clone, Debug)]
 pub(super) struct Painter<const N: usize> {
     atlas: Atlas,
@@ -15,7 +15,7 @@ pub(super) struct Painter<const N: usize> {
     painted: Vec<[u16; N]>,
     changed: Vec<bool>,
     size: [u32; 2],
-    /// The topology is new: all triangles are painted, and everything is due for upload.
+    /// After a change of topology: all triangles are painted, and the whole map is uploaded.
     fresh: bool,
 }
 
@@ -46,8 +46,8 @@ impl<const N: usize> Painter<N> {
         self.fresh = true;
     }
 
-    /// Calls `write` with the texels of each triangle of which a vertex has another value than when it was painted
-    /// last, and the values there.
+    /// Calls `write` with the texels of each triangle with a vertex whose value has changed since it was last painted,
+    /// and the values there.
     pub fn paint(
         &mut self,
         value: impl Fn(usize) -> [f32; N],

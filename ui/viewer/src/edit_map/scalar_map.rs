@@ -16,8 +16,8 @@ pub struct ScalarMap {
 }
 
 impl ScalarMap {
-    /// A map of values between `low` and `high`, in whatever unit; all of it is at the lower end at first. The ends
-    /// of an empty range count as one apart.
+    /// A map of values between `low` and `high`, in any unit, initially at the lower end. The ends of an empty range
+    /// count as one apart.
     ///
     /// # Errors
     /// When there is no texel, or more than [`super::SIZE_MAX`] each way.
@@ -38,7 +38,7 @@ impl ScalarMap {
         &self.values
     }
 
-    /// What 0 and 255 stand for.
+    /// The values of 0 and 255.
     pub fn range(&self) -> [f64; 2] {
         self.range
     }
@@ -49,7 +49,7 @@ impl ScalarMap {
         self.values.fill(0);
     }
 
-    /// Shows one value per vertex; vertices without one are at the lower end. Returns what has to be uploaded.
+    /// Paints one value per vertex; vertices without one are at the lower end. Returns the texels to be uploaded.
     pub fn paint(&mut self, per_vertex: &[f64]) -> Option<DirtyRect> {
         let [low, high] = self.range;
         let value = |vertex: usize| {

@@ -1,7 +1,7 @@
 use super::*;
 use crate::texture::noise::Mixer;
 
-/// A patch of `n × n` quads with its corners shaken, mapped into the middle of the texture.
+/// A patch of `n × n` quads with jittered corners, mapped into the middle of the texture.
 fn patch(n: u32, seed: u64) -> (Vec<[u32; 3]>, Vec<Vector2<f64>>) {
     let mut mixer = Mixer::new(seed);
     let mut uv = Vec::new();
@@ -29,7 +29,7 @@ fn what_is_painted_at_a_vertex_is_read_at_its_texture_coordinate() {
         let n = 3 + (seed % 6) as u32;
         let (triangles, uv) = patch(n, seed);
         let mut mixer = Mixer::new(100 + seed);
-        // A smooth field, so that what lies between texels is known as well.
+        // A smooth field, so that values between texels are known as well.
         let center = Vector2::new(f64::from(mixer.unit()), f64::from(mixer.unit()));
         let omega: Vec<f64> = uv.iter().map(|at| 2.5 * (-(at - center).norm_squared() / 0.2).exp()).collect();
         let blood: Vec<f64> = uv.iter().map(|at| at.x).collect();
@@ -43,7 +43,7 @@ fn what_is_painted_at_a_vertex_is_read_at_its_texture_coordinate() {
             assert!((gloss - damage::gloss(omega[vertex])).abs() < 0.03, "seed {seed}, vertex {vertex}");
             assert_eq!(cut, 0.0);
         }
-        // Between the vertices: the mean of the corners at each triangle's middle.
+        // Between the vertices: the mean of the corners at each triangle's centre.
         for triangle in &triangles {
             let corners = triangle.map(|v| uv[v as usize]);
             let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
@@ -86,7 +86,7 @@ fn only_texels_of_burned_triangles_change() {
     assert!(changed > 50, "{changed}");
     assert!(dirty.width < 50 && dirty.height < 50, "{dirty:?}");
 
-    // A smaller burn than before (a session that was set back) shows as such.
+    // A smaller burn than before (a session that was reset) shows as such.
     omega[vertex] = 0.0;
     assert!(map.paint(&burned(&omega)).is_some());
     assert_eq!(map.image(), &before);
@@ -112,7 +112,7 @@ fn painting_step_by_step_gives_the_same_as_painting_once() {
 
 #[test]
 fn no_untouched_texel_bleeds_into_a_burned_surface() {
-    // All of the surface is burned: wherever inside of it the map is read, also on its very border, it is all burned.
+    // All of the surface is burned, so every sample inside it is fully burned, also on its border.
     let (triangles, uv) = patch(5, 2);
     let mut map = EditMap::new(64, 64).expect("a valid size");
     map.set_surface(&triangles, &uv);
@@ -137,7 +137,7 @@ fn burns_survive_a_cut() {
     map.paint(&burned(&omega));
     let before = map.image().clone();
 
-    // The cut parts the mesh along a column of vertices: those right of it get vertices of their own.
+    // The cut separates the mesh along a column of vertices: the triangles to the right get new vertices.
     let (mut parted, mut longer) = (triangles.clone(), uv.clone());
     for row in 0..=8u32 {
         let old = row * 9 + 4;
@@ -149,13 +149,13 @@ fn burns_survive_a_cut() {
     }
     assert_ne!(parted, triangles);
     map.set_surface(&parted, &longer);
-    // Whoever cut has not told yet how burned the new vertices are.
+    // The state does not say yet how burned the new vertices are.
     map.paint(&burned(&omega));
     let close = |now: &Image8, tolerance: u8| {
         now.pixels.iter().zip(&before.pixels).all(|(a, b)| (0..4).all(|c| a[c].abs_diff(b[c]) <= tolerance))
     };
     assert!(close(map.image(), 8), "new vertices keep what was at their place");
-    // Now all is known.
+    // Now the state is complete.
     let mut known = omega.clone();
     known.extend((0..=8).map(|row| omega[row * 9 + 4]));
     map.paint(&burned(&known));

@@ -1,4 +1,4 @@
-//! What is written into a picture: legends, and the names of things.
+//! Draws text into pictures: legends and names.
 
 use egui::epaint::{Color32, CornerRadius, FontId, Pos2, Rect, Vec2};
 use egui::{Align2, Context, LayerId, RawInput};
@@ -7,17 +7,17 @@ use egui_wgpu::{Renderer, RendererOptions, ScreenDescriptor};
 use crate::gpu::Gpu;
 use crate::overlay::{Legend, legend};
 
-/// What is written into one pane.
+/// The text of one pane.
 pub struct Note<'a> {
-    /// In the picture \[pixels\]: left, top, width, height.
+    /// Pane in the picture \[pixels\]: left, top, width, height.
     pub pane: [u32; 4],
-    /// Legends; the first one stands lowest.
+    /// Legends; the first one is at the bottom.
     pub legends: &'a [Legend],
-    /// Words, and where in the pane their middle is, from 0 (left, top) to 1.
+    /// Labels, with the position of their middle in the pane, from 0 (left, top) to 1.
     pub labels: Vec<([f64; 2], &'a str)>,
 }
 
-/// Writes into pictures of one format.
+/// Draws text into pictures of one format.
 pub struct Annotator {
     format: wgpu::TextureFormat,
     context: Context,
@@ -31,12 +31,12 @@ impl Annotator {
         Self { format, context: Context::default(), renderer }
     }
 
-    /// Whether it writes into such pictures.
+    /// Whether it draws into pictures of that format.
     pub fn is_for(&self, format: wgpu::TextureFormat) -> bool {
         self.format == format
     }
 
-    /// Writes into a picture that has been drawn.
+    /// Draws into a finished picture.
     pub fn draw(
         &mut self,
         gpu: &Gpu,

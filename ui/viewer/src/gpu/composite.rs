@@ -1,4 +1,4 @@
-//! The last step of a frame: lens, weave, panes.
+//! The last pass of a frame: lens distortion, stereo interleaving, panes.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -6,7 +6,7 @@ use crate::gpu::Gpu;
 use crate::layout::Weave;
 use crate::view::View;
 
-/// What the shader reads.
+/// The uniforms of the shader.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct Uniform {
@@ -17,29 +17,29 @@ struct Uniform {
     pane: [f32; 4],
 }
 
-/// What eyes saw, and where it goes.
+/// The pictures of the eyes, and their target.
 #[derive(Clone, Copy)]
 pub struct Seen<'a> {
-    /// In the picture \[pixels\]: left, top, width, height.
+    /// Pane in the target \[pixels\]: left, top, width, height.
     pub pane: [u32; 4],
-    /// What the left and the right eye saw; both the same for a single one.
+    /// Pictures of the left and the right eye; the same for a single eye.
     pub eyes: [&'a wgpu::TextureView; 2],
-    /// Whose lens bends it.
+    /// The view, for its lens.
     pub view: &'a View,
-    /// How two become one.
+    /// Combination of the two pictures.
     pub weave: Weave,
-    /// Whether the picture is empty yet.
+    /// Whether the target must be cleared.
     pub clear: bool,
 }
 
-/// What is bound for one draw, kept as long as the pictures of the eyes are the same.
+/// The bindings of one draw, kept as long as the eyes' textures are the same.
 struct Slot {
     uniform: wgpu::Buffer,
     eyes: [wgpu::TextureView; 2],
     group: wgpu::BindGroup,
 }
 
-/// The pass, for one format of pictures.
+/// The pass for one texture format.
 pub struct Composite {
     slots: Vec<Slot>,
     format: wgpu::TextureFormat,
@@ -49,7 +49,7 @@ pub struct Composite {
 }
 
 impl Composite {
-    /// For pictures of that format.
+    /// For targets of that format.
     pub fn new(gpu: &Gpu, format: wgpu::TextureFormat) -> Self {
         let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("composite"),
@@ -84,12 +84,12 @@ impl Composite {
         Self { slots: Vec::new(), format, layout: pipeline.get_bind_group_layout(0), pipeline, sampler }
     }
 
-    /// Whether it draws into such pictures.
+    /// Whether it draws into targets of that format.
     pub fn is_for(&self, format: wgpu::TextureFormat) -> bool {
         self.format == format
     }
 
-    /// Draws what one eye or two saw into `target`; `index` counts the draws of a submission.
+    /// Draws the picture of one eye or two into `target`; `index` counts the draws of a submission.
     pub fn draw(
         &mut self,
         gpu: &Gpu,

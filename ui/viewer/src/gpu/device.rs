@@ -1,4 +1,4 @@
-//! Finding a graphics adapter, and noticing when it is gone.
+//! Opens a graphics adapter, and detects its loss.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,13 +8,13 @@ use crate::priority;
 /// A device with its queue. Clones share it.
 #[derive(Clone)]
 pub struct Gpu {
-    /// Finds adapters and makes surfaces of windows.
+    /// Enumerates adapters and creates window surfaces.
     pub instance: wgpu::Instance,
-    /// What draws.
+    /// The adapter.
     pub adapter: wgpu::Adapter,
-    /// Makes buffers, textures, pipelines.
+    /// Creates buffers, textures, pipelines.
     pub device: wgpu::Device,
-    /// Takes work.
+    /// Accepts work.
     pub queue: wgpu::Queue,
     lost: Arc<Mutex<Option<String>>>,
 }
@@ -29,8 +29,8 @@ impl Gpu {
         Self::on(instance, None)
     }
 
-    /// An adapter that can draw on this surface, or any. Threads of its driver step back behind those of the process: see
-    /// [`priority`].
+    /// An adapter that can draw on this surface, or any. Its driver's threads get a lower priority than those of the
+    /// process: see [`priority`].
     ///
     /// # Errors
     /// [`ViewError::NoAdapter`], [`ViewError::Refused`].
@@ -51,7 +51,7 @@ impl Gpu {
             |reason: String| ViewError::Refused { adapter: adapter.get_info().name.clone(), reason };
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("trocar"),
-            // What WebGPU guarantees, and as large pictures as the adapter has.
+            // WebGPU's guaranteed limits, with the adapter's maximum texture size.
             required_limits: wgpu::Limits::default().using_resolution(adapter.limits()),
             memory_hints: wgpu::MemoryHints::Performance,
             ..Default::default()
@@ -63,7 +63,7 @@ impl Gpu {
         device.set_device_lost_callback(move |reason, message| {
             note(&noted, format!("{reason:?}: {message}"));
         });
-        // Without a handler an error (out of memory, a bad shader) would be a panic of whoever draws.
+        // Without a handler an error (out of memory, an invalid shader) would panic on the drawing thread.
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
             tracing::error!("graphics: {error}");
             note(&failed, error.to_string());
@@ -71,7 +71,7 @@ impl Gpu {
         Ok(Self { instance, adapter, device, queue, lost })
     }
 
-    /// Why nothing can be drawn any more, once that is so.
+    /// Returns an error once the device is lost.
     ///
     /// # Errors
     /// [`ViewError::DeviceLost`].
@@ -80,7 +80,7 @@ impl Gpu {
         lost.as_ref().map_or(Ok(()), |reason| Err(ViewError::DeviceLost(reason.clone())))
     }
 
-    /// Whether the processor draws, rather than a graphics card.
+    /// Whether the adapter is a software rasteriser.
     pub fn is_software(&self) -> bool {
         self.adapter.get_info().device_type == wgpu::DeviceType::Cpu
     }

@@ -1,4 +1,4 @@
-//! Edit maps on the device: burns painted from the scene, and only the part of a map sent that changed.
+//! Edit maps on the device: burns painted from the scene, with upload of the changed part only.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use crate::edit_map::{DirtyRect, EditMap, SurfaceState};
 use crate::gpu::Gpu;
 use crate::texture::Image8;
 
-/// Side of a map that begins without a picture \[texels\].
+/// Side of a map without a base picture \[texels\].
 const SIDE: u32 = 512;
 
 /// One entity's map.
@@ -23,17 +23,17 @@ struct Edit {
     omega: Option<Arc<Vec<f64>>>,
 }
 
-/// The maps of all entities to which something can happen: those with [`Burn`] and texture coordinates.
+/// The edit maps of all entities with [`Burn`] and texture coordinates.
 #[derive(Default)]
 pub struct Edits {
     maps: BTreeMap<Entity, Edit>,
     made: u64,
-    /// Texels sent since the start.
+    /// Texels uploaded since the start.
     pub texels_sent: u64,
 }
 
 impl Edits {
-    /// Follows the scene; `base` is what a material's own edit map shows of an entity before anything happens.
+    /// Follows the scene; `base` returns the initial picture of an entity, from its material's edit map.
     pub fn update(&mut self, gpu: &Gpu, scene: &Snapshot, mut base: impl FnMut(Entity) -> Option<Image8>) {
         self.maps.retain(|entity, _| scene.get::<Burn>(*entity).is_some());
         for (entity, burn) in scene.iter::<Burn>() {
@@ -66,14 +66,14 @@ impl Edits {
         }
     }
 
-    /// The map of an entity, under a number that is never given twice.
+    /// The map of an entity, with a unique number.
     pub fn get(&self, entity: Entity) -> Option<(u64, &wgpu::TextureView)> {
         self.maps.get(&entity).map(|edit| (edit.number, &edit.view))
     }
 }
 
 impl Edit {
-    /// `None` for a picture that is larger than maps are.
+    /// `None` for a picture that exceeds the maximum size.
     fn new(gpu: &Gpu, number: u64, base: Option<Image8>) -> Option<Self> {
         let map = base.map_or_else(|| EditMap::new(SIDE, SIDE), EditMap::with_base).ok()?;
         let image = map.image();

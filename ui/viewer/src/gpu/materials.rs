@@ -17,12 +17,12 @@ const PROCEDURAL_SIDE: u32 = 512;
 /// Largest file of a shader \[bytes\].
 const SHADER_BYTES_MAX: u64 = 256 * 1024;
 
-/// What a map is for: that decides how its bytes are read, and what stands in for one that is not there.
+/// The role of a map, which decides its byte format and its default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
-    /// Colours: on the device the square roots of light.
+    /// Colours, stored as square roots of linear light.
     Color,
-    /// Directions.
+    /// Normals.
     Normal,
     /// Burns, blood, cuts.
     Edit,
@@ -41,7 +41,7 @@ impl Role {
             Self::Free => material.free_map.as_ref(),
         }
     }
-    /// Which map of a procedural texture it is.
+    /// Its map in a procedural texture.
     fn of_set(self, set: &MapSet) -> &Image8 {
         match self {
             Self::Color | Self::Edit => &set.color,
@@ -56,7 +56,7 @@ impl Role {
             Self::Edit | Self::Free => MapKind::Linear,
         }
     }
-    /// The one pixel of a map that changes nothing.
+    /// The single texel of a map without effect.
     fn neutral(self) -> [u8; 4] {
         match self {
             Self::Color | Self::Free => [255; 4],
@@ -70,16 +70,16 @@ impl Role {
 #[derive(Clone)]
 struct Map {
     view: wgpu::TextureView,
-    /// Mean over all of it, in linear light.
+    /// Mean in linear light.
     mean: [f32; 4],
 }
 
-/// What a material needs for being drawn.
+/// The device resources of a material.
 #[derive(Clone)]
 pub struct Look {
-    /// Its maps, bound together.
+    /// The bind group of its maps.
     pub group: wgpu::BindGroup,
-    /// What its pipeline must do, relief aside.
+    /// Its pipeline features, except relief.
     pub features: Features,
     /// Base colour times the mean of the colour map.
     pub mean_color: [f32; 4],
@@ -87,29 +87,29 @@ pub struct Look {
     pub shader: u32,
 }
 
-/// The maps of materials, bound together.
+/// The bind groups of the materials' maps.
 pub struct Materials {
-    /// Layout of the group.
+    /// Layout of the bind group.
     pub layout: wgpu::BindGroupLayout,
     tiled: wgpu::Sampler,
     single: wgpu::Sampler,
     coarse: wgpu::Sampler,
     neutral: BTreeMap<Role, Map>,
     textures: BTreeMap<(Role, String), Map>,
-    /// With whether they were asked for lately.
+    /// Each with whether it was used recently.
     groups: BTreeMap<String, (wgpu::BindGroup, bool)>,
     /// Folder below which files of textures are.
     folder: Option<PathBuf>,
-    /// Procedural textures: each gives several maps.
+    /// Procedural textures; each has several maps.
     sets: BTreeMap<String, MapSet>,
-    /// Numbers of shaders of materials by file; 0 for one that cannot be used, which was told.
+    /// Numbers of material shaders by file; 0 for an invalid one, which was reported.
     shaders: BTreeMap<String, u32>,
-    /// Their texts by number; the first is the default.
+    /// Shader sources by number; the first is the default.
     sources: Vec<String>,
 }
 
 impl Materials {
-    /// Without any; `folder` is the scenario's.
+    /// Empty; `folder` is the scenario's.
     pub fn new(gpu: &Gpu, folder: Option<PathBuf>) -> Self {
         let texture = |binding| wgpu::BindGroupLayoutEntry {
             binding,
@@ -146,7 +146,7 @@ impl Materials {
             layout,
             tiled: sampler(wgpu::AddressMode::Repeat, wgpu::MipmapFilterMode::Linear),
             single: sampler(wgpu::AddressMode::ClampToEdge, wgpu::MipmapFilterMode::Linear),
-            // Nobody sees where roughness goes from one level to the next.
+            // The transition of roughness between levels is invisible.
             coarse: sampler(wgpu::AddressMode::Repeat, wgpu::MipmapFilterMode::Nearest),
             neutral: neutral.into(),
             textures: BTreeMap::new(),
@@ -158,7 +158,7 @@ impl Materials {
         }
     }
 
-    /// Loads what a material needs, with the entity's own edit map if it has one.
+    /// Loads the maps and shader of a material, with the entity's own edit map if it has one.
     pub fn send(
         &mut self,
         gpu: &Gpu,
@@ -178,7 +178,7 @@ impl Materials {
             edit_map: has(Role::Edit) || edit.is_some(),
             free_map: has(Role::Free),
             relief: false,
-            // Blood is wet, and nobody knows what a shader does.
+            // Blood is wet, and a custom shader may be.
             coat: material.wetness > 0.0 || has(Role::Edit) || edit.is_some() || shader != 0,
         };
         let mean = self.map(Role::Color, material).mean;
@@ -186,7 +186,7 @@ impl Materials {
         Look { group: self.group(gpu, material, edit), features, mean_color, shader }
     }
 
-    /// A map that was loaded, or the one that changes nothing.
+    /// The loaded map, or the default without effect.
     fn map(&self, role: Role, material: &VisualMaterial) -> &Map {
         let loaded = role.of(material).and_then(|map| self.textures.get(&(role, format!("{map:?}"))));
         loaded.unwrap_or(&self.neutral[&role])
@@ -227,12 +227,12 @@ impl Materials {
         group
     }
 
-    /// Forgets the groups that have not been sent since the last call; their textures are kept.
+    /// Drops bind groups that were not used since the last call; their textures are kept.
     pub fn sweep(&mut self) {
         self.groups.retain(|_, (_, used)| std::mem::take(used));
     }
 
-    /// What a material's own edit map shows.
+    /// The picture of a material's edit map.
     pub fn edit_picture(&self, material: &VisualMaterial) -> Option<Image8> {
         match material.edit_map.as_ref()? {
             Texture::Procedural(name) => texture::procedural(name, PROCEDURAL_SIDE).ok().map(|set| set.color),
@@ -242,7 +242,7 @@ impl Materials {
         }
     }
 
-    /// The number of a material's own shader; 0 for the default, also when it cannot be used.
+    /// The number of a material's own shader; 0 for the default, also for an invalid one.
     fn shader(&mut self, gpu: &Gpu, material: &VisualMaterial) -> u32 {
         let Some(file) = material.shader.as_ref() else { return 0 };
         if let Some(number) = self.shaders.get(file) {
@@ -264,7 +264,7 @@ impl Materials {
         number
     }
 
-    /// The text of a shader.
+    /// The source of a shader.
     pub fn source(&self, number: u32) -> &str {
         self.sources.get(number as usize).map_or(passes::MATERIAL, String::as_str)
     }
@@ -298,7 +298,7 @@ impl Materials {
     }
 }
 
-/// A material's own shader below the scenario's folder.
+/// Reads a material's own shader below the scenario's folder.
 fn read_shader(folder: Option<&Path>, file: &str) -> Result<String, String> {
     let path = texture::resolve(folder.unwrap_or(Path::new("")), file).map_err(|error| error.to_string())?;
     let size = std::fs::metadata(&path).map_err(|error| error.to_string())?.len();
@@ -311,7 +311,7 @@ fn read_shader(folder: Option<&Path>, file: &str) -> Result<String, String> {
 /// A map with its mip levels, the largest first.
 fn upload(gpu: &Gpu, role: Role, mut levels: Vec<Image8>) -> Map {
     if role == Role::Color {
-        // Square roots are as even to the eye as sRGB, but a product undoes them: no adapter needs to convert.
+        // Square roots are about as perceptually uniform as sRGB, but the shader decodes them with one multiplication.
         let root = |byte| (255.0 * linear_of_srgb(byte).sqrt()).round() as u8;
         let roots: [u8; 256] = std::array::from_fn(|byte| root(byte as u8));
         for pixel in levels.iter_mut().flat_map(|level| &mut level.pixels) {

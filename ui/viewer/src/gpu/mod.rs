@@ -1,4 +1,4 @@
-//! The graphics device and what lies on it.
+//! The graphics device and its resources.
 
 pub mod annotate;
 pub mod composite;

@@ -1,4 +1,4 @@
-//! What is drawn over a scene, on the device: lines, triangles, spots, edges, quantities.
+//! Draws overlays on the device: lines, triangles, spots, edges, fields.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -16,10 +16,10 @@ use crate::overlay::sketch::{Corner, Line, Sketch};
 use crate::overlay::{Field, Overlay, Overlays, Seen};
 use crate::view::View;
 
-/// Share of its distance that everything is drawn nearer by than it is, so that it lies upon what it is on.
+/// Depth bias of overlays, as a share of the distance, so that they are drawn on top of their surface.
 const NEARER: f64 = 1e-3;
 
-/// What holds for all that is drawn for one eye, as shaders read it.
+/// Per-eye uniforms of overlays, in the layout of the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct GpuView {
@@ -43,13 +43,13 @@ enum Kind {
 impl Kind {
     const ALL: [Self; 5] = [Self::Lines, Self::Triangles, Self::Spots, Self::Edges, Self::Field];
 
-    /// Whether something of it is left where it is hidden.
+    /// Whether it stays partly visible behind surfaces.
     fn shows_through(self) -> bool {
         matches!(self, Self::Lines | Self::Triangles | Self::Spots)
     }
 }
 
-/// Kind, whether behind something, format, samples per pixel.
+/// Kind, whether the hidden part, format, samples per pixel.
 type Key = (Kind, bool, wgpu::TextureFormat, u32);
 
 /// Edges of a surface.
@@ -57,42 +57,42 @@ struct Edges {
     topology: u64,
     edges: wgpu::Buffer,
     count: u32,
-    /// The group, and the positions that it reads.
+    /// The bind group, and the positions that it reads.
     group: (wgpu::BindGroup, wgpu::Buffer),
     used: bool,
 }
 
-/// A quantity over an item, as it was sent.
+/// An uploaded field over an item.
 struct SentField {
     field: Field,
     surface: (u64, u64),
     fractions: wgpu::Buffer,
 }
 
-/// Pipelines and buffers of everything that is drawn over a scene. Made when something is shown for the first time.
+/// Pipelines and buffers of all overlays. Created when an overlay is first shown.
 pub struct OverlayPass {
     view_layout: wgpu::BindGroupLayout,
     spots_layout: wgpu::BindGroupLayout,
     edges_layout: wgpu::BindGroupLayout,
     colors_layout: wgpu::BindGroupLayout,
-    /// With a group of their own (spots, edges, colours), and without.
+    /// Pipeline layouts with an additional bind group (spots, edges, colours), and without.
     layouts: BTreeMap<u8, wgpu::PipelineLayout>,
     pipelines: HashMap<Key, wgpu::RenderPipeline>,
     views: Vec<(wgpu::Buffer, wgpu::BindGroup)>,
     lines: Option<(wgpu::Buffer, u32)>,
     triangles: Option<(wgpu::Buffer, u32)>,
-    /// The group, and the items that have spots.
+    /// The bind group, and the items with spots.
     spots: Option<(wgpu::BindGroup, Vec<u32>)>,
     edges: BTreeMap<u64, Edges>,
     edge_width: f32,
     colors: Vec<(Colormap, wgpu::BindGroup)>,
     fields: Vec<SentField>,
-    /// Bytes sent since the start.
+    /// Bytes uploaded since the start.
     pub bytes_sent: u64,
 }
 
 impl OverlayPass {
-    /// Beside surfaces whose list has this layout.
+    /// `items_layout` is the layout of the list of items.
     pub fn new(gpu: &Gpu, items_layout: &wgpu::BindGroupLayout) -> Self {
         use wgpu::ShaderStages as Stages;
         let device = &gpu.device;
@@ -156,7 +156,7 @@ impl OverlayPass {
         }
     }
 
-    /// Sends what is seen.
+    /// Uploads the computed overlays.
     pub fn send(
         &mut self,
         gpu: &Gpu,
@@ -305,8 +305,8 @@ impl OverlayPass {
         })
     }
 
-    /// Makes the pipelines of what there is, for pictures of that kind, and writes through which eye it is seen; each
-    /// eye has a number of its own within one submission.
+    /// Creates the pipelines for pictures of that kind, and writes the view of an eye; each eye has its own number
+    /// within a submission.
     pub fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -351,14 +351,14 @@ impl OverlayPass {
             eye: view.world_from_eye.translation.vector.map(|part| part as f32).into(),
             near: near as f32,
             pane: pane.map(|pixels| pixels as f32),
-            // Depth times distance is linear in the distance: a share of it is a constant.
+            // Depth times distance is linear in the distance, so a bias proportional to the distance is a constant.
             bias: (NEARER * near * far / (far - near)) as f32,
             edge_width: self.edge_width,
         };
         gpu.queue.write_buffer(&self.views[eye].0, 0, bytemuck::bytes_of(&uniform));
     }
 
-    /// Draws everything for an eye that was prepared, over a scene that has been drawn.
+    /// Draws the overlays for a prepared eye, over a finished scene.
     pub fn draw(
         &self,
         pass: &mut wgpu::RenderPass<'_>,
@@ -370,7 +370,7 @@ impl OverlayPass {
     ) {
         let Some((_, view)) = self.views.get(eye) else { return };
         pass.set_bind_group(0, view, &[]);
-        // Every item has a place of its own in the list.
+        // Every item has its own offset in the list.
         let item_at = |item: u32| [item * size_of::<GpuItem>() as u32];
         let copy = |item: u32| copies.get(stage.items().get(item as usize)?.surface.id);
         if let Some(pipeline) = self.pipelines.get(&(Kind::Field, false, format, samples)) {
@@ -397,7 +397,7 @@ impl OverlayPass {
                 pass.draw(0..6 * edges.count, 0..1);
             }
         }
-        // What is hidden first: it is the farther.
+        // Hidden parts first: they are farther away.
         for hidden in [true, false] {
             let pipeline = |kind| self.pipelines.get(&(kind, hidden, format, samples));
             if let (Some(pipeline), Some((group, items))) = (pipeline(Kind::Spots), &self.spots) {
@@ -408,7 +408,7 @@ impl OverlayPass {
                     pass.set_bind_group(1, items_group, &item_at(*item));
                     pass.set_vertex_buffer(0, copy.positions.slice(..));
                     pass.set_index_buffer(copy.indices.slice(..), wgpu::IndexFormat::Uint32);
-                    // The instance tells which item it is.
+                    // The instance index is the item.
                     pass.draw_indexed(0..copy.index_count, 0, *item..*item + 1);
                 }
             }
@@ -426,7 +426,7 @@ impl OverlayPass {
     }
 }
 
-/// Edges between drawn vertices, each once; along the seam of a texture the vertices differ, the edge does not.
+/// Edges between drawn vertices, each once; along a texture seam the vertices are split, but the edge is one.
 fn edges_of(geometry: &Geometry) -> Vec<[u32; 2]> {
     let source = |vertex: u32| geometry.sources.get(vertex as usize).copied().unwrap_or(vertex);
     let mut edges: Vec<[u32; 4]> = Vec::with_capacity(geometry.indices.len());
@@ -453,7 +453,7 @@ fn pair(gpu: &Gpu, layout: &wgpu::BindGroupLayout, buffers: [&wgpu::Buffer; 2]) 
     })
 }
 
-/// Puts rows into a buffer, a larger one when they do not fit; how many bytes.
+/// Uploads rows into a buffer, replaced by a larger one if needed; returns the number of bytes.
 fn fill<T: Pod>(
     gpu: &Gpu,
     slot: &mut Option<(wgpu::Buffer, u32)>,

@@ -1,4 +1,4 @@
-//! The pipelines: surfaces, shadows, probes.
+//! Render pipelines: surfaces, shadows, probes.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -7,7 +7,7 @@ use crate::gpu::shadow_maps::ShadowMaps;
 use crate::gpu::targets::{DEPTH, METRES, NUMBERS};
 use crate::gpu::uniforms::{GpuFrame, ITEM_BYTES};
 
-/// Which maps a material has, and what else its pipeline can do without.
+/// Features of a material that its pipeline needs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Features {
     /// A colour map.
@@ -18,9 +18,9 @@ pub struct Features {
     pub edit_map: bool,
     /// A free map.
     pub free_map: bool,
-    /// Relief wider than a pixel.
+    /// Relief that is wider than a pixel.
     pub relief: bool,
-    /// It may be wet.
+    /// A wet coat.
     pub coat: bool,
 }
 
@@ -31,52 +31,52 @@ pub enum Shading {
     Plain,
     /// Physically based.
     Full {
-        /// What the material has.
+        /// Features of the material.
         features: Features,
-        /// Smooth from one mip level to the next, and soft edges of shadows.
+        /// Interpolation between mip levels, and soft shadow edges.
         fine: bool,
-        /// Lights that shine.
+        /// Number of active lights.
         lights: u32,
-        /// How many of them throw shadows: the first ones.
+        /// Number of lights with shadows, which come first.
         shadows: u32,
         /// The material's own shader by its number; 0 is the default.
         shader: u32,
     },
 }
 
-/// Which pipeline draws an item.
+/// The key of an item's pipeline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Key {
     /// How it is shaded.
     pub shading: Shading,
     /// Samples per pixel.
     pub samples: u32,
-    /// Blended over what is behind it.
+    /// Alpha blending.
     pub blended: bool,
-    /// What is drawn into.
+    /// Format of the target.
     pub format: wgpu::TextureFormat,
 }
 
-/// Pipelines and what they share.
+/// Pipelines and their shared resources.
 pub struct Passes {
     /// Layout of the frame's group.
     pub frame_layout: wgpu::BindGroupLayout,
     /// Layout of the items' group.
     pub items_layout: wgpu::BindGroupLayout,
-    /// Layout of a light's own group, for its shadow.
+    /// Layout of a light's bind group, for its shadow map.
     pub light_layout: wgpu::BindGroupLayout,
-    /// Draws depths as a light sees them.
+    /// Draws a shadow map.
     pub shadow: wgpu::RenderPipeline,
-    /// Draws depths and numbers.
+    /// Draws depths and numbers of a probe.
     pub probe: wgpu::RenderPipeline,
-    /// Depths as lights see them.
+    /// The shadow maps.
     pub shadow_maps: ShadowMaps,
-    /// Compares a depth with them.
+    /// The comparison sampler of the shadow maps.
     pub shadow_sampler: wgpu::Sampler,
     surface_layout: wgpu::PipelineLayout,
     plain_layout: wgpu::PipelineLayout,
     plain_module: wgpu::ShaderModule,
-    /// By the number of the material's own shader.
+    /// Shader modules by the number of the material's own shader.
     modules: BTreeMap<u32, wgpu::ShaderModule>,
     surfaces: HashMap<Key, wgpu::RenderPipeline>,
 }
@@ -108,7 +108,7 @@ const fn per_vertex<'a>(attributes: &'a [wgpu::VertexAttribute; 1]) -> wgpu::Ver
 const POSITION: wgpu::VertexBufferLayout<'_> = per_vertex(&wgpu::vertex_attr_array![0 => Float32x3]);
 const NORMAL: wgpu::VertexBufferLayout<'_> = per_vertex(&wgpu::vertex_attr_array![1 => Float32x3]);
 const UV: wgpu::VertexBufferLayout<'_> = per_vertex(&wgpu::vertex_attr_array![2 => Float32x2]);
-/// Positions move, texture coordinates stay: each has a buffer of its own.
+/// Positions change and texture coordinates do not, so each has its own buffer.
 const VERTEX: [Option<wgpu::VertexBufferLayout<'_>>; 3] = [Some(POSITION), Some(NORMAL), Some(UV)];
 const COMMON: &str = concat!(
     include_str!("../shaders/item.wgsl"),
@@ -117,13 +117,13 @@ const COMMON: &str = concat!(
 );
 const PLAIN: &str = include_str!("../shaders/plain.wgsl");
 const SURFACE: &str = include_str!("../shaders/surface.wgsl");
-/// The default of a material's own shader.
+/// The default material shader.
 pub(crate) const MATERIAL: &str = include_str!("../shaders/material.wgsl");
 const PROBE: &str = include_str!("../shaders/probe.wgsl");
 const SHADOW: &str = concat!(include_str!("../shaders/item.wgsl"), include_str!("../shaders/shadow.wgsl"));
 
 impl Passes {
-    /// The pipelines that everything needs; those of surfaces are made when they are first used.
+    /// The common pipelines; those of surfaces are created on first use.
     pub fn new(gpu: &Gpu, material_layout: &wgpu::BindGroupLayout) -> Self {
         let device = &gpu.device;
         let group = |label, entries: &[wgpu::BindGroupLayoutEntry]| {
@@ -229,7 +229,7 @@ impl Passes {
         }
     }
 
-    /// The pipeline of this kind, made when it is first asked for; `source` gives a material's own shader.
+    /// The pipeline of this key, created on first use; `source` returns a material's own shader.
     pub fn surface<'a>(
         &mut self,
         gpu: &Gpu,
@@ -294,7 +294,7 @@ fn surface_pipeline(
         vertex: wgpu::VertexState {
             module,
             entry_point: Some("corner"),
-            // It reads none of the constants.
+            // The shader uses none of the constants.
             compilation_options: Default::default(),
             buffers,
         },
@@ -312,10 +312,10 @@ fn surface_pipeline(
     })
 }
 
-/// Whether a material's own `surface` function fits into the shader.
+/// Checks whether a material's own `surface` function compiles in the shader.
 ///
 /// # Errors
-/// What the compiler says, with lines counted in the material's own text.
+/// The compiler's message, with line numbers of the material's own text.
 pub fn check_material(gpu: &Gpu, material: &str) -> Result<(), String> {
     let before = format!("{COMMON}{SURFACE}");
     let scope = gpu.device.push_error_scope(wgpu::ErrorFilter::Validation);

@@ -1,4 +1,4 @@
-//! Depths as lights see them.
+//! Shadow maps: depth textures of the lights.
 
 use crate::gpu::Gpu;
 use crate::gpu::targets::DEPTH;
@@ -7,21 +7,20 @@ use crate::lights::SHADOWS_MAX;
 /// Side of a shadow map \[texels\].
 pub const SHADOW_SIDE: u32 = 1024;
 
-/// A layer for each light that throws shadows, twice: what is looked up while surfaces are shaded, and what of it stands
-/// still.
+/// Two layers for each light with shadows: the shadow map for shading, and a cache of its still casters.
 pub struct ShadowMaps {
-    /// All layers that are looked up.
+    /// All shadow maps, as an array texture.
     pub all: wgpu::TextureView,
-    /// Each of them.
+    /// Each of them as a render target.
     pub layers: Vec<wgpu::TextureView>,
-    /// Each of those with what stands still.
+    /// The caches of still casters.
     pub still_layers: Vec<wgpu::TextureView>,
     shown: wgpu::Texture,
     still: wgpu::Texture,
 }
 
 impl ShadowMaps {
-    /// Without anything in them.
+    /// Empty shadow maps.
     pub fn new(gpu: &Gpu) -> Self {
         let maps = |usage| {
             gpu.device.create_texture(&wgpu::TextureDescriptor {
@@ -65,7 +64,7 @@ impl ShadowMaps {
         }
     }
 
-    /// Makes a layer show what stands still, and nothing else.
+    /// Copies the still casters into a shadow map.
     pub fn begin_with_still(&self, encoder: &mut wgpu::CommandEncoder, layer: usize) {
         let place = |texture| wgpu::TexelCopyTextureInfo {
             texture,

@@ -1,4 +1,4 @@
-//! Copies of surfaces on the device: made once, then only what changed is sent.
+//! Copies of surfaces on the device: created once, then only changes are uploaded.
 
 use std::collections::BTreeMap;
 
@@ -13,28 +13,28 @@ pub struct SurfaceCopy {
     pub normals: wgpu::Buffer,
     /// Texture coordinates.
     pub uvs: wgpu::Buffer,
-    /// Corners.
+    /// Indices.
     pub indices: wgpu::Buffer,
-    /// How many.
+    /// Number of indices.
     pub index_count: u32,
     topology: u64,
     version: u64,
     used: bool,
 }
 
-/// All of them, by the number that the stage gave.
+/// All copies, by the stage's numbers.
 #[derive(Default)]
 pub struct SurfaceCopies {
     copies: BTreeMap<u64, SurfaceCopy>,
-    /// Bytes sent since the start: what changed, not what there is.
+    /// Bytes uploaded since the start.
     pub bytes_sent: u64,
 }
 
 impl SurfaceCopies {
-    /// Makes or mends the copy of a surface.
+    /// Creates or updates the copy of a surface.
     pub fn send(&mut self, gpu: &Gpu, surface: &Surface) {
         let vertices = wgpu::BufferUsages::VERTEX;
-        // Edges are drawn from them too.
+        // The edge overlay reads them too.
         let places = vertices | wgpu::BufferUsages::STORAGE;
         let copy = self.copies.entry(surface.id).or_insert_with(|| SurfaceCopy {
             positions: room(gpu, 0, places),
@@ -42,7 +42,7 @@ impl SurfaceCopies {
             uvs: room(gpu, 0, vertices),
             indices: room(gpu, 0, wgpu::BufferUsages::INDEX),
             index_count: 0,
-            // Neither has come yet.
+            // Forces an upload of both.
             topology: surface.topology.wrapping_sub(1),
             version: surface.version.wrapping_sub(1),
             used: true,
@@ -71,13 +71,13 @@ impl SurfaceCopies {
         self.copies.get(&id)
     }
 
-    /// Forgets what has not been sent since the last call.
+    /// Drops copies that were not used since the last call.
     pub fn sweep(&mut self) {
         self.copies.retain(|_, copy| std::mem::take(&mut copy.used));
     }
 }
 
-/// A buffer for so many bytes, and for none: a buffer of no bytes cannot be bound.
+/// A buffer for so many bytes, at least one: an empty buffer cannot be bound.
 fn room(gpu: &Gpu, bytes: usize, usage: wgpu::BufferUsages) -> wgpu::Buffer {
     gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: None,
@@ -87,7 +87,8 @@ fn room(gpu: &Gpu, bytes: usize, usage: wgpu::BufferUsages) -> wgpu::Buffer {
     })
 }
 
-/// Sends bytes, into a larger buffer when they do not fit (a thread is divided more finely where it bends); how many.
+/// Uploads bytes, into a larger buffer if needed (a thread is divided more finely where it bends); returns their
+/// number.
 fn send(gpu: &Gpu, buffer: &mut wgpu::Buffer, bytes: &[u8], usage: wgpu::BufferUsages) -> u64 {
     if (buffer.size() as usize) < bytes.len() {
         let grown = if buffer.size() > 16 { bytes.len() + bytes.len() / 2 } else { bytes.len() };

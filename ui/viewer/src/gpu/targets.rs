@@ -1,25 +1,25 @@
-//! Textures that are drawn into, and how they come back.
+//! Render targets, and their readback.
 
 use crate::error::ViewError;
 use crate::gpu::Gpu;
 
-/// Colours of pictures: sRGB, opacity last.
+/// Colour format of pictures: sRGB, opacity last.
 pub const COLOR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
-/// Depth while drawing.
+/// Format of the depth buffer.
 pub const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Depth of a probe \[m\].
 pub const METRES: wgpu::TextureFormat = wgpu::TextureFormat::R32Float;
-/// Numbers of a probe.
+/// Format of a probe's numbers.
 pub const NUMBERS: wgpu::TextureFormat = wgpu::TextureFormat::R32Uint;
 
-/// An empty texture to draw into.
+/// An empty render target.
 pub fn target(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat, samples: u32) -> wgpu::Texture {
     let mut usage = wgpu::TextureUsages::RENDER_ATTACHMENT;
     if samples == 1 {
         usage |= wgpu::TextureUsages::COPY_SRC | wgpu::TextureUsages::TEXTURE_BINDING;
     }
     if format == DEPTH {
-        // Smoke fades where it meets what is solid.
+        // Smoke samples the depth to fade at solid surfaces.
         usage |= wgpu::TextureUsages::TEXTURE_BINDING;
     }
     gpu.device.create_texture(&wgpu::TextureDescriptor {
@@ -34,7 +34,7 @@ pub fn target(gpu: &Gpu, size: [u32; 2], format: wgpu::TextureFormat, samples: u
     })
 }
 
-/// Whether pictures of that size can be drawn.
+/// Whether the device supports pictures of that size.
 ///
 /// # Errors
 /// [`ViewError::Size`].
@@ -44,7 +44,7 @@ pub fn check_size(gpu: &Gpu, [width, height]: [u32; 2]) -> Result<(), ViewError>
     if sound { Ok(()) } else { Err(ViewError::Size { width, height, max }) }
 }
 
-/// The pixels of a texture of four bytes each, row by row from the top. Waits for the device.
+/// The pixels of a texture of four bytes each, row by row from the top. Blocks until the device has finished.
 ///
 /// # Errors
 /// [`ViewError::DeviceLost`].

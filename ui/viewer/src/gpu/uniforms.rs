@@ -1,4 +1,4 @@
-//! What shaders read of frames, lights and items, byte for byte.
+//! Uniforms of frames, lights and items, in the byte layout of the shaders.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -17,7 +17,7 @@ pub(crate) struct GpuLight {
     pub(crate) clip_from_world: [[f32; 4]; 4],
 }
 
-/// What holds for a whole frame.
+/// Per-frame uniforms.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub(crate) struct GpuFrame {
@@ -32,8 +32,8 @@ pub(crate) struct GpuFrame {
     pub(crate) lights: [GpuLight; LIGHTS_MAX],
 }
 
-/// One item. Items follow each other in a buffer at the distance that every adapter takes for an offset, so the end of
-/// each is empty.
+/// Per-item uniforms. Items have the stride of the offset alignment that every adapter supports, so each ends with
+/// padding.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub(crate) struct GpuItem {

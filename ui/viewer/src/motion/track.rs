@@ -1,4 +1,4 @@
-//! One thing that moves: when it was where, and where it is shown.
+//! The track of one moving value: its past values with their times, and the playback position.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -6,32 +6,32 @@ use std::sync::Arc;
 use nalgebra::Point3;
 use trocar_scene::{JawState, Particles, Pose, VertexPositions};
 
-/// Time between two changes of which nothing is known yet \[s\].
+/// Assumed interval between two changes until it is measured \[s\].
 const INTERVAL_SECS: f64 = 1.0 / 15.0;
-/// What has not changed for so long has been at rest \[s\].
+/// A value counts as at rest after so long without a change \[s\].
 const REST_SECS: f64 = 0.5;
-/// Intervals that are measured.
+/// Number of intervals that are averaged.
 const INTERVALS: usize = 8;
-/// Places that are known.
+/// Number of past values that are kept.
 const PLACES_MAX: usize = 8;
-/// What is slower than so many frames is blended, until it is faster than so many.
+/// A value with an interval of more than so many frames is interpolated, until it is below the second limit.
 const SLOW_FROM: f64 = 1.15;
 const SLOW_UNTIL: f64 = 1.05;
-/// What goes faster than this has been put elsewhere \[m/s\], if it goes at least as far \[m\].
+/// A faster motion counts as a teleport \[m/s\], if it is at least as long \[m\].
 const LEAP_SPEED: f64 = 3.0;
 const LEAP_MIN: f64 = 0.02;
-/// A larger turn could have gone either way \[rad\].
+/// The direction of a larger rotation is ambiguous \[rad\].
 const LEAP_ANGLE: f64 = 2.5;
-/// How much of what an arrival is early or late by is believed.
+/// Gain of the filter that estimates arrival times.
 const GAIN: f64 = 0.2;
 
-/// What can be between two values.
+/// A value that can be interpolated.
 pub(super) trait Blend: Clone + PartialEq {
-    /// The value at a share of the way from `self` to `to`.
+    /// The interpolated value at a share between `self` and `to`.
     fn blend(&self, to: &Self, share: f64) -> Self;
-    /// Whether nothing moves from one to the other within so long \[s\]: it is another place.
+    /// Whether a change within that time is a teleport instead of a motion \[s\].
     fn leaps(&self, to: &Self, secs: f64) -> bool;
-    /// Whether both are the same, as far as that is cheap to tell.
+    /// Whether both are equal, as far as that is cheap to check.
     fn is_same(&self, other: &Self) -> bool {
         self == other
     }
@@ -75,7 +75,7 @@ impl Blend for VertexPositions {
     }
 }
 
-/// Particles are told apart by their numbers: one that has just come is where it is, one that is gone is shown no more.
+/// Particles are matched by their numbers: a new one is shown at its position, a removed one is not shown.
 impl Blend for Particles {
     fn blend(&self, to: &Self, share: f64) -> Self {
         let before = |index: usize| self.index_of(to.first.checked_add(index as u64)?);
@@ -114,22 +114,22 @@ impl Blend for Particles {
     }
 }
 
-/// Where something has been.
+/// The past values of one component.
 pub(super) struct Track<T> {
-    /// When it was where: times as regular as its writer is, not as snapshots came \[s\].
+    /// Values with their times \[s\]: smoothed to the writer's regular interval, not the arrival times.
     places: VecDeque<(f64, T)>,
     arrived: Option<f64>,
     intervals: VecDeque<f64>,
-    /// How late arrivals have been of late \[s\].
+    /// Recent lateness of arrivals \[s\].
     late: f64,
-    /// What is shown is where it was then \[s\].
+    /// The time of the displayed value \[s\].
     playhead: f64,
     slow: bool,
     blended: bool,
 }
 
 impl<T: Blend> Track<T> {
-    /// Of something that has been at rest there.
+    /// A track that starts at rest.
     pub(super) fn new(rest: T) -> Self {
         Self {
             places: VecDeque::from([(f64::NEG_INFINITY, rest)]),
@@ -142,13 +142,13 @@ impl<T: Blend> Track<T> {
         }
     }
 
-    /// Takes a value that came at `now` \[s\].
+    /// Takes a value that arrived at `now` \[s\].
     pub(super) fn push(&mut self, value: T, now: f64) {
         let passed = now - self.arrived.unwrap_or(f64::NEG_INFINITY);
         let interval = self.interval();
         let Some((last, before)) = self.places.back_mut() else { return };
         if passed <= 0.0 {
-            // Two changes at once: only the later one can be seen.
+            // Two changes at once: only the later one is visible.
             *before = value;
             return;
         }
@@ -175,7 +175,7 @@ impl<T: Blend> Track<T> {
             self.places.clear();
             self.playhead = time;
         } else if !moves {
-            // It rested until one step ago.
+            // It was at rest until one interval ago.
             if let Some((_, rest)) = self.places.pop_back() {
                 self.places.clear();
                 self.places.push_back((time - interval, rest));
@@ -188,13 +188,13 @@ impl<T: Blend> Track<T> {
         }
     }
 
-    /// What is shown at `now` in the place of the last value \[s\]; `None` when that is shown itself.
+    /// The interpolated value at `now` \[s\]; `None` when the latest value is shown.
     pub(super) fn at(&mut self, now: f64, frame_secs: f64) -> Option<T> {
         let threshold = if self.slow { SLOW_UNTIL } else { SLOW_FROM };
         self.slow = self.interval() > threshold * frame_secs;
         let last = self.places.back()?.0;
         if self.slow {
-            // Never back, also when the delay has grown.
+            // Never backwards, even when the delay has grown.
             self.playhead = self.playhead.max(now - self.delay_secs()).min(last);
         } else {
             self.playhead = last;
@@ -202,11 +202,11 @@ impl<T: Blend> Track<T> {
         if let [(_, from), (_, to)] = self.places.make_contiguous()
             && from.is_same(to)
         {
-            // Written again, but not moved.
+            // Written again, but unchanged.
             self.playhead = last;
         }
         if self.playhead >= last {
-            // Whoever follows has to be told once that the way has ended.
+            // The end of the motion is returned once more, so that the caller sees the final value.
             self.places.drain(..self.places.len() - 1);
             let told = std::mem::take(&mut self.blended);
             return self.places.back().filter(|_| told).map(|(_, latest)| latest.clone());
@@ -220,7 +220,7 @@ impl<T: Blend> Track<T> {
         Some(from.blend(to, share))
     }
 
-    /// How long what is shown lags behind \[s\].
+    /// Delay of the displayed value \[s\].
     pub(super) fn delay_secs(&self) -> f64 {
         if self.slow { self.interval() + self.late } else { 0.0 }
     }
@@ -230,7 +230,7 @@ impl<T: Blend> Track<T> {
         !self.blended && self.arrived.is_none_or(|arrived| now - arrived > secs)
     }
 
-    /// Between two changes: the mean of what was measured, without the longest and the shortest one \[s\].
+    /// The interval between two changes: the mean of the measured ones, without the longest and the shortest \[s\].
     fn interval(&self) -> f64 {
         let count = self.intervals.len();
         let sum: f64 = self.intervals.iter().sum();

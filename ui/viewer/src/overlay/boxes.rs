@@ -1,4 +1,4 @@
-//! Boxes around things.
+//! Overlay of bounding volumes.
 
 use nalgebra::Point3;
 use trocar_scene::{BoundingVolumeTree, Snapshot};
@@ -9,13 +9,13 @@ use crate::colormap::Colormap;
 use crate::draw_list::Stage;
 use crate::geometry::Geometry;
 
-/// Boxes of one tree that are drawn.
+/// Most boxes drawn of one tree.
 const NODES_MAX: usize = 4096;
-/// Levels until the colours are used up.
+/// Levels over which the colour map is spread.
 const LEVELS: f64 = 12.0;
 
-/// Draws the tree of bounding volumes of everything that has one, coloured by level, and the box in its own frame
-/// around every surface that has none.
+/// Draws the bounding-volume tree of every entity that has one, coloured by level, and the local bounding box of every
+/// other surface.
 pub fn boxes(overlays: &Overlays, scene: &Snapshot, stage: &Stage, sketch: &mut Sketch) {
     let stroke = |level: u32, hidden: f32| {
         let [r, g, b] = Colormap::Turbo.color(0.12 + 0.8 * (f64::from(level) / LEVELS).min(1.0));
@@ -37,7 +37,7 @@ pub fn boxes(overlays: &Overlays, scene: &Snapshot, stage: &Stage, sketch: &mut 
     }
 }
 
-/// Boxes of a tree with their levels, the root first. A tree that goes round in circles ends all the same.
+/// Boxes of a tree with their levels, the root first. Cyclic trees end too.
 fn nodes(tree: &BoundingVolumeTree) -> Vec<(Point3<f64>, Point3<f64>, u32)> {
     let mut found = Vec::new();
     let mut due = vec![(0_u32, 0)];

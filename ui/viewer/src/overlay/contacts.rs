@@ -1,4 +1,4 @@
-//! What touches: where, in which direction, with which force.
+//! Contact overlays: contact areas, normals and forces.
 
 use std::collections::BTreeSet;
 
@@ -11,27 +11,27 @@ use super::sketch::{Spot, Stroke};
 use super::{Legend, Overlays, Seen};
 use crate::draw_list::{Item, Part, Stage};
 
-/// What touches.
+/// Colour of contacts.
 pub const CONTACT: [u8; 4] = [240, 20, 16, 255];
-/// Directions of contacts.
+/// Colour of contact normals.
 pub const NORMAL: [u8; 4] = [60, 210, 240, 255];
-/// Forces of contacts.
+/// Colour of contact forces.
 pub const FORCE: [u8; 4] = [255, 190, 30, 255];
-/// Contacts that are shown at once.
+/// Most contacts drawn.
 const CONTACTS_MAX: usize = 4096;
-/// Nothing is drawn longer \[m\].
+/// Longest arrow \[m\].
 const LONGEST: f64 = 0.3;
-/// What is less deep than this, and does not push, does not touch \[m\].
+/// A pair without force and with less penetration than this is not in contact \[m\].
 const APART: f64 = -1e-5;
 
-/// What touches now; a detector also tells of what comes near.
+/// Current contacts; a detector also reports pairs that are only close.
 fn contacts(scene: &Snapshot) -> impl Iterator<Item = &Collision> {
     let touches =
         |collision: &&Collision| collision.depth >= APART || collision.force_in_world.norm_squared() > 0.0;
     scene.iter::<CollisionList>().flat_map(|(_, list)| &list.collisions).filter(touches).take(CONTACTS_MAX)
 }
 
-/// Colours what touches: exactly the triangles that a detector names, a spot where it names none.
+/// Colours contact areas: the triangles that a detector names, or a spot where it names none.
 pub fn touching(overlays: &Overlays, scene: &Snapshot, stage: &Stage, seen: &mut Seen) {
     let mut filled = BTreeSet::new();
     for contact in contacts(scene) {
@@ -53,7 +53,7 @@ struct Marker<'a> {
 
 impl Marker<'_> {
     fn mark(&mut self, entity: Entity, primitive: Primitive, point: Point3<f64>) {
-        // A contact lies between two bodies, so it is seen through them.
+        // A contact is between two bodies, so it is drawn through them.
         let stroke = Stroke { color: CONTACT, width: 3.0 * self.overlays.line_width, hidden: 0.45 };
         match primitive {
             Primitive::Triangle(index) => {
@@ -101,7 +101,7 @@ impl Marker<'_> {
     fn triangle(&self, entity: Entity, index: u32) -> Option<[Point3<f64>; 3]> {
         let (_, item) = of(self.stage, entity).find(|(_, item)| item.part == Part::Whole)?;
         let geometry = &item.surface.geometry;
-        // Those that name vertices which do not exist are not drawn: the others have moved up.
+        // Triangles with invalid vertices are not drawn, which shifts the indices of later ones.
         let place = match self.scene.get::<SurfaceMesh>(entity) {
             Some(mesh) if mesh.triangles.len() * 3 != geometry.indices.len() => {
                 let count = self.scene.get::<VertexPositions>(entity)?.positions.len();
@@ -119,7 +119,7 @@ impl Marker<'_> {
         Some([corner(0)?, corner(1)?, corner(2)?])
     }
 
-    /// Vertices of an entity, in world.
+    /// Vertex positions of an entity in world.
     fn vertices<const N: usize>(&self, entity: Entity, indices: [u32; N]) -> Option<[Point3<f64>; N]> {
         let positions = &self.scene.get::<VertexPositions>(entity)?.positions;
         if indices.iter().any(|index| *index as usize >= positions.len()) {
@@ -137,14 +137,14 @@ impl Marker<'_> {
     }
 }
 
-/// Items of an entity, with their places in the stage's list.
+/// Items of an entity, with their indices in the stage's list.
 fn of(stage: &Stage, entity: Entity) -> impl Iterator<Item = (usize, &Item)> {
     let items = stage.items();
     let first = items.partition_point(|item| item.entity < entity);
     items.iter().enumerate().skip(first).take_while(move |(_, item)| item.entity == entity)
 }
 
-/// Draws the direction of each contact, from its first thing to its second.
+/// Draws the normal of each contact, from its first to its second entity.
 pub fn normals(overlays: &Overlays, scene: &Snapshot, seen: &mut Seen) {
     let stroke = Stroke { color: NORMAL, width: overlays.line_width, hidden: 0.4 };
     for contact in contacts(scene) {
@@ -154,7 +154,7 @@ pub fn normals(overlays: &Overlays, scene: &Snapshot, seen: &mut Seen) {
     seen.legends.push(Legend::key("contact normal", NORMAL));
 }
 
-/// Draws the force of each contact on its second thing.
+/// Draws the force of each contact on its second entity.
 pub fn forces(overlays: &Overlays, scene: &Snapshot, seen: &mut Seen) {
     let stroke = Stroke { color: FORCE, width: 1.5 * overlays.line_width, hidden: 0.5 };
     for contact in contacts(scene) {

@@ -1,4 +1,4 @@
-//! Quantities over surfaces: temperature, burns, and whatever a simulator says of its vertices.
+//! Scalar fields over surfaces: temperature, burns, and fields of simulators.
 
 use std::sync::Arc;
 
@@ -9,32 +9,32 @@ use crate::colormap::Colormap;
 use crate::draw_list::Stage;
 use crate::edit_map::damage;
 
-/// From a vertex' value to what the scale shows.
+/// The mapping from a vertex's value to the displayed value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Measure {
     /// The value itself.
     Value,
-    /// Of an Arrhenius integral: the share of the protein that is denatured \[%\].
+    /// From an Arrhenius integral to the denatured share of the protein \[%\].
     Denatured,
 }
 
 /// One number per vertex of an item.
 #[derive(Clone, Debug)]
 pub struct Field {
-    /// Place in the stage's list.
+    /// Index in the stage's list.
     pub item: usize,
     /// One value per vertex of the entity.
     pub values: Arc<Vec<f64>>,
-    /// What is shown of it.
+    /// Mapping to the displayed value.
     pub measure: Measure,
     /// Ends of the scale.
     pub range: [f64; 2],
-    /// Its colours.
+    /// Its colour map.
     pub colormap: Colormap,
 }
 
 impl Field {
-    /// Where a vertex is on the scale, from 0 to 1; `None` for a vertex without a value.
+    /// Position of a vertex on the scale, from 0 to 1; `None` for a vertex without a value.
     pub fn fraction(&self, vertex: u32) -> Option<f32> {
         let value = *self.values.get(vertex as usize)?;
         let value = match self.measure {
@@ -45,7 +45,7 @@ impl Field {
         Some(((value - low) / (high - low)).clamp(0.0, 1.0) as f32)
     }
 
-    /// Whether it shows the same numbers in the same way.
+    /// Whether it shows the same values in the same way.
     pub fn is_like(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.values, &other.values)
             && self.measure == other.measure
@@ -54,8 +54,8 @@ impl Field {
     }
 }
 
-/// Finds what a quantity says of the things that are drawn. A thing shows one quantity at a time: the first of
-/// temperature, burn and field that it has.
+/// Collects a field of the drawn entities. An entity shows one field at a time: the first of temperature, burn and
+/// field that it has.
 pub(super) fn field(overlay: Overlay, overlays: &Overlays, scene: &Snapshot, stage: &Stage, seen: &mut Seen) {
     match overlay {
         Overlay::Temperature => {
@@ -91,7 +91,7 @@ fn scalar_fields(overlays: &Overlays, scene: &Snapshot, stage: &Stage, seen: &mu
     for (item, entity) in free(stage, seen) {
         shown.extend(scene.get::<ScalarFields>(entity).and_then(picked).map(|field| (item, field)));
     }
-    // Things with the same quantity share its scale; each quantity has one.
+    // Entities with the same quantity share its scale.
     let mut scales: Vec<(String, String, [f64; 2])> = Vec::new();
     for (_, field) in &shown {
         let own = field.range.unwrap_or_else(|| extent(&field.values));
@@ -111,7 +111,7 @@ fn scalar_fields(overlays: &Overlays, scene: &Snapshot, stage: &Stage, seen: &mu
     }
 }
 
-/// Items that show no quantity yet, with their entities.
+/// Items without a field so far, with their entities.
 fn free(stage: &Stage, seen: &Seen) -> Vec<(usize, trocar_scene::Entity)> {
     let taken: Vec<usize> = seen.fields.iter().map(|field| field.item).collect();
     let items = stage.items().iter().enumerate();
@@ -124,7 +124,7 @@ fn extent(values: &[f64]) -> [f64; 2] {
     if low <= high { [low, high] } else { [0.0, 1.0] }
 }
 
-/// A range that is not empty.
+/// The range, widened if it is empty.
 fn ordered([low, high]: [f64; 2]) -> [f64; 2] {
     if high > low { [low, high] } else { [low, low + (low.abs() * 1e-6).max(1.0)] }
 }

@@ -1,4 +1,4 @@
-//! What hands feel.
+//! Overlay of the forces that the haptic devices render.
 
 use nalgebra::Point3;
 use trocar_scene::{DeviceState, Hand, Snapshot};
@@ -6,12 +6,12 @@ use trocar_scene::{DeviceState, Hand, Snapshot};
 use super::sketch::Stroke;
 use super::{Legend, Overlays, Seen};
 
-/// Forces on hands.
+/// Colour of hand forces.
 pub const HAND_FORCE: [u8; 4] = [225, 90, 255, 255];
-/// Nothing is drawn longer \[m\].
+/// Longest arrow \[m\].
 const LONGEST: f64 = 0.3;
 
-/// Draws the force that each device let through to its hand, at the tip of the instrument.
+/// Draws the force that each device rendered, at the tip of the instrument.
 pub fn hands(overlays: &Overlays, scene: &Snapshot, seen: &mut Seen) {
     let stroke = Stroke { color: HAND_FORCE, width: 1.5 * overlays.line_width, hidden: 0.5 };
     for (entity, hand) in scene.iter::<Hand>() {

@@ -1,25 +1,25 @@
-//! What colours mean: scales with numbers, and keys.
+//! Legends: colour scales with numbers, and keys of single colours.
 
 use egui::epaint::{Color32, CornerRadius, FontId, Mesh, Pos2, Rect, Shape, Vec2};
 use egui::{Align2, Painter};
 
 use crate::colormap::{Colormap, Ticks};
 
-/// What one colour or a scale of them means; data, so that a window may draw it in its own way.
+/// A legend of one colour or a colour scale, as data, so that a window may draw it in its own way.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Legend {
-    /// What it is.
+    /// The quantity.
     pub title: String,
-    /// In which unit; empty for none.
+    /// Its unit; empty for none.
     pub unit: String,
-    /// What the first and the last colour stand for; `None` for the key of one colour.
+    /// Values of the first and the last colour; `None` for the key of one colour.
     pub range: Option<[f64; 2]>,
     /// sRGB colours, evenly spaced over the range.
     pub colours: Vec<[u8; 3]>,
 }
 
 impl Legend {
-    /// A scale.
+    /// A colour scale.
     pub fn scale(title: &str, unit: &str, range: [f64; 2], colormap: Colormap) -> Self {
         let colours = colormap.table().map(|[r, g, b, _]| [r, g, b]).to_vec();
         Self { title: title.to_owned(), unit: unit.to_owned(), range: Some(range), colours }
@@ -30,7 +30,7 @@ impl Legend {
         Self { title: title.to_owned(), unit: String::new(), range: None, colours: vec![[r, g, b]] }
     }
 
-    /// The key of arrows, with their length per newton.
+    /// The key of force arrows, with their length per newton.
     pub fn arrow(title: &str, color: [u8; 4], metres_per_newton: f64) -> Self {
         let millimetres = metres_per_newton * 1e3;
         let decimals = (1.0 - millimetres.abs().max(1e-9).log10().floor()).clamp(0.0, 6.0) as usize;
@@ -40,7 +40,7 @@ impl Legend {
         Self { unit: format!("1 N = {length} mm"), ..Self::key(title, color) }
     }
 
-    /// Title and unit, as they stand beside the colours.
+    /// Title and unit, the text beside the colours.
     pub fn caption(&self) -> String {
         match (self.unit.as_str(), self.range) {
             ("", _) => self.title.clone(),
@@ -50,7 +50,7 @@ impl Legend {
     }
 }
 
-/// Height of letters in a pane of that many rows \[pixels\].
+/// Height of letters in a pane with that many rows \[pixels\].
 pub(crate) fn letters(rows: f32) -> f32 {
     (rows / 42.0).clamp(9.0, 24.0).round()
 }
@@ -99,7 +99,7 @@ pub(crate) fn paint(legends: &[Legend], painter: &Painter, pane: Rect) {
     }
 }
 
-/// Colours from left to right; each stands where its number does.
+/// The colour bar, left to right; each colour is at the position of its value.
 fn ramp(colours: &[[u8; 3]], bar: Rect) -> Mesh {
     let mut mesh = Mesh::default();
     let last = colours.len().saturating_sub(1).max(1) as f32;
@@ -119,7 +119,7 @@ fn ramp(colours: &[[u8; 3]], bar: Rect) -> Mesh {
 
 fn paint_ticks(range: [f64; 2], painter: &Painter, bar: Rect, letters: f32, ink: Color32) {
     let [low, high] = range;
-    // Large and small numbers are shown by powers of a thousand.
+    // Large and small numbers are shown with powers of a thousand.
     let power = (low.abs().max(high.abs()).log10() / 3.0).floor() as i32;
     let power = if (-1..=0).contains(&power) && high - low > 0.01 { 0 } else { 3 * power };
     let unit = 10_f64.powi(power);
@@ -134,7 +134,7 @@ fn paint_ticks(range: [f64; 2], painter: &Painter, bar: Rect, letters: f32, ink:
         let half = 0.5 * text.size().x;
         let centre = x.clamp(bar.left() + half, (bar.right() - half).max(bar.left() + half));
         painter.vline(x + 0.5, bar.bottom()..=bar.bottom() + 0.25 * letters, (1.0, ink));
-        // A number that would run into the one before it is left out.
+        // A number that would overlap the previous one is left out.
         if centre - half > free {
             painter.galley(Pos2::new(centre - half, bar.bottom() + 0.25 * letters), text, ink);
             free = centre + half + 0.3 * letters;
@@ -152,7 +152,7 @@ fn superscript(number: i32) -> String {
         '1' => '¹',
         '2' => '²',
         '3' => '³',
-        // The others stand in a row.
+        // The other superscript digits are consecutive code points.
         digit => char::from_u32(0x2070 + digit as u32 - '0' as u32).unwrap_or(digit),
     };
     number.to_string().chars().map(raised).collect()

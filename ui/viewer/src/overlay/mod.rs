@@ -1,8 +1,8 @@
-//! Seeing the simulation: what happens in a scene, drawn over it.
+//! Overlays: visualisation of contacts, forces, fields and names over a scene.
 //!
-//! [`Overlays`] says what is shown and is plain data. The algorithms beside it turn a snapshot into coloured lines,
-//! triangles and spots ([`Sketch`]), into one number per vertex ([`fields`]) and into [`Legend`]s. What is hidden costs
-//! nothing: it is neither looked for in the scene nor sent.
+//! [`Overlays`] selects what is shown and is plain data. The algorithms beside it turn a snapshot into coloured lines,
+//! triangles and spots ([`Sketch`]), into one value per vertex ([`fields`]) and into [`Legend`]s. Overlays that are off
+//! cost nothing: their data is neither computed nor sent.
 
 pub mod boxes;
 pub mod contacts;
@@ -23,37 +23,37 @@ use trocar_scene::{Name, Pose, Snapshot};
 
 use crate::draw_list::Stage;
 
-/// Something that can be shown over a scene.
+/// A kind of overlay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Overlay {
-    /// What touches.
+    /// Contact areas.
     Contacts,
-    /// In which directions.
+    /// Contact normals.
     Normals,
-    /// With which forces.
+    /// Contact forces.
     Forces,
-    /// What the hands feel.
+    /// Forces that the haptic devices render.
     HandForces,
-    /// Edges of triangles.
+    /// Triangle edges.
     Wireframe,
-    /// Boxes around things.
+    /// Bounding boxes.
     Boxes,
-    /// Where tips have been.
+    /// Trails of the instruments' tips.
     Trails,
     /// Frames of reference.
     Axes,
-    /// What things are called.
+    /// Names of entities.
     Names,
-    /// How hot they are.
+    /// Temperature.
     Temperature,
-    /// How burned they are.
+    /// Burns.
     Burn,
-    /// What a simulator says of its vertices.
+    /// A simulator's field over its vertices.
     Field,
 }
 
 impl Overlay {
-    /// All of them, in the order of lists.
+    /// All overlays, in the order of lists.
     pub const ALL: [Self; 12] = [
         Self::Contacts,
         Self::Normals,
@@ -69,7 +69,7 @@ impl Overlay {
         Self::Field,
     ];
 
-    /// Its name on command lines and in settings; it does not change.
+    /// Its name on command lines and in settings; permanent.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Contacts => "contacts",
@@ -87,7 +87,7 @@ impl Overlay {
         }
     }
 
-    /// What it shows, in one line.
+    /// A one-line description.
     pub const fn description(self) -> &'static str {
         match self {
             Self::Contacts => "what touches, in red: triangles of meshes, the spot on other surfaces",
@@ -106,42 +106,42 @@ impl Overlay {
     }
 }
 
-/// A name that nothing has that can be shown.
+/// A name that no overlay has.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("'{name}' cannot be shown{suggestion}; there are: {known}")]
 pub struct UnknownOverlay {
-    /// Asked for.
+    /// The name that was asked for.
     pub name: String,
     /// `; did you mean 'forces'?`, or nothing.
     pub suggestion: String,
-    /// What there is.
+    /// The valid names.
     pub known: String,
 }
 
-/// A switch for each of [`Overlay::ALL`], all of them off by default.
+/// A switch for each of [`Overlay::ALL`], all off by default.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Switches(u32);
 
-/// What is shown, and how large. Nothing by default.
+/// Selection and sizes of overlays. All are off by default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Overlays {
-    /// Which of [`Overlay::ALL`].
+    /// The switches of [`Overlay::ALL`].
     pub shown: Switches,
-    /// Which of several fields is shown, by its name; the first one of each thing without.
+    /// Name of the field to show; by default the first one of each entity.
     pub field: Option<String>,
     /// Length of arrows of force \[m/N\].
     pub metres_per_newton: f64,
     /// Length of normals and axes \[m\].
     pub axis_length: f64,
-    /// Radius of the spot that is coloured where something touches a surface that is no mesh \[m\].
+    /// Radius of the contact spot on a surface that is no mesh \[m\].
     pub spot_radius: f64,
-    /// How far trails reach back \[s\].
+    /// Duration of trails \[s\].
     pub trail_secs: f64,
     /// Ends of the scale of temperatures \[°C\].
     pub celsius: [f64; 2],
     /// Width of lines \[pixels\].
     pub line_width: f32,
-    /// Whether scales and keys stand in the picture; a window may show them in a place of its own.
+    /// Whether the picture includes legends; a window may show them elsewhere.
     pub legends: bool,
 }
 
@@ -162,17 +162,17 @@ impl Default for Overlays {
 }
 
 impl Overlays {
-    /// These, and nothing else.
+    /// Only these overlays.
     pub fn of(shown: &[Overlay]) -> Self {
         let mut overlays = Self::default();
         shown.iter().for_each(|overlay| overlays.set(*overlay, true));
         overlays
     }
 
-    /// Those that a list names, such as `contacts,forces`; `field=stress` picks one of several fields.
+    /// Parses a list such as `contacts,forces`; `field=stress` selects one of several fields.
     ///
     /// # Errors
-    /// [`UnknownOverlay`] for the first name that nothing has.
+    /// [`UnknownOverlay`] for the first unknown name.
     pub fn parse(list: &str) -> Result<Self, UnknownOverlay> {
         let mut overlays = Self::default();
         for word in list.split(',').map(str::trim).filter(|word| !word.is_empty()) {
@@ -200,17 +200,17 @@ impl Overlays {
         self.shown = Switches(if shown { others | bit(overlay) } else { others });
     }
 
-    /// Shows it if it is hidden, and the other way round.
+    /// Toggles it.
     pub fn toggle(&mut self, overlay: Overlay) {
         self.shown.0 ^= bit(overlay);
     }
 
-    /// Whether nothing is shown.
+    /// Whether all are off.
     pub fn is_empty(&self) -> bool {
         self.shown.0 == 0
     }
 
-    /// What is shown, in the order of lists.
+    /// The overlays that are on, in the order of lists.
     pub fn iter(&self) -> impl Iterator<Item = Overlay> + '_ {
         Overlay::ALL.into_iter().filter(|overlay| self.shows(*overlay))
     }
@@ -231,25 +231,25 @@ fn unknown(name: &str) -> UnknownOverlay {
     }
 }
 
-/// What is shown of a scene: everything that is drawn over it.
+/// The computed overlays of a scene.
 #[derive(Clone, Debug, Default)]
 pub struct Seen {
     /// Lines, triangles and spots.
     pub sketch: Sketch,
-    /// Quantities over surfaces.
+    /// Fields over surfaces.
     pub fields: Vec<Field>,
-    /// What they mean.
+    /// Their legends.
     pub legends: Vec<Legend>,
-    /// What stands where, in world.
+    /// Names with their positions in world.
     pub labels: Vec<(Point3<f64>, String)>,
 }
 
-/// Names that are written at once.
+/// Most names drawn.
 const LABELS_MAX: usize = 256;
-/// Frames of reference that are drawn at once.
+/// Most frames drawn.
 const AXES_MAX: usize = 1024;
 
-/// Looks at a scene for what is to be shown of it. `trails` has been watching.
+/// Computes the overlays of a scene. `trails` has recorded the snapshots before.
 pub fn look(overlays: &Overlays, scene: &Snapshot, stage: &Stage, trails: &Trails) -> Seen {
     let mut seen = Seen::default();
     for overlay in overlays.iter() {
@@ -258,7 +258,7 @@ pub fn look(overlays: &Overlays, scene: &Snapshot, stage: &Stage, trails: &Trail
             Overlay::Normals => contacts::normals(overlays, scene, &mut seen),
             Overlay::Forces => contacts::forces(overlays, scene, &mut seen),
             Overlay::HandForces => forces::hands(overlays, scene, &mut seen),
-            // Straight from the surfaces that are on the device.
+            // Drawn from the surfaces that are on the device.
             Overlay::Wireframe => {}
             Overlay::Boxes => boxes::boxes(overlays, scene, stage, &mut seen.sketch),
             Overlay::Trails => trails.draw(overlays, &mut seen.sketch),

@@ -1,17 +1,17 @@
-//! Coloured lines, triangles and spots in world.
+//! Overlay primitives: coloured lines, triangles and spots in world.
 
 use bytemuck::{Pod, Zeroable};
 use nalgebra::{Isometry3, Point3, Vector3};
 
-/// A colour: sRGB and opacity.
+/// sRGB colour and opacity.
 pub type Color = [u8; 4];
 
 /// Sides of an arrow's head.
 const HEAD_SIDES: u32 = 12;
-/// Primitives of each kind that are drawn at once; more are left out.
+/// Most primitives of each kind; further ones are left out.
 pub const PRIMITIVES_MAX: usize = 100_000;
 
-/// A line of constant width on the screen, as shaders read it.
+/// A line of constant screen width, in the layout of the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Line {
@@ -21,7 +21,7 @@ pub struct Line {
     pub width: f32,
     /// The other end, in world \[m\].
     pub to: [f32; 3],
-    /// How much of it is left where it is hidden, in \[0, 1\].
+    /// Remaining opacity where it is hidden, in \[0, 1\].
     pub hidden: f32,
     /// Colour at `from`.
     pub from_color: Color,
@@ -29,22 +29,22 @@ pub struct Line {
     pub to_color: Color,
 }
 
-/// A corner of a triangle, as shaders read it.
+/// A triangle's corner, in the layout of the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub struct Corner {
-    /// In world \[m\].
+    /// Position in world \[m\].
     pub position: [f32; 3],
-    /// How much of it is left where it is hidden, in \[0, 1\].
+    /// Remaining opacity where it is hidden, in \[0, 1\].
     pub hidden: f32,
     /// Its colour.
     pub color: Color,
 }
 
-/// A part of an item's surface that is coloured: what lies within a ball.
+/// A coloured part of an item's surface: its intersection with a ball.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spot {
-    /// Place in the stage's list.
+    /// Index in the stage's list.
     pub item: usize,
     /// Centre of the ball, in world \[m\].
     pub centre: Point3<f64>,
@@ -52,23 +52,23 @@ pub struct Spot {
     pub radius: f64,
 }
 
-/// How something is drawn.
+/// Style of a primitive.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stroke {
     /// Its colour.
     pub color: Color,
     /// Width of lines \[pixels\].
     pub width: f32,
-    /// How much of it is left where it is hidden, in \[0, 1\].
+    /// Remaining opacity where it is hidden, in \[0, 1\].
     pub hidden: f32,
 }
 
-/// What is drawn over a scene.
+/// The primitives drawn over a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sketch {
     /// Lines.
     pub lines: Vec<Line>,
-    /// Three corners per triangle; both sides are seen.
+    /// Three corners per triangle, visible from both sides.
     pub triangles: Vec<Corner>,
     /// Coloured parts of surfaces.
     pub spots: Vec<Spot>,
@@ -108,7 +108,7 @@ impl Sketch {
         }
     }
 
-    /// An arrow that ends at `from + along`; the head takes a quarter of it, and at most 4 mm.
+    /// An arrow that ends at `from + along`; its head has a quarter of the length, and at most 4 mm.
     pub fn arrow(&mut self, from: &Point3<f64>, along: &Vector3<f64>, stroke: &Stroke) {
         let length = along.norm();
         let Some(direction) = along.try_normalize(1e-9) else { return };
@@ -130,7 +130,7 @@ impl Sketch {
         }
     }
 
-    /// A frame: x red, y green, z blue.
+    /// The axes of a frame: x red, y green, z blue.
     pub fn axes(&mut self, world_from_frame: &Isometry3<f64>, length: f64, width: f32) {
         let origin = Point3::from(world_from_frame.translation.vector);
         let axes = [
@@ -182,7 +182,7 @@ mod tests {
         assert_eq!(highest, 0.02);
         assert_eq!(sketch.lines[0].from, [1.0, 0.0, 0.0]);
         assert!((sketch.lines[0].to[2] - 0.016).abs() < 1e-7);
-        // No direction, no arrow.
+        // A zero vector gives no arrow.
         sketch.arrow(&Point3::origin(), &Vector3::zeros(), &STROKE);
         assert_eq!(sketch.lines.len(), 1);
     }

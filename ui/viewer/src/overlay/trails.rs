@@ -1,4 +1,4 @@
-//! Where the tips of instruments have been.
+//! Trails of the instruments' tips.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -8,17 +8,17 @@ use trocar_scene::{Entity, Instrument, SimTime, Snapshot};
 use super::Overlays;
 use super::sketch::{Sketch, Stroke};
 
-/// Points that are kept of each tip.
+/// Most points kept for each tip.
 const POINTS_MAX: usize = 1024;
-/// Between two points of a trail there are at least so much time and so much way \[m\].
+/// Least time and distance \[m\] between two points of a trail.
 const APART: SimTime = SimTime::from_millis(5);
 const STEP: f64 = 1e-4;
-/// A tip that goes farther at once has been put elsewhere \[m\].
+/// A larger jump counts as a teleport of the tip \[m\].
 const LEAP: f64 = 0.05;
 /// Colours of trails, in the order of instruments.
 const COLORS: [[u8; 3]; 4] = [[80, 200, 255], [255, 160, 60], [150, 235, 110], [235, 130, 235]];
 
-/// The way of each tip; watches snapshots and keeps as much as is shown.
+/// The trail of each tip; records as much as is shown.
 #[derive(Clone, Debug, Default)]
 pub struct Trails {
     paths: BTreeMap<Entity, VecDeque<(SimTime, Point3<f64>)>>,
@@ -26,7 +26,7 @@ pub struct Trails {
 }
 
 impl Trails {
-    /// Takes a snapshot; one that is earlier than the last begins anew.
+    /// Records a snapshot; one that is earlier than the last restarts the trails.
     pub fn watch(&mut self, scene: &Snapshot, trail_secs: f64) {
         let now = scene.time();
         if now < self.now {
@@ -34,13 +34,13 @@ impl Trails {
         }
         self.now = now;
         let reach = SimTime::from_secs_f64(trail_secs);
-        // However long a trail is, its points suffice.
+        // Spaced so that the points suffice for a trail of any length.
         let apart = APART.max(SimTime(reach.as_nanos() / (POINTS_MAX as u64 - 2)));
         self.paths.retain(|entity, _| scene.get::<Instrument>(*entity).is_some());
         for (entity, _) in scene.iter::<Instrument>() {
             let tip = Point3::from(scene.world_pose(entity).translation.vector);
             let path = self.paths.entry(entity).or_default();
-            // The last point is where the tip is now; the one before it stays.
+            // The last point moves with the tip; the one before it is fixed.
             let settled = match path.len() {
                 0 => true,
                 1 => now.since(path[0].0) >= apart,
@@ -59,7 +59,7 @@ impl Trails {
         }
     }
 
-    /// Forgets everything.
+    /// Clears all trails.
     pub fn clear(&mut self) {
         self.paths.clear();
     }
@@ -69,7 +69,7 @@ impl Trails {
         self.paths.get(&instrument).into_iter().flatten().copied()
     }
 
-    /// Draws them, the older the fainter.
+    /// Draws the trails, older parts fainter.
     pub fn draw(&self, overlays: &Overlays, sketch: &mut Sketch) {
         for (path, [r, g, b]) in self.paths.values().zip(COLORS.into_iter().cycle()) {
             let color = |at: SimTime| {

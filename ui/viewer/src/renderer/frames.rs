@@ -1,5 +1,4 @@
-//! What holds for a whole frame: through which eye, under which lights. The uniforms and their groups are made once and
-//! written again for every frame.
+//! Per-frame uniforms: eye and lights. The buffers and bind groups are created once and rewritten for every frame.
 
 use nalgebra::{Matrix4, Vector4};
 use trocar_scene::Snapshot;
@@ -11,22 +10,22 @@ use crate::gpu::uniforms::{GpuFrame, GpuLight};
 use crate::lights::Shining;
 use crate::view::View;
 
-/// What the surroundings shed on a surface, relative to a well-lit white one: from above and from below.
+/// Ambient light relative to a well-lit white surface: from above and from below.
 const ABOVE: [f32; 4] = [0.17, 0.175, 0.19, 0.0];
 const BELOW: [f32; 4] = [0.045, 0.038, 0.036, 0.0];
 
-/// The lights of a frame, and what everything is multiplied with.
+/// The lights of a frame, and the exposure.
 #[derive(Clone, Copy)]
 pub(super) struct Lighting<'a> {
     pub(super) lights: &'a [Shining],
     pub(super) exposure: f64,
 }
 
-/// A uniform with its group.
+/// A uniform with its bind group.
 type Slot = (wgpu::Buffer, wgpu::BindGroup);
 
-/// Uniforms of the eyes and of the lights that throw shadows. One of each may be used once per submission: what is
-/// written is there before anything of the submission is drawn.
+/// Uniforms of the eyes and of the lights with shadows. Each may be used once per submission: writes take effect before
+/// any draw of the submission.
 #[derive(Default)]
 pub(super) struct Frames {
     eyes: Vec<Slot>,
@@ -34,7 +33,7 @@ pub(super) struct Frames {
 }
 
 impl Frames {
-    /// Writes what the eye of that number sees by.
+    /// Writes the view of the eye of that number.
     pub(super) fn set_eye(
         &mut self,
         gpu: &Gpu,
@@ -67,12 +66,12 @@ impl Frames {
         gpu.queue.write_buffer(&self.eyes[index].0, 0, bytemuck::bytes_of(&frame));
     }
 
-    /// The group of an eye that was written.
+    /// The bind group of an eye that was written.
     pub(super) fn eye(&self, index: usize) -> &wgpu::BindGroup {
         &self.eyes[index].1
     }
 
-    /// Writes how the light of that layer sees.
+    /// Writes the projection of the light of that layer.
     pub(super) fn set_shadow(
         &mut self,
         gpu: &Gpu,
@@ -93,7 +92,7 @@ impl Frames {
         gpu.queue.write_buffer(&self.shadows[layer].0, 0, bytemuck::bytes_of(&matrix));
     }
 
-    /// The group of a light that was written.
+    /// The bind group of a light that was written.
     pub(super) fn shadow(&self, layer: usize) -> &wgpu::BindGroup {
         &self.shadows[layer].1
     }
@@ -134,7 +133,7 @@ fn gpu_light(light: &Shining, exposure: f64) -> GpuLight {
     }
 }
 
-/// As shaders read it.
+/// In the layout of the shaders.
 pub(super) fn matrix(matrix: &Matrix4<f64>) -> [[f32; 4]; 4] {
     matrix.map(|part| part as f32).into()
 }

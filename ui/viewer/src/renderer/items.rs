@@ -1,4 +1,4 @@
-//! What is drawn of a snapshot, and its list on the device.
+//! The drawn items of a snapshot, and their list on the device.
 
 use std::sync::Arc;
 
@@ -13,10 +13,10 @@ use crate::gpu::uniforms::{GpuItem, ITEM_BYTES};
 use crate::quality::Quality;
 use crate::renderer::frames::matrix;
 
-/// Relief narrower than this is not seen \[pixels\].
+/// Width below which relief is invisible \[pixels\].
 const RELIEF_PIXELS: f64 = 0.75;
 
-/// How an item is drawn.
+/// The drawing state of an item.
 pub(super) struct Draw {
     pub(super) surface: u64,
     pub(super) look: Look,
@@ -25,12 +25,12 @@ pub(super) struct Draw {
     pub(super) centre_in_world: Point3<f64>,
     /// Depth of its relief \[m\].
     relief: f64,
-    /// What its look was made from.
+    /// The material of its look.
     material: Arc<VisualMaterial>,
     edit: Option<u64>,
 }
 
-/// What pipelines of a frame have in common.
+/// Settings shared by the pipelines of a frame.
 #[derive(Clone, Copy)]
 pub(super) struct Style {
     pub(super) quality: Quality,
@@ -54,7 +54,7 @@ impl Draw {
         }
     }
 
-    /// The pipeline that draws it; `pixels_per_metre` at the place of it that is nearest to the eye.
+    /// Its pipeline key; `pixels_per_metre` is taken at its point nearest to the eye.
     pub(super) fn key(&self, style: &Style, pixels_per_metre: f64) -> Key {
         let Style { quality, format, lights, shadows } = *style;
         let shading = if quality.wet {
@@ -72,10 +72,10 @@ impl Draw {
     }
 }
 
-/// Updates without a change after which something counts as still.
+/// An item counts as still after so many updates without a change.
 pub(super) const STILL_AFTER: u32 = 8;
 
-/// What of an item throws its shadow.
+/// The properties of an item that its shadow depends on.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Caster {
     pub(super) id: u64,
@@ -83,9 +83,9 @@ pub(super) struct Caster {
     pub(super) version: u64,
     pub(super) world_from_item: [[f32; 4]; 4],
     pub(super) triangles: usize,
-    /// What light passes through throws no shadow.
+    /// Transparent items cast no shadow.
     pub(super) throws: bool,
-    /// Updates since it has changed.
+    /// Updates since its last change.
     pub(super) age: u32,
 }
 
@@ -94,24 +94,24 @@ impl Caster {
         self.age >= STILL_AFTER
     }
 
-    /// Whether it throws the same shadow as another.
+    /// Whether it casts the same shadow as another.
     fn same(&self, other: &Self) -> bool {
         (self.id, self.topology, self.version) == (other.id, other.topology, other.version)
             && (self.world_from_item == other.world_from_item && self.throws == other.throws)
     }
 }
 
-/// All of them, in the order of the items. Lists with the same number are the same.
+/// All shadow casters, in the order of the items. Lists with the same number are equal.
 #[derive(Debug, Default)]
 pub(super) struct Casters {
     pub(super) list: Vec<Caster>,
     pub(super) number: u64,
-    /// Of those that stand still.
+    /// Number of the list of still casters.
     pub(super) still_number: u64,
 }
 
 impl Casters {
-    /// Share of all triangles that stands still.
+    /// Share of all triangles that is still.
     pub(super) fn still_share(&self) -> f64 {
         let sum = |still: bool| -> usize {
             let counts = |caster: &&Caster| caster.throws && (!still || caster.is_still());
@@ -120,7 +120,7 @@ impl Casters {
         sum(true) as f64 / sum(false).max(1) as f64
     }
 
-    /// Takes the next list, whose ages are not known yet; the last one is left in its place.
+    /// Replaces the list by `next`, whose ages are not known yet, and leaves the old one there.
     fn follow(&mut self, next: &mut Vec<Caster>) {
         let mut changed = next.len() != self.list.len();
         let mut still_changed = changed;
@@ -137,18 +137,18 @@ impl Casters {
     }
 }
 
-/// All items: how each is drawn, and what shaders read of it.
+/// All items: their drawing state, and their data for the shaders.
 pub(super) struct Items {
     /// In the order of the list on the device.
     pub(super) draws: Vec<Draw>,
-    /// By their numbers in a segmentation picture, less one.
+    /// Indexed by their numbers in a segmentation picture, less one.
     pub(super) entities: Vec<Entity>,
-    /// The group that shaders read the list from.
+    /// The bind group of the list.
     pub(super) group: wgpu::BindGroup,
     buffer: wgpu::Buffer,
     sent: Vec<GpuItem>,
     next: Vec<GpuItem>,
-    /// What throws shadows, item by item.
+    /// Shadow casters, item by item.
     pub(super) casters: Casters,
     next_casters: Vec<Caster>,
     last_draws: Vec<Draw>,
@@ -170,7 +170,7 @@ impl Items {
         }
     }
 
-    /// Forgets all of them; what is on the device stays until others are sent.
+    /// Clears the list; data on the device stays until the next upload.
     pub(super) fn clear(&mut self) {
         std::mem::swap(&mut self.draws, &mut self.last_draws);
         self.draws.clear();
@@ -179,14 +179,14 @@ impl Items {
         self.next_casters.clear();
     }
 
-    /// The look of the item that is added next, if it looks as it did in the last list.
+    /// The look of the next item, if it is unchanged since the last list.
     pub(super) fn known_look(&self, item: &Item, edit: Option<u64>) -> Option<Look> {
         let last = self.last_draws.get(self.draws.len())?;
         let same = Arc::ptr_eq(&last.material, &item.material) && last.edit == edit;
         same.then(|| last.look.clone())
     }
 
-    /// Adds one; those of one entity follow each other.
+    /// Adds an item; those of one entity are consecutive.
     pub(super) fn add(&mut self, item: &Item, draw: Draw) {
         if self.entities.last() != Some(&item.entity) {
             self.entities.push(item.entity);
@@ -205,7 +205,7 @@ impl Items {
         self.draws.push(draw);
     }
 
-    /// Sends those that differ from what is there.
+    /// Uploads the changed items.
     pub(super) fn send(&mut self, gpu: &Gpu, passes: &Passes) {
         let size = size_of::<GpuItem>() as u64;
         let (sent, next) = (&mut self.sent, &mut self.next);
@@ -233,7 +233,7 @@ fn gpu_item(item: &Item, look: &Look, number: u32) -> GpuItem {
     let mut surface =
         [material.roughness, material.metalness, material.wetness, material.relief].map(|part| part as f32);
     if item.part == Part::Shaft {
-        // Shafts are sleeved with a dark insulation, whatever the jaws are made of.
+        // Shafts have a dark insulating sleeve, whatever the material of the jaws.
         base_color = [0.012, 0.012, 0.013, a];
         mean_color = base_color;
         surface = [0.38, 0.0, 0.0, 0.0];
@@ -250,7 +250,7 @@ fn gpu_item(item: &Item, look: &Look, number: u32) -> GpuItem {
     }
 }
 
-/// Room for so many items, and its group.
+/// A buffer for so many items, and its bind group.
 fn room_for(gpu: &Gpu, passes: &Passes, count: usize) -> (wgpu::Buffer, wgpu::BindGroup) {
     let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("items"),
@@ -286,13 +286,13 @@ mod tests {
         let still = casters.still_number;
         casters.follow(&mut vec![caster(1, 0), caster(2, 1)]);
         assert_eq!((casters.number, casters.still_number), (first + 1, still + 1));
-        // It goes on moving: those that stand still are the same.
+        // It keeps moving: the still casters are the same.
         for version in 2..20 {
             casters.follow(&mut vec![caster(1, 0), caster(2, version)]);
         }
         assert_eq!((casters.number, casters.still_number), (first + 19, still + 1));
         assert!((casters.still_share() - 0.5).abs() < 1e-12);
-        // One is gone.
+        // One item is removed.
         casters.follow(&mut vec![caster(1, 0)]);
         assert_eq!((casters.number, casters.still_number), (first + 20, still + 2));
     }

@@ -1,4 +1,4 @@
-//! From a snapshot to a frame.
+//! The renderer: from a snapshot to a frame.
 
 mod frames;
 mod items;
@@ -34,21 +34,21 @@ use crate::pacing::Pace;
 use crate::quality::Quality;
 use crate::view::View;
 
-/// What is seen where nothing is.
+/// Background colour.
 const BACKDROP: wgpu::Color = wgpu::Color { r: 0.012, g: 0.014, b: 0.017, a: 1.0 };
 
-/// Where an eye's picture goes.
+/// The target of an eye's picture.
 #[derive(Clone, Copy)]
 struct Canvas<'a> {
     into: &'a wgpu::TextureView,
     size: [u32; 2],
-    /// Part of it \[pixels\]: left, top, width, height.
+    /// Its pane \[pixels\]: left, top, width, height.
     pane: [u32; 4],
-    /// Whether nothing is on it yet.
+    /// Whether the target must be cleared.
     clear: bool,
 }
 
-/// Draws scenes. Everything that lies on the device is kept from frame to frame; only what changed is sent.
+/// Draws scenes. Data on the device is kept from frame to frame; only changes are uploaded.
 pub struct Renderer {
     stage: Stage,
     copies: SurfaceCopies,
@@ -62,16 +62,16 @@ pub struct Renderer {
     shadows: Shadows,
     loose: Loose,
     layer: Layer,
-    /// What is shown over the scene.
+    /// The overlays.
     pub overlays: Overlays,
     shown: Option<Shown>,
 }
 
-/// What a picture depends on.
+/// Everything that a picture depends on.
 #[derive(PartialEq)]
 struct Shown {
     revision: Revision,
-    /// What moves slowly is elsewhere in each of them.
+    /// Interpolated bodies differ between frames with the same revision.
     retouches: u64,
     view: View,
     layout: Layout,
@@ -104,47 +104,47 @@ impl Renderer {
         }
     }
 
-    /// What is drawn.
+    /// The drawn items.
     pub fn stage(&self) -> &Stage {
         &self.stage
     }
 
-    /// Texels of edit maps sent to the device since the start.
+    /// Texels of edit maps uploaded since the start.
     pub fn texels_sent(&self) -> u64 {
         self.edits.texels_sent
     }
 
-    /// Bytes of surfaces sent to the device since the start.
+    /// Bytes of surfaces uploaded since the start.
     pub fn bytes_sent(&self) -> u64 {
         self.copies.bytes_sent
     }
 
-    /// Bytes sent to the device since the start for what is shown over scenes.
+    /// Bytes of overlays uploaded since the start.
     pub fn overlay_bytes_sent(&self) -> u64 {
         self.layer.bytes_sent()
     }
 
-    /// Bytes of smoke and fluids sent to the device since the start.
+    /// Bytes of smoke and fluids uploaded since the start.
     pub fn particle_bytes_sent(&self) -> u64 {
         self.loose.bytes_sent()
     }
 
-    /// Passes over the picture for smoke and fluids since the start.
+    /// Full-picture passes for smoke and fluids since the start.
     pub fn particle_passes(&self) -> u64 {
         self.loose.passes()
     }
 
-    /// What the colours mean that are shown over the scene.
+    /// The legends of the overlays.
     pub fn legends(&self) -> &[Legend] {
         self.layer.legends()
     }
 
-    /// Watches the scene for what is shown of its past; for those who look more often than they draw.
+    /// Records a snapshot for overlays of the past such as trails; for callers that look more often than they draw.
     pub fn watch(&mut self, scene: &Snapshot) {
         self.layer.watch(&self.overlays, scene);
     }
 
-    /// Follows the scene to this snapshot, and sends what changed.
+    /// Follows the scene to this snapshot and uploads changes.
     pub fn update(&mut self, gpu: &Gpu, scene: &Snapshot) {
         let anew = self.stage.update(scene);
         if anew {
@@ -175,8 +175,8 @@ impl Renderer {
         self.items.send(gpu, &self.passes);
     }
 
-    /// Draws the scene that was last followed into `target`, through a view, in a layout. The scene is asked for its
-    /// lights only.
+    /// Draws the scene of the last update into `target`, through a view, in a layout. Of `scene` only the lights are
+    /// read.
     pub fn draw(
         &mut self,
         gpu: &Gpu,
@@ -189,8 +189,8 @@ impl Renderer {
         self.draw_scaled(gpu, scene, view, layout, Pace { quality, scale: 1.0 }, target);
     }
 
-    /// Whether [`Self::draw_scaled`] with the same would draw something else than it did the last time: as long as it would
-    /// not, what is in `target` need not be drawn again.
+    /// Whether [`Self::draw_scaled`] with the same arguments would change `target`; otherwise it need not be drawn
+    /// again.
     pub fn needs_draw(
         &self,
         scene: &Snapshot,
@@ -221,7 +221,7 @@ impl Renderer {
         }
     }
 
-    /// As [`Self::draw`], with fewer pixels than `target` has, which are enlarged at the end.
+    /// As [`Self::draw`], at a lower resolution than that of `target`, enlarged at the end.
     pub fn draw_scaled(
         &mut self,
         gpu: &Gpu,
@@ -239,7 +239,7 @@ impl Renderer {
         let shots = layout.shots(scene, view, size);
         let throw = quality.shadows && quality.wet;
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
-        // Straight into the target, unless a lens bends the picture, two eyes are woven, or it is enlarged.
+        // Directly into the target, unless the lens distorts, two eyes are interleaved, or the picture is enlarged.
         let is_straight = |shot: &Shot| {
             shot.weave == Weave::Panes && shot.centre.distortion == 0.0 && shot.centre.vignette == 0.0
         };
@@ -253,11 +253,11 @@ impl Renderer {
             let mut lights = lights::shining(scene, &shot.centre);
             let exposure = lights::exposure(&lights, &sight::focus(&self.items.draws, &shot.centre));
             if throw {
-                // Those that throw shadows first, in the order of their layers.
+                // Lights with shadows first, in the order of their layers.
                 lights.sort_by_key(|light| light.shadow.map_or(usize::MAX, |(layer, _)| layer));
             }
             if throw && index == 0 {
-                // Only the scene's own lights throw shadows: they are the same, whoever looks.
+                // Only the scene's own lights have shadows: they are the same for every view.
                 self.draw_shadows(gpu, &mut encoder, &lights);
             }
             let shadows = lights.iter().filter(|light| throw && light.shadow.is_some()).count() as u32;
@@ -308,7 +308,7 @@ impl Renderer {
         canvas: &Canvas<'_>,
     ) {
         let Canvas { into, size, pane, clear } = *canvas;
-        // Pixels that a metre covers at a depth of a metre.
+        // Pixels per metre at a depth of a metre.
         let scale = f64::from(pane[3]) / (2.0 * (0.5 * view.lens.field_of_view).tan());
         let mut pipelines = Vec::with_capacity(self.items.draws.len());
         for (index, nearest) in sight::order(&self.items.draws, view) {
@@ -317,13 +317,14 @@ impl Renderer {
             pipelines.push((index, self.passes.surface(gpu, &key, |shader| materials.source(shader))));
         }
         let scratch = self.scratches.get(gpu, size, style.quality.samples, style.format);
-        // A pane beside one that is drawn keeps what is there.
+        // A pane beside one that was drawn keeps the other's pixels.
         let load = if clear { wgpu::LoadOp::Clear(BACKDROP) } else { wgpu::LoadOp::Load };
         let (drawn, resolved) = match &scratch.smooth {
             Some(smooth) => (smooth, Some(into)),
             None => (into, None),
         };
-        // Smoke and fluids need depths of what is solid, so they come in passes of their own, the last of which resolves.
+        // Smoke and fluids need the depth of solid surfaces, so they have passes of their own, the last of which
+        // resolves.
         let over = (!self.loose.is_empty()).then(|| Over {
             drawn: drawn.clone(),
             resolved: resolved.cloned(),
@@ -363,7 +364,7 @@ impl Renderer {
         self.layer.draw(&mut pass, index, kind, &self.stage, &self.copies, &self.items.group);
     }
 
-    /// Draws an item with its first so many vertex buffers: positions, normals, texture coordinates.
+    /// Draws an item with the first of its vertex buffers: positions, normals, texture coordinates.
     fn draw_item(&self, pass: &mut wgpu::RenderPass<'_>, index: usize, buffers: usize) {
         let Some(copy) = self.copies.get(self.items.draws[index].surface) else { return };
         pass.set_bind_group(1, &self.items.group, &[(index * size_of::<GpuItem>()) as u32]);
@@ -377,7 +378,7 @@ impl Renderer {
     }
 }
 
-/// Shows that nothing is seen.
+/// Clears the target.
 fn clear(encoder: &mut wgpu::CommandEncoder, target: &wgpu::TextureView) {
     let ops = wgpu::Operations { load: wgpu::LoadOp::Clear(BACKDROP), store: wgpu::StoreOp::Store };
     let attachment =
@@ -397,7 +398,7 @@ fn cleared_depth(view: &wgpu::TextureView) -> wgpu::RenderPassDepthStencilAttach
     }
 }
 
-/// A side of a picture that is enlarged afterwards \[pixels\].
+/// A side of the lower-resolution picture \[pixels\].
 fn scaled(side: u32, scale: f64) -> u32 {
     ((f64::from(side) * scale.clamp(0.05, 1.0)).round() as u32).max(1)
 }

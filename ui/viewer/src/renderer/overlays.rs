@@ -1,4 +1,4 @@
-//! What is shown over the scene, from the switches to the picture.
+//! The overlay layer of the renderer: computes, uploads and draws the overlays.
 
 use nalgebra::Point3;
 use trocar_scene::Snapshot;
@@ -13,20 +13,20 @@ use crate::layout::Shot;
 use crate::overlay::{self, Legend, Overlay, Overlays, Seen, Trails};
 use crate::view::View;
 
-/// What there is to draw over, and on what it lies.
+/// The scene below the overlays.
 pub(super) struct Below<'a> {
     pub(super) stage: &'a Stage,
     pub(super) copies: &'a SurfaceCopies,
     pub(super) passes: &'a Passes,
-    /// Whether it has changed since the last time.
+    /// Whether it has changed since the last frame.
     pub(super) anew: bool,
 }
 
-/// Nothing, until something is shown.
+/// Empty until an overlay is shown.
 #[derive(Default)]
 pub(super) struct Layer {
     trails: Trails,
-    /// What is seen, and by which switches it was looked for.
+    /// The computed overlays, and their settings.
     seen: Option<(Overlays, Seen)>,
     pass: Option<OverlayPass>,
     annotator: Option<Annotator>,
@@ -41,7 +41,7 @@ impl Layer {
         self.seen.as_ref().map_or(&[], |(_, seen)| &seen.legends)
     }
 
-    /// Watches the scene for what is shown of its past.
+    /// Records a snapshot for the trails.
     pub(super) fn watch(&mut self, overlays: &Overlays, scene: &Snapshot) {
         if overlays.shows(Overlay::Trails) {
             self.trails.watch(scene, overlays.trail_secs);
@@ -50,7 +50,7 @@ impl Layer {
         }
     }
 
-    /// Looks for what is shown, unless neither the scene nor the switches have changed.
+    /// Recomputes the overlays if the scene or their settings changed.
     pub(super) fn follow(&mut self, gpu: &Gpu, overlays: &Overlays, scene: &Snapshot, below: &Below<'_>) {
         let Below { stage, copies, passes, anew } = *below;
         self.watch(overlays, scene);
@@ -94,7 +94,7 @@ impl Layer {
         }
     }
 
-    /// Writes legends and names into what has been drawn.
+    /// Draws legends and names into the finished picture.
     pub(super) fn annotate(
         &mut self,
         gpu: &Gpu,
@@ -117,7 +117,7 @@ impl Layer {
             };
             let labels =
                 seen.labels.iter().filter_map(|(point, words)| Some((place(point)?, words.as_str())));
-            // Both eyes of the first view see them; the views beside it need not.
+            // Both eyes of the first view get the legends; other views do not.
             let legends = if shot.centre == shots[0].centre { legends } else { &[] };
             Note { pane: shot.pane.pixels(size), legends, labels: labels.collect() }
         };

@@ -1,4 +1,4 @@
-//! Smoke and fluids, after what is solid and before what is shown over the scene.
+//! Smoke and fluids, drawn after solid surfaces and before overlays.
 
 use trocar_scene::{Entity, ParticleKind, Snapshot};
 
@@ -13,24 +13,24 @@ use crate::renderer::items::Style;
 use crate::renderer::{Canvas, Renderer};
 use crate::view::View;
 
-/// Where smoke and fluids of one eye go.
+/// The render targets for smoke and fluids of one eye.
 pub(super) struct Over {
-    /// What is drawn into, with all samples.
+    /// The multisampled colour target.
     pub(super) drawn: wgpu::TextureView,
-    /// With several samples per pixel.
+    /// The resolve target, with several samples per pixel.
     pub(super) resolved: Option<wgpu::TextureView>,
     /// Depth of the scene.
     pub(super) depth: wgpu::TextureView,
 }
 
-/// Nothing, until a scene has particles.
+/// Empty until a scene has particles.
 #[derive(Default)]
 pub(super) struct Loose {
     swarm: Swarm,
     copies: Option<ParticleCopies>,
     smoke: Option<SmokePass>,
     fluid: Option<FluidPass>,
-    /// Passes that were drawn for particles since the start.
+    /// Passes drawn for particles since the start.
     passes: u64,
 }
 
@@ -43,7 +43,7 @@ impl Loose {
         self.copies.as_ref().map_or(0, |copies| copies.bytes_sent)
     }
 
-    /// Follows the scene, and sends what changed.
+    /// Follows the scene and uploads changes.
     pub(super) fn follow(&mut self, gpu: &Gpu, scene: &Snapshot, passes: &Passes) {
         if !self.swarm.update(scene) || self.is_empty() {
             return;
@@ -64,8 +64,8 @@ impl Loose {
         !self.swarm.has(ParticleKind::Smoke) && !self.swarm.has(ParticleKind::Fluid)
     }
 
-    /// Distances and numbers of fluids, into a probe whose eye is written; the entities that numbers from `first_number`
-    /// on stand for.
+    /// Writes distances and numbers of fluids into a probe whose eye is set; returns the entities of the numbers from
+    /// `first_number` on.
     pub(super) fn measure(
         &mut self,
         gpu: &Gpu,
@@ -90,7 +90,7 @@ impl Loose {
 }
 
 impl Renderer {
-    /// Draws smoke and fluids over what an eye sees, and what is shown over them.
+    /// Draws smoke and fluids over an eye's picture, and the overlays over them.
     pub(super) fn draw_loose(
         &mut self,
         gpu: &Gpu,
@@ -134,7 +134,7 @@ impl Renderer {
             resolve_target: over.resolved.as_ref(),
             ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
         };
-        // Depths are read only: smoke looks how far away what is behind it is.
+        // Depths are read-only: smoke samples the depth of the surface behind it.
         let depth =
             wgpu::RenderPassDepthStencilAttachment { view: &over.depth, depth_ops: None, stencil_ops: None };
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {

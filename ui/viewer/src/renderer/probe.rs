@@ -1,4 +1,4 @@
-//! Depths and entities instead of colours.
+//! Probe pictures: depths and entities instead of colours.
 
 use trocar_scene::Snapshot;
 

@@ -1,21 +1,21 @@
-//! Textures that frames pass through: kept while their sizes stay the same.
+//! Intermediate textures, kept while their sizes stay the same.
 
 use crate::gpu::{Gpu, targets};
 
-/// Kept at once; a window that is being resized asks for new sizes all the time.
+/// Most sizes kept; a window that is being resized asks for new sizes all the time.
 const KEPT_MAX: usize = 4;
 
-/// Depths, and what is drawn into with several samples per pixel.
+/// A depth texture, and a multisampled colour target.
 pub(super) struct Scratch {
     size: [u32; 2],
     samples: u32,
     format: wgpu::TextureFormat,
     pub(super) depth: wgpu::TextureView,
-    /// With several samples per pixel.
+    /// The multisampled colour target.
     pub(super) smooth: Option<wgpu::TextureView>,
 }
 
-/// Scratch textures of the sizes that were asked for last, and the pictures of eyes that are composed afterwards.
+/// Scratch textures of recent sizes, and the pictures of eyes that are composed afterwards.
 #[derive(Default)]
 pub(super) struct Scratches {
     kept: Vec<Scratch>,
@@ -46,7 +46,7 @@ impl Scratches {
         &self.kept[at]
     }
 
-    /// The picture of the eye of that number.
+    /// The picture of that eye.
     pub(super) fn eye(
         &mut self,
         gpu: &Gpu,

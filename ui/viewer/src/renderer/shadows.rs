@@ -1,5 +1,5 @@
-//! Shadows are drawn anew only when what throws them has moved; what stands still is kept apart, so that an instrument over
-//! tissue costs as much as the instrument.
+//! Shadow maps, redrawn only when a caster has moved. Still casters are cached in a map of their own, so that an
+//! instrument over tissue costs only the instrument.
 
 use nalgebra::Matrix4;
 
@@ -8,37 +8,37 @@ use crate::lights::{SHADOWS_MAX, Shining};
 use crate::renderer::Renderer;
 use crate::renderer::items::{Casters, STILL_AFTER};
 
-/// What the maps of the lights show.
+/// The content of the shadow maps.
 #[derive(Default)]
 pub(super) struct Shadows {
     layers: [Layer; SHADOWS_MAX],
 }
 
-/// What one of them shows.
+/// The content of one shadow map.
 #[derive(Clone, Copy, Default)]
 struct Layer {
     clip_from_world: Option<Matrix4<f64>>,
-    /// Frames since the light has moved.
+    /// Frames since the light moved.
     rested: u32,
-    /// Number of the list of casters that is shown.
+    /// Number of the list of casters that it shows.
     shown: Option<u64>,
-    /// Number of the list of those that stand still.
+    /// Number of the list of still casters.
     still: Option<u64>,
 }
 
-/// What a frame has to do for one of them.
+/// The work for one shadow map in a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Plan {
-    /// Nothing has moved.
+    /// Nothing moved.
     Keep,
     /// Draw everything.
     All,
-    /// Begin with what stands still, which is drawn before if that has changed, and add what moves.
+    /// Copy the still casters, redrawn first if they changed, and add the moving ones.
     Add { still: bool },
 }
 
 impl Layer {
-    /// What is to be done now; it is taken as done.
+    /// The work for this frame, which is recorded as done.
     fn follow(&mut self, clip_from_world: &Matrix4<f64>, casters: &Casters) -> Plan {
         if self.clip_from_world.as_ref() == Some(clip_from_world) {
             self.rested = self.rested.saturating_add(1);
@@ -48,7 +48,7 @@ impl Layer {
         if self.shown.replace(casters.number) == Some(casters.number) {
             return Plan::Keep;
         }
-        // Under a light that moves nothing is still, and where most of it moves keeping the rest is not worth it.
+        // Under a moving light nothing is still; and where most casters move, a cache does not pay.
         if self.rested < STILL_AFTER || casters.still_share() < 0.5 {
             self.still = None;
             return Plan::All;
@@ -59,7 +59,7 @@ impl Layer {
 }
 
 impl Renderer {
-    /// Draws what the lights see of what throws shadows.
+    /// Draws the shadow maps of the lights.
     pub(super) fn draw_shadows(&mut self, gpu: &Gpu, encoder: &mut wgpu::CommandEncoder, lights: &[Shining]) {
         for (layer, clip_from_world) in lights.iter().filter_map(|light| light.shadow) {
             let plan = self.shadows.layers[layer].follow(&clip_from_world, &self.items.casters);
@@ -81,7 +81,7 @@ impl Renderer {
         }
     }
 
-    /// Draws all casters, or those that stand still or do not.
+    /// Draws all casters, or only still or moving ones.
     fn draw_casters(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -130,7 +130,7 @@ mod tests {
         assert_eq!(layer.follow(&light, &floor_and_tool(0, 101, 0)), Plan::Add { still: false });
         assert_eq!(layer.follow(&light, &floor_and_tool(1, 101, 0)), Plan::Keep);
         assert_eq!(layer.follow(&light, &floor_and_tool(0, 102, 0)), Plan::Add { still: false });
-        // The floor has moved once, and stands still again somewhere else.
+        // The floor moved once, and is still again somewhere else.
         assert_eq!(layer.follow(&light, &floor_and_tool(0, 103, 2)), Plan::Add { still: true });
     }
 

@@ -1,15 +1,15 @@
-//! What an eye has in sight, in which order it is drawn, and where the eye rests.
+//! Frustum culling, drawing order, and the focus point of a view.
 
 use nalgebra::{Matrix4, Point3, Vector4};
 
 use crate::renderer::items::Draw;
 use crate::view::View;
 
-/// Where an eye rests that sees nothing \[m\].
+/// Focus depth of an empty view \[m\].
 const FOCUS_DEPTH: f64 = 0.2;
 
-/// What is in sight: opaque things from front to back, then those that light passes through from back to front; each with
-/// the least depth that any of it may have \[m\].
+/// The visible draws: opaque ones from front to back, then transparent ones from back to front; each with a lower bound
+/// of its depth \[m\].
 pub(super) fn order(draws: &[Draw], view: &View) -> Vec<(usize, f64)> {
     let eye_from_world = view.world_from_eye.inverse();
     let clip_from_eye = view.lens.clip_from_eye();
@@ -29,7 +29,7 @@ pub(super) fn order(draws: &[Draw], view: &View) -> Vec<(usize, f64)> {
     seen.into_iter().map(|(_, _, index)| (index, nearest(index))).collect()
 }
 
-/// Where the eye rests: along the line of sight, as far as what it sees is in the mean.
+/// The focus point: on the line of sight, at the mean depth of the visible draws.
 pub(super) fn focus(draws: &[Draw], view: &View) -> Point3<f64> {
     let eye_from_world = view.world_from_eye.inverse();
     let (mut sum, mut count) = (0.0, 0.0);
@@ -45,7 +45,7 @@ pub(super) fn focus(draws: &[Draw], view: &View) -> Point3<f64> {
     view.world_from_eye * Point3::new(0.0, 0.0, depth)
 }
 
-/// Whether a ball may be seen.
+/// Whether a bounding sphere intersects the frustum.
 fn is_in_sight(clip_from_eye: &Matrix4<f64>, centre: &Point3<f64>, radius: f64, view: &View) -> bool {
     let lens = &view.lens;
     if centre.z + radius < lens.near || centre.z - radius > lens.far {

@@ -1,10 +1,10 @@
-//! Why a texture cannot be had.
+//! Errors of textures.
 
 use std::path::PathBuf;
 
 use thiserror::Error;
 
-/// A texture that cannot be made or read.
+/// A texture that cannot be generated or read.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum TextureError {
@@ -13,24 +13,24 @@ pub enum TextureError {
     Unknown {
         /// The name that was asked for.
         name: String,
-        /// The names that there are.
+        /// The valid names.
         valid: &'static [&'static str],
     },
-    /// A procedural texture is not made in this size.
+    /// An invalid size for a procedural texture.
     #[error(
         "procedural texture {name:?}: a size of {size} is not possible; valid are the powers of two from {min} to {max}"
     )]
     Size {
         /// The texture.
         name: &'static str,
-        /// The size that was asked for \[texels\].
+        /// The requested size \[texels\].
         size: u32,
         /// The smallest size \[texels\].
         min: u32,
         /// The largest size \[texels\].
         max: u32,
     },
-    /// The path of a file leaves the folder that it has to stay below, or is none.
+    /// The path of a file leaves its folder, or is no valid path.
     #[error("{path:?}: {reason}")]
     Path {
         /// The path as written.
@@ -43,33 +43,33 @@ pub enum TextureError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// More than the caller allows.
+    /// A limit is exceeded.
     #[error("{}: {what} {found} is more than the limit of {limit}", file.display())]
     TooLarge {
         /// The file.
         file: PathBuf,
-        /// What is limited, with its unit.
+        /// The limited quantity, with its unit.
         what: &'static str,
-        /// As much as the file has.
+        /// The file's value.
         found: u64,
-        /// As much as is allowed.
+        /// The limit.
         limit: u64,
     },
-    /// Not a picture of a kind that is read.
+    /// A file of another format.
     #[error("{}: is no picture of a kind that is read; valid are PNG and JPEG", file.display())]
     Kind {
         /// The file.
         file: PathBuf,
     },
-    /// A picture that is damaged, or uses something that is not read.
+    /// A damaged image, or one with an unsupported feature.
     #[error("{}: not a sound PNG or JPEG picture: {reason}", file.display())]
     Malformed {
         /// The file.
         file: PathBuf,
-        /// What the decoder says.
+        /// The decoder's message.
         reason: String,
     },
 }

@@ -1,8 +1,8 @@
-//! Pictures of eight bits per channel, and their chains of smaller and smaller copies.
+//! Images of eight bits per channel, and their mip chains.
 
 use std::sync::LazyLock;
 
-/// A picture, row by row from its upper edge.
+/// An image, row by row from its upper edge.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Image8 {
     /// Texels in a row.
@@ -13,7 +13,7 @@ pub struct Image8 {
     pub pixels: Vec<[u8; 4]>,
 }
 
-/// What the channels of a picture mean, and so how texels are averaged.
+/// The meaning of an image's channels, which decides how texels are averaged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MapKind {
     /// sRGB colour with linear opacity: averaged in linear light, weighted by opacity.
@@ -38,7 +38,7 @@ pub fn linear_of_srgb(value: u8) -> f32 {
     LINEAR_OF_SRGB[value as usize]
 }
 
-/// The sRGB value of a linear light, rounded to the nearest light that a value has.
+/// The sRGB value of a linear light, rounded to the nearest.
 pub fn srgb_of_linear(linear: f32) -> u8 {
     let lights = &*LINEAR_OF_SRGB;
     let above = lights.partition_point(|light| *light < linear).min(255);
@@ -62,7 +62,7 @@ pub fn decode_normal([x, y, z, _]: [u8; 4]) -> [f32; 3] {
 }
 
 impl Image8 {
-    /// A picture of one colour.
+    /// An image of one colour.
     pub fn filled(width: u32, height: u32, pixel: [u8; 4]) -> Self {
         Self { width, height, pixels: vec![pixel; width as usize * height as usize] }
     }
@@ -80,7 +80,7 @@ impl Image8 {
         self.pixels.as_flattened()
     }
 
-    /// The picture followed by copies of half the size (rounded down) each, to a single texel.
+    /// The image followed by its mip levels, each half the size (rounded down), down to a single texel.
     pub fn mips(self, kind: MapKind) -> Vec<Image8> {
         let mut chain = vec![self];
         while let Some(last) = chain.last().filter(|last| last.width > 1 || last.height > 1) {
@@ -90,7 +90,7 @@ impl Image8 {
         chain
     }
 
-    /// A copy of half the size, rounded down, at least one texel. Each texel averages exactly the area that it
+    /// An image of half the size, rounded down, at least one texel. Each texel averages exactly the area that it
     /// covers: two texels each way, three where the size is odd (Guthe, Heckbert 2005).
     pub fn half(&self, kind: MapKind) -> Image8 {
         if self.width == 0 || self.height == 0 {
@@ -126,7 +126,7 @@ impl Image8 {
     }
 }
 
-/// The first texel and the weights of up to three that texel `index` of a row of `to` covers of a row of `from`.
+/// The first texel, and the weights of up to three, of a row of `from` that texel `index` of a row of `to` covers.
 fn taps(from: u32, to: u32, index: u32) -> (usize, [f32; 3]) {
     if from == to {
         return (index as usize, [1.0, 0.0, 0.0]);
@@ -157,7 +157,7 @@ fn accumulate(kind: MapKind, pixel: [u8; 4], weight: f32, sum: &mut [f32; 4], pl
 fn resolve(kind: MapKind, sum: [f32; 4], plain: [f32; 3]) -> [u8; 4] {
     let [r, g, b, alpha] = sum;
     let rgb = match kind {
-        // Where all is transparent, the colour is still the mean one: magnified edges must not turn black.
+        // Where all is transparent, the colour is still the mean: magnified edges must not turn black.
         MapKind::Color if alpha > 0.0 => [r / alpha, g / alpha, b / alpha].map(srgb_of_linear),
         MapKind::Color => plain.map(srgb_of_linear),
         MapKind::Normal => {

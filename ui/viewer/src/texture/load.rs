@@ -1,4 +1,4 @@
-//! Picture files: where they may lie, how large they may be, and reading them.
+//! Reads image files, with limits on path and size.
 
 use std::fs::File;
 use std::io::{BufReader, ErrorKind};
@@ -10,22 +10,22 @@ use trocar_scene::confined_path;
 use super::error::TextureError;
 use super::image8::Image8;
 
-/// Length of a picture file at most \[bytes\].
+/// Longest image file \[bytes\].
 pub const FILE_BYTES_MAX: u64 = 64 << 20;
 
-/// The file that a material names, which lies below the scenario's folder `base`.
+/// The path of a material's file, below the scenario's folder `base`.
 ///
 /// # Errors
-/// When the path leaves the folder, by itself or through a link, or is none.
+/// When the path leaves the folder, also through a link, or is invalid.
 pub fn resolve(base: &Path, file: &str) -> Result<PathBuf, TextureError> {
     confined_path::below(base, file).map_err(|reason| TextureError::Path { path: file.to_owned(), reason })
 }
 
-/// Reads a PNG or JPEG picture of at most `size_max` texels each way; any size up to that will do. What kind it is
-/// is told by its first bytes, not by its name. Pictures without opacity are opaque.
+/// Reads a PNG or JPEG image of at most `size_max` texels each way. Its first bytes decide the format, not its name.
+/// Images without opacity are opaque.
 ///
 /// # Errors
-/// When the file cannot be read, is longer than [`FILE_BYTES_MAX`], is of another kind, is damaged, or declares more
+/// When the file cannot be read, is longer than [`FILE_BYTES_MAX`], is of another format, is damaged, or declares more
 /// than `size_max` texels (checked before anything is decoded).
 pub fn load(file: &Path, size_max: u32) -> Result<Image8, TextureError> {
     let io = |source| TextureError::Io { file: file.into(), source };
@@ -43,7 +43,7 @@ pub fn load(file: &Path, size_max: u32) -> Result<Image8, TextureError> {
         return Err(TextureError::Kind { file: file.into() });
     }
     let mut limits = Limits::default();
-    // Sixteen bits in four channels, decoded and converted, and the decoder's own tables.
+    // Four channels of sixteen bits, decoded and converted, and the decoder's own tables.
     limits.max_alloc = Some(u64::from(size_max).pow(2).saturating_mul(16).saturating_add(1 << 20));
     reader.limits(limits);
     let malformed = |error: ImageError| match error {

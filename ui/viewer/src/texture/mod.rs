@@ -1,9 +1,9 @@
-//! What surfaces look like: procedural textures by name, and picture files.
+//! Textures: procedural ones by name, and image files.
 //!
-//! A procedural texture is a [`MapSet`]: colour, normals with height, and what the surface is like (roughness,
-//! wetness, metalness, openness to ambient light), all of which tile without a seam. The same name and size give
-//! the same bytes on every machine. A file is an [`Image8`], read by [`load()`] after [`resolve`] has seen to it
-//! that its path stays below the scenario's folder.
+//! A procedural texture is a [`MapSet`]: colour, normals with height, and surface properties (roughness, wetness,
+//! metalness, openness to ambient light), all of which tile without a seam. The same name and size give the same bytes
+//! on every machine. A file is an [`Image8`], read by [`load()`] after [`resolve`] has checked that its path stays
+//! below the scenario's folder.
 
 mod error;
 pub mod image8;

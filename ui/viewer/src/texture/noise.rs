@@ -1,10 +1,10 @@
 //! Periodic noise on the unit square: gradient noise (Perlin, "Improving noise", 2002), cellular noise (Worley,
 //! "A cellular texture basis function", 1996) and fractal sums of the former.
 //!
-//! Everything here repeats with period 1 in both directions, so that whatever is computed from it tiles without a
-//! seam. Only `+ − × ÷ √` and rounding are used: the same seed gives the same bits on every machine.
+//! All functions here have period 1 in both directions, so that textures computed from them tile without a seam. They
+//! use only `+ − × ÷ √` and rounding: the same seed gives the same bits on every machine.
 
-/// A seed from a name: FNV-1a, so that each texture has lattices of its own.
+/// A seed from a name: FNV-1a, so that each texture has its own lattices.
 pub fn seed_of(name: &str) -> u64 {
     name.bytes()
         .fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3))
@@ -37,7 +37,7 @@ impl Mixer {
 
 /// `x − ⌊x⌋`, in \[0, 1).
 pub fn wrap(x: f32) -> f32 {
-    // By way of an integer: without SSE 4.1, `floor` is a call into the C library.
+    // Via an integer: without SSE 4.1, `floor` is a call into the C library.
     let fraction = x - x as i32 as f32;
     let fraction = if fraction < 0.0 { fraction + 1.0 } else { fraction };
     if fraction < 1.0 { fraction } else { 0.0 }
@@ -83,7 +83,7 @@ fn cell(x: f32, cells: u32) -> (usize, usize, f32) {
 #[derive(Clone, Debug)]
 pub struct Perlin {
     cells: [u32; 2],
-    /// Where the lattice begins: were it at 0 for all, their lines would coincide there and show.
+    /// Origin of the lattice: with a common origin, the lattice lines of all octaves would coincide and show.
     origin: [f32; 2],
     gradients: Vec<[f32; 2]>,
 }
@@ -133,8 +133,8 @@ impl Perlin {
 }
 
 impl Perlin {
-    /// Adds `strength` times the noise at the middle of each texel of a square of `size × size`: the same as
-    /// [`Perlin::at`] there, several times faster, as along a row the lattice cell changes only now and then.
+    /// Adds `strength` times the noise at the centre of each texel of a square of `size × size`: the same as
+    /// [`Perlin::at`] there, but several times faster, since the lattice cell rarely changes along a row.
     fn add_to(&self, values: &mut [f32], size: u32, strength: f32) {
         let middle = |index: u32| (index as f32 + 0.5) / size as f32;
         let fade = |t: f32| t * t * t * (t * (t * 6.0 - 15.0) + 10.0);
@@ -169,7 +169,7 @@ impl Perlin {
     }
 }
 
-/// Noise at the middle of each texel of a square.
+/// Noise at the centre of each texel of a square.
 #[derive(Clone, Debug)]
 pub struct Field {
     size: u32,
@@ -191,8 +191,8 @@ pub struct Fbm {
 }
 
 impl Fbm {
-    /// `octaves` of them, the first with `cells` across, each `gain` times as strong as the one before. Octaves
-    /// too fine for a picture of `size` texels are left out, as they would only alias.
+    /// `octaves` of them, the first with `cells` across, each `gain` times as strong as the one before. Octaves too
+    /// fine for an image of `size` texels are left out, since they would only alias.
     pub fn new(seed: u64, cells: [u32; 2], octaves: u32, gain: f32, size: u32) -> Self {
         let mut strength = 1.0;
         let mut kept = Vec::new();
@@ -205,12 +205,12 @@ impl Fbm {
             }
             strength *= gain;
         }
-        // By the strength of all octaves, so that a coarser picture shows the same at the same contrast.
+        // By the strength of all octaves, so that a coarser image has the same contrast.
         kept.iter_mut().for_each(|(_, strength)| *strength /= total);
         Self { octaves: kept }
     }
 
-    /// The sum of such octaves at every texel of a square, for where it is needed just there.
+    /// The sum of such octaves at every texel of a square, for a single use.
     pub fn field(seed: u64, cells: [u32; 2], octaves: u32, gain: f32, size: u32) -> Field {
         let mut values = vec![0.0; size as usize * size as usize];
         for (noise, strength) in &Self::new(seed, cells, octaves, gain, size).octaves {
@@ -225,7 +225,7 @@ impl Fbm {
     }
 }
 
-/// What cellular noise says of a point; distances in cells.
+/// Cellular noise at a point; distances in cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cell {
     /// Distance to the nearest feature point.
@@ -247,15 +247,15 @@ impl Cell {
 #[derive(Clone, Debug)]
 pub struct Worley {
     cells: [u32; 2],
-    /// Where the lattice begins.
+    /// Origin of the lattice.
     origin: [f32; 2],
     /// Per cell: its feature point within the cell, and its random value.
     points: Vec<[f32; 3]>,
 }
 
 impl Worley {
-    /// A lattice of `cells` across the period (at least 3 each way, so that nobody is their own neighbour) with
-    /// one feature point each, displaced from the middle by up to `jitter` (0 to 0.35) cells.
+    /// A lattice of `cells` across the period (at least 3 each way, so that no cell is its own neighbour) with one
+    /// feature point each, displaced from the centre by up to `jitter` (0 to 0.35) cells.
     pub fn new(seed: u64, cells: [u32; 2], jitter: f32) -> Self {
         let cells = cells.map(|count| count.max(3));
         let jitter = jitter.clamp(0.0, 0.35);

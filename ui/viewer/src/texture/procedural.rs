@@ -89,7 +89,7 @@ mod tests {
         }
     }
 
-    /// The seam is no step: texels across it differ no more than neighbours elsewhere do.
+    /// Texels across the seam differ no more than neighbours elsewhere.
     #[test]
     fn every_texture_tiles_without_a_seam() {
         for name in catalogue() {

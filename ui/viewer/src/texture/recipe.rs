@@ -1,4 +1,4 @@
-//! How a procedural texture is put together from what is painted per texel.
+//! Assembles a procedural texture from a painter's values per texel.
 
 use super::image8::{Image8, byte};
 use super::noise::seed_of;
@@ -14,18 +14,18 @@ pub struct MapSet {
     pub normal: Image8,
     /// R roughness, G wetness, B metalness, A openness to ambient light (ambient occlusion); linear.
     pub surface: Image8,
-    /// Width of what the tile shows in life \[m\].
+    /// Physical width of the tile \[m\].
     pub tile: f32,
     /// Height that separates 0 and 255 in the normal map's A \[m\].
     pub relief: f32,
 }
 
-/// What a painter says of one point.
+/// A painter's values at one point.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Texel {
     /// sRGB.
     pub color: [f32; 3],
-    /// 0 is not there, 1 is solid.
+    /// Opacity, 0 to 1.
     pub alpha: f32,
     /// In \[0, 1\].
     pub height: f32,
@@ -34,7 +34,7 @@ pub(super) struct Texel {
     pub metalness: f32,
 }
 
-/// What a texture is painted for.
+/// The size and seed of a texture.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Canvas {
     /// Width and height \[texels\].
@@ -56,17 +56,17 @@ impl Canvas {
     }
 }
 
-/// Says what a texture is like at a point of the unit square.
+/// Computes a texture's values at a point of the unit square.
 pub(super) type Painter = Box<dyn Fn(f32, f32) -> Texel>;
 
-/// How a texture is made.
+/// The recipe of a texture.
 pub(super) struct Recipe {
     pub name: &'static str,
     /// Width of the tile \[m\].
     pub tile: f32,
     /// Height of the relief \[m\].
     pub relief: f32,
-    /// Smallest size at which its details are drawn; smaller pictures are averaged from it.
+    /// Smallest size at which its details are drawn; smaller ones are downsampled from it.
     pub drawn_min: u32,
     pub painter: fn(&Canvas) -> Painter,
 }
@@ -88,7 +88,7 @@ impl Recipe {
                 heights.push(texel.height.clamp(0.0, 1.0));
             }
         }
-        // What is nearly flat takes no light from itself, however its heights are spread over the range.
+        // Almost flat relief causes no occlusion, however its heights fill the range.
         let steepness = self.relief / self.tile;
         let open = relief::openness(&heights, size, (80.0 * steepness).min(2.5));
         surface.iter_mut().zip(open).for_each(|(texel, open)| texel[3] = byte(open));

@@ -1,4 +1,4 @@
-//! From heights to normals and to the light that hollows lack.
+//! Normals and ambient occlusion from heights.
 
 use super::image8::encode_normal;
 
@@ -23,8 +23,8 @@ pub fn normals(heights: &[f32], size: u32, steepness: f32) -> Vec<[u8; 3]> {
     normals
 }
 
-/// The mean of a square that tiles over windows of `2·radius + 1` texels, twice: close to a Gaussian, at a cost
-/// that does not depend on the radius.
+/// A tiling square after two box filters of `2·radius + 1` texels: close to a Gaussian, at a cost that does not depend
+/// on the radius.
 pub fn blurred(values: &[f32], size: u32, radius: u32) -> Vec<f32> {
     let (n, radius) = (size as usize, (radius as usize).min((size as usize - 1) / 2));
     let mut current = values.to_vec();
@@ -39,7 +39,7 @@ pub fn blurred(values: &[f32], size: u32, radius: u32) -> Vec<f32> {
                 sum += line[(x + radius + 1) % n] - line[(x + n - radius) % n];
             }
         }
-        // Down the columns, a whole row at a time, so that memory is walked in its order.
+        // Down the columns, one row at a time, so that memory is accessed in order.
         let mut sums = vec![0.0f32; n];
         for k in 0..=2 * radius {
             let line = &next[(n + k - radius) % n * n..][..n];
@@ -56,8 +56,8 @@ pub fn blurred(values: &[f32], size: u32, radius: u32) -> Vec<f32> {
     current
 }
 
-/// How open to ambient light each texel is, in \[0, 1\]: less where it lies below its surroundings (a "cavity
-/// map"). `strength` is the loss at a depth of 1.
+/// Openness to ambient light of each texel, in \[0, 1\]: lower where it lies below its surroundings (a "cavity map").
+/// `strength` is the loss at a depth of 1.
 pub fn openness(heights: &[f32], size: u32, strength: f32) -> Vec<f32> {
     let surroundings = blurred(heights, size, (size / 48).max(1));
     heights

@@ -1,4 +1,4 @@
-//! What is made: metals, plastics, rubber, foam; and a checker for tests.
+//! Technical materials: metals, plastics, rubber, foam; and a checker for tests.
 //!
 //! Plastic, rubber, board and the metals are neutral, so that the material's base colour tints them.
 
@@ -22,7 +22,7 @@ fn foam(canvas: &Canvas) -> Painter {
     Box::new(move |u, v| {
         let (du, dv) = (0.018 * warp[0].at(u, v), 0.018 * warp[1].at(u, v));
         let (large, small) = (coarse.at(u + du, v + dv), fine.at(u + du, v + dv));
-        // Pores are as large and as deep as chance has it; walls stay between them.
+        // Pores of random size and depth, with walls between them.
         let pore = |cell: super::noise::Cell, open: f32| {
             smoothstep(open, open + 0.25, cell.value) * smoothstep(0.06, 0.5, cell.border())
         };
@@ -74,7 +74,7 @@ fn steel(canvas: &Canvas) -> Painter {
     let scratches = [Perlin::new(canvas.seed(2), [3, 61]), Perlin::new(canvas.seed(3), [2, 53])];
     Box::new(move |u, v| {
         let smear = smear.at(u, v);
-        // Where a stretched noise passes through zero runs a hairline; shears by whole numbers keep the period.
+        // A hairline runs along the zero crossings of a stretched noise; shears by whole numbers keep the period.
         let hairline = |x: f32| 1.0 - smoothstep(0.0, 0.05, x.abs());
         let scratch = hairline(scratches[0].at(u + v, v + 2.0 * u)) * smoothstep(0.1, 0.4, smear)
             + hairline(scratches[1].at(u - v, v - u)) * smoothstep(0.1, 0.4, -smear);

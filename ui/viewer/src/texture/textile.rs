@@ -1,9 +1,9 @@
-//! What is woven, pressed or braided: gauze, drapes, sutures.
+//! Textiles: gauze, drapes, sutures.
 
 use super::noise::{Fbm, Field, Perlin, lerp, mix, smoothstep, wave, wrap};
 use super::recipe::{Canvas, Painter, Recipe, Texel};
 
-/// Open plain weave of cotton; nothing between the threads.
+/// Open plain weave of cotton; transparent between the threads.
 pub(super) const GAUZE: Recipe =
     Recipe { name: "gauze", tile: 0.03, relief: 0.0006, drawn_min: 256, painter: gauze };
 
@@ -12,7 +12,7 @@ fn gauze(canvas: &Canvas) -> Painter {
     Box::new(move |u, v| weave.at(u, v))
 }
 
-/// The gauze of the pattern cutting exercise: a circle of 50 mm drawn on 100 mm. Not to be tiled, though it can be.
+/// The gauze of the pattern cutting exercise: a circle of 50 mm drawn on 100 mm. Not meant to be tiled.
 pub(super) const INK_CIRCLE: Recipe =
     Recipe { name: "ink_circle", tile: 0.1, relief: 0.0006, drawn_min: 512, painter: ink_circle };
 
@@ -23,16 +23,16 @@ fn ink_circle(canvas: &Canvas) -> Painter {
     Box::new(move |u, v| {
         let gauze = weave.at(u, v);
         let (x, y) = (u - 0.5, v - 0.5);
-        // A line of 1.8 mm that the cotton has drawn out a little.
+        // A line of 1.8 mm, slightly spread by the cotton.
         let off = ((x * x + y * y).sqrt() - 0.25).abs() + 0.003 * bleed.at(u, v);
         let ink = 1.0 - smoothstep(0.009 - texel, 0.009 + texel + 0.002, off);
         Texel { color: mix(gauze.color, [0.16, 0.10, 0.42], ink * (0.62 + 0.38 * gauze.height)), ..gauze }
     })
 }
 
-/// Plain weave: threads over and under each other in turn.
+/// Plain weave: threads alternately over and under each other.
 struct Weave {
-    /// Threads across the tile: an even number, or over and under would not meet at the seam.
+    /// Threads across the tile: an even number, so that the pattern is continuous at the seam.
     threads: f32,
     drift: [Field; 2],
     fuzz: Field,
@@ -63,7 +63,7 @@ impl Weave {
             (v + slack * self.drift[1].at(u, v)) * self.threads,
         );
         let fuzz = self.fuzz.at(u, v);
-        // Distance from the axis of the thread along u (weft) and of the one along v (warp), in pitches.
+        // Distance from the axis of the weft thread (along u) and of the warp thread (along v), in pitches.
         let weft_off = wrap(y) - 0.5;
         let warp_off = wrap(x) - 0.5;
         let half = |noise: f32| 0.30 + 0.09 * noise + 0.05 * fuzz;
@@ -119,7 +119,7 @@ fn drape(canvas: &Canvas) -> Painter {
         let x = wrap(u * BONDS * 0.5 + if (row as i64) & 1 == 0 { 0.0 } else { 0.5 }) - 0.5;
         let y = wrap(v * BONDS) - 0.5;
         let bond = 1.0 - smoothstep(0.16, 0.32, x.abs() * 2.0 + y.abs());
-        // Folds are sharp along their crests.
+        // Creases have sharp crests.
         let crease = 1.0 - (creases.at(u, v) * 2.2).abs().min(1.0);
         let mut color =
             mix([0.055, 0.33, 0.36], [0.17, 0.52, 0.53], smoothstep(-0.7, 0.7, fibre + 0.5 * tone.at(u, v)));
@@ -144,7 +144,7 @@ fn suture(canvas: &Canvas) -> Painter {
     let fuzz = Fbm::field(canvas.seed(1), [24, 24], 3, 0.6, canvas.size);
     let strands = Fbm::field(canvas.seed(2), [16, 16], 2, 0.5, canvas.size);
     Box::new(move |u, v| {
-        // Carriers wind both ways around and pass over each other in turn, as in a maypole.
+        // Carriers wind in both directions and alternate over each other, as in a maypole braid.
         let (x, y) = (4.0 * (u + v), 4.0 * (v - u));
         let bulge = |off: f32| (1.0 - 3.6 * off * off).max(0.0);
         let (a, b) = (bulge(wrap(x) - 0.5), bulge(wrap(y) - 0.5));

@@ -39,7 +39,7 @@ fn liver(canvas: &Canvas) -> Painter {
     })
 }
 
-/// Yellow lobules in two sizes, parted by thin septa with fine vessels.
+/// Yellow lobules in two sizes, separated by thin septa with fine vessels.
 pub(super) const FAT: Recipe =
     Recipe { name: "fat", tile: 0.04, relief: 0.0019, drawn_min: 256, painter: fat };
 
@@ -64,7 +64,7 @@ fn fat(canvas: &Canvas) -> Painter {
     Box::new(move |u, v| {
         let (du, dv) = (0.055 * warp[0].at(u, v), 0.055 * warp[1].at(u, v));
         let (lobe, lobule) = (lobes.at(u + du, v + dv), lobules.at(u + 1.3 * du, v + 1.3 * dv));
-        // A dome over each cell, rounded off into the furrow at its border.
+        // A dome over each cell, rounded into the furrow at its border.
         let dome = |nearest: f32, border: f32| {
             (1.0 - 0.9 * nearest * nearest).max(0.0) * (0.45 + 0.55 * smoothstep(-0.1, 0.4, border))
         };
@@ -92,7 +92,7 @@ fn fat(canvas: &Canvas) -> Painter {
     })
 }
 
-/// Bundles of red fibres along u, parted by pale connective tissue.
+/// Bundles of red fibres along u, separated by pale connective tissue.
 pub(super) const MUSCLE: Recipe =
     Recipe { name: "muscle", tile: 0.035, relief: 0.0009, drawn_min: 256, painter: muscle };
 

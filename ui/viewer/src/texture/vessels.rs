@@ -1,17 +1,17 @@
-//! Blood vessels that tile: trees grown by space colonisation (Runions, Lane, Prusinkiewicz, "Modeling trees with a
-//! space colonization algorithm", 2007) on a torus, as thick as Murray's law (1926) says: the cube of a vessel's
-//! radius is the sum of the cubes of those that it feeds.
+//! Tileable blood vessels: trees grown by space colonisation (Runions, Lane, Prusinkiewicz, "Modeling trees with a
+//! space colonization algorithm", 2007) on a torus, with radii by Murray's law (1926): the cube of a vessel's radius is
+//! the sum of the cubes of its branches' radii.
 
 use super::noise::{Mixer, wrap, wrapped_difference};
 
-/// What a tree of vessels is grown from; lengths in widths of the tile.
+/// Parameters of a vessel tree; lengths in widths of the tile.
 #[derive(Clone, Copy, Debug)]
 pub struct Growth {
-    /// Where the tree comes up from below.
+    /// Position of the root.
     pub root: [f32; 2],
-    /// How far and whereto its trunk runs before anything pulls at it.
+    /// Direction and length of its trunk, before any attractor acts.
     pub trunk: [f32; 2],
-    /// Points that are to be supplied, spread over the tile.
+    /// Number of attractors, spread over the tile.
     pub attractors: u32,
     /// Length of one step.
     pub step: f32,
@@ -34,11 +34,11 @@ pub struct VesselTree {
     nodes: Vec<Node>,
 }
 
-/// Steps after which a tree is as large as it gets.
+/// Most growth steps.
 const STEPS_MAX: usize = 400;
-/// Distance at which a point begins to pull, in widths of the tile.
+/// Distance within which an attractor acts, in widths of the tile.
 const INFLUENCE: f32 = 0.11;
-/// Nodes at most.
+/// Most nodes.
 const NODES_MAX: usize = 20_000;
 
 fn apart(a: [f32; 2], b: [f32; 2]) -> [f32; 2] {
@@ -55,7 +55,7 @@ impl VesselTree {
         let mut mixer = Mixer::new(seed);
         let step = growth.step.clamp(0.002, 0.1);
         let reached = (2.0 * step) * (2.0 * step);
-        // Stratified, so that no region is left without supply.
+        // Stratified, so that every region is supplied.
         let side = (growth.attractors.clamp(1, 4096) as f32).sqrt().ceil() as u32;
         let mut nodes = trunk(&mut mixer, growth, step);
         let mut attractors: Vec<Attractor> = (0..side * side)
@@ -66,8 +66,8 @@ impl VesselTree {
             .collect();
         attractors.iter_mut().for_each(|attractor| attractor.look_for(&nodes, 0));
         for _ in 0..STEPS_MAX {
-            // Per node that something pulls at: the sum of the directions, in the order of the nodes.
-            // Far ones do not pull before the tree has come near; but if all are far, all do.
+            // For each node with attractors: the sum of their directions, in the order of the nodes. Far attractors do
+            // not act before the tree has come near; but if all are far, all act.
             let near = attractors.iter().map(|attractor| attractor.distance).fold(f32::MAX, f32::min);
             let reach = (INFLUENCE * INFLUENCE).max(near * 1.2);
             let mut pulls: Vec<(usize, [f32; 2])> = attractors
@@ -84,7 +84,7 @@ impl VesselTree {
             for group in pulls.chunk_by(|a, b| a.0 == b.0) {
                 let mut pull = [0.0f32; 2];
                 group.iter().for_each(|(_, d)| (0..2).for_each(|k| pull[k] += d[k]));
-                // A little wandering keeps vessels from being ruled lines and breaks ties of opposite pulls.
+                // A random deviation keeps vessels from being straight lines and breaks ties of opposite directions.
                 (0..2).for_each(|k| pull[k] += 0.7 * (mixer.unit() - 0.5));
                 let length = square(pull).sqrt().max(1e-6);
                 let parent = group[0].0;
@@ -114,9 +114,9 @@ impl VesselTree {
         }
     }
 
-    /// Draws the tree into a square of `size × size` texels: how deep each lies inside of a vessel, as the share
-    /// of the chord that a ray down through the vessel has (0 outside, 1 in the middle of one of the radius
-    /// `full`). Softened by one texel.
+    /// Draws the tree into a square of `size × size` texels: the depth of each texel inside a vessel, as the share of
+    /// the chord of a vertical ray through the vessel (0 outside, 1 in the middle of one of the radius `full`).
+    /// Softened by one texel.
     pub fn draw(&self, size: u32, full: f32) -> Vec<f32> {
         let mut picture = vec![0.0f32; size as usize * size as usize];
         for node in self.nodes.iter().skip(1) {
@@ -132,7 +132,7 @@ impl VesselTree {
         let length = square(along).max(1e-12);
         let start = parent.at.map(|x| x * scale);
         let end = [start[0] + along[0] * scale, start[1] + along[1] * scale];
-        // The root's end does not get thicker than its only child, nor a small branch as thick as its trunk.
+        // The root's end is not thicker than its only child, nor a small branch as thick as its trunk.
         let parent_radius = parent.radius.min(node.radius * 1.3);
         let margin = node.radius.max(parent_radius) * scale + 1.5;
         let low = [0, 1].map(|k| (start[k].min(end[k]) - margin).floor() as i64);
@@ -143,7 +143,7 @@ impl VesselTree {
                 let t = ((d[0] * along[0] + d[1] * along[1]) / length).clamp(0.0, 1.0);
                 let off = [d[0] - t * along[0], d[1] - t * along[1]];
                 let radius = parent_radius + (node.radius - parent_radius) * t;
-                // Thinner than a texel: as faint as it is thin.
+                // Thinner than a texel: opacity in proportion to the width.
                 let shown = radius.max(0.75 / scale);
                 let inside = 1.0 - square(off) / (shown * shown);
                 if inside > 0.0 {
@@ -158,16 +158,16 @@ impl VesselTree {
     }
 }
 
-/// A point to be supplied, and the node that is nearest to it so far.
+/// An attractor, and the nearest node so far.
 struct Attractor {
     at: [f32; 2],
     nearest: usize,
-    /// Squared.
+    /// Squared distance.
     distance: f32,
 }
 
 impl Attractor {
-    /// Sees whether a node from `first` on is nearer.
+    /// Checks whether a node from `first` on is nearer.
     fn look_for(&mut self, nodes: &[Node], first: usize) {
         for (index, node) in nodes.iter().enumerate().skip(first) {
             let distance = square(apart(self.at, node.at));
@@ -178,7 +178,7 @@ impl Attractor {
     }
 }
 
-/// A winding line of nodes from the root on: without it, all branches would leave from one point, like spokes.
+/// A winding line of nodes from the root on: without it, all branches would start at one point, like spokes.
 fn trunk(mixer: &mut Mixer, growth: &Growth, step: f32) -> Vec<Node> {
     let mut nodes = vec![Node { at: growth.root, parent: 0, radius: growth.tip_radius }];
     let length = square(growth.trunk).sqrt();

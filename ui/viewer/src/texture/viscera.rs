@@ -4,7 +4,7 @@ use super::noise::{Fbm, Worley, lerp, mix, smoothstep};
 use super::recipe::{Canvas, Painter, Recipe, Texel};
 use super::vessels::{Growth, VesselTree};
 
-/// Lays a vessel over a colour: a fine edge in the wall's own shade, then the vessel's.
+/// Blends a vessel over a colour: a fine edge in the wall's own shade, then the vessel's colour.
 fn with_vessel(color: [f32; 3], vessel: f32, shade: [f32; 3], strength: f32) -> [f32; 3] {
     mix(color, shade, strength * smoothstep(0.02, 0.85, vessel))
 }
@@ -83,10 +83,10 @@ fn stomach(canvas: &Canvas) -> Painter {
     let tone = Fbm::field(canvas.seed(6), [4, 4], 5, 0.55, size);
     Box::new(move |u, v| {
         let (du, dv) = (0.02 * warp[0].at(u, v), 0.02 * warp[1].at(u, v));
-        // Where gradient noise passes through zero it draws winding lines: these are the clefts between folds.
+        // The zero crossings of gradient noise are winding lines: the clefts between folds.
         let bent = v + 0.13 * course.at(u, v);
         let distance = ridges.at(u + du, bent + dv).abs();
-        // Folds are round: steep where they meet, level on top.
+        // Folds are round: steep at the clefts, flat on top.
         let off = (1.0 - 1.7 * distance).max(0.0);
         let crest = (1.0 - off * off).sqrt() * smoothstep(-0.03, 0.12, distance);
         let pit = pits.at(u + du, v + dv);

@@ -1,6 +1,6 @@
-//! Segments in no order, brought into chains: from one end or branching to the next, or around a loop.
+//! Sorts segments into chains: from one end or branching to the next, or around a loop.
 
-/// Vertices in a row.
+/// Consecutive vertices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Chain {
     first: u32,
@@ -21,9 +21,8 @@ pub struct ChainFinder {
 }
 
 impl ChainFinder {
-    /// Takes segments between `points` vertices. Those that refer to others, from a vertex to itself, or that occur
-    /// twice are left out. The order of the chains follows from the numbers of the vertices alone.
-    /// Returns whether they are others than the last time.
+    /// Takes segments between `points` vertices. Invalid, degenerate and repeated segments are left out. The order of
+    /// the chains follows from the numbers of the vertices alone. Returns whether the chains differ from the last ones.
     pub fn find(&mut self, segments: &[[u32; 2]], points: usize) -> bool {
         if self.segments == segments && self.points == points {
             return false;
@@ -41,7 +40,7 @@ impl ChainFinder {
             .collect();
         edges.sort_unstable();
         edges.dedup();
-        // Only vertices that are used: a few segments among millions of points cost little.
+        // Only used vertices, so that a few segments among millions of points cost little.
         let mut used: Vec<u32> = edges.iter().flatten().copied().collect();
         used.sort_unstable();
         used.dedup();
@@ -52,7 +51,7 @@ impl ChainFinder {
             around[local(*b)].push((index, local(*a)));
         }
         let mut taken = vec![false; edges.len()];
-        // First from all ends and branchings, then around the loops that are left.
+        // First from all ends and branchings, then around the remaining loops.
         for loops in [false, true] {
             for start in 0..used.len() {
                 if !loops && around[start].len() == 2 {

@@ -1,16 +1,16 @@
 //! A curve through points: the spline of Catmull and Rom ("A class of local interpolating splines", 1974) with
 //! centripetal parameters, which neither loops nor overshoots between near points (Yuksel, Schaefer, Keyser,
-//! "Parameterization and applications of Catmull–Rom curves", 2011), sampled more finely where it turns.
+//! "Parameterization and applications of Catmull–Rom curves", 2011), sampled more finely where it bends.
 
 use nalgebra::{Point3, Vector3};
 
-/// Samples between two points at most.
+/// Most samples between two points.
 const PIECES_MAX: usize = 48;
 
 /// A point on the curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Where it is \[m\].
+    /// Position \[m\].
     pub position: Point3<f64>,
     /// Unit vector along the curve.
     pub tangent: Vector3<f64>,
@@ -26,8 +26,8 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// Samples the curve through `points`, of which neighbours are apart, so that it turns by about `turn` \[rad\]
-    /// from one sample to the next. Fewer than two points make no curve.
+    /// Samples the curve through `points`, of which neighbours are distinct, so that it turns by about `turn` \[rad\]
+    /// from one sample to the next. Fewer than two points give no curve.
     pub fn trace(&mut self, points: &[Point3<f64>], closed: bool, turn: f64) {
         self.samples.clear();
         self.length = 0.0;
@@ -55,7 +55,7 @@ impl Curve {
     fn push(&mut self, (position, direction): (Point3<f64>, Vector3<f64>)) {
         let last = self.samples.last();
         let arc = last.map_or(0.0, |last| last.arc + (position - last.position).norm());
-        // A hairpin has no direction at its tip: it keeps the one before.
+        // A hairpin has no tangent at its tip: it keeps the previous one.
         let before = last.map_or_else(Vector3::x, |last| last.tangent);
         let tangent = direction.try_normalize(1e-12).unwrap_or(before);
         self.samples.push(Sample { position, tangent, arc });
@@ -66,13 +66,13 @@ impl Curve {
         &self.samples
     }
 
-    /// Length of the polygon of all samples, of a closed curve all the way around \[m\].
+    /// Length of the polygon of all samples, including the closing segment of a closed curve \[m\].
     pub fn length(&self) -> f64 {
         self.length
     }
 }
 
-/// The four points that a span depends on. Beyond an end the line goes straight on.
+/// The four points that a span depends on. Beyond an end the line is continued straight.
 fn around(points: &[Point3<f64>], closed: bool, span: usize) -> [Point3<f64>; 4] {
     let count = points.len();
     let (p1, p2) = (points[span], points[(span + 1) % count]);
@@ -95,7 +95,7 @@ impl Hermite {
     fn between([p0, p1, p2, p3]: &[Point3<f64>; 4]) -> Self {
         let knot = |a: &Point3<f64>, b: &Point3<f64>| (b - a).norm().sqrt();
         let own = knot(p1, p2);
-        // Points at the same place, which a loop of two makes, count as if they were as far apart as the span's.
+        // Coincident points, which a loop of two makes, count as if they were as far apart as the span's.
         let apart = |d: f64| if d > 1e-9 * own { d } else { own };
         let (before, after) = (apart(knot(p0, p1)), apart(knot(p2, p3)));
         let slope = |a: &Point3<f64>, b: &Point3<f64>, c: &Point3<f64>, ab: f64, bc: f64| {
@@ -104,8 +104,7 @@ impl Hermite {
         Self { ends: [*p1, *p2], slopes: [slope(p0, p1, p2, before, own), slope(p1, p2, p3, own, after)] }
     }
 
-    /// Into how many pieces the span is cut: by the angles of its ends to its chord, and more where the turn is
-    /// not spread evenly.
+    /// Number of pieces for the span: by the angles of its ends to its chord, and more where the curvature is uneven.
     fn pieces(&self, turn: f64) -> usize {
         let chord = self.ends[1] - self.ends[0];
         let angle = self.slopes[0].angle(&chord) + self.slopes[1].angle(&chord);
@@ -131,7 +130,7 @@ impl Hermite {
             + n * (t3 - t2);
         let direction =
             (a - b) * (6.0 * (t2 - t)) + m * (3.0 * t2 - 4.0 * t + 1.0) + n * (3.0 * t2 - 2.0 * t);
-        // By the chord, so that the test for no direction does not depend on the scale.
+        // Relative to the chord, so that the test for a zero tangent does not depend on the scale.
         (Point3::from(position), direction / (b - a).norm().max(1e-300))
     }
 }

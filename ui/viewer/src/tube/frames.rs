@@ -1,14 +1,14 @@
-//! Frames along a curve that turn no more than they must (Bishop, "There is more than one way to frame a curve",
-//! 1975), by two reflections from one sample to the next (Wang, Jüttler, Zheng, Liu, "Computation of rotation
-//! minimizing frames", 2008).
+//! Rotation-minimising frames along a curve (Bishop, "There is more than one way to frame a curve", 1975), by two
+//! reflections from one sample to the next (Wang, Jüttler, Zheng, Liu, "Computation of rotation minimizing frames",
+//! 2008).
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
 
 use super::Sample;
 
-/// Writes one axis per sample: a unit vector across the curve. The first is as near to `hint` as it can be. Around
-/// a closed curve such a frame comes back turned (its holonomy); that angle is spread evenly over the curve, so
-/// that it has no seam.
+/// Writes one axis per sample: a unit vector normal to the curve. The first is as near to `hint` as possible. Around a
+/// closed curve such a frame returns rotated (its holonomy); that angle is spread evenly over the curve, so that there
+/// is no seam.
 pub fn transport(samples: &[Sample], closed: bool, hint: Option<Vector3<f64>>, axes: &mut Vec<Vector3<f64>>) {
     axes.clear();
     let (Some(first), Some(last)) = (samples.first(), samples.last()) else { return };
@@ -33,7 +33,7 @@ pub fn transport(samples: &[Sample], closed: bool, hint: Option<Vector3<f64>>, a
     }
 }
 
-/// An axis carried from one sample to the next.
+/// An axis transported from one sample to the next.
 fn carried(axis: Vector3<f64>, from: &Sample, to: &Sample) -> Vector3<f64> {
     let reflected = |v: Vector3<f64>, across: &Vector3<f64>| {
         let square = across.norm_squared();
@@ -42,11 +42,11 @@ fn carried(axis: Vector3<f64>, from: &Sample, to: &Sample) -> Vector3<f64> {
     let step = (to.position - from.position).try_normalize(0.0).unwrap_or(from.tangent);
     let (axis_left, tangent_left) = (reflected(axis, &step), reflected(from.tangent, &step));
     let carried = reflected(axis_left, &(to.tangent - tangent_left));
-    // Exactly across again, whatever rounding did.
+    // Made exactly normal again after rounding.
     across(carried, to.tangent).unwrap_or_else(|| any_across(to.tangent))
 }
 
-/// The part of a vector across a tangent, as a unit vector.
+/// The component of a vector normal to a tangent, as a unit vector.
 fn across(v: Vector3<f64>, tangent: Vector3<f64>) -> Option<Vector3<f64>> {
     (v - tangent * tangent.dot(&v)).try_normalize(1e-6)
 }
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn a_frame_turns_with_the_curve_and_not_about_it() {
-        // In a plane the axis across the plane stays as it is, and the angle to the plane is kept throughout.
+        // For a planar curve the binormal axis is constant, and an axis keeps its angle to the plane.
         let wave = |t: f64| [4.0 * t, (12.0 * t).sin(), 0.0];
         let (_, axes) = along(60, false, wave);
         for pair in axes.windows(2) {
@@ -125,7 +125,7 @@ mod tests {
         let steps: Vec<f64> = (0..axes.len()).map(|k| twist(k, (k + 1) % axes.len())).collect();
         let largest = steps.iter().fold(0.0f64, |m, x| m.max(x.abs()));
         assert!(largest < 0.05, "{largest}");
-        // Evenly spread: as much at the seam as its share of the length.
+        // Evenly spread: the step at the seam is in proportion to its length.
         let per_length = steps[0] / (samples[1].arc - samples[0].arc);
         let gap = curve.length() - samples[samples.len() - 1].arc;
         assert!((steps[steps.len() - 1] - per_length * gap).abs() < 1e-6);

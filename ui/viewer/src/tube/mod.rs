@@ -1,5 +1,5 @@
-//! Threads and bands as smooth tubes: the segments of a `LineMesh` in the order of their chains ([`ChainFinder`]),
-//! a curve through their points ([`Curve`]), frames along it that do not twist ([`frames`]), and rings around it.
+//! Threads and bands as smooth tubes: the segments of a `LineMesh` sorted into chains ([`ChainFinder`]), a curve
+//! through their points ([`Curve`]), frames along it that do not twist ([`frames`]), and rings around it.
 
 mod chains;
 mod curve;
@@ -11,23 +11,23 @@ use nalgebra::{Point3, Vector3};
 pub use chains::{Chain, ChainFinder};
 pub use curve::{Curve, Sample};
 
-/// How the ends of a tube look.
+/// The ends of a tube.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cap {
-    /// A half ball. Ends where chains meet are always round, so that a branching has no gap.
+    /// A hemisphere. Ends where chains meet are always round, so that a branching has no gap.
     Round,
     /// A disc.
     Flat,
 }
 
-/// How finely a tube is drawn, and its ends.
+/// Resolution of a tube, and its ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TubeStyle {
     /// Corners of a ring, 3 to 64.
     pub around: u32,
-    /// Angle by which the curve turns from one ring to the next, at most \[rad\], 0.02 to 1.
+    /// Largest angle by which the curve turns from one ring to the next \[rad\], 0.02 to 1.
     pub turn: f64,
-    /// How loose ends look.
+    /// Shape of free ends.
     pub cap: Cap,
 }
 
@@ -37,7 +37,7 @@ impl Default for TubeStyle {
     }
 }
 
-/// Vertices that a tube has at most: what is beyond is left out.
+/// Most vertices of a tube: further ones are left out.
 pub const VERTICES_MAX: usize = 2_000_000;
 
 /// The tubes of one `LineMesh`. Buffers are kept from one update to the next.
@@ -50,9 +50,9 @@ pub struct Tube {
     chains: ChainFinder,
     curve: Curve,
     axes: Vec<Vector3<f64>>,
-    /// First axis of each chain in the last update: from one picture to the next a thread must not spin.
+    /// First axis of each chain in the last update, so that a thread does not spin from one picture to the next.
     first_axes: Vec<Option<Vector3<f64>>>,
-    /// Cosine and sine of each corner of a ring; the last is the first again.
+    /// Cosine and sine of each corner of a ring; the last repeats the first.
     circle: Vec<[f64; 2]>,
     points: Vec<Point3<f64>>,
     positions: Vec<[f32; 3]>,
@@ -69,10 +69,9 @@ impl Tube {
         Self { style, ..Self::default() }
     }
 
-    /// Follows the segments and points of a `LineMesh`. Segments that refer to points that do not exist, or from
-    /// a point to itself, are left out, as are points at the same place as the one before. With a radius that is
-    /// not above 0 nothing is left. Once the buffers are large enough, nothing is allocated unless the segments
-    /// change.
+    /// Follows the segments and points of a `LineMesh`. Segments with invalid points, or from a point to itself, are
+    /// left out, as are points that coincide with the previous one. A radius that is not above 0 gives an empty tube.
+    /// Once the buffers are large enough, nothing is allocated unless the segments change.
     pub fn update(&mut self, segments: &[[u32; 2]], points: &[Point3<f64>], radius: f64) {
         self.positions.clear();
         self.normals.clear();

@@ -1,10 +1,10 @@
-//! Rings around the samples of a curve, joined to a skin, and its caps.
+//! The surface of a tube: rings around the samples of a curve, and caps.
 
 use nalgebra::{Point3, Vector3};
 
 use super::{Cap, Tube, VERTICES_MAX};
 
-/// Where a ring of vertices lies.
+/// A ring of vertices.
 struct Ring {
     center: Point3<f64>,
     tangent: Vector3<f64>,
@@ -27,7 +27,7 @@ impl Tube {
         }
     }
 
-    /// Puts a skin around the curve.
+    /// Builds the surface around the curve.
     pub(super) fn skin(&mut self, radius: f64, closed: bool, caps: [Cap; 2]) {
         let samples = self.curve.samples().len();
         let bands = (self.style.around as usize / 4).max(2);
@@ -105,7 +105,7 @@ impl Tube {
         }
     }
 
-    /// Joins the last two rings; of one that is a pole all corners are the same point.
+    /// Joins the last two rings; at a pole all corners are the same point.
     fn join(&mut self, from_pole: bool, to_pole: bool) {
         let corners = self.circle.len() as u32;
         let to = self.positions.len() as u32 - corners;

@@ -19,8 +19,8 @@ fn ring(count: u32) -> (Vec<[u32; 2]>, Vec<Point3<f64>>) {
     ((0..count).map(|k| [k, (k + 1) % count]).collect(), points.collect())
 }
 
-/// V − E + F after vertices at the same place are merged; also checks that each edge has two triangles, run through
-/// in opposite directions.
+/// V − E + F after vertices at the same place are merged; also checks that each edge has two triangles with opposite
+/// orientation.
 fn euler_characteristic(tube: &Tube) -> i64 {
     let mut names: BTreeMap<[i64; 3], usize> = BTreeMap::new();
     let merged: Vec<usize> = tube
@@ -146,7 +146,7 @@ fn updates_reuse_their_buffers() {
         (tube.positions.as_ptr(), tube.normals.as_ptr(), tube.uvs.as_ptr(), tube.indices.as_ptr())
     };
     let before = buffers(&tube);
-    // A helix that is drawn out is straighter: it needs no more rings.
+    // A stretched helix is straighter: it needs no more rings.
     for _ in 0..10 {
         points.iter_mut().for_each(|p| p.z *= 1.1);
         tube.update(&segments, &points, RADIUS);

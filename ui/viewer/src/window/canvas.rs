@@ -1,4 +1,4 @@
-//! The scene between the panels.
+//! The canvas: the scene between the panels.
 
 use egui::{Color32, Pos2, Rect, Stroke, Ui, Vec2};
 
@@ -8,19 +8,19 @@ use crate::error::ViewError;
 use crate::gpu::Gpu;
 use crate::pacing::Pace;
 
-/// Colour of what is selected.
+/// Colour of the selection.
 const SELECTED: Color32 = Color32::from_rgb(255, 200, 60);
 
-/// The textures in which a window shows its sights.
+/// The textures of a window's sights.
 #[derive(Default)]
 pub(super) struct Canvas {
     textures: Vec<Option<(egui::TextureId, wgpu::Texture)>>,
-    /// Where each sight was shown last \[pixels\].
+    /// Where each sight was last shown \[pixels\].
     cells: Vec<Rect>,
 }
 
 impl Canvas {
-    /// The sight at a place of the window \[pixels\], with that place in its picture (0 to 1 from left and top).
+    /// The sight at a position of the window \[pixels\], with that position in its picture (0 to 1 from left and top).
     pub(super) fn at(&self, place: Pos2) -> Option<(usize, [f64; 2])> {
         let index = self.cells.iter().position(|cell| cell.contains(place))?;
         let cell = self.cells[index];
@@ -53,7 +53,7 @@ impl Canvas {
         for (index, sight) in sights.iter_mut().enumerate() {
             let left = whole.left() + width * index as f32;
             let cell = Rect::from_min_size(Pos2::new(left, whole.top()), Vec2::new(width, whole.height()));
-            // On whole pixels: rows of a woven picture belong to one eye each.
+            // Aligned to whole pixels: rows of an interleaved picture belong to one eye each.
             let edge = |at: f32| (at * scale).round() / scale;
             let cell = Rect::from_min_max(
                 Pos2::new(edge(cell.left()), edge(cell.top())),
@@ -82,7 +82,7 @@ impl Canvas {
     }
 }
 
-/// A box around what is selected, with its name.
+/// A box around the selected entity, with its name.
 fn outline(ui: &Ui, cell: Rect, sight: &Sight) {
     let Some(entity) = sight.selected.filter(|_| sight.eyes == Eyes::One) else { return };
     let view = sight.view(f64::from(cell.width() / cell.height()));

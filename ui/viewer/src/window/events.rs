@@ -1,7 +1,7 @@
-//! The event loop: opens windows, passes on what happens to them, and serves whoever has the instruments in hand.
+//! The event loop: opens windows, forwards their events, and serves the player's input.
 //!
-//! It runs on the thread that the system wants (the first one), draws nothing and waits for no window, so that a hand
-//! is followed at its own rate however long a frame takes.
+//! It runs on the first thread, as the system requires, draws nothing and waits for no window, so that hand input has
+//! its own rate however long a frame takes.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,58 +25,58 @@ use crate::layout::Stereo;
 use crate::overlay::Overlays;
 use crate::quality::Quality;
 
-/// How often what a person does is written into the session.
+/// Interval at which a player's input is written into the session.
 const HAND_PERIOD: Duration = Duration::from_millis(8);
-/// Most windows at a time.
+/// Most open windows.
 const WINDOWS_MAX: usize = 16;
 
-/// What the event loop is told by its windows, and by whoever has opened them.
+/// Messages to the event loop from windows, and from the program that opened them.
 pub enum Told {
-    /// One more window shall be opened, which begins like another one.
+    /// Opens another window with these settings.
     Open(Vec<Box<dyn Subject>>, Choice),
-    /// The actor of a window has ended, and why, if it was not asked to.
+    /// A window's actor has ended, with the reason if it was not asked to.
     Closed(WindowId, Option<String>),
-    /// A person takes the instruments in hand, in this window.
+    /// The player takes control of the instruments in this window.
     TakeHands(WindowId),
-    /// Something shall go wrong with every window's viewer.
+    /// Injects a fault into every window's viewer.
     Trouble(Trouble),
-    /// All windows shall be closed.
+    /// Closes all windows.
     Quit,
 }
 
-/// What windows begin with.
+/// Initial options of windows.
 pub struct Options {
-    /// What is shown: one subject, or several beside each other.
+    /// The subjects: one, or several beside each other.
     pub subjects: Vec<Box<dyn Subject>>,
-    /// Whom to tell what a person does with the instruments.
+    /// The receiver of a player's input.
     pub player: Option<Box<dyn Player>>,
-    /// Whether a person has them in hand from the start.
+    /// Whether the player controls the instruments from the start.
     pub hands: bool,
-    /// With how much care is drawn; none: as the machine can.
+    /// Quality; `None`: chosen by the pacer.
     pub quality: Option<Quality>,
-    /// For how many eyes.
+    /// Stereo layout.
     pub eyes: Eyes,
-    /// How far they are apart.
+    /// Distance and convergence of the eyes.
     pub stereo: Stereo,
-    /// What is shown over the scene.
+    /// The overlays.
     pub overlays: Overlays,
-    /// Through which cameras, by name, each in a tile of its own; none: the first one.
+    /// Cameras by name, each in its own tile; empty: the first one.
     pub cameras: Vec<String>,
-    /// Width and height of the window, in units that are as large on every screen.
+    /// Width and height of the window, in logical points.
     pub size: [f64; 2],
 }
 
-/// The windows of a program. There can be one of these only, on the program's first thread.
+/// The windows of a program. Only one instance can exist, on the program's first thread.
 pub struct Windows {
     event_loop: EventLoop<Told>,
     soundness: Arc<Soundness>,
 }
 
 impl Windows {
-    /// Asks for the display.
+    /// Connects to the display.
     ///
     /// # Errors
-    /// When there is none that could be used, in words.
+    /// When no display is usable, in words.
     pub fn connect() -> Result<Self, String> {
         super::display::survive_its_loss();
         let event_loop = EventLoop::with_user_event().build().map_err(|error| match error {
@@ -86,12 +86,12 @@ impl Windows {
         Ok(Self { event_loop, soundness: Arc::default() })
     }
 
-    /// Tells the event loop something from elsewhere.
+    /// A sender of messages to the event loop.
     pub fn proxy(&self) -> EventLoopProxy<Told> {
         self.event_loop.create_proxy()
     }
 
-    /// Whether every window shows what it should.
+    /// Health of the windows.
     pub fn soundness(&self) -> Arc<Soundness> {
         self.soundness.clone()
     }
@@ -99,7 +99,7 @@ impl Windows {
     /// Shows subjects until the last window is closed.
     ///
     /// # Errors
-    /// Why nothing can be shown, in words: no adapter, or a display that broke.
+    /// Why nothing can be shown, in words: no adapter, or a lost display.
     pub fn show(self, options: Options) -> Result<(), String> {
         let proxy = self.event_loop.create_proxy();
         let look = match <[String; 1]>::try_from(options.cameras) {
@@ -149,7 +149,7 @@ struct House {
     player_help: Vec<(String, String)>,
     wants_hands: bool,
     windows: Vec<Address>,
-    /// The window in which a person has the instruments in hand.
+    /// The window in which the player controls the instruments.
     hands: Option<WindowId>,
     modifiers: Modifiers,
     focused: bool,
@@ -197,7 +197,7 @@ impl House {
     fn take_hands(&mut self, id: WindowId) {
         let (Some(address), true) = (self.find(id), self.player.is_some()) else { return };
         let window = &address.window;
-        // Some systems can hold the pointer, others can only keep it inside; where neither works, it is followed.
+        // Some systems can lock the pointer, others can only confine it; where neither works, its motion is followed.
         let grabbed = window
             .set_cursor_grab(CursorGrabMode::Locked)
             .or_else(|_| window.set_cursor_grab(CursorGrabMode::Confined));
@@ -216,14 +216,14 @@ impl House {
         }
         let Some(id) = self.hands.take() else { return };
         if let Some(address) = self.find(id) {
-            // What cannot be undone now is undone when the window goes.
+            // A grab that cannot be released now is released when the window closes.
             let _ = address.window.set_cursor_grab(CursorGrabMode::None);
             address.window.set_cursor_visible(true);
             address.send(Mail::Hands(false));
         }
     }
 
-    /// Whether an event was the hands' business, and no one else's.
+    /// Whether an event belongs to the player's input alone.
     fn hand_event(&mut self, event: &WindowEvent) -> bool {
         let Some(player) = &mut self.player else { return false };
         match event {
@@ -240,7 +240,7 @@ impl House {
                 if !event.repeat {
                     player.press(&format!("{code:?}"), down);
                 }
-                // A key that went down before the hands were taken may come up after.
+                // A key pressed before the player took control may be released after.
                 down
             }
             WindowEvent::MouseInput { state, button, .. } => {
@@ -263,7 +263,7 @@ impl House {
                 true
             }
             WindowEvent::CursorMoved { .. } => true,
-            // A new window is told that it has no focus before it gets it.
+            // A new window reports a loss of focus before it gets the focus.
             WindowEvent::Focused(false) if self.focused => {
                 self.give_back_hands();
                 false
@@ -276,7 +276,7 @@ impl House {
         }
     }
 
-    /// What a person does goes into the session, at its own rate.
+    /// Writes the player's input into the session, at its own rate.
     fn serve_hands(&mut self) {
         let now = Instant::now();
         if now.duration_since(self.last) < HAND_PERIOD {

@@ -1,62 +1,62 @@
-//! What keys do in a window. Where MuJoCo's `simulate` has a key for the same thing, it is that one.
+//! Key bindings of a window. They follow MuJoCo's `simulate` where it has the same function.
 
 use winit::event::Modifiers;
 use winit::keyboard::{KeyCode, ModifiersState};
 
 use crate::overlay::Overlay;
 
-/// What a key does.
+/// The action of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
-    /// The list of keys.
+    /// Show the list of keys.
     Help,
-    /// The panel at the left.
+    /// Toggle the left panel.
     LeftPanel,
-    /// The panel at the right.
+    /// Toggle the right panel.
     RightPanel,
-    /// The table of actors.
+    /// Toggle the table of actors.
     Actors,
-    /// All of the screen.
+    /// Toggle full screen.
     FullScreen,
-    /// How two eyes share the picture.
+    /// Next stereo layout.
     Layout,
-    /// With how much care is drawn.
+    /// Next quality.
     Quality,
-    /// The instruments are taken in hand, or given back.
+    /// Take or release control of the instruments.
     Hands,
-    /// Time stands still, or goes on.
+    /// Pause or resume.
     Pause,
-    /// A step.
+    /// Single step.
     Step,
-    /// A step back.
+    /// Single step back.
     StepBack,
     /// Faster.
     Faster,
     /// Slower.
     Slower,
-    /// From the beginning.
+    /// Reset.
     Reset,
-    /// A recording begins anew at its end.
+    /// Toggle looping of a recording.
     Loop,
-    /// The camera before.
+    /// Previous camera.
     CameraBefore,
-    /// The next camera.
+    /// Next camera.
     CameraNext,
-    /// A camera that goes where the mouse leads it.
+    /// The mouse's own camera.
     FreeCamera,
-    /// A picture of what is seen.
+    /// Save a picture.
     Screenshot,
-    /// One more window.
+    /// Open another window.
     NewWindow,
-    /// This window is closed.
+    /// Close this window.
     Close,
-    /// All of them are.
+    /// Close all windows.
     Quit,
-    /// Something is shown over the scene, or no longer.
+    /// Toggle an overlay.
     Show(Overlay),
 }
 
-/// A key with what must be held down beside it.
+/// A key with its modifiers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Chord {
     /// The key.
@@ -74,7 +74,7 @@ const fn control(code: KeyCode) -> Chord {
     Chord { code, control: true, shift: false }
 }
 
-/// Every key, in the order in which people are told about them.
+/// All key bindings, in the order of the help.
 pub const KEYS: &[(Chord, Action, &str)] = &[
     (key(KeyCode::F1), Action::Help, "this list"),
     (key(KeyCode::Tab), Action::LeftPanel, "the panel at the left"),
@@ -116,7 +116,7 @@ pub const KEYS: &[(Chord, Action, &str)] = &[
     (control(KeyCode::KeyQ), Action::Quit, "end"),
 ];
 
-/// What mouse and wheel do, for people.
+/// Mouse and wheel bindings, for the help.
 pub const MOUSE: &[(&str, &str)] = &[
     ("left drag", "turn the camera about what it looks at"),
     ("right drag", "move the camera along the picture"),
@@ -124,7 +124,7 @@ pub const MOUSE: &[(&str, &str)] = &[
     ("double click", "select what is there"),
 ];
 
-/// What this key does.
+/// The action of this key.
 pub fn action(code: KeyCode, modifiers: &Modifiers) -> Option<Action> {
     let state = modifiers.state();
     let chord = Chord {
@@ -138,7 +138,7 @@ pub fn action(code: KeyCode, modifiers: &Modifiers) -> Option<Action> {
     KEYS.iter().find(|(known, ..)| *known == chord).map(|(_, action, _)| *action)
 }
 
-/// Whether a key is the window's even while a person has the instruments in hand.
+/// Whether the window keeps a key even while the player controls the instruments.
 pub fn is_reserved(code: KeyCode, modifiers: &Modifiers) -> bool {
     let function = matches!(
         code,

@@ -1,4 +1,4 @@
-//! The life of a window's actor: a thread of its own, events that wait for it, and another try when it fails.
+//! The lifecycle of a window's actor: its thread, its mailbox, and restarts after failures.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -23,52 +23,52 @@ use super::surface::Painter;
 use super::view_state::{Choice, Sight};
 use crate::error::ViewError;
 
-/// Events that may wait for a window that is drawing.
+/// Mailbox capacity of a window that is drawing.
 const MAIL_MAX: usize = 1024;
-/// Failures within [`FAILURES_WITHIN`] after which a window is given up.
+/// A window is given up after so many failures within [`FAILURES_WITHIN`].
 const FAILURES_MAX: usize = 3;
 const FAILURES_WITHIN: Duration = Duration::from_secs(20);
 
-/// What a window is told by the event loop.
+/// A message from the event loop to a window.
 pub(super) enum Mail {
-    /// Something happened to it.
+    /// A window event.
     Event(WindowEvent),
-    /// A person has taken the instruments in hand, or given them back.
+    /// The player has taken control of the instruments, or released it.
     Hands(bool),
-    /// Something shall go wrong with it.
+    /// An injected fault.
     Trouble(Trouble),
-    /// It shall be closed.
+    /// Close the window.
     Close,
 }
 
-/// What can be made to go wrong with a viewer, to see whether it comes back.
+/// Faults that can be injected into a viewer, to test its recovery.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trouble {
     /// It panics.
     Panic,
-    /// The device that it draws with is lost.
+    /// Its device is lost.
     DeviceLost,
 }
 
-/// How the event loop reaches a window.
+/// The event loop's handle to a window.
 pub(super) struct Address {
     mail: SyncSender<Mail>,
     overflowed: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
-    /// From where it shows the scene.
+    /// The point of view from which it shows the scene.
     pub(super) view: Arc<ArcSwapOption<PersonView>>,
     pub(super) window: Arc<Window>,
 }
 
 impl Address {
-    /// Never waits: what finds no room is lost, and the window knows that something was.
+    /// Never blocks: a message to a full mailbox is dropped, and the window is told so.
     pub(super) fn send(&self, mail: Mail) {
         if let Err(TrySendError::Full(_)) = self.mail.try_send(mail) {
             self.overflowed.store(true, Ordering::Relaxed);
         }
     }
 
-    /// Closes it; its thread is waited for, so that nothing draws on a window that is gone.
+    /// Closes the window and joins its thread, so that nothing draws on a closed window.
     pub(super) fn close(mut self) {
         let _ = self.mail.send(Mail::Close);
         if let Some(thread) = self.thread.take() {
@@ -77,11 +77,11 @@ impl Address {
     }
 }
 
-/// What a window begins with.
+/// Initial settings of a window.
 pub(super) struct Opening {
     pub(super) subjects: Vec<Box<dyn Subject>>,
     pub(super) choice: Choice,
-    /// Whether there is somebody to tell what a person does with the instruments.
+    /// Whether there is a receiver of the player's input.
     pub(super) hands: bool,
     pub(super) player_help: Vec<(String, String)>,
     pub(super) soundness: Arc<Soundness>,
@@ -90,7 +90,7 @@ pub(super) struct Opening {
 /// Starts the actor of a window.
 ///
 /// # Errors
-/// When the system starts no thread.
+/// When the system cannot start a thread.
 pub(super) fn start(
     window: Arc<Window>,
     opening: Opening,
@@ -107,13 +107,13 @@ pub(super) fn start(
             Ok(end) => end.err().map(|error| error.to_string()),
             Err(panic) => Some(said(&*panic)),
         };
-        // The event loop may have ended already; then nobody needs to know.
+        // If the event loop has ended already, the message is not needed.
         let _ = told.send_event(Told::Closed(id, end));
     })?;
     Ok(Address { mail, overflowed, thread: Some(thread), view, window })
 }
 
-/// What a window keeps through all lives of its actor.
+/// State that a window keeps across restarts of its actor.
 pub(super) struct Life {
     pub(super) window: Arc<Window>,
     pub(super) inbox: Receiver<Mail>,
@@ -154,7 +154,7 @@ impl Life {
             }
             tracing::warn!("the viewer is started again: {why}");
             kept.panels.note(format!("the viewer was started again: {why}"), true);
-            // The old surface must be gone before its window gets a new one.
+            // The old surface must be dropped before its window gets a new one.
             drop(painter);
             (gpu, painter) = Painter::new(&self.window)?;
             kept.sights.iter_mut().for_each(|sight| sight.rebuild(&gpu));
@@ -162,13 +162,13 @@ impl Life {
     }
 }
 
-/// What a panic said.
+/// The message of a panic.
 fn said(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
     format!("it panicked: {}", text.unwrap_or("without a word"))
 }
 
-/// The id of a window, for whom it concerns.
+/// The id of a window.
 pub(super) fn id(address: &Address) -> WindowId {
     address.window.id()
 }

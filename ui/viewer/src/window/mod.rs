@@ -1,4 +1,4 @@
-//! Windows onto a scene.
+//! Windows that show sessions and recordings.
 //!
 //! ```text
 //!                    ┌─ events ─▶ screen (a thread per window) ─▶ sights ─▶ Renderer ─▶ canvas ┐
@@ -7,8 +7,8 @@
 //!                    └─ hands ─▶ Player ─▶ the session, at 125 Hz, however long a frame takes
 //! ```
 //!
-//! A window shows one or several [`Subject`]s: running sessions, recordings. It reads their snapshots, shows what they
-//! say of themselves, and asks them for what a person wants; it never waits for them, nor they for it.
+//! A window shows one or several [`Subject`]s: running sessions, recordings. It reads their snapshots and state, and
+//! sends them the user's requests; neither ever blocks the other.
 
 mod canvas;
 pub mod display;

@@ -1,41 +1,41 @@
-//! A mouse that leads the camera. It is followed event by event, not frame by frame: what is drawn slowly is not led
-//! slowly.
+//! Mouse gestures for the camera. They are followed event by event, not frame by frame, so that slow frames do not slow
+//! the camera.
 
 use std::time::{Duration, Instant};
 
 use egui::{Pos2, Vec2};
 use winit::event::{ElementState, MouseButton, MouseScrollDelta, WindowEvent};
 
-/// Two clicks within this time and distance are a double one.
+/// Largest time and distance between the clicks of a double click.
 const DOUBLE: Duration = Duration::from_millis(400);
 const DOUBLE_PIXELS: f32 = 6.0;
-/// What touch pads call a notch \[pixels\].
+/// Scrolled pixels of a touch pad that count as one notch.
 const PIXELS_PER_NOTCH: f64 = 50.0;
 
-/// What a person means.
+/// A gesture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Gesture {
     /// Turn the camera; pixels to the right and down.
     Turn(usize, Vec2),
-    /// Move it along the picture.
+    /// Move it parallel to the picture.
     Shift(usize, Vec2),
-    /// Closer, by notches.
+    /// Zoom in, by notches.
     Zoom(usize, f64),
-    /// Select what is there.
+    /// Select the entity at that place.
     Select(usize, Pos2),
 }
 
-/// Where the mouse is and what it drags.
+/// State of the mouse: position and drag.
 #[derive(Debug, Default)]
 pub(super) struct Mouse {
     place: Pos2,
-    /// The sight in which a button went down, and which one.
+    /// The sight in which a button went down, and that button.
     drags: Option<(usize, MouseButton)>,
     clicked: Option<(Instant, Pos2)>,
 }
 
 impl Mouse {
-    /// What an event means; `over` says which sight is at a place, and nothing where a panel is.
+    /// The gesture of an event; `over` returns the sight at a position, and `None` over a panel.
     pub(super) fn follow(
         &mut self,
         event: &WindowEvent,
@@ -109,13 +109,13 @@ mod tests {
         assert_eq!(follow(moved(150.0, 50.0)), None);
         follow(button(MouseButton::Left, ElementState::Pressed));
         assert_eq!(follow(moved(160.0, 45.0)), Some(Gesture::Turn(0, Vec2::new(10.0, -5.0))));
-        // Over a panel it still leads: it began in the scene.
+        // Over a panel the drag continues: it began in the scene.
         assert_eq!(follow(moved(60.0, 45.0)), Some(Gesture::Turn(0, Vec2::new(-100.0, 0.0))));
         follow(button(MouseButton::Right, ElementState::Released));
         assert!(follow(moved(61.0, 45.0)).is_some());
         follow(button(MouseButton::Left, ElementState::Released));
         assert_eq!(follow(moved(70.0, 45.0)), None);
-        // And what begins on a panel leads nothing.
+        // A drag that begins on a panel moves no camera.
         follow(button(MouseButton::Right, ElementState::Pressed));
         assert_eq!(follow(moved(150.0, 45.0)), None);
     }

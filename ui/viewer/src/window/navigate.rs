@@ -1,24 +1,24 @@
-//! A camera that a person leads with the mouse: around a point, along the picture, closer and away.
+//! The orbiting camera of the mouse: turn, shift, zoom.
 
 use nalgebra::{Point3, Vector3};
 
 use crate::view::{Lens, View};
 
-/// Turn for a drag over the height of the picture \[rad\].
+/// Rotation for a drag over the height of the picture \[rad\].
 const TURN_PER_HEIGHT: f64 = 3.0;
-/// What a notch of the wheel multiplies the distance with.
+/// Factor on the distance for a notch of the wheel.
 const CLOSER_PER_NOTCH: f64 = 0.88;
-/// Nearest and farthest distance from what is looked at \[m\].
+/// Nearest and farthest distance from the target \[m\].
 const DISTANCE: [f64; 2] = [0.005, 5.0];
-/// Steepest look up or down: never quite along the vertical, where left and right would change places.
+/// Steepest pitch: never quite vertical, where left and right would swap.
 const PITCH_MAX: f64 = 1.553;
 
 /// An orbiting camera; up is along world z.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// What it looks at.
+    /// The target.
     pub target_in_world: Point3<f64>,
-    /// From there to the eye \[m\].
+    /// From the target to the eye \[m\].
     pub distance: f64,
     /// About the vertical \[rad\]; at 0 the eye looks along +y.
     pub yaw: f64,
@@ -29,12 +29,12 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// From where another view is taken, around what lies `distance` \[m\] before it.
+    /// Starts from another view, around the point `distance` \[m\] in front of it.
     pub fn from_view(view: &View, distance: f64) -> Self {
         let distance = distance.clamp(DISTANCE[0], DISTANCE[1]);
         let forward = view.world_from_eye * Vector3::z();
         let eye = Point3::from(view.world_from_eye.translation.vector);
-        // Straight down: what is up in the picture says where the eye would come from.
+        // Straight down: the picture's up direction gives the yaw.
         let level = if forward.xy().norm() > 1e-3 { forward } else { view.world_from_eye * -Vector3::y() };
         Self {
             target_in_world: eye + forward * distance,
@@ -50,7 +50,7 @@ impl Orbit {
         level * self.pitch.cos() - Vector3::z() * self.pitch.sin()
     }
 
-    /// The view, for a picture of this shape.
+    /// The view, for a picture of this aspect ratio.
     pub fn view(&self, aspect: f64) -> View {
         let eye = self.target_in_world - self.forward() * self.distance;
         let lens = Lens {
@@ -63,20 +63,20 @@ impl Orbit {
         View::looking_at(eye, self.target_in_world, Vector3::z(), lens)
     }
 
-    /// Around what is looked at: the mouse went to the right and down \[heights of the picture\].
+    /// Rotates about the target; the mouse moved to the right and down \[heights of the picture\].
     pub fn turn(&mut self, right: f64, down: f64) {
         self.yaw -= right * TURN_PER_HEIGHT;
         self.pitch = (self.pitch + down * TURN_PER_HEIGHT).clamp(-PITCH_MAX, PITCH_MAX);
     }
 
-    /// Along the picture: what lies under the mouse stays there \[heights of the picture\].
+    /// Shifts parallel to the picture: the point under the mouse stays there \[heights of the picture\].
     pub fn shift(&mut self, right: f64, down: f64) {
         let view = self.view(1.0);
         let height = 2.0 * (0.5 * self.field_of_view).tan() * self.distance;
         self.target_in_world += view.world_from_eye * Vector3::new(-right, -down, 0.0) * height;
     }
 
-    /// Closer, by notches of the wheel.
+    /// Zooms in, by notches of the wheel.
     pub fn zoom(&mut self, notches: f64) {
         let factor = CLOSER_PER_NOTCH.powf(notches.clamp(-20.0, 20.0));
         self.distance = (self.distance * factor).clamp(DISTANCE[0], DISTANCE[1]);
@@ -119,7 +119,7 @@ mod tests {
         assert!((view.world_from_eye.translation.vector.norm() - distance).abs() < 1e-9);
         // The picture's down is still down.
         assert!((view.world_from_eye * Vector3::y()).z < 0.0);
-        // A drag to the right brings what is at the left into view: what is near moves to the right.
+        // A drag to the right shows what is at the left: near things move to the right.
         let mut turned = self::orbit();
         let near = turned.target_in_world - turned.forward() * 0.1;
         turned.turn(0.05, 0.0);

@@ -1,7 +1,7 @@
-//! The actor behind one window: takes events, draws when there is something new, and waits for nobody.
+//! The actor behind one window: takes events, draws when there is a change, and never blocks others.
 //!
-//! It has a thread of its own: however long a software rasteriser takes for a frame, the event loop, the other windows
-//! and the session go on. It is restarted when it fails ([`super::lifecycle`]): on a device that was lost, or after a panic.
+//! It has its own thread: however long a software rasteriser takes for a frame, the event loop, the other windows and
+//! the session go on. It is restarted ([`super::lifecycle`]) after its device is lost or it has panicked.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -27,20 +27,20 @@ use crate::gpu::Gpu;
 use crate::pacing::Pacer;
 use crate::quality::Quality;
 
-/// Shortest time between two frames, and between two looks at the scene.
+/// Shortest time between two frames, and between two checks for a new scene.
 const FRAME: Duration = Duration::from_micros(16_667);
-/// Share of the time that passes drawing where the processor draws: the rest is for those who simulate.
+/// Share of time for drawing with a software rasteriser: the rest is for the simulation.
 const SOFTWARE_LOAD: f64 = 0.6;
 
-/// How one life of a window's actor ended.
+/// The end of a run of a window's actor.
 pub(super) enum End {
-    /// Somebody wanted it.
+    /// Closed on request.
     Closed,
-    /// It cannot go on, and why.
+    /// Failed, with the reason.
     Failed(String),
 }
 
-/// What outlives a life of a window's actor: a key that is down stays down, and a picture that was asked for comes.
+/// State that survives a restart of the actor: keys that are down, and a requested picture.
 pub(super) struct Kept {
     pub(super) panels: Panels,
     pub(super) sights: Vec<Sight>,
@@ -50,7 +50,7 @@ pub(super) struct Kept {
     pub(super) picture_wanted: bool,
 }
 
-/// One life of a window's actor.
+/// A run of a window's actor between two restarts.
 pub(super) struct Screen<'a> {
     life: &'a Life,
     gpu: &'a Gpu,
@@ -61,11 +61,11 @@ pub(super) struct Screen<'a> {
     canvas: Canvas,
     pacer: Pacer,
     mouse: Mouse,
-    /// Something was said or done since the last frame.
+    /// An input or message has arrived since the last frame.
     stale: bool,
-    /// When the user interface wants to be drawn again by itself.
+    /// When the user interface wants to be redrawn by itself.
     wanted: Option<Instant>,
-    /// Nobody can see it.
+    /// The window is not visible.
     hidden: bool,
     closing: bool,
     frames: Vec<Instant>,
@@ -118,7 +118,7 @@ impl<'a> Screen<'a> {
                 self.receive(mail);
             }
             if self.life.overflowed.swap(false, Ordering::Relaxed) {
-                // A key that came up unseen must not stay down.
+                // A key released without focus must not stay down.
                 self.kept.modifiers = Modifiers::default();
                 self.stale = true;
             }
@@ -138,7 +138,7 @@ impl<'a> Screen<'a> {
             match self.frame() {
                 Ok(Shown::Yes) => {
                     self.kept.pulse.well();
-                    // Until it is drawn: only so it is known what it took.
+                    // Waits until it is drawn, to measure the frame time.
                     if let Err(error) = self.gpu.device.poll(wgpu::PollType::wait_indefinitely()) {
                         return End::Failed(error.to_string());
                     }
@@ -152,7 +152,7 @@ impl<'a> Screen<'a> {
         }
     }
 
-    /// Whether a subject has said something that the panels show.
+    /// Whether a subject has new data for the panels.
     fn heard_something(&mut self) -> bool {
         let said = |sight: &mut Sight| {
             let standing = sight.subject.standing();
@@ -208,7 +208,7 @@ impl<'a> Screen<'a> {
         self.stale |= self.input.on_window_event(&self.life.window, event).repaint;
     }
 
-    /// The camera goes where the mouse leads it.
+    /// Moves the camera by a gesture.
     fn lead(&mut self, gesture: Gesture) {
         self.stale = true;
         let height = |index: usize| self.canvas.height(index);
@@ -231,18 +231,18 @@ impl<'a> Screen<'a> {
                 let Some((_, at)) = self.canvas.at(place) else { return };
                 match self.kept.sights[index].pick(self.gpu, at) {
                     Ok(found) => self.kept.sights[index].selected = found,
-                    // The next frame finds it broken as well, and says so.
+                    // The next frame will fail as well, and report it.
                     Err(error) => tracing::debug!("nothing is selected: {error}"),
                 }
                 return;
             }
         };
-        // Two recordings are compared from the same place.
+        // Compared recordings share one point of view.
         let look = self.kept.sights[led].look.clone();
         self.kept.sights.iter_mut().for_each(|sight| sight.look = look.clone());
     }
 
-    /// Whether a key was the window's.
+    /// Whether the window has handled a key.
     fn key(&mut self, event: &KeyEvent) -> bool {
         let PhysicalKey::Code(code) = event.physical_key else { return false };
         let types = self.ui.text_edit_focused();
@@ -305,7 +305,7 @@ impl<'a> Screen<'a> {
                     sight.free();
                 }
             }
-            // Of what there is once everything that was done before is seen.
+            // Taken once all earlier input is drawn.
             Action::Screenshot => self.kept.picture_wanted = true,
             Action::NewWindow => self.new_window(),
             Action::Close => self.closing = true,
@@ -360,7 +360,7 @@ impl<'a> Screen<'a> {
     }
 
     fn tell(&self, told: Told) {
-        // Nobody hears it when the event loop has ended; then this window ends as well.
+        // If the event loop has ended, the message is lost, and this window ends as well.
         let _ = self.life.proxy.send_event(told);
     }
 
@@ -384,7 +384,7 @@ impl<'a> Screen<'a> {
         });
         outcome?;
         if self.kept.panels.actors {
-            // Rates go on also while the scene stands still.
+            // Rates change even while the scene does not.
             ui.request_repaint_after(Duration::from_millis(500));
         }
         if let Some(sight) = self.kept.sights.first() {
@@ -410,7 +410,7 @@ impl<'a> Screen<'a> {
     }
 }
 
-/// A name for a picture that no file has yet, in the working folder.
+/// An unused file name for a picture, in the working folder.
 fn free_name(title: &str) -> std::path::PathBuf {
     let safe = |c: char| if c.is_alphanumeric() || c == '-' || c == '_' { c } else { '-' };
     let stem: String = title.chars().take(60).map(safe).collect();

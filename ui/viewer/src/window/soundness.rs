@@ -1,22 +1,22 @@
-//! Whether every window shows what it should, for whoever injects faults and wants to see them healed.
+//! Health of the windows, by which fault injection detects recovery.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Shared by all windows of a program; read by anybody, at any time.
+/// Shared by all windows of a program; readable at any time.
 #[derive(Debug, Default)]
 pub struct Soundness {
     failing: AtomicUsize,
 }
 
 impl Soundness {
-    /// Whether no window has failed that does not draw again.
+    /// Whether every window that failed draws again.
     pub fn is_sound(&self) -> bool {
         self.failing.load(Ordering::Acquire) == 0
     }
 }
 
-/// What one window says of itself.
+/// The health of one window.
 pub(super) struct Pulse {
     shared: Arc<Soundness>,
     fails: bool,
@@ -34,7 +34,7 @@ impl Pulse {
         }
     }
 
-    /// It shows a frame, or has been closed by somebody who did not want to see more.
+    /// It shows a frame, or was closed by its user.
     pub(super) fn well(&mut self) {
         if std::mem::replace(&mut self.fails, false) {
             self.shared.failing.fetch_sub(1, Ordering::AcqRel);

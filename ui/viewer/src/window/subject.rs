@@ -1,4 +1,4 @@
-//! What a window shows, and whom it asks: a running session, a recording, or whatever else has snapshots.
+//! The subject of a window: a running session, a recording, or any other source of snapshots.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -6,9 +6,9 @@ use std::sync::Arc;
 use serde_json::Value;
 use trocar_scene::{PersonView, SimTime, Snapshot};
 
-/// What a window looks at. Nothing here waits for anybody: a window that is slow, or gone, is nobody's concern.
+/// The data source of a window. No method blocks: a slow or closed window does not affect the subject.
 pub trait Subject: Send {
-    /// What stands in the title of the window.
+    /// Title of the window.
     fn title(&self) -> String;
 
     /// The scenario's folder, below which files of textures and shaders are.
@@ -19,184 +19,184 @@ pub trait Subject: Send {
     /// The latest scene.
     fn scene(&mut self) -> Arc<Snapshot>;
 
-    /// Time of the session, which goes on between two scenes.
+    /// Session time, which advances between two scenes.
     fn now(&mut self) -> SimTime;
 
-    /// How things stand; renewed some ten times per second.
+    /// The subject's state; updated about ten times per second.
     fn standing(&mut self) -> Arc<Standing>;
 
-    /// Asks for something; what became of it is seen in the scene and in [`Standing`].
+    /// Sends a request; its result appears in the scene and in [`Standing`].
     fn ask(&mut self, ask: Ask);
 
-    /// The same for one more window.
+    /// A subject of the same source for another window.
     ///
     /// # Errors
-    /// Why there can be no more, in words.
+    /// Why there can be no further one, in words.
     fn another(&mut self) -> Result<Box<dyn Subject>, String>;
 }
 
-/// Whom a window tells what a person does who has taken the instruments in hand.
+/// Receives the input of the player who controls the instruments.
 pub trait Player {
-    /// A key or button, by the name that the W3C gives its place (`KeyW`, `MouseLeft`); `false` when it means nothing.
+    /// A key or button, by the W3C code of its position (`KeyW`, `MouseLeft`); `false` when it has no function.
     fn press(&mut self, control: &str, down: bool) -> bool;
 
-    /// The pointer went to the right and down \[heights of the picture\].
+    /// The pointer moved to the right and down \[heights of the picture\].
     fn pointer(&mut self, right: f64, down: f64);
 
     /// The wheel turned \[notches, away from the person positive\].
     fn wheel(&mut self, notches: f64);
 
-    /// Nothing is held down any more.
+    /// Releases all keys and buttons.
     fn release_all(&mut self);
 
-    /// `secs` have passed; what came of it is written into the session. The person looks through `view`.
+    /// `secs` have passed; writes the input into the session. The player looks through `view`.
     fn pass(&mut self, secs: f64, view: Option<PersonView>);
 
-    /// What each control does, for people: controls, and what they do.
+    /// The controls and their functions, for the help.
     fn help(&self) -> Vec<(String, String)>;
 }
 
-/// What a window asks of its subject.
+/// A window's request to its subject.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Ask {
-    /// Time shall stand still.
+    /// Pause.
     Pause,
-    /// Time shall go on.
+    /// Resume.
     Resume,
-    /// A little time shall pass, while it stands still: forwards, or backwards in a recording.
+    /// A single step while paused: forwards, or backwards in a recording.
     Step {
         /// Backwards.
         back: bool,
     },
-    /// How fast time shall pass; 1: as on the wall.
+    /// Speed relative to real time; 1: real time.
     Speed(f64),
-    /// From the beginning.
+    /// Reset.
     Reset,
-    /// To a time of a recording.
+    /// Seek to a time of a recording.
     Seek(SimTime),
-    /// Whether a recording begins anew at its end.
+    /// Whether a recording loops.
     Loop(bool),
     /// A change of values.
     Tune(Tune),
 }
 
-/// A change of values while the session runs.
+/// A change of tuned values while the session runs.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Tune {
     /// Fields, by name (ENTITY.COMPONENT.FIELD), and their values.
     Set(Vec<(String, Value)>),
-    /// A set of values is used.
+    /// Use a set of values.
     Use(String),
-    /// What is tuned now is kept as a set.
+    /// Store the tuned values as a set.
     Keep(String),
-    /// What is tuned is written into the scenario, or into a new file.
+    /// Write the tuned values into the scenario, or into a new file.
     Save(Option<PathBuf>),
 }
 
-/// Whether time passes.
+/// Whether time advances.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Course {
-    /// It does.
+    /// It advances.
     #[default]
     Running,
-    /// It stands still.
+    /// It is paused.
     Paused,
     /// The session has ended, or the recording is at its end.
     Over,
 }
 
-/// What can be asked for.
+/// The supported requests.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Abilities {
-    /// Time can stand still and go on.
+    /// Pause and resume.
     pub pause: bool,
-    /// And pass in steps.
+    /// Single steps.
     pub step: bool,
-    /// Time can pass faster or slower than on the wall.
+    /// Other speeds than real time.
     pub speed: bool,
-    /// It can begin anew.
+    /// Reset.
     pub reset: bool,
-    /// Any time can be looked at.
+    /// Seek.
     pub seek: bool,
-    /// Values can be changed.
+    /// Tuning.
     pub tune: bool,
 }
 
-/// How a subject stands.
+/// The state of a subject.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Standing {
-    /// Whether time passes.
+    /// Whether time advances.
     pub course: Course,
-    /// How fast.
+    /// Speed relative to real time.
     pub speed: f64,
-    /// What can be asked for.
+    /// The supported requests.
     pub abilities: Abilities,
     /// Length of a recording.
     pub length: Option<SimTime>,
-    /// Whether it begins anew at its end.
+    /// Whether it loops.
     pub looped: bool,
-    /// What happened when in a recording, for its timeline.
+    /// Events of a recording, for its timeline.
     pub marks: Vec<Mark>,
-    /// The actors as their supervisors have them: each supervisor stands above its own.
+    /// The actors in the order of the supervisor tree: each supervisor before its children.
     pub actors: Vec<Actor>,
-    /// What is tuned.
+    /// The tuned values.
     pub tuning: Tuning,
-    /// The last things that were said, oldest first, with the number of each: bounded.
+    /// The last notes, oldest first, each with its number: bounded.
     pub notes: Vec<(u64, Note)>,
 }
 
-/// Something that happened.
+/// An event on the timeline.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mark {
-    /// When.
+    /// Its time.
     pub time: SimTime,
-    /// What, in a few words.
+    /// Its description.
     pub what: String,
     /// Whether it is a fault or an error.
     pub bad: bool,
 }
 
-/// Something to tell a person.
+/// A note for people.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Note {
-    /// What.
+    /// Its text.
     pub text: String,
     /// Whether it is an error.
     pub bad: bool,
 }
 
-/// How one actor keeps its rate, and how it is.
+/// Rate and health of one actor.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Actor {
     /// Its name.
     pub name: String,
-    /// How many supervisors stand above it.
+    /// Number of supervisors above it.
     pub depth: usize,
-    /// Of a supervisor: what it does when one of its own fails, in a few words.
+    /// A supervisor's strategy when a child fails, in a few words.
     pub supervises: Option<String>,
-    /// What its supervisor says: `healthy`, `late`, `restarting`, …
+    /// Its health by its supervisor: `healthy`, `late`, `restarting`, …
     pub health: String,
-    /// Ticks per second that it should make, and that it made; none for one that has no rate.
+    /// Target and achieved ticks per second; `None` for an actor without a rate.
     pub hz: Option<[f64; 2]>,
-    /// Share of its ticks that started in time, 0 to 1.
+    /// Share of its ticks that started on time, 0 to 1.
     pub on_time: f64,
-    /// How late ticks start: median and 99th percentile \[µs\].
+    /// Lateness of ticks: median and 99th percentile \[µs\].
     pub late_us: [f64; 2],
-    /// How long steps take: median and 99th percentile \[µs\].
+    /// Step time: median and 99th percentile \[µs\].
     pub step_us: [f64; 2],
-    /// Ticks that never ran.
+    /// Missed ticks.
     pub missed: u64,
-    /// How often it was started again.
+    /// Number of restarts.
     pub restarts: u64,
 }
 
-/// Values that are not as in the scenario.
+/// Values that differ from the scenario.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tuning {
-    /// Fields, what they were, and what they are.
+    /// Fields with their original and present values.
     pub changed: Vec<(String, Value, Value)>,
     /// Names of the sets.
     pub sets: Vec<String>,
-    /// The one in use; none when single fields were set since.
+    /// The set in use; `None` after single fields were set.
     pub in_use: Option<String>,
 }

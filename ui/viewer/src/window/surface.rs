@@ -1,4 +1,4 @@
-//! Pixels of one window: its surface, and the user interface drawn onto it.
+//! The surface of one window, and the user interface drawn onto it.
 
 use std::sync::Arc;
 
@@ -7,21 +7,21 @@ use winit::window::Window;
 use crate::error::ViewError;
 use crate::gpu::{Gpu, targets};
 
-/// A window's surface with what draws the user interface there.
+/// A window's surface with the renderer of the user interface.
 pub struct Painter {
     surface: wgpu::Surface<'static>,
     config: wgpu::SurfaceConfiguration,
     egui: egui_wgpu::Renderer,
 }
 
-/// What became of a frame.
+/// The outcome of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shown {
     /// It is on the screen.
     Yes,
-    /// There is nothing to draw on now: the window has no size, or nobody can see it.
+    /// There is nothing to draw on: the window has no size, or is not visible.
     NotNow,
-    /// Try once more: the surface had changed.
+    /// The surface has changed: try again.
     Again,
 }
 
@@ -42,7 +42,7 @@ impl Painter {
             adapter: gpu.adapter.get_info().name.clone(),
             reason: reason.to_owned(),
         };
-        // The user interface mixes colours as they are seen: a format that keeps bytes as they are.
+        // The user interface blends in sRGB: a format without conversion.
         let format = capabilities
             .formats
             .iter()
@@ -67,7 +67,7 @@ impl Painter {
         [self.config.width, self.config.height]
     }
 
-    /// The window has another size. Nothing can be drawn on one without any: it keeps the last one.
+    /// Resizes the surface. A window without a size keeps the last one.
     pub fn resize(&mut self, gpu: &Gpu, [width, height]: [u32; 2]) {
         if targets::check_size(gpu, [width, height]).is_ok() && [width, height] != self.size() {
             (self.config.width, self.config.height) = (width, height);
@@ -75,7 +75,7 @@ impl Painter {
         }
     }
 
-    /// Makes a texture known to the user interface, in the place of `before`.
+    /// Registers a texture with the user interface, replacing `before`.
     pub fn register(
         &mut self,
         gpu: &Gpu,
@@ -85,7 +85,7 @@ impl Painter {
     ) -> egui::TextureId {
         let descriptor = wgpu::TextureViewDescriptor { format: Some(format), ..Default::default() };
         let view = texture.create_view(&descriptor);
-        // Pixel for pixel: rows of a woven picture must not be mixed.
+        // Nearest filtering: rows of an interleaved picture must not be mixed.
         let filter = wgpu::FilterMode::Nearest;
         match before {
             Some(id) => {
@@ -109,7 +109,7 @@ impl Painter {
         pixels_per_point: f32,
     ) -> Result<Shown, ViewError> {
         gpu.check()?;
-        // Also of a frame that is not shown: they are told once only.
+        // Also for a frame that is not shown: texture changes are reported only once.
         for (id, deltas) in changed.set.drain() {
             for delta in deltas {
                 self.egui.update_texture(&gpu.device, &gpu.queue, id, &delta);
@@ -118,7 +118,7 @@ impl Painter {
         let free: Vec<egui::TextureId> = changed.free.drain().collect();
         let shown = self.paint(gpu, window, shapes, pixels_per_point);
         free.iter().for_each(|id| self.egui.free_texture(id));
-        // Also where there was nothing to wait for: only so is it heard that the device is lost.
+        // Polls even without work: only then is a device loss reported.
         let _ = gpu.device.poll(wgpu::PollType::Poll);
         gpu.check()?;
         Ok(shown)

@@ -1,4 +1,4 @@
-//! One subject as one window shows it: from where, in which layout, with how much care.
+//! One subject as one window shows it: point of view, layout, quality.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -20,21 +20,21 @@ use crate::quality::Quality;
 use crate::renderer::Renderer;
 use crate::view::View;
 
-/// From where it is looked.
+/// The point of view.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Look {
-    /// Through a camera of the scene, by name: another session of the same scenario has it too.
+    /// A camera of the scene, by name, which other sessions of the same scenario have too.
     Camera(String),
-    /// Through several cameras, each in a tile of its own.
+    /// Several cameras, each in its own tile.
     Cameras(Vec<String>),
-    /// From where the mouse led.
+    /// The mouse's own camera.
     Free(Orbit),
 }
 
-/// How eyes share the picture.
+/// Stereo layout.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Eyes {
-    /// One.
+    /// One eye.
     #[default]
     One,
     /// Left and right beside each other.
@@ -45,12 +45,12 @@ pub enum Eyes {
     Rows,
     /// Red and cyan glasses.
     Anaglyph,
-    /// One, and what it sees from above, from the front and from the right.
+    /// One eye, with views from above, from the front and from the right.
     Quad,
 }
 
 impl Eyes {
-    /// All of them, with names for people.
+    /// All layouts, with names for people.
     pub const ALL: [(Self, &'static str); 6] = [
         (Self::One, "one eye"),
         (Self::SideBySide, "side by side"),
@@ -60,7 +60,7 @@ impl Eyes {
         (Self::Quad, "four views"),
     ];
 
-    /// The layout of a picture of what is on a stage.
+    /// The layout of a picture of a stage.
     pub fn layout(self, stereo: Stereo, stage: &Stage, view: &View) -> Layout {
         match self {
             Self::One => Layout::Mono,
@@ -81,52 +81,52 @@ pub const QUALITIES: [(Option<Quality>, &str); 4] = [
     (Some(Quality::FINE), "fine"),
 ];
 
-/// What a person has chosen of a sight, as another one takes it over.
+/// A user's settings of a sight, which another sight can take over.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Choice {
-    /// From where; none: through the first camera.
+    /// Point of view; `None`: the first camera.
     pub look: Option<Look>,
-    /// For how many eyes.
+    /// Stereo layout.
     pub eyes: Eyes,
-    /// How far they are apart.
+    /// Distance and convergence of the eyes.
     pub stereo: Stereo,
-    /// With how much care; none: as the machine can.
+    /// Quality; `None`: chosen by the pacer.
     pub quality: Option<Quality>,
-    /// What is shown over the scene.
+    /// The overlays.
     pub overlays: Overlays,
 }
 
 /// A subject in a window.
 pub struct Sight {
-    /// What is shown.
+    /// The subject.
     pub subject: Box<dyn Subject>,
-    /// From where.
+    /// Point of view.
     pub look: Look,
-    /// For how many eyes.
+    /// Stereo layout.
     pub eyes: Eyes,
-    /// How far they are apart.
+    /// Distance and convergence of the eyes.
     pub stereo: Stereo,
-    /// With how much care; none: as the machine can.
+    /// Quality; `None`: chosen by the pacer.
     pub quality: Option<Quality>,
-    /// What is shown over the scene.
+    /// The overlays.
     pub overlays: Overlays,
-    /// What is selected.
+    /// The selected entity.
     pub selected: Option<Entity>,
     /// The latest scene.
     pub scene: Arc<Snapshot>,
-    /// What is shown: on its way from the one before to the latest.
+    /// The displayed scene: interpolated between the previous and the latest one.
     shown: Snapshot,
     motion: Motion,
-    /// What [`Motion`] reads the time from.
+    /// Origin of the clock for [`Motion`].
     since: Instant,
     renderer: Renderer,
     target: Option<wgpu::Texture>,
-    /// Four views stay where they are while things move.
+    /// The four views stay fixed while the scene moves.
     quad: Option<Layout>,
 }
 
 impl Sight {
-    /// Of a subject, as chosen.
+    /// A sight of a subject, with the user's settings.
     pub fn new(gpu: &Gpu, mut subject: Box<dyn Subject>, choice: &Choice) -> Self {
         let scene = subject.scene();
         let renderer = Renderer::new(gpu, subject.folder());
@@ -154,7 +154,7 @@ impl Sight {
         sight
     }
 
-    /// The time for [`Motion`].
+    /// The clock for [`Motion`].
     fn clock(&self) -> SimTime {
         SimTime(u64::try_from(self.since.elapsed().as_nanos()).unwrap_or(u64::MAX))
     }
@@ -164,7 +164,7 @@ impl Sight {
         self.motion.feed(&self.scene, now);
     }
 
-    /// What a person has chosen.
+    /// The user's settings.
     pub fn choice(&self) -> Choice {
         Choice {
             look: Some(self.look.clone()),
@@ -175,13 +175,13 @@ impl Sight {
         }
     }
 
-    /// Everything on the device is made anew, on another one; what a person has chosen stays.
+    /// Recreates everything on another device; the user's settings stay.
     pub fn rebuild(&mut self, gpu: &Gpu) {
         self.renderer = Renderer::new(gpu, self.subject.folder());
         self.target = None;
     }
 
-    /// Looks for a newer scene; whether there is one.
+    /// Fetches a newer scene; returns whether there is one.
     pub fn follow(&mut self) -> bool {
         let scene = self.subject.scene();
         let newer = !Arc::ptr_eq(&scene, &self.scene);
@@ -201,7 +201,7 @@ impl Sight {
         self.scene.iter::<Camera>().map(|(camera, _)| self.scene.name(camera)).collect()
     }
 
-    /// The view, for a picture of this shape.
+    /// The view, for a picture of this aspect ratio.
     pub fn view(&self, aspect: f64) -> View {
         match &self.look {
             Look::Camera(name) => View::named(&self.shown, name, Some(aspect))
@@ -214,13 +214,13 @@ impl Sight {
         }
     }
 
-    /// From where a person who plays looks.
+    /// The point of view of the player.
     pub fn person_view(&self) -> PersonView {
         let view = self.view(1.0);
         PersonView { world_from_view: view.world_from_eye.into(), field_of_view: view.lens.field_of_view }
     }
 
-    /// The next camera, or the one before: `by` is 1 or −1.
+    /// The next or previous camera: `by` is 1 or −1.
     pub fn cycle_camera(&mut self, by: isize) {
         let cameras = self.cameras();
         if cameras.is_empty() {
@@ -235,7 +235,7 @@ impl Sight {
         self.look = Look::Camera(cameras[next].clone());
     }
 
-    /// The camera that the mouse leads, from here on.
+    /// The mouse's own camera, starting from the present view.
     pub fn free(&mut self) -> &mut Orbit {
         if !matches!(self.look, Look::Free(_)) {
             let view = self.view(1.0);
@@ -247,7 +247,7 @@ impl Sight {
         }
     }
 
-    /// How far away what is looked at is: what is selected, or the middle of what is in the picture \[m\].
+    /// Distance of the selected entity, or of the middle of the visible scene \[m\].
     fn distance(&self, view: &View) -> f64 {
         let depth = |point: Point3<f64>| (view.world_from_eye.inverse() * point).z;
         if let Some(entity) = self.selected {
@@ -265,8 +265,8 @@ impl Sight {
         depths.get(depths.len() / 2).copied().unwrap_or(0.2)
     }
 
-    /// The picture in this size, drawn with that much care unless a person has chosen something else; the texture stays
-    /// the same as long as the size does. Whether anything was drawn.
+    /// Draws the picture in this size, with the quality of `pace` unless the user has chosen another. The texture stays
+    /// the same as long as the size does. Returns whether anything was drawn.
     pub fn draw(&mut self, gpu: &Gpu, size: [u32; 2], pace: Pace) -> bool {
         let pace = self.quality.map_or(pace, |quality| Pace { quality, scale: 1.0 });
         let now = self.clock();
@@ -293,7 +293,7 @@ impl Sight {
             let entities = || self.shown.iter::<Camera>().map(|(camera, _)| camera);
             let tiles =
                 names.iter().filter_map(|name| entities().find(|camera| self.shown.name(*camera) == *name));
-            // Four views are of one camera.
+            // Four views are of one eye.
             let eyes = if self.eyes == Eyes::Quad { Eyes::One } else { self.eyes };
             let each = eyes.layout(self.stereo, self.renderer.stage(), view);
             return Layout::grid(tiles.map(layout::Sight::Camera)).each(&each);
@@ -303,19 +303,19 @@ impl Sight {
             return self.eyes.layout(self.stereo, self.renderer.stage(), view);
         }
         if self.quad.is_none() {
-            // What there is to see has to be known.
+            // The layout needs to know the items.
             self.renderer.update(gpu, &self.shown);
         }
         let (eyes, stereo, stage) = (self.eyes, self.stereo, self.renderer.stage());
         self.quad.get_or_insert_with(|| eyes.layout(stereo, stage, view)).clone()
     }
 
-    /// What was drawn last.
+    /// The last drawn picture.
     pub fn target(&self) -> Option<&wgpu::Texture> {
         self.target.as_ref()
     }
 
-    /// The picture as it is shown now, for a file.
+    /// The displayed picture, for a file.
     ///
     /// # Errors
     /// [`ViewError::DeviceLost`]; `None` before anything was drawn.
@@ -326,8 +326,8 @@ impl Sight {
         Ok(Some(Picture { width, height, color: bytes.as_chunks().0.to_vec() }))
     }
 
-    /// Corners of the boxes around an entity's parts in world; corner *i* is at the upper end along x, y, z as bits 0, 1,
-    /// 2 of *i* say.
+    /// Corners of the boxes around an entity's parts in world; bits 0, 1, 2 of a corner's index tell whether it is at
+    /// the upper end along x, y, z.
     pub fn boxes(&self, entity: Entity) -> Vec<[Point3<f64>; 8]> {
         let items = self.renderer.stage().items().iter().filter(|item| item.entity == entity);
         items
@@ -349,7 +349,8 @@ impl Sight {
             .collect()
     }
 
-    /// What is at a place of the picture (0 to 1 from left and top); nothing in a woven one, where two things are.
+    /// The entity at a position of the picture (0 to 1 from left and top); `None` in an interleaved one, where a
+    /// position shows two.
     ///
     /// # Errors
     /// [`ViewError::DeviceLost`].
@@ -371,8 +372,8 @@ impl Sight {
     }
 }
 
-/// A texture that the renderer draws light into and that a user interface shows as it is: it mixes colours as they are
-/// seen, not as light adds up.
+/// A texture that the renderer writes linear light into and that the user interface reads as sRGB bytes, in which it
+/// blends.
 fn shown_target(gpu: &Gpu, size: [u32; 2]) -> wgpu::Texture {
     gpu.device.create_texture(&wgpu::TextureDescriptor {
         label: Some("sight"),
@@ -388,5 +389,5 @@ fn shown_target(gpu: &Gpu, size: [u32; 2]) -> wgpu::Texture {
     })
 }
 
-/// The format in which a user interface reads it.
+/// The format in which the user interface reads it.
 pub const AS_SEEN: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;

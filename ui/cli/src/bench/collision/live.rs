@@ -1,4 +1,4 @@
-//! Detectors as controllers of a live session with two hands: whether they keep their rates on organs in contact, rigid and
+//! Detectors as controllers of a live session with two hands: their achieved rates on organs in contact, rigid and
 //! soft, beside bare timer loops of the same run.
 
 use std::f64::consts::TAU;
@@ -17,12 +17,12 @@ use trocar_kernel::bench::{bare_rates, median_and_spread};
 use super::meshes::Mesh;
 use crate::failure::Failure;
 
-/// Length of a block \[s\], and how many there are of each scene.
+/// Length of a block \[s\], and number of blocks of each scene.
 const BLOCK_SECS: f64 = 3.0;
 const BLOCKS: usize = 3;
-/// Which share above what is asked for a detector is scheduled at: one that keeps up shows it.
+/// A detector is scheduled at this multiple of its required rate, so that the achieved rate shows the margin.
 const ABOVE: f64 = 1.05;
-/// How deep the organs are in each other on the average, and by how much that goes up and down \[m\].
+/// Mean penetration of the organs, and its amplitude \[m\].
 const DEEP: f64 = 0.0008;
 const SWAY: f64 = 0.0004;
 
@@ -30,19 +30,19 @@ const SWAY: f64 = 0.0004;
 struct Scene {
     name: &'static str,
     kind: &'static str,
-    /// Of each organ.
+    /// Triangles of each organ.
     triangles: usize,
-    /// Rates at which their vertices are written \[Hz\]; none: it is rigid.
+    /// Rates at which their vertices are written \[Hz\]; `None` for a rigid organ.
     waves: [Option<f64>; 2],
-    /// Rate at which a rigid organ is elsewhere \[Hz\].
+    /// Rate at which a rigid organ moves \[Hz\].
     moves_hz: f64,
-    /// What the detector is to reach \[Hz\].
+    /// Required rate of the detector \[Hz\].
     asked_hz: f64,
-    /// Whether it is held against that, or only told.
+    /// Whether the rate has a bar, or is only reported.
     is_judged: bool,
 }
 
-/// Rate at which hands move what they hold \[Hz\].
+/// Rate at which hands move their organ \[Hz\].
 const HANDS_HZ: f64 = 1_000.0;
 
 const SCENES: [Scene; 5] = [
@@ -55,7 +55,7 @@ const SCENES: [Scene; 5] = [
         asked_hz: 4_000.0,
         is_judged: true,
     },
-    // As if hands were as fast as the detector: it never finds anything where it was.
+    // As if hands were as fast as the detector: every query sees a new pose.
     Scene {
         name: "rigid_rigid_restless",
         kind: "obb-tree",
@@ -101,7 +101,7 @@ struct MoverConfig {
     body: String,
     triangles: usize,
     soft: bool,
-    /// Height at which the organs touch \[m\]; none: it stays where it is.
+    /// Height at which the organs touch \[m\]; `None` if it does not move.
     touches_at: Option<f64>,
 }
 
@@ -138,7 +138,7 @@ impl Controller for Mover {
             out.put(self.body, VertexPositions { positions: Arc::new(self.mesh.vertices.clone()) });
         }
         if self.config.soft {
-            // As deep waves as the organs are in each other, and no deeper.
+            // The waves are as deep as the penetration, and no deeper.
             let wave = |round: &Point3<f64>, rest: &Point3<f64>| {
                 rest + round.coords * (0.008 * (90.0 * round.x - 6.0 * time).sin() * (70.0 * round.y).cos())
             };
@@ -147,7 +147,7 @@ impl Controller for Mover {
             out.put(self.body, VertexPositions { positions });
         }
         if let Some(touches_at) = self.config.touches_at {
-            // To the side as well, so that it is not always the same triangles.
+            // Sideways as well, so that the contact covers different triangles.
             let side = 0.002 * (0.7 * TAU * time).sin();
             let height = touches_at - DEEP + SWAY * (TAU * time).sin();
             out.put(self.body, Pose::at(side, 0.5 * side, height));
@@ -162,7 +162,7 @@ fn touches_at(triangles: usize) -> Result<f64, Failure> {
     let surface = Surface::new(&mesh.vertices, &mesh.triangles).map_err(Failure::internal)?;
     let (tree, mut query) = (ObbTree::build(&surface), TreeQuery::new());
     let mut height = 0.2;
-    // Never further than they are apart.
+    // Never further than their distance.
     for _ in 0..200 {
         let near = query.distance(&tree, &tree, &Isometry3::translation(0.0, 0.0, height), None);
         let Some(near) = near.filter(|near| near.distance > 1e-7) else { break };
@@ -214,7 +214,7 @@ fn scenario(scene: &Scene, touches_at: f64) -> String {
     text
 }
 
-/// Every scene: what its detector reaches, what a step costs, what it finds, and how the two hands do beside it.
+/// Every scene: the detector's achieved rate, step time and results, and the punctuality of the two hands beside it.
 pub fn live() -> Result<Vec<BenchResult>, Failure> {
     let mut rows = Vec::new();
     for scene in &SCENES {
@@ -242,7 +242,7 @@ fn measure(scene: &Scene) -> Result<Vec<BenchResult>, Failure> {
         };
         let detector = row("detector")?;
         let found = detector.hits.unwrap_or_default();
-        // Of those that ran: what a busy machine left out says nothing of the organs.
+        // Of the ticks that ran: ticks missed on a busy machine say nothing about the detector.
         if found.ticks < (detector.scheduled - detector.missed) / 4 {
             let reason = format!("{}: the organs met in {} ticks only", scene.name, found.ticks);
             return Err(Failure::internal(reason));
@@ -255,7 +255,7 @@ fn measure(scene: &Scene) -> Result<Vec<BenchResult>, Failure> {
     }
     let name = |what: &str| format!("collision_live_{}_{what}", scene.name);
     let floor = median_and_spread(&bare).0;
-    // What is asked for, as far as a bare loop at that rate comes here.
+    // The required rate, scaled by what a bare loop at that rate achieves here.
     let bar = scene.is_judged.then_some(scene.asked_hz * floor);
     let mut rate = BenchResult::on_value(name("hz"), "Hz", median_and_spread(&achieved), bar, Better::Higher);
     rate.floor = Some(target * floor);

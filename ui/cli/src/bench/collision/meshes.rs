@@ -1,4 +1,4 @@
-//! What is measured: bumpy balls of any number of triangles, and the places at which two of them stand to each other.
+//! Test meshes of the collision benchmark: bumpy spheres of any number of triangles, and relative poses of two of them.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt::Write as _;
@@ -14,12 +14,12 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// Mean radius of a ball \[m\].
+/// Mean radius of a sphere \[m\].
 pub const RADIUS: f64 = 0.05;
 const BUMPS: f64 = 0.12;
 
 impl Mesh {
-    /// A ball with bumps and hollows, of about so many triangles.
+    /// A sphere with bumps and hollows, of about so many triangles.
     pub fn bumpy(triangles: usize) -> Result<Self, Failure> {
         let mut mesh = Self::round(triangles)?;
         let round = mesh.vertices.clone();
@@ -27,7 +27,7 @@ impl Mesh {
         Ok(mesh)
     }
 
-    /// The ball without them.
+    /// A round sphere.
     pub fn round(triangles: usize) -> Result<Self, Failure> {
         // Twice as many segments as rings: triangles are about as long as they are wide.
         let rings = ((triangles as f64 / 8.0).sqrt().round() as usize).max(3);
@@ -36,7 +36,7 @@ impl Mesh {
         Ok(Self { vertices: ball.positions, triangles: ball.triangles })
     }
 
-    /// Another shape of the same ball: what the vertices of the round one become at a time \[s\].
+    /// Deforms the round sphere of the given vertices to its shape at a time \[s\].
     pub fn heave(&mut self, round: &[Point3<f64>], time: f64) {
         for (vertex, round) in self.vertices.iter_mut().zip(round) {
             let unit = round.coords / RADIUS;
@@ -46,7 +46,7 @@ impl Mesh {
         }
     }
 
-    /// As a file of the format that the peers read.
+    /// As an OBJ file, the format that the peers read.
     pub fn obj(&self) -> String {
         let mut text = String::new();
         for vertex in &self.vertices {
@@ -59,8 +59,8 @@ impl Mesh {
     }
 }
 
-/// Places of a second ball in the frame of the first: every direction and turn, about as often in contact as apart, by
-/// sequences that fill the space evenly (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
+/// Poses of a second ball in the frame of the first: every direction and rotation, about as often in contact as apart,
+/// by low-discrepancy sequences (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
 pub fn poses(count: usize) -> Vec<Isometry3<f64>> {
     // The root of x⁷ = x + 1, for six dimensions.
     const ROOT: f64 = 1.112_775_684_278_705_5;
@@ -81,7 +81,7 @@ pub fn poses(count: usize) -> Vec<Isometry3<f64>> {
         .collect()
 }
 
-/// As the peers read them: rotation by rows, translation.
+/// As CSV for the peers: rotation by rows, translation.
 pub fn poses_csv(poses: &[Isometry3<f64>]) -> String {
     let row = |pose: &Isometry3<f64>| {
         let rotation = pose.rotation.to_rotation_matrix().matrix().transpose();

@@ -1,5 +1,5 @@
-//! What collision detection costs: queries of two surfaces beside those of coal and FCL, a shaft against an organ, what a
-//! hand feels, detectors in live sessions, and how all of it grows with the number of triangles.
+//! The suite `collision`: queries of two surfaces beside coal and FCL, a shaft against an organ, a haptic proxy,
+//! detectors in live sessions, and the growth of all costs with the number of triangles.
 
 mod live;
 mod meshes;
@@ -24,13 +24,13 @@ pub use live::live;
 use meshes::{Mesh, RADIUS, poses};
 use peers::Peers;
 
-/// Triangles of the surfaces that are held against the peers.
+/// Triangles of the surfaces that are compared with the peers.
 const SIZES: [usize; 2] = [980, 9_680];
 const POSES: usize = 200;
-/// Blocks in turns; of each pose the least time of all blocks counts: what disturbs is never the query.
+/// Alternating blocks; the minimum over the blocks counts for each pose, since disturbances only add time.
 const ROUNDS: usize = 7;
 const QUERIES: [&str; 3] = ["first", "all", "distance"];
-/// Sizes at which it is looked how costs grow.
+/// Triangle counts for the growth curves.
 const GROWTH: [usize; 6] = [1_000, 3_000, 10_000, 30_000, 100_000, 300_000];
 const GROWTH_POSES: usize = 40;
 /// Steps of a hand at 1 kHz.
@@ -42,7 +42,7 @@ fn microseconds(work: impl FnOnce()) -> f64 {
     start.elapsed().as_secs_f64() * 1e6
 }
 
-/// The least of each place.
+/// Keeps the elementwise minimum.
 fn keep_least(kept: &mut Vec<f64>, times: Vec<f64>) {
     if kept.is_empty() {
         *kept = times;
@@ -139,7 +139,7 @@ pub fn queries(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     Ok(rows)
 }
 
-/// In microseconds beside the better of the peers; without peers there is nothing to hold it against.
+/// A row in microseconds beside the faster peer; without peers the row has no bar.
 fn beside(name: &str, ours: f64, theirs: Option<f64>, bar: f64) -> BenchResult {
     match theirs {
         Some(theirs) => BenchResult::on_ratio(name, "µs", (ours, 0.0), theirs, Some(bar), Better::Lower),
@@ -147,7 +147,7 @@ fn beside(name: &str, ours: f64, theirs: Option<f64>, bar: f64) -> BenchResult {
     }
 }
 
-/// Boxes that follow a surface that heaves.
+/// Refit of an OBB tree to a deforming surface.
 fn refit(triangles: usize) -> Result<BenchResult, Failure> {
     let mut subject = Subject::new(triangles)?;
     let round = Mesh::bumpy(triangles)?.vertices;
@@ -192,7 +192,7 @@ pub fn touch() -> Result<Vec<BenchResult>, Failure> {
             None,
             Better::Lower,
         ),
-        // How often the certificate did not suffice, and what a step takes when every vertex has moved.
+        // How often the certificate failed, and the time of a step after every vertex has moved.
         BenchResult::on_value(
             "collision_dynamic_point_8k_fallback_rate",
             "share",
@@ -212,7 +212,7 @@ pub fn touch() -> Result<Vec<BenchResult>, Failure> {
     ])
 }
 
-/// Where a hand is that goes round a ball, 0.1 mm per step, so deep under its mean radius \[m\].
+/// Position of a hand that circles a ball, 0.1 mm per step, at a depth of so many mean radii.
 fn round_the_ball(step: usize, deep: f64) -> Point3<f64> {
     let turn = step as f64 * 1e-4 / RADIUS;
     let tilt = 0.3 * (0.37 * turn).sin();
@@ -220,8 +220,8 @@ fn round_the_ball(step: usize, deep: f64) -> Point3<f64> {
     Point3::from(direction * (RADIUS * (1.0 - deep)))
 }
 
-/// Times of a shaft of one segment in contact \[µs\], and how often it fell back on the tree. An organ that breathes is followed
-/// within the time.
+/// Times of a shaft of one segment in contact \[µs\], and how often it fell back on the tree. The times include the
+/// refit to a breathing organ.
 fn shaft(triangles: usize, breathes: bool) -> Result<(Vec<f64>, f64), Failure> {
     let mut mesh = Mesh::bumpy(triangles)?;
     let rest = mesh.vertices.clone();
@@ -261,7 +261,7 @@ fn proxy(triangles: usize) -> Result<Vec<f64>, Failure> {
     let mut proxy = FingerProxy::new(ProxyConfig::default()).map_err(Failure::internal)?;
     let mut times = Vec::with_capacity(STEPS);
     for step in 0..STEPS {
-        // It comes from outside.
+        // It approaches from outside.
         let device = round_the_ball(step, if step < 100 { -0.4 } else { 0.0 });
         let mut done = Ok(());
         let time = microseconds(|| done = proxy.step(&moving, black_box(&device), 1e-3).map(drop));
@@ -280,7 +280,7 @@ fn in_contact(times: Vec<f64>, steps: usize) -> Result<Vec<f64>, Failure> {
     Ok(times)
 }
 
-/// How costs grow with the number of triangles.
+/// Growth of the costs with the number of triangles.
 pub fn growth() -> Result<Vec<BenchResult>, Failure> {
     let poses = poses(GROWTH_POSES);
     let mut rows = Vec::new();

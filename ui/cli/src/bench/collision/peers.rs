@@ -1,4 +1,4 @@
-//! The peers, coal and FCL, which time the same queries.
+//! The peers coal and FCL, which time the same queries.
 
 use std::fs;
 use std::path::Path;
@@ -10,17 +10,17 @@ use super::meshes::{Mesh, poses_csv};
 use crate::bench::peer::{Peer, numbers};
 use crate::failure::Failure;
 
-/// What runs there.
+/// The peers' script.
 const SCRIPT: &str = include_str!("../../../../../tests/peers/collision.py");
 
-/// A Python that has them.
+/// A Python process with coal and FCL.
 pub struct Peers {
     peer: Peer,
     names: Vec<String>,
 }
 
 impl Peers {
-    /// Starts it.
+    /// Starts the process.
     ///
     /// # Errors
     /// When it does not start.
@@ -28,10 +28,10 @@ impl Peers {
         Ok(Self { peer: Peer::start(python, SCRIPT)?, names: Vec::new() })
     }
 
-    /// What the next blocks are about.
+    /// Sets the meshes and poses of the next blocks.
     ///
     /// # Errors
-    /// When there are none, or they do not understand.
+    /// When a peer is missing or returns an error.
     pub fn prepare(&mut self, mesh: &Mesh, poses: &[Isometry3<f64>]) -> Result<(), Failure> {
         let folder = self.peer.folder();
         let (mesh_file, poses_file) = (folder.join("mesh.obj"), folder.join("poses.csv"));
@@ -51,7 +51,7 @@ impl Peers {
     /// Times of one block of each peer \[µs\]: one for each pose, or a single one.
     ///
     /// # Errors
-    /// When one does not answer.
+    /// When a peer does not answer.
     pub fn block(&mut self, query: &str) -> Result<Vec<(String, Vec<f64>)>, Failure> {
         let mut blocks = Vec::new();
         for name in self.names.clone() {

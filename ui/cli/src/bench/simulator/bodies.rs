@@ -1,4 +1,5 @@
-//! What is simulated: beams of six-tetrahedra cells, square cloths, coils of thread, membranes, basins of liquid.
+//! Test bodies of the suite `simulator`: beams of six-tetrahedra cells, square cloths, coils of thread, membranes,
+//! basins of liquid.
 
 use nalgebra::{Point3, Vector3};
 use trocar_dynamics::tet_mesh::{BoxCells, MeshRules, TetMesh, box_cells};
@@ -10,7 +11,7 @@ use trocar_simulator::xpbd::{Body, Elasticity, Xpbd, XpbdConfig};
 
 use crate::failure::Failure;
 
-/// What weighs on them \[m/s²\].
+/// Gravity \[m/s²\].
 pub const GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -9.81);
 
 /// A block of cells, and its nodes at x = 0.
@@ -21,7 +22,7 @@ pub fn block(cells: [usize; 3], size: [f64; 3]) -> Result<(TetMesh, Vec<u32>), F
     Ok((mesh, wall))
 }
 
-/// What gauze is made of.
+/// The material of gauze.
 pub const CLOTH: SurfaceMaterial =
     SurfaceMaterial { membrane_stiffness: 500.0, bending_stiffness: 1e-6, density: 0.15 };
 
@@ -59,11 +60,11 @@ pub fn position_based(
     Xpbd::new(&body, &wall, config).map_err(Failure::internal)
 }
 
-/// Edges of a coil that lie in turns; what is more is its straight tail.
+/// Edges of a coil that lie in turns; the rest is its straight tail.
 const COILED: usize = 100;
 
-/// A coil of suture thread on a table, its turns touching each other, its tail lying on the table as well or leading up to a
-/// hand; the places of its ends.
+/// A coil of suture thread on a table, its turns touching each other, its tail lying on the table or leading up to a
+/// hand; and the positions of its ends.
 pub fn coil(edges: usize, lying: bool) -> Result<(Thread, [Point3<f64>; 2]), Failure> {
     let on_coil = |turn: f64| Point3::new(3e-3 * turn.cos(), 3e-3 * turn.sin(), 4.9e-5 * turn);
     let last = 0.15 * COILED as f64;
@@ -76,7 +77,7 @@ pub fn coil(edges: usize, lying: bool) -> Result<(Thread, [Point3<f64>; 2]), Fai
     Ok((thread, [points[0], points[edges]]))
 }
 
-/// A membrane 2 mm thick of `n` × `n` squares of 1 mm that heats up where an electrode is.
+/// A membrane 2 mm thick of `n` × `n` squares of 1 mm that an electrode heats.
 pub fn membrane(n: u32) -> Result<Electrosurgery, Failure> {
     let at = |i: u32, j: u32| i * (n + 1) + j;
     let places = |n: u32| (0..n).flat_map(move |i| (0..n).map(move |j| (i, j)));

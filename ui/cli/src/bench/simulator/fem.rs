@@ -1,4 +1,5 @@
-//! Finite elements: the precomputed linear ones against the times of a haptic loop, the corotational ones beside MuJoCo.
+//! Benchmarks of finite elements: the precomputed linear ones against haptic rates, the corotational ones beside
+//! MuJoCo.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -26,7 +27,7 @@ pub fn precomputed(cells: [usize; 3], size: [f64; 3]) -> Result<LinearFem, Failu
     LinearFem::new(mesh, &material, &wall, &Limits::default(), &mut |_| true).map_err(Failure::internal)
 }
 
-/// Median time of a solve for so many held nodes that all move; they stay held.
+/// Median time of a contact solve for so many held nodes that all move.
 fn contact_of(body: &mut LinearFem, held: usize) -> Result<(f64, f64), Failure> {
     let free = body.compliance().nodes().to_vec();
     let start = free.len() / 2;
@@ -44,12 +45,12 @@ fn contact_of(body: &mut LinearFem, held: usize) -> Result<(f64, f64), Failure> 
     }))
 }
 
-/// The same of a block of its own.
+/// The same for a block of its own.
 pub fn contact_secs(held: usize) -> Result<(f64, f64), Failure> {
     contact_of(&mut precomputed([8, 8, 8], [0.1; 3])?, held)
 }
 
-/// Surface nodes of a block that is held at ten, and median time of reading where all of them are.
+/// Surface nodes of a block that is held at ten nodes, and the median time of reading all their positions.
 pub fn surface_secs(cells: [usize; 3]) -> Result<(usize, (f64, f64)), Failure> {
     let mut body = precomputed(cells, [0.1; 3])?;
     contact_of(&mut body, 10)?;
@@ -71,20 +72,20 @@ pub fn linear() -> Result<Vec<BenchResult>, Failure> {
     }
     let precompute = median_and_spread(&times);
     rows.push(at_most("linear_fem_precompute_1009_nodes", "s", precompute, 1.0));
-    // What it writes, at least: the inverse where the surface is. The solves of a sparse factor that lead to it come on top.
+    // Lower bound of the bytes written: the inverse at the surface nodes. The sparse solves before it come on top.
     let freedoms = body.compliance().row(0, 0).len() as f64;
     let work = Work { bytes: 4.0 * freedoms.powi(2), ..Work::default() };
     rows.push(share("linear_fem_precompute_1009_nodes", precompute.0, work));
 
     let contact = contact_of(&mut body, 10)?;
     rows.push(at_most("linear_fem_contact_10_nodes", "µs", scaled(contact, 1e6), 20.0));
-    // The triangles of what the held nodes do to each other, there and back.
+    // Forward and back substitution with the factor of the held nodes' compliance.
     let work = Work { operations: 2.0 * 900.0, single: false, bytes: 2.0 * 8.0 * 450.0 };
     rows.push(share("linear_fem_contact_10_nodes", contact.0, work));
     let mut out = Vec::new();
     let surface = per_run(200, || body.surface_displacements(black_box(&mut out)));
     rows.push(at_most("linear_fem_surface_1009_nodes", "µs", scaled(surface, 1e6), 100.0));
-    // It reads, for each of the ten held nodes and each axis, one row of the inverse, and adds it up.
+    // For each of the ten held nodes and each axis, it reads and accumulates one row of the inverse.
     let numbers = (30 * body.compliance().row(0, 0).len()) as f64;
     let work = Work { operations: 2.0 * numbers, single: true, bytes: 4.0 * numbers };
     rows.push(share("linear_fem_surface_1009_nodes", surface.0, work));
@@ -104,22 +105,22 @@ pub fn linear() -> Result<Vec<BenchResult>, Failure> {
         bar.surface_displacements(black_box(&mut out));
     });
     rows.push(at_most("linear_fem_bar_320_nodes", "ms", scaled(step, 1e3), 0.2));
-    // Rows of the held node and of the loaded one, three axes each.
+    // Rows of the held node and of the loaded node, three axes each.
     let numbers = (6 * bar.compliance().row(0, 0).len()) as f64;
     let work = Work { operations: 2.0 * numbers, single: true, bytes: 4.0 * numbers };
     rows.push(share("linear_fem_bar_320_nodes", step.0, work));
     Ok(rows)
 }
 
-/// Stiffness damping of the beams \[s\]: their swing has gone by the end of the blocks.
+/// Stiffness damping of the beams \[s\]: their oscillation has decayed by the end of the blocks.
 const DAMPING: f64 = 2e-2;
 
-/// A corotational beam that sags under its weight.
+/// A corotational beam that sags under gravity.
 pub fn beam(cells: [usize; 3]) -> Result<DynamicFem, Failure> {
     beam_of(Constitution::Corotational, cells)
 }
 
-/// A beam that answers so to deformation.
+/// A beam of this constitution.
 pub fn beam_of(constitution: Constitution, cells: [usize; 3]) -> Result<DynamicFem, Failure> {
     let (mesh, wall) = block(cells, [0.1, 0.02, 0.02])?;
     let elastic = Elastic::new(1e5, 0.3).map_err(Failure::internal)?;
@@ -130,8 +131,8 @@ pub fn beam_of(constitution: Constitution, cells: [usize; 3]) -> Result<DynamicF
 /// Steps of a block.
 const STEPS: usize = 200;
 
-/// Implicit corotational finite elements at 1 ms, beside MuJoCo's implicit flexible body: the same beam, the same steps, blocks
-/// in turns; and whether both come to rest at the same deflection.
+/// Implicit corotational finite elements at 1 ms, beside MuJoCo's implicit flexible body: the same beam and steps, in
+/// alternating blocks; and whether both come to rest at the same deflection.
 pub fn dynamic(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     let mut rows = Vec::new();
     for cells in [[20, 3, 3], [32, 5, 5]] {
@@ -172,7 +173,8 @@ pub fn dynamic(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
             }
             None => BenchResult::on_value(&name, "ms (no peer)", figure, None, Better::Lower),
         });
-        // A solve reads the factor there and back. Of an element: its deformation, the polar decomposition, stress, four forces.
+        // A solve reads the factor twice. For each element: deformation gradient, polar decomposition, stress, four
+        // forces.
         let per_step = |count: u32| f64::from(count) / (BLOCKS * STEPS) as f64;
         let (entries, elements) = (body.factor_entries() as f64, tets as f64);
         let work = Work {

@@ -1,4 +1,4 @@
-//! Thread, heat and liquid.
+//! Benchmarks of thread, heat and liquid.
 
 use std::f64::consts::PI;
 use std::hint::black_box;
@@ -16,7 +16,7 @@ use super::roofline::{Work, share};
 use super::{BLOCKS, at_least_hz, at_most, per_run, scaled, secs};
 use crate::failure::Failure;
 
-/// Median time of a millisecond of a coil of thread on a table.
+/// Median time of a simulated millisecond of a coil of thread on a table.
 pub fn thread_secs(edges: usize, lying: bool) -> Result<(f64, f64), Failure> {
     let (mut thread, ends) = coil(edges, lying)?;
     let table = Shape::HalfSpace { normal: Vector3::z() };
@@ -35,14 +35,15 @@ pub fn thread_secs(edges: usize, lying: bool) -> Result<(f64, f64), Failure> {
     failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
 }
 
-/// Operations and bytes of a step of a thread. Of an edge at least: its strain, bend and twist with their derivatives, the factor
-/// of a band of eleven numbers to either side of four unknowns, and one way there and back through it; contacts come on top.
+/// Lower bound on the operations and bytes of a step of a thread. For each edge: its strain, bend and twist with their
+/// derivatives, the band factor (eleven entries to either side of four unknowns), and one forward and back
+/// substitution; contacts are not counted.
 pub fn thread_work(edges: usize) -> (f64, f64) {
     let edges = edges as f64;
     (edges * (400.0 + 4.0 * 11.0 * 11.0 + 4.0 * 4.0 * 11.0), edges * 8.0 * 4.0 * 12.0 * 3.0)
 }
 
-/// Thread with contacts among its turns, and a rod beside PyElastica's.
+/// Thread with contacts among its turns, and a rod compared with PyElastica.
 pub fn thread(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     let mut rows = Vec::new();
     for (name, edges, lying, bar) in [
@@ -61,16 +62,16 @@ pub fn thread(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     Ok(rows)
 }
 
-/// The rod that PyElastica and we let sag.
+/// The sagging rod, for PyElastica and for us.
 const SAGGING: SaggingRod =
     SaggingRod { edges: 100, length: 0.05, radius: 1e-3, density: 1100.0, young: 1e7, damping: 40.0 };
-/// What PyElastica's explicit steps bear of it \[s\]; ours are five hundred times as long.
+/// Longest stable explicit step of PyElastica \[s\]; ours is five hundred times as long.
 const ELASTICA_STEP: f64 = 2e-6;
-/// Simulated time of a block \[s\]: after all blocks it is at rest.
+/// Simulated time of a block \[s\]: after all blocks the rod is at rest.
 const STRETCH: f64 = 0.06;
 
-/// A simulated millisecond of a rod that sags, of ours and of PyElastica's; and how far each is from where the theory of beams
-/// has its end.
+/// A simulated millisecond of a sagging rod, ours and PyElastica's; and the deflection error of each against beam
+/// theory.
 fn beside_elastica(python: &Path) -> Result<Vec<BenchResult>, Failure> {
     let SaggingRod { edges, length, radius, density, young, damping } = SAGGING;
     let (area, bending) = (PI * radius.powi(2), 0.25 * PI * radius.powi(4));
@@ -84,7 +85,7 @@ fn beside_elastica(python: &Path) -> Result<Vec<BenchResult>, Failure> {
         drag: damping,
         ..ThreadMaterial::silk_2_0()
     };
-    // The clamp of ours is in the middle of its first edge.
+    // Our clamp is in the middle of the first edge.
     let edge = length / (edges as f64 - 0.5);
     let points: Vec<_> = (0..=edges).map(|node| Point3::new((node as f64 - 0.5) * edge, 0.0, 0.0)).collect();
     let mut rod = Thread::new(material, &points).map_err(Failure::internal)?;
@@ -111,8 +112,7 @@ fn beside_elastica(python: &Path) -> Result<Vec<BenchResult>, Failure> {
     let own = error(-rod.positions()[edges].z);
     Ok(vec![
         BenchResult::on_ratio(name, "ms", figure, floor, Some(0.5), Better::Lower),
-        // One that has lost its numbers is no measure of error, and the theory, which is of small deflections, none within a
-        // few hundredths.
+        // A diverged rod gives no error, and the theory of small deflections is itself only accurate to a few per cent.
         BenchResult::on_value(
             format!("{name}_static_error"),
             "share",
@@ -123,7 +123,7 @@ fn beside_elastica(python: &Path) -> Result<Vec<BenchResult>, Failure> {
     ])
 }
 
-/// One step of 10 ms of a tip that cuts at 5 mm/s.
+/// One step of 10 ms of an electrode that cuts at 5 mm/s.
 fn cut(heat: &mut Electrosurgery, step: u32, extent: f64) -> Result<(), Failure> {
     let along = f64::from(step) * 0.01 * 5e-3;
     let (row, x) = ((along / extent).floor(), along % extent);
@@ -132,7 +132,7 @@ fn cut(heat: &mut Electrosurgery, step: u32, extent: f64) -> Result<(), Failure>
     heat.step(0.01, &[tip]).map(drop).map_err(Failure::internal)
 }
 
-/// Median time of a step of a membrane of `n` × `n` squares that is cut, after a second of it.
+/// Median time of a step of a membrane of `n` × `n` squares that is being cut, after one second.
 pub fn heat_secs(n: u32) -> Result<(f64, f64), Failure> {
     let mut heat = membrane(n)?;
     let extent = 1e-3 * f64::from(n - 1);
@@ -152,7 +152,7 @@ pub fn heat_secs(n: u32) -> Result<(f64, f64), Failure> {
 /// A membrane of 10,082 triangles under an electrode.
 pub fn heat() -> Result<Vec<BenchResult>, Failure> {
     let figure = heat_secs(71)?;
-    // Of an element: what flows over three sides, its temperature, blood and damage.
+    // For each element: flux over three sides, its temperature, blood and damage.
     let elements = 10_082.0;
     let work = Work { operations: 30.0 * elements, single: false, bytes: 72.0 * elements };
     Ok(vec![at_least_hz("heat_10k", figure, 100.0), share("heat_10k", figure.0, work)])
@@ -175,9 +175,9 @@ pub fn liquid_secs(particles: usize, runs: usize) -> Result<(f64, f64), Failure>
 /// A basin of 20,000 particles.
 pub fn liquid() -> Result<Vec<BenchResult>, Failure> {
     let figure = liquid_secs(20_000, 4)?;
-    // Eight rows that lie together have a list in common: 3,250 lists, of 72 neighbours each, among 300 that are looked at. A step
-    // multiplies by the operator about nine times, in two sweeps: of each neighbour a factor for each of the eight, in 16 bits,
-    // times four numbers; who it is and the four numbers are read.
+    // Eight adjacent rows share a neighbour list: 3,250 lists of 72 neighbours each, out of 300 candidates. A step
+    // applies the operator about nine times, in two sweeps: for each neighbour one 16-bit factor for each of the eight
+    // rows, times four numbers; its index and the four numbers are read.
     let (lists, lanes) = (3_250.0, 8.0);
     let links = 72.0 * lists;
     let operations = lanes * (8.0 * 300.0 * lists + 30.0 * links + 9.0 * 2.0 * 8.0 * links);

@@ -1,4 +1,4 @@
-//! How costs grow with the number of elements.
+//! Growth of the costs with the number of elements.
 
 use std::hint::black_box;
 
@@ -50,7 +50,7 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
             let tets = body.mesh().tets().len();
             row(what, tets, scaled(figure, 1e6));
             if constitution == Constitution::NeoHookean && tets == 4_800 {
-                // As of the corotational ones in the table, but for the decomposition.
+                // As for the corotational beam in the table, but without the decomposition.
                 let (entries, elements) = (body.factor_entries() as f64, tets as f64);
                 let operations = (solves * 4.0 * entries + evaluations * 350.0 * elements) / steps;
                 let bytes = (solves * 16.0 * entries + evaluations * 200.0 * elements) / steps;
@@ -77,8 +77,8 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
         let figure = soft::xpbd_cloth_secs(n)?;
         row("xpbd_cloth", 2 * (n * n) as usize, scaled(figure, 1e6));
         if n == 64 {
-            // Five rounds of three edges and three hinges to a square: of an edge its vector and length, the step, the moves
-            // of two nodes; of a hinge the same of four.
+            // Five sweeps over three edges and three hinges per square: for each edge its vector and length, the step,
+            // the moves of two nodes; for each hinge the same for four.
             let squares = f64::from(n * n);
             of_peak(
                 "xpbd_cloth_8192",
@@ -90,7 +90,7 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
         let (squares, figure) = (f64::from(n * n), surgery::cut_secs(n)?);
         row("cut", 2 * (n * n) as usize, scaled(figure, 1e6));
         if n == 128 {
-            // Which triangles a blade passes: of each vertex where it is and on which side, of each triangle its corners.
+            // The triangles that a blade passes: for each vertex its position and side, for each triangle its corners.
             of_peak("cut_32768", figure, 20.0 * squares, (24.0 + 2.0 * 12.0) * squares);
         }
     }
@@ -105,7 +105,8 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
         let (sewn, figure) = surgery::sew_secs(cells)?;
         row("suture", sewn.nodes, scaled(figure, 1e6));
         if cells == [12, 10, 6] {
-            // Of the tissue's columns three for each node that is held, over all of its nodes; and the thread's own, as of any.
+            // Three columns of the tissue for each held node, over all of its nodes; and the thread's own work, as for
+            // any thread.
             let entries = 9.0 * (sewn.held * sewn.nodes) as f64;
             let (operations, bytes) = flows::thread_work(sewn.edges);
             of_peak("suture_1001", figure, operations + 2.0 * entries, bytes + 8.0 * entries);
@@ -115,7 +116,7 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
         let figure = surgery::couple_secs(nodes)?;
         row("coupling", nodes as usize, scaled(figure, 1e6));
         if nodes == 1_000 {
-            // Of a node of either side: where it is expected, its tie, what both get of it, and its step.
+            // For a node of either side: its predicted position, its tie, the impulse on both, and its step.
             of_peak("coupling_1000", figure, 150.0 * f64::from(nodes), 400.0 * f64::from(nodes));
         }
     }
@@ -123,7 +124,7 @@ pub fn growth() -> Result<Vec<BenchResult>, Failure> {
         let figure = surgery::smoke_secs(puffs)?;
         row("smoke", puffs, scaled(figure, 1e6));
         if puffs == 50_000 {
-            // Of a puff: lift, wind and drag, where it strays to; its eight numbers, read and written.
+            // For a puff: lift, wind and drag, and diffusion; its eight numbers, read and written.
             of_peak("smoke_50000", figure, 100.0 * puffs as f64, 128.0 * puffs as f64);
         }
     }

@@ -1,6 +1,6 @@
-//! Two rates in one scene, live: an implicit organ at 20 Hz, an explicit membrane at 500 Hz, a reader of all of it at 60 Hz and
-//! two hands at 1 kHz, beside bare timer loops of the same run. What the paper claims: none disturbs another. And every scene
-//! of a kind of matter, live: whether it comes to what its scenario expects.
+//! Two rates in one scene, live: an implicit organ at 20 Hz, an explicit membrane at 500 Hz, a reader of both at 60 Hz
+//! and two hands at 1 kHz, beside bare timer loops of the same run. The claim under test: none disturbs another. And
+//! every material scene, live: whether it meets the expectations of its scenario.
 
 use std::time::Duration;
 
@@ -14,10 +14,10 @@ use crate::failure::Failure;
 /// Length of a block \[s\]: both hands press in the last half of it.
 const BLOCK_SECS: f64 = 4.0;
 const BLOCKS: usize = 3;
-/// Rates that bodies and the reader must keep \[Hz\].
+/// Rates that the bodies and the reader must keep \[Hz\].
 const KEPT: [(&str, f64); 3] = [("organ", 20.0), ("membrane", 500.0), ("eye", 60.0)];
 
-/// Reads what a view would: where every vertex is.
+/// Reads every vertex position, as a viewer would.
 struct Eye;
 
 impl Controller for Eye {
@@ -33,7 +33,7 @@ impl Controller for Eye {
     }
 }
 
-/// Rates that are kept, and how punctual the hands are.
+/// Achieved rates, and the punctuality of the hands.
 pub fn live() -> Result<Vec<BenchResult>, Failure> {
     let app = App::new().controller_with("eye", |(): &(), _| Ok(Eye)).joins("eye", 60.0);
     let scenario = app.scenario("two-rates")?;
@@ -69,7 +69,7 @@ pub fn live() -> Result<Vec<BenchResult>, Failure> {
     Ok(rows)
 }
 
-/// The scenes of all kinds of matter.
+/// The material scenes.
 const SCENES: [&str; 10] = [
     "instruments",
     "cloth-cut",
@@ -83,13 +83,13 @@ const SCENES: [&str; 10] = [
     "two-rates",
 ];
 
-/// What share of what its scenario expects each scene comes to, with its virtual hands in real time.
+/// The share of its scenario's expectations that each scene meets, with its virtual hands in real time.
 pub fn scenes() -> Result<Vec<BenchResult>, Failure> {
     let app = App::new();
     let judged = SCENES.iter().map(|name| {
         let outcome = trocar::run::run(&app, &app.scenario(name)?, &RunOptions::default(), &mut |_| {})?;
         let task = &outcome.summary.task;
-        // What was frozen counts against it, too.
+        // Frozen bodies count against it, too.
         let share = if task.completed { 1.0 } else { (task.score.unwrap_or(0.0) / 100.0).min(0.99) };
         let name = format!("simulator_live_scene_{}", name.replace('-', "_"));
         Ok(BenchResult::on_value(name, "share", (share, 0.0), Some(1.0), Better::Higher))

@@ -1,7 +1,7 @@
-//! What simulators cost, on one thread: beside finite elements of MuJoCo, position-based bodies of pypbd, rods of
-//! PyElastica and cloth of Bullet where a Python has them; heat, liquid, and how all of it grows with size.
+//! The suite `simulator` on one thread: beside finite elements of MuJoCo, position-based bodies of pypbd, rods of
+//! PyElastica and cloth of Bullet where a Python has them; heat, liquid, and the growth of all costs with size.
 //!
-//! Times are those of the thread, as its clock of processor time has them: what else the machine does is not counted.
+//! Times are processor times of the thread: other load on the machine is not counted.
 
 mod bodies;
 mod fem;
@@ -22,7 +22,7 @@ use trocar_kernel::bench::median_and_spread;
 
 use crate::failure::Failure;
 
-/// Blocks of which the median counts.
+/// Blocks over which the median is taken.
 const BLOCKS: usize = 7;
 
 /// Processor time of this thread so far \[s\].
@@ -61,12 +61,12 @@ fn at_least_hz(name: &str, (secs, spread): (f64, f64), bar: f64) -> BenchResult 
     BenchResult::on_value(format!("simulator_{name}"), "steps/s", rate, Some(bar), Better::Higher)
 }
 
-/// A figure that is only told.
+/// A row without a bar.
 fn told(name: &str, unit: &str, value: f64, better: Better) -> BenchResult {
     BenchResult::on_value(format!("simulator_{name}"), unit, (value, 0.0), None, better)
 }
 
-/// Runs a part with one thread for whatever is parallel in it.
+/// Runs a part with a single-thread pool.
 fn alone(
     part: impl FnOnce() -> Result<Vec<BenchResult>, Failure> + Send,
 ) -> Result<Vec<BenchResult>, Failure> {
@@ -102,7 +102,7 @@ pub fn flows(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     })
 }
 
-/// How costs grow with size.
+/// Growth of the costs with size.
 pub fn growth() -> Result<Vec<BenchResult>, Failure> {
     alone(growth::growth)
 }

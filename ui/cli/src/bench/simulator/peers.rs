@@ -19,10 +19,10 @@ pub struct MujocoBeam {
 }
 
 impl MujocoBeam {
-    /// Starts it.
+    /// Starts the process.
     ///
     /// # Errors
-    /// When that Python has no MuJoCo, or it does not understand.
+    /// When that Python has no MuJoCo, or the script reports an error.
     pub fn start(python: &Path, cells: [usize; 3], damping: f64) -> Result<Self, Failure> {
         let mut peer = Peer::start(python, MUJOCO)?;
         peer.ask(&json!({
@@ -43,7 +43,7 @@ impl MujocoBeam {
         Ok(times.iter().sum::<f64>() / times.len() as f64)
     }
 
-    /// How far its end has come down \[m\].
+    /// Deflection of its free end \[m\].
     pub fn tip(&self) -> f64 {
         self.tip
     }
@@ -52,16 +52,16 @@ impl MujocoBeam {
 /// A beam of cells in pypbd.
 pub struct PypbdBeam {
     peer: Peer,
-    /// Deflection of its end at rest by linear elasticity \[m\].
+    /// Deflection of its free end at rest by linear elasticity \[m\].
     pub deflection_linear: f64,
     tip: Option<f64>,
 }
 
 impl PypbdBeam {
-    /// Starts it with the same beam, by so many iterations in a step.
+    /// Starts the process with the same beam and so many iterations in a step.
     ///
     /// # Errors
-    /// When that Python has no pypbd, or it does not understand.
+    /// When that Python has no pypbd, or the script reports an error.
     pub fn start(python: &Path, beam: &SaggingBeam, iterations: u32) -> Result<Self, Failure> {
         let mut peer = Peer::start(python, PYPBD)?;
         let answer = peer.ask(&json!({
@@ -85,16 +85,16 @@ impl PypbdBeam {
         answer["ms"].as_f64().ok_or_else(|| Failure::internal("the peer tells no time"))
     }
 
-    /// How far its end has come down \[m\]; none when it has lost its numbers.
+    /// Deflection of its free end \[m\]; `None` when it has diverged.
     pub fn tip(&self) -> Option<f64> {
         self.tip
     }
 }
 
-/// A rod that is clamped at one end and sags under its weight.
+/// A rod that is clamped at one end and sags under gravity.
 #[derive(Clone, Copy, Debug)]
 pub struct SaggingRod {
-    /// How many edges.
+    /// Number of edges.
     pub edges: usize,
     /// \[m\].
     pub length: f64,
@@ -104,23 +104,23 @@ pub struct SaggingRod {
     pub density: f64,
     /// Young's modulus \[Pa\].
     pub young: f64,
-    /// Share of a velocity that goes in a second \[1/s\].
+    /// Share of a velocity that is lost in a second \[1/s\].
     pub damping: f64,
 }
 
 /// A rod in PyElastica.
 pub struct ElasticaRod {
     peer: Peer,
-    /// Deflection of its end at rest by the theory of slender beams \[m\].
+    /// Deflection of its free end at rest by slender-beam theory \[m\].
     pub deflection_linear: f64,
     tip: Option<f64>,
 }
 
 impl ElasticaRod {
-    /// Starts it with the same rod.
+    /// Starts the process with the same rod.
     ///
     /// # Errors
-    /// When that Python has no PyElastica, or it does not understand.
+    /// When that Python has no PyElastica, or the script reports an error.
     pub fn start(python: &Path, rod: &SaggingRod, step_secs: f64) -> Result<Self, Failure> {
         let mut peer = Peer::start(python, ELASTICA)?;
         let answer = peer.ask(&json!({
@@ -133,7 +133,7 @@ impl ElasticaRod {
         Ok(Self { peer, deflection_linear, tip: None })
     }
 
-    /// Mean processor time of a simulated millisecond, of so many seconds \[ms\].
+    /// Mean processor time of a simulated millisecond, over so many seconds \[ms\].
     ///
     /// # Errors
     /// When it does not answer.
@@ -143,23 +143,23 @@ impl ElasticaRod {
         answer["ms"].as_f64().ok_or_else(|| Failure::internal("the peer tells no time"))
     }
 
-    /// How far its end has come down \[m\]; none when it has lost its numbers.
+    /// Deflection of its free end \[m\]; `None` when it has diverged.
     pub fn tip(&self) -> Option<f64> {
         self.tip
     }
 }
 
-/// A sheet of masses and springs in Bullet, hanging from one edge.
+/// A mass-spring sheet in Bullet, hanging from one edge.
 pub struct BulletCloth(Peer);
 
 impl BulletCloth {
-    /// Starts it: so many squares to a side of 10 cm.
+    /// Starts the process: so many squares along a side of 10 cm.
     ///
     /// # Errors
-    /// When that Python has no pybullet, or it does not understand.
+    /// When that Python has no pybullet, or the script reports an error.
     pub fn start(python: &Path, squares: u32) -> Result<Self, Failure> {
         let mut peer = Peer::start(python, BULLET)?;
-        // As stiff as its explicit steps bear at half of ours.
+        // As stiff as its explicit steps allow at half our step.
         let sheet =
             json!({ "squares": squares, "size": 0.1, "density": 0.15, "stiffness": 10.0, "dt": 5e-5 });
         peer.ask(&sheet)?;
@@ -169,7 +169,7 @@ impl BulletCloth {
     /// Mean processor time of so many steps \[ms\].
     ///
     /// # Errors
-    /// When it does not answer, or has lost its numbers.
+    /// When it does not answer, or has diverged.
     pub fn steps(&mut self, count: usize) -> Result<f64, Failure> {
         let answer = self.0.ask(&json!({ "steps": count }))?;
         if answer["lowest"].is_null() {
@@ -179,12 +179,12 @@ impl BulletCloth {
     }
 }
 
-/// A beam that is held at one end and sags under its weight.
+/// A beam that is clamped at one end and sags under gravity.
 #[derive(Clone, Copy, Debug)]
 pub struct SaggingBeam {
     /// Cells of six tetrahedra along each axis.
     pub cells: [usize; 3],
-    /// Of a cell \[m\].
+    /// Edge length of a cell \[m\].
     pub edge: f64,
     /// Young's modulus \[Pa\].
     pub young: f64,
@@ -192,7 +192,7 @@ pub struct SaggingBeam {
     pub poisson: f64,
     /// \[kg/m³\].
     pub density: f64,
-    /// Share of a velocity that goes in a second \[1/s\].
+    /// Share of a velocity that is lost in a second \[1/s\].
     pub damping: f64,
     /// \[s\].
     pub step_secs: f64,

@@ -1,6 +1,6 @@
-//! How much of what this machine can do a kernel gets out of it (Williams, Waterman, Patterson, *Roofline*, 2009): operations
-//! that its formulas need, over those that this thread can do in the same time; or bytes that it cannot but read, over those
-//! that this thread can read of as much memory. The larger of the two is what holds it back, or nearest to it.
+//! Roofline share of a kernel (Williams, Waterman, Patterson, *Roofline*, 2009): the operations that its formulas need,
+//! over those that this thread can do in the same time; or the bytes that it must read, over those that this thread can
+//! read from as much memory. The larger share names the bottleneck.
 
 use std::hint::black_box;
 
@@ -8,14 +8,14 @@ use trocar::summary::{BenchResult, Better};
 
 use super::{BLOCKS, secs, told};
 
-/// What a step of a kernel needs at least.
+/// Lower bound on the work of a kernel's step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Work {
     /// Additions and multiplications.
     pub operations: f64,
-    /// In numbers of 32 bits, four at a time where the machine does that; else of 64.
+    /// Whether numbers have 32 bits, four at a time where the machine supports it; otherwise 64.
     pub single: bool,
-    /// Bytes that are read.
+    /// Bytes read.
     pub bytes: f64,
 }
 
@@ -24,14 +24,14 @@ fn fastest(count: f64, mut work: impl FnMut()) -> f64 {
     count / (0..BLOCKS).map(|_| secs(&mut work)).fold(f64::INFINITY, f64::min)
 }
 
-/// How fast this thread reads so many bytes of memory over and over \[bytes/s\].
+/// Read bandwidth of this thread for a working set of so many bytes \[bytes/s\].
 fn read_bandwidth(bytes: f64) -> f64 {
     let count = ((bytes / size_of::<f32>() as f64) as usize).clamp(1 << 12, 1 << 24);
     let memory = vec![1.0_f32; count];
     let rounds = (1_usize << 24).div_ceil(count);
     fastest((rounds * count * size_of::<f32>()) as f64, || {
         for _ in 0..rounds {
-            // Sixteen sums at once, so that adding is never what takes the time.
+            // Sixteen independent sums, so that the additions are never the bottleneck.
             let sums = black_box(&memory).chunks_exact(16).fold([0.0_f32; 16], |mut sums, chunk| {
                 sums.iter_mut().zip(chunk).for_each(|(sum, value)| *sum += value);
                 sums
@@ -41,8 +41,8 @@ fn read_bandwidth(bytes: f64) -> f64 {
     })
 }
 
-/// Additions and multiplications that this thread does in a second when nothing else is in its way, with the widest
-/// registers that it has: as the kernels are run.
+/// Peak additions and multiplications per second of this thread, with the widest registers that the kernels are
+/// compiled for.
 macro_rules! peak {
     ($name:ident, $number:ty, $lanes:literal) => {
         fn $name() -> f64 {
@@ -63,11 +63,11 @@ macro_rules! peak {
         }
     };
 }
-// As many sums as fill eight registers of 32 bytes: none waits for another.
+// As many sums as fill eight registers of 32 bytes, without dependencies between them.
 peak!(peak_single, f32, 64);
 peak!(peak_double, f64, 32);
 
-/// The share of what is possible, for a step that takes `step_secs`.
+/// The roofline share of a step that takes `step_secs`.
 pub fn share(name: &str, step_secs: f64, work: Work) -> BenchResult {
     let peak = if work.single { peak_single() } else { peak_double() };
     let arithmetic = work.operations / step_secs / peak;

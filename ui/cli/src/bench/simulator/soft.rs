@@ -1,4 +1,4 @@
-//! Cloth of masses and springs, and position-based bodies.
+//! Benchmarks of mass-spring cloth and position-based bodies.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -17,10 +17,10 @@ use super::roofline::{Work, share};
 use super::{BLOCKS, at_least_hz, at_most, per_run, scaled, secs};
 use crate::failure::Failure;
 
-/// How the cloth is stepped implicitly \[s\].
+/// Implicit time step of the cloth \[s\].
 const IMPLICIT_STEP: f64 = 1e-3;
 
-/// An explicit cloth, and the largest share of its safe step that is taken.
+/// An explicit cloth, and its time step: nine tenths of the stability limit.
 pub fn explicit(n: u32) -> Result<(MassSpring, f64), Failure> {
     let cloth = gauze(n, Integrator::Explicit { too_large: TooLarge::Refuse })?;
     let dt = 0.9 * cloth.safe_step();
@@ -33,7 +33,7 @@ pub fn implicit(n: u32) -> Result<(MassSpring, f64), Failure> {
     Ok((gauze(n, Integrator::Implicit { solver, newton: 1 })?, IMPLICIT_STEP))
 }
 
-/// Median time of a step, after as many as it takes to swing.
+/// Median time of a step, once the cloth swings.
 pub fn step_secs((mut cloth, dt): (MassSpring, f64), runs: usize) -> Result<(f64, f64), Failure> {
     let input = Input { gravity: GRAVITY, ..Input::default() };
     let mut failed = None;
@@ -47,12 +47,12 @@ pub fn step_secs((mut cloth, dt): (MassSpring, f64), runs: usize) -> Result<(f64
     failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
 }
 
-/// A gauze of 64 × 64 squares; a step of it beside one of Bullet's, blocks in turns.
+/// A gauze of 64 × 64 squares; a step of it beside one of Bullet's, in alternating blocks.
 pub fn cloth(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     let cloth = explicit(64)?;
     let network = cloth.0.network();
-    // Of a spring: the way between two nodes and how fast it grows, its length, the force and its two ends. Of a node: its
-    // acceleration, speed and place.
+    // For each spring: the vector between its nodes and its rate of change, its length, the force, and its two ends.
+    // For each node: its acceleration, velocity and position.
     let (springs, nodes) = (network.springs.len() as f64, network.masses.len() as f64);
     let work = Work {
         operations: 35.0 * springs + 18.0 * nodes,
@@ -69,7 +69,7 @@ pub fn cloth(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     Ok(rows)
 }
 
-/// Implicit steps, and how near to the exact solution of its system each comes.
+/// Implicit steps, and the error of each against the exact solution of its system.
 fn implicit_cloth() -> Result<Vec<BenchResult>, Failure> {
     const STEPS: usize = 10;
     let (mut cloth, dt) = implicit(64)?;
@@ -89,8 +89,8 @@ fn implicit_cloth() -> Result<Vec<BenchResult>, Failure> {
     let network = cloth.network();
     let (springs, hinges, nodes) =
         (network.springs.len() as f64, network.hinges.len() as f64, network.masses.len() as f64);
-    // An iteration goes through the factor there and back, two bytes a number, and multiplies by the parts of springs and
-    // hinges; of a node it adds up a dozen vectors.
+    // An iteration does a forward and back substitution, two bytes an entry, and multiplies by the blocks of springs
+    // and hinges; for each node it adds a dozen vectors.
     let entries = cloth.factor_entries() as f64;
     let work = Work {
         operations: per_step * (4.0 * entries + 20.0 * springs + 65.0 * hinges + 75.0 * nodes),
@@ -104,7 +104,7 @@ fn implicit_cloth() -> Result<Vec<BenchResult>, Failure> {
     ])
 }
 
-/// An explicit step of a sheet of masses and springs, of ours and of Bullet's.
+/// An explicit step of a mass-spring sheet, ours and Bullet's.
 fn beside_bullet(python: &Path) -> Result<BenchResult, Failure> {
     let mut peer = BulletCloth::start(python, 64)?;
     let (mut cloth, dt) = explicit(64)?;
@@ -127,7 +127,7 @@ fn beside_bullet(python: &Path) -> Result<BenchResult, Failure> {
     Ok(BenchResult::on_ratio(name, "ms", figure, floor, Some(0.5), Better::Lower))
 }
 
-/// Median time of a step of 5 ms with five rounds of constraints, of a block of so many cells of 1 cm.
+/// Median time of a step of 5 ms with five constraint sweeps, for a block of so many cells of 1 cm.
 pub fn xpbd_secs(cells: [usize; 3], runs: usize) -> Result<(f64, f64), Failure> {
     let config = XpbdConfig { parts: 1, iterations: 5, damping: 1.0, ..XpbdConfig::default() };
     let mut body = beam(cells, cells.map(|count| 0.01 * count as f64), 1e5, config)?;
@@ -141,7 +141,7 @@ pub fn xpbd_secs(cells: [usize; 3], runs: usize) -> Result<(f64, f64), Failure> 
     failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
 }
 
-/// Median time of a step of 5 ms of a network whose springs and hinges are such constraints.
+/// Median time of a step of 5 ms of a network whose springs and hinges are position-based constraints.
 fn network_secs(network: &Network, rest: &[Point3<f64>], held: &[u32]) -> Result<(f64, f64), Failure> {
     let distances = distances_of(network);
     let (masses, bends) = (&network.masses, &network.hinges);
@@ -158,13 +158,13 @@ fn network_secs(network: &Network, rest: &[Point3<f64>], held: &[u32]) -> Result
     failed.map_or(Ok(figure), |error| Err(Failure::internal(error)))
 }
 
-/// The same of a gauze of `n` × `n` squares.
+/// The same for a gauze of `n` × `n` squares.
 pub fn xpbd_cloth_secs(n: u32) -> Result<(f64, f64), Failure> {
     let (gauze, _) = explicit(n)?;
     network_secs(gauze.network(), &gauze.state().positions, &[0, n])
 }
 
-/// The same of a rod of so many edges.
+/// The same for a rod of so many edges.
 pub fn xpbd_rod_secs(edges: u32) -> Result<(f64, f64), Failure> {
     let rest: Vec<_> = (0..=edges).map(|node| Point3::new(1e-3 * f64::from(node), 0.0, 0.0)).collect();
     let lines: Vec<_> = (0..edges).map(|edge| [edge, edge + 1]).collect();
@@ -173,7 +173,7 @@ pub fn xpbd_rod_secs(edges: u32) -> Result<(f64, f64), Failure> {
     network_secs(&network, &rest, &[0, 1])
 }
 
-/// The beam that pypbd and we let sag: 2,520 tetrahedra.
+/// The sagging beam, for pypbd and for us: 2,520 tetrahedra.
 const SAGGING: SaggingBeam = SaggingBeam {
     cells: [20, 7, 3],
     edge: 0.005,
@@ -183,13 +183,13 @@ const SAGGING: SaggingBeam = SaggingBeam {
     damping: 20.0,
     step_secs: 5e-3,
 };
-/// Sweeps over its constraints in a step.
+/// Constraint sweeps in a step.
 const SWEEPS: u32 = 5;
-/// Steps of a block: after all blocks it is at rest.
+/// Steps of a block: after all blocks the beam is at rest.
 const STEPS: usize = 60;
 
-/// Position-based bodies beside pypbd's: the same beam, as many sweeps over its constraints in a step, blocks in turns; and how far
-/// each is from where linear elasticity has its end.
+/// Position-based bodies beside pypbd: the same beam, as many constraint sweeps in a step, in alternating blocks; and
+/// the deflection error of each against linear elasticity.
 pub fn position_based(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure> {
     let SaggingBeam { cells, edge, young, damping, step_secs, .. } = SAGGING;
     let config = XpbdConfig { parts: SWEEPS, iterations: 1, damping, ..XpbdConfig::default() };
@@ -216,7 +216,8 @@ pub fn position_based(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure
     }
     let figure = median_and_spread(&ours);
     let name = "simulator_xpbd_2520";
-    // Of a tetrahedron: its edges, F, two invariants and their gradients, the step of two constraints, the moves of four nodes.
+    // For each tetrahedron: its edges, F, two invariants and their gradients, the step of two constraints, the moves of
+    // four nodes.
     let operations = 330.0 * f64::from(SWEEPS) * body.tets() as f64;
     let bytes = 64.0 * f64::from(SWEEPS) * body.tets() as f64;
     let share = share("xpbd_2520", figure.0 * 1e-3, Work { operations, single: true, bytes });
@@ -230,7 +231,7 @@ pub fn position_based(python: Option<&Path>) -> Result<Vec<BenchResult>, Failure
     let drops: Vec<f64> = ends.map(|(rest, now)| rest.z - now.z).collect();
     let tip = drops.iter().sum::<f64>() / drops.len() as f64;
     let error = |tip: f64| (tip / peer.deflection_linear - 1.0).abs();
-    // One that has lost its numbers is no measure of error.
+    // A diverged beam gives no error.
     let theirs = peer.tip().map(error);
     let own = BenchResult::on_value(
         "simulator_xpbd_2520_static_error",

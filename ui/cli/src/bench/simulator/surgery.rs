@@ -1,4 +1,4 @@
-//! What is done to tissue: cutting, sewing, what is coupled to it, the smoke of burning it; and what each costs by size.
+//! Benchmarks of surgical actions by size: cutting, suturing, coupling, and smoke of electrosurgery.
 
 use std::hint::black_box;
 
@@ -20,14 +20,14 @@ use super::bodies::{self, CLOTH, GRAVITY, block, cloth};
 use super::per_run;
 use crate::failure::Failure;
 
-/// Median time of a snip of 1 mm into a gauze of `n` × `n` squares: the mesh is cut, its springs follow.
+/// Median time of a snip of 1 mm into a gauze of `n` × `n` squares: the mesh is cut and its springs are updated.
 pub fn cut_secs(n: u32) -> Result<(f64, f64), Failure> {
     let mut springs = cloth(n, Integrator::Explicit { too_large: TooLarge::Accept })?;
     let (positions, triangles) = bodies::sheet(n);
     let mut sheet = Sheet::new(positions, triangles).map_err(Failure::internal)?;
     let (mut snips, mut failed) = (0, None);
     let mut snip = || {
-        // Rows of snips 1 mm apart, none into another one.
+        // Rows of snips 1 mm apart that do not meet.
         let (row, along) = (snips / 80, f64::from(snips % 80) * 1e-3);
         snips += 1;
         let [y, x] = [0.011 + 2e-3 * f64::from(row), 0.01 + along];
@@ -65,26 +65,27 @@ pub fn cut_secs(n: u32) -> Result<(f64, f64), Failure> {
     failed.map_or(Ok(figure), Err)
 }
 
-/// What a needle is pushed through.
+/// Sizes of a suture.
 pub struct Sewn {
-    /// Nodes of the tissue, and of how many of them needle and thread have hold.
+    /// Nodes of the tissue, and how many of them the needle and thread hold.
     pub nodes: usize,
     pub held: usize,
     /// Edges of the thread.
     pub edges: usize,
 }
 
-/// A block of so many cells of tissue, and the median time of a millisecond of a needle with its thread that is pushed through it.
+/// A block of so many cells of tissue, and the median time of a simulated millisecond of a needle with its thread that
+/// is pushed through it.
 pub fn sew_secs(cells: [usize; 3]) -> Result<(Sewn, (f64, f64)), Failure> {
     let edges = 60;
     let size = [0.024, 0.020, 0.012];
     let (mesh, _) = block(cells, size)?;
     let nodes = mesh.rest().len();
     let below: Vec<u32> = (0..nodes as u32).filter(|&node| mesh.rest()[node as usize].z < 1e-9).collect();
-    // Skin: what is softer is pushed down by millimetres before it gives to a tip.
+    // Skin: softer tissue is pushed down by millimetres before a tip punctures it.
     let elastic = Elastic::new(5e5, 0.4).map_err(Failure::internal)?;
     let tissue = Tissue::new(mesh, &elastic, &below).map_err(Failure::internal)?;
-    // All but straight, 40 mm, its tip above the middle of the block, down.
+    // An almost straight needle of 40 mm, its tip above the middle of the block and pointing down.
     let shape = NeedleShape { radius: 5.0, angle: 0.008, wire_radius: 3e-4, taper: 5e-3, density: 7900.0 };
     let solid = shape.solid().map_err(Failure::internal)?;
     let (ahead, length) = (-Vector3::z(), shape.length());
@@ -128,7 +129,7 @@ pub fn sew_secs(cells: [usize; 3]) -> Result<(Sewn, (f64, f64)), Failure> {
     Ok((Sewn { nodes, held: suture.tissue().forces().len(), edges }, figure))
 }
 
-/// Median time of a step in which so many loose nodes meet as many of another body that is ten times as slow.
+/// Median time of a step that couples so many loose nodes with as many of another body at a tenth of the rate.
 pub fn couple_secs(nodes: u32) -> Result<(f64, f64), Failure> {
     const RATE: usize = 10;
     let places: Vec<_> = (0..nodes).map(|node| Point3::new(1e-3 * f64::from(node), 0.0, 0.0)).collect();

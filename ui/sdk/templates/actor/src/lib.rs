@@ -1,9 +1,8 @@
-//! A plain actix actor in a session: a coach, who tells trainees when they move too fast.
+//! A plain actix actor in a session: a coach that tells trainees when they move too fast.
 //!
-//! When to write an actor rather than a controller: when it lives on messages (a web page, a speech synthesiser, a
-//! database), when it may be slow, or when it does not belong into lock-step. It sees the same snapshots as
-//! everybody and writes through a [`Guest`], whose bounded ring nobody else shares. It can hang, and the Model
-//! does not notice.
+//! Write an actor rather than a controller for work that is driven by messages (a web page, a speech synthesiser, a
+//! database), that may be slow, or that does not belong into lock-step. It reads the same snapshots as a controller and
+//! writes through a [`Guest`] with its own bounded ring. If it hangs, the Model is not affected.
 
 mod speaker;
 
@@ -13,19 +12,19 @@ use actix::prelude::*;
 pub use speaker::{Say, Speaker};
 use trocar::prelude::*;
 
-/// Speed of an instrument's tip from which on the coach speaks up \[m/s\].
+/// Speed of an instrument's tip above which the coach speaks \[m/s\].
 pub const SPEED_MAX: f64 = 0.1;
-/// How often it looks: an actor chooses its own rate, and a person cannot listen faster than that.
+/// Interval between two looks: an actor chooses its own rate, and a person cannot listen faster than that.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
-/// What the coach has said, on its own entity: for reports, for replay, and for the next life of the coach.
+/// The coach's advice, on its own entity: for reports, for replay, and for the coach after a restart.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Advice {
-    /// How often it spoke up.
+    /// Number of warnings.
     pub count: u32,
     /// Fastest movement so far \[m/s\].
     pub speed_max: f64,
-    /// Events of the session that it has heard.
+    /// Number of events that it has received.
     pub events: u32,
 }
 
@@ -39,33 +38,33 @@ pub struct Coach {
     speaker: Addr<Speaker>,
     speed_max: f64,
     advice: Advice,
-    /// Whether somebody is too fast right now: it speaks up once for each time.
+    /// Whether an instrument is too fast right now: it warns once each time.
     too_fast: bool,
 }
 
 impl Coach {
-    /// What the coach reads and writes; the Model holds it to that, as it does a controller.
+    /// The coach's declared access, which the Model enforces as for a controller.
     pub fn access() -> Access {
         Access::new().reads::<InstrumentTarget>().writes::<Advice>(EntitySet::Own)
     }
 
-    /// Called at the start, and again when the coach has panicked: it goes on from what stands in the scene.
+    /// Called at the start, and again after a panic: it continues from the scene.
     pub fn new(guest: Guest, speed_max: f64) -> Self {
         let advice = guest.snapshot().get::<Advice>(guest.me()).cloned().unwrap_or_default();
-        // What blocks (printing, a disk, a network without async) goes to a thread of its own.
+        // Blocking work (printing, a disk, a network without async) goes to a thread of its own.
         let speaker = SyncArbiter::start(1, || Speaker);
         Self { guest, speaker, speed_max, advice, too_fast: false }
     }
 
-    /// What it has said so far.
+    /// Its advice so far.
     pub fn advice(&self) -> &Advice {
         &self.advice
     }
 
-    /// Looks once at the scene, and says what is to be said.
+    /// Looks at the scene once, and gives advice.
     pub fn look(&mut self) {
-        // Subscribing to snapshots is to load the latest one when one wants it: nothing queues up, and who is
-        // slow sees fewer of them, never older ones. Events do not get lost in between.
+        // The latest snapshot is loaded on demand: nothing queues up, and a slow actor sees fewer snapshots, never
+        // older ones. Events in between are not lost.
         let scene = self.guest.snapshot();
         let heard = self.guest.events().len() as u32;
         let targets = scene.iter::<InstrumentTarget>();
@@ -84,7 +83,7 @@ impl Coach {
             self.advice.events += heard;
             self.advice.speed_max = self.advice.speed_max.max(fastest);
             let (me, advice) = (self.guest.me(), self.advice.clone());
-            // Never waits. `Ok(Submitted::Dropped)` says that the ring is full: then with the next look.
+            // Never blocks. `Ok(Submitted::Dropped)` means that the ring is full: the next look sends it again.
             if let Err(error) = self.guest.write(|_, out| out.put(me, advice)) {
                 eprintln!("the coach commands nonsense: {error}");
             }
@@ -100,8 +99,8 @@ impl Actor for Coach {
     }
 }
 
-/// Trocar, and what this crate adds to it. The actor joins every live session, is built again when it dies, and
-/// ends with the session; in lock-step, where there is no real time, it is left out.
+/// Trocar with this crate's additions. The actor joins every live session, is rebuilt after a panic, and ends with the
+/// session; lock-step has no real time, so it is left out there.
 pub fn app(speed_max: f64) -> App {
     App::new()
         .component::<Advice>()

@@ -1,13 +1,13 @@
-//! Another actor, to which the coach talks by message.
+//! Another actor, which receives the coach's messages.
 
 use actix::prelude::*;
 
-/// A sentence to be said.
+/// A sentence to speak.
 #[derive(Message)]
 #[rtype(result = "()")]
 pub struct Say(pub String);
 
-/// Says sentences, one after the other, on a thread of its own: it may take its time.
+/// Speaks sentences one after the other, on its own thread, where it may block.
 pub struct Speaker;
 
 impl Actor for Speaker {

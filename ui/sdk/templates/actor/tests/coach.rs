@@ -1,5 +1,5 @@
-//! The coach in a live session. Tests of what lives in real time wait for what must come, and never measure how
-//! long it took: a busy machine would fail them.
+//! The coach in a live session. Real-time tests wait for the expected event, and never measure how long it took: that
+//! would fail on a busy machine.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
@@ -27,7 +27,7 @@ fn live(app: &App) -> Session {
 
 #[test]
 fn the_coach_sees_who_moves_and_speaks_up_and_ends_with_the_session() {
-    // Two virtual trainees move; nobody is as gentle as this coach wants.
+    // Two virtual trainees move; none is as gentle as this coach wants.
     let mut session = live(&app(0.001));
     eventually("it speaks up", &mut session, |scene| advice(scene).count > 0);
     let finished = session.finish();
@@ -35,7 +35,7 @@ fn the_coach_sees_who_moves_and_speaks_up_and_ends_with_the_session() {
     assert_eq!(finished.driver_errors, Vec::<String>::new());
 }
 
-/// A coach whose first life panics as soon as it has spoken.
+/// A coach whose first instance panics as soon as it has spoken.
 struct Clumsy {
     coach: Coach,
     life: u32,
@@ -58,8 +58,8 @@ fn a_coach_that_panics_is_built_again_and_goes_on_counting() {
         Clumsy { coach: Coach::new(guest, 0.001), life }
     });
     let mut session = live(&app);
-    // Each life speaks up once at least. If the second one had not read what the first one wrote, it would say
-    // "once" again.
+    // Each instance warns at least once. If the second one had not read the count of the first, it would say "once"
+    // again.
     eventually("it counts on", &mut session, |scene| advice(scene).count >= 2);
     assert_eq!(session.actors()[0].restarts(), 1);
     assert!(session.finish().outcome.incidents.is_empty(), "nobody else noticed");

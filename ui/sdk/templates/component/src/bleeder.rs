@@ -1,4 +1,4 @@
-//! Somebody who changes the components: without that they would be constants.
+//! The controller that changes the components: without it they would be constants.
 
 use trocar::prelude::*;
 
@@ -6,10 +6,10 @@ use crate::{Bleeding, BloodPool};
 
 /// Thickness of a pool \[m\].
 const FILM: f64 = 0.001;
-/// As much as a scene can lose \[m³\]: the component's own limit.
+/// Largest blood loss \[m³\]: the component's own limit.
 const LOST_MAX: f64 = 0.01;
 
-/// Lets every vessel bleed. It keeps nothing: all it needs stands in the components.
+/// Lets every vessel bleed. It has no state of its own: all data is in the components.
 #[derive(Default)]
 pub struct Bleeder;
 
@@ -21,7 +21,7 @@ impl Controller for Bleeder {
     fn tick(&mut self, tick: &Tick<'_>, scene: &Snapshot, out: &mut Commands) -> Result<(), ControllerError> {
         for (vessel, bleeding) in scene.iter::<Bleeding>() {
             let flow = bleeding.flow * (1.0 - bleeding.sealed);
-            // A row that does not change is better not written: what is not written costs nobody anything.
+            // An unchanged row is better not written: then it costs nothing.
             if flow == 0.0 && scene.get::<BloodPool>(vessel).is_some() {
                 continue;
             }

@@ -1,8 +1,7 @@
 //! New components: a vessel that bleeds, and the pool under it.
 //!
-//! A component is plain data on an entity. Implementing [`Component`] is all there is to it: from then on it can
-//! stand in scenario files, is checked wherever it comes from, is recorded and replayed, stands in the state hash
-//! and can be read by everybody.
+//! A component is plain data on an entity. Implementing [`Component`] is enough: scenario files can then contain it, it
+//! is checked whatever its source, recorded and replayed, is part of the state hash, and every controller can read it.
 
 mod bleeder;
 
@@ -12,9 +11,9 @@ use trocar::prelude::*;
 use trocar::scene::finite;
 
 /// A vessel that bleeds into the field.
-//  This sentence is what `trocar list components` says, and an editor that knows the schema; so are the fields'.
+// This sentence is shown by `trocar list components` and by editors with the schema, as are those of the fields.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-// Unknown keys are refused: in a scenario, a key that is ignored is worse than one that is wrong.
+// Unknown keys are refused: in a scenario, an ignored key is worse than an error.
 #[serde(default, deny_unknown_fields)]
 pub struct Bleeding {
     /// Flow out of the vessel \[m³/s\]; 1 ml/min is 1.67e-8.
@@ -32,26 +31,26 @@ impl Default for Bleeding {
 }
 
 impl Component for Bleeding {
-    /// In files, hashes and messages. It never changes: recordings are read by it.
+    /// Used in files, hashes and messages. It must never change: recordings are read by it.
     const NAME: &'static str = "bleeding";
 
-    /// Called before a value gets anywhere: from a scenario, a controller, a recording, the network. What is
-    /// refused here never reaches a snapshot, so nobody who reads one has to doubt it.
+    /// Called before a value is used, whether from a scenario, a controller, a recording or the network. A refused
+    /// value never reaches a snapshot, so readers need not check again.
     fn check(&self) -> Result<(), ComponentError> {
-        // An override has to look for NaN and infinities itself, as the default does.
+        // An override must check for NaN and infinities itself, as the default does.
         finite::check(self)?;
         ComponentError::range("flow", self.flow, 0.0..=1e-4, "0 to 1e-4 m³/s")?;
         ComponentError::range("lost", self.lost, 0.0..=0.01, "0 to 0.01 m³")?;
         ComponentError::range("sealed", self.sealed, 0.0..=1.0, "0 to 1")
     }
 
-    /// What may be written in a scenario, for editors and `trocar schema`.
+    /// The schema for scenarios, for editors and `trocar schema`.
     fn schema() -> Option<serde_json::Value> {
         Some(schemars::schema_for!(Self).to_value())
     }
 }
 
-/// The pool of blood around a vessel, for whoever draws it.
+/// The pool of blood around a vessel, for viewers.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BloodPool {
     /// Its radius \[m\].
@@ -60,11 +59,11 @@ pub struct BloodPool {
 
 impl Component for BloodPool {
     const NAME: &'static str = "blood_pool";
-    /// It follows from [`Bleeding`], so it need not be recorded, and does not count in the state hash.
+    /// It can be computed from [`Bleeding`], so it is not recorded, and is not part of the state hash.
     const RECORD: RecordPolicy = RecordPolicy::Derived;
 }
 
-/// Trocar, and what this crate adds to it.
+/// Trocar with this crate's additions.
 pub fn app() -> App {
     App::new()
         .component::<Bleeding>()

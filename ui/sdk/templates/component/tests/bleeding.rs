@@ -12,7 +12,7 @@ fn parse(text: &str) -> Result<Scenario, String> {
     app().scenario_from(Path::new("scenario.toml"), text).map_err(|error| error.to_string())
 }
 
-/// Where this test may write; cargo makes the folder.
+/// A file for this test in cargo's temporary folder.
 fn scratch(name: &str) -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
 }
@@ -52,7 +52,7 @@ fn an_open_vessel_bleeds_a_sealed_one_does_not_and_the_recording_knows() {
     assert_eq!(scene.get::<Bleeding>(sealed).expect("it is there").lost, 0.0);
     assert!(scene.get::<BloodPool>(open).expect("a pool").radius > 0.02);
 
-    // Every change is in the recording; what is derived is not.
+    // Every change is in the recording, except those of derived components.
     let recording = Recording::open(&file).expect("a recording");
     let series = recording.series::<Bleeding>(app.registry(), open).expect("it was recorded");
     assert!(series.len() > 450, "{} changes in 500 ticks", series.len());
@@ -65,7 +65,7 @@ fn an_open_vessel_bleeds_a_sealed_one_does_not_and_the_recording_knows() {
 
 #[test]
 fn what_is_no_number_never_reaches_the_scene() {
-    /// Writes nonsense, once.
+    /// Writes an invalid value, once.
     #[derive(Default)]
     struct Careless;
     impl Controller for Careless {

@@ -1,12 +1,12 @@
-//! What this behaviour adds to the scene. Any plain serialisable type with a name can be a component.
+//! The components of this behaviour. Any plain serialisable type with a name can be a component.
 
 use trocar::prelude::*;
 
-/// On an organ: how it follows the breath. Stands in the scenario.
+/// On an organ: how it follows the breath. Set by the scenario.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Breathes {
-    /// Height of its origin after breathing out, in its parent's frame \[m\].
+    /// Height of its origin at the end of expiration, in its parent's frame \[m\].
     pub rest_height: f64,
     /// Its share of the excursion, 0 to 1.
     pub share: f64,
@@ -16,18 +16,18 @@ impl Component for Breathes {
     const NAME: &'static str = "breathes";
 }
 
-/// On the controller's own entity: where the breath stands. Everything that is needed to go on after a failure.
+/// On the controller's own entity: the state of respiration. All that is needed to continue after a failure.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Respiration {
-    /// Of the present breath, 0 to 1.
+    /// Phase of the present breath, 0 to 1.
     pub phase: f64,
-    /// Of the present breath; 1 is the average.
+    /// Depth of the present breath; 1 is the average.
     pub depth: f64,
-    /// Of the next one, once it has been planned.
+    /// Depth of the next breath, once it has been planned.
     pub next_depth: Option<f64>,
-    /// Breaths that are over.
+    /// Completed breaths.
     pub breaths: u32,
-    /// For so long it holds its breath \[s\].
+    /// Remaining time of a breath hold \[s\].
     pub held_secs: f64,
 }
 
@@ -41,7 +41,7 @@ impl Component for Respiration {
     const NAME: &'static str = "respiration";
 }
 
-/// How much of a breath is in at a phase, 0 to 1: a raised cosine, smooth where one breath follows another.
+/// Share of the tidal volume at a phase, 0 to 1: a raised cosine, smooth from one breath to the next.
 pub fn lift(phase: f64) -> f64 {
     0.5 - 0.5 * (std::f64::consts::TAU * phase).cos()
 }

@@ -1,9 +1,9 @@
-//! How deep the next breath will be. An algorithm is a plain function in a file of its own: it can be tested
-//! without any actor, and a reader who looks for it finds it.
+//! Plans the depth of the next breath. An algorithm is a plain function in a file of its own: it can be tested without
+//! any actor, and is easy to find.
 
 /// Depth of breath number `breath`: around 1, by at most `variation`, the same for the same seed.
 ///
-/// It stands for work of some milliseconds, such as fitting a curve to what a ventilator measured.
+/// It stands for work of some milliseconds, such as fitting a curve to a ventilator's measurements.
 pub fn depth(seed: u64, breath: u32, variation: f64) -> f64 {
     // SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", 2014).
     let mut z = seed ^ u64::from(breath).wrapping_mul(0x9e37_79b9_7f4a_7c15);

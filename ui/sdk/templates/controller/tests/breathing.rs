@@ -1,4 +1,4 @@
-//! The behaviour in lock-step: virtual time on one thread, the same bits every time, faster than real time.
+//! The behaviour in lock-step: virtual time on one thread, bit-identical every time, faster than real time.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use template_controller::{Respiration, app};
 use trocar::prelude::*;
 
 const SCENARIO: &str = include_str!("../scenario.toml");
-/// The scenario's figures: a breath takes 4 s, and lifts the liver by 12 mm, a tenth more or less.
+/// The scenario's parameters: a breath takes 4 s, and lifts the liver by 12 mm, a tenth more or less.
 const BREATH_SECS: f64 = 4.0;
 const REST: f64 = 0.05;
 const EXCURSION: f64 = 0.012;
@@ -45,14 +45,14 @@ fn organs_rise_and_sink_with_every_breath() {
     }
 }
 
-/// The test that every controller should have: kill it in the middle of its work. The ticks between its death and its
-/// next life are missing; apart from that, nobody can tell.
+/// The test that every controller should have: kill it in the middle of its work. The ticks between the kill and the
+/// restart are missing; otherwise the result is the same.
 #[test]
 fn a_kill_in_mid_breath_costs_ticks_and_changes_nothing_else() {
     let (mut whole, _) = heights(&app(), 10.0, None);
     let plan = FaultPlan::new(1).at(secs(1.234)).kill("breathing").at(secs(5.678)).kill("breathing");
     let (mut killed, scene) = heights(&app(), 10.0, Some(plan));
-    // While nobody breathes, nothing moves: what is left are the ticks that ran.
+    // While the controller is dead nothing moves: without repeats, only the ticks that ran are left.
     whole.dedup();
     killed.dedup();
     assert!(whole.starts_with(&killed), "it went on from somewhere else");
@@ -60,7 +60,7 @@ fn a_kill_in_mid_breath_costs_ticks_and_changes_nothing_else() {
     assert_eq!(respiration(&scene).breaths, 2);
 }
 
-/// Says once that the breath shall be held.
+/// Requests a breath hold, once.
 #[derive(Default)]
 struct Anaesthetist;
 impl Controller for Anaesthetist {
@@ -79,7 +79,7 @@ impl Controller for Anaesthetist {
 fn the_breath_is_held_while_it_is_asked_for() {
     let app = app().controller::<Anaesthetist>("anaesthetist").joins("anaesthetist", 10.0);
     let (heights, _) = heights(&app, 5.0, None);
-    // Asked for at 1.0 s, and held for 3 s.
+    // Requested at 1.0 s, and held for 3 s.
     let held = &heights[105..395];
     assert!(held.iter().all(|height| *height == held[0]), "it moves while it is held");
     assert!(heights[95] != heights[100] && heights[405] != heights[410], "it moves before and after");

@@ -1,4 +1,4 @@
-//! A stylus to try the program with: `cargo run --release --example emulator`, ended with Ctrl-C.
+//! An emulated stylus to try the program with: `cargo run --release --example emulator`, ended with Ctrl-C.
 
 use template_device::emulator::Emulator;
 

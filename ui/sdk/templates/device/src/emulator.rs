@@ -1,5 +1,5 @@
-//! The device without the device: its side of the cable, with a hand that pushes. For the tests, and for whoever
-//! has no stylus on the desk. Every driver should come with one.
+//! An emulator of the device: its side of the cable, with a simulated hand. For the tests, and for people without a
+//! stylus. Every driver should have one.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -10,13 +10,13 @@ use std::time::Duration;
 
 use crate::protocol::{FrameReader, PERIOD_SECS, StateFrame};
 
-/// What moves: the handle and the arm behind it \[kg\], [N·s/m], [N/m].
+/// Moving parts, the handle and the arm behind it: mass \[kg\], damping [N·s/m], stiffness [N/m].
 const MASS: f64 = 0.2;
 const DAMPING: f64 = 8.0;
 const STIFFNESS: f64 = 200.0;
-/// Where the arm wants the handle to be along the stylus, once it has got there \[m\].
+/// Final target position of the arm along the stylus \[m\].
 const AIM: f64 = 0.02;
-/// Without a new force for so many periods the motors are switched off: a device trusts no computer.
+/// Without a new force for so many periods the motors are switched off: a device must not rely on the computer.
 const WATCHDOG: u32 = 100;
 
 #[derive(Default)]
@@ -36,7 +36,7 @@ pub struct Emulator {
 }
 
 impl Emulator {
-    /// Listens at this address; port 0 takes a free one.
+    /// Listens on this address; port 0 selects a free one.
     pub fn start(address: &str) -> std::io::Result<Self> {
         let listener = TcpListener::bind(address)?;
         listener.set_nonblocking(true)?;
@@ -56,23 +56,23 @@ impl Emulator {
         Ok(Self { address, shared, thread: Some(thread) })
     }
 
-    /// Where it listens.
+    /// Its address.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
-    /// Pulls the cable, or plugs it in again.
+    /// Unplugs the cable, or plugs it in again.
     pub fn set_unplugged(&self, unplugged: bool) {
         self.shared.unplugged.store(unplugged, Ordering::Relaxed);
     }
-    /// Makes the cable a bad one: noise between frames, and a flipped bit in every third.
+    /// Makes the cable faulty: noise between frames, and a flipped bit in every third frame.
     pub fn set_garbled(&self, garbled: bool) {
         self.shared.garbled.store(garbled, Ordering::Relaxed);
     }
-    /// Largest force that it was ever told \[N\].
+    /// Largest force commanded so far \[N\].
     pub fn force_max(&self) -> f64 {
         1e-3 * f64::from(self.shared.force_max_mn.load(Ordering::Relaxed))
     }
-    /// How often somebody has connected.
+    /// Number of connections so far.
     pub fn connections(&self) -> u32 {
         self.shared.connections.load(Ordering::Relaxed)
     }
@@ -82,7 +82,7 @@ impl Drop for Emulator {
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // An emulator that has panicked is of no further interest.
+            // A panic of the emulator does not matter any more.
             let _ = thread.join();
         }
     }
@@ -113,7 +113,7 @@ fn serve(mut stream: &TcpStream, shared: &Shared) {
             force = 0.0;
         }
         sequence = sequence.wrapping_add(1);
-        // The arm gets there slowly: it is a hand, not a hammer.
+        // The arm approaches slowly, like a hand.
         let aim = AIM * (f64::from(sequence.min(1_000)) / 1_000.0);
         velocity += PERIOD_SECS / MASS * (STIFFNESS * (aim - position) - DAMPING * velocity + force);
         position += PERIOD_SECS * velocity;

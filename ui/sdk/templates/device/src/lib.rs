@@ -1,11 +1,10 @@
 //! A new device: a stylus with three driven axes, which speaks a framed protocol over TCP (a serial port through
 //! a terminal server, say).
 //!
-//! A driver has two halves, each in a file of its own. `protocol` knows bytes and no device: it can be tested
-//! with every damage that a cable can do. [`Stylus`] knows the device and implements [`HapticDevice`]. Above it,
-//! and below every actor, Trocar puts its safety: clamp, slew limit, watchdog, passivity. Nothing of that is the
-//! driver's task, but its figures in [`Capabilities`] are what the safety goes by: promise what the motors bear
-//! and a hand does too, never more.
+//! A driver has two halves, each in a file of its own. `protocol` handles bytes and no device: it can be tested with
+//! every error of a cable. [`Stylus`] handles the device and implements [`HapticDevice`]. Between it and the actors is
+//! Trocar's safety layer: clamp, slew limit, watchdog, passivity. The driver does none of that, but the safety layer
+//! relies on its [`Capabilities`]: state what the motors and a hand can bear, never more.
 
 pub mod emulator;
 pub mod protocol;
@@ -20,31 +19,31 @@ use trocar::devices::{Capabilities, DeviceError, DeviceState, Dofs, HapticDevice
 use trocar::nalgebra::{Translation3, Vector3};
 use trocar::prelude::App;
 
-/// Longest wait for a connection. The driver's thread waits with it: so it must be short.
+/// Longest wait for a connection. It blocks the driver's thread, so it must be short.
 const CONNECT_MAX: Duration = Duration::from_millis(50);
-/// A device that says nothing for so long is gone \[ns\]: a cable can be pulled without anybody saying so.
+/// A device that is silent for so long counts as disconnected \[ns\]: an unplugged cable gives no signal.
 const SILENCE_MAX_NS: u64 = 50_000_000;
-/// Most reads in one step: whatever a device floods, a step is bounded.
+/// Most reads in one step, so that a step is bounded even when a device floods the cable.
 const READS_MAX: usize = 4;
-/// Cut-off of the filter of velocities \[Hz\]: differences of positions in whole micrometres are noise otherwise.
+/// Cut-off of the velocity filter \[Hz\]: differences of positions in whole micrometres are noisy.
 const VELOCITY_CUTOFF_HZ: f64 = 80.0;
 
-/// The driver. It never looks at a clock, and once open it neither allocates nor waits: it runs at the highest
-/// priority, thousands of times a second.
+/// The driver. It reads no clock, and once open it neither allocates nor blocks: it runs at the highest priority,
+/// thousands of times a second.
 pub struct Stylus {
     address: SocketAddr,
     capabilities: Capabilities,
-    /// Absent while it is unplugged.
+    /// `None` while it is unplugged.
     stream: Option<TcpStream>,
     reader: FrameReader,
     state: DeviceState,
-    /// The device's own count of states, for times between them that no jitter of the cable touches.
+    /// The device's own count of states, for time differences without the jitter of the cable.
     sequence: Option<u16>,
     heard_at_ns: u64,
 }
 
 impl Stylus {
-    /// A driver for the device at this address; nothing is opened yet.
+    /// A driver for the device at this address; it opens nothing yet.
     pub fn new(address: SocketAddr) -> Self {
         let capabilities = Capabilities {
             name: "stylus".to_owned(),
@@ -67,11 +66,11 @@ impl Stylus {
         }
     }
 
-    /// Takes what the device says into the state.
+    /// Updates the state from a frame.
     fn hear(&mut self, frame: &StateFrame) {
         let position = Vector3::from(frame.position_um.map(|micrometres| 1e-6 * f64::from(micrometres)));
         let steps = self.sequence.map(|before| frame.sequence.wrapping_sub(before));
-        // The first state, or one after a gap, says nothing about velocity.
+        // The first state, or one after a gap, gives no velocity.
         if let Some(steps) = steps.filter(|steps| (1..=100).contains(steps)) {
             let dt = f64::from(steps) * protocol::PERIOD_SECS;
             let velocity = (position - self.state.pose_in_device.translation.vector) / dt;
@@ -98,11 +97,11 @@ impl HapticDevice for Stylus {
         &self.capabilities
     }
 
-    /// Also called again and again after the device was unplugged.
+    /// Also called repeatedly after the device was unplugged.
     fn open(&mut self, now_ns: u64) -> Result<(), DeviceError> {
         let connect = || -> std::io::Result<TcpStream> {
             let stream = TcpStream::connect_timeout(&self.address, CONNECT_MAX)?;
-            // A force that waits for more bytes to travel with comes too late.
+            // A force delayed to be sent with more bytes comes too late.
             stream.set_nodelay(true)?;
             stream.set_nonblocking(true)?;
             Ok(stream)
@@ -126,7 +125,7 @@ impl HapticDevice for Stylus {
                 Err(_) => return Err(self.lost()),
             }
             while let Some(frame) = self.reader.next_state() {
-                // Every frame moves the filter; only the newest is of interest.
+                // Every frame updates the filter; only the newest is kept.
                 self.hear(&frame);
                 newest = Some(frame);
             }
@@ -138,26 +137,26 @@ impl HapticDevice for Stylus {
         if now_ns.saturating_sub(self.heard_at_ns) > SILENCE_MAX_NS {
             return Err(self.lost());
         }
-        // "No reading this time": the driver goes on with the last one and knows how old it is.
+        // "No reading this time": the driver keeps the last one and knows its age.
         Err(DeviceError::Transfer(0))
     }
 
-    /// The wrench has been clamped, limited and checked by the driver's safety.
+    /// The safety layer has clamped, limited and checked the wrench.
     fn write(&mut self, _now_ns: u64, wrench: &Wrench) -> Result<(), DeviceError> {
         let bytes = ForceFrame::from_newtons(wrench.force.into()).encode();
         let Some(stream) = &mut self.stream else { return Err(DeviceError::Disconnected) };
         match stream.write(&bytes) {
             Ok(_) => Ok(()),
-            // The device does not keep up: it has newer forces to come.
+            // The device does not keep up: newer forces will follow.
             Err(error) if error.kind() == ErrorKind::WouldBlock => Err(DeviceError::Transfer(0)),
             Err(_) => Err(self.lost()),
         }
     }
 
-    /// Motors without force, whatever happens. The device has a watchdog of its own besides, as it must.
+    /// Switches the motors off. The device must also have its own watchdog.
     fn close(&mut self) {
         if self.stream.is_some() {
-            // Nobody is left to tell that it failed.
+            // A failure can no longer be reported.
             let _ = self.write(0, &Wrench::ZERO);
         }
         self.stream = None;
@@ -170,7 +169,7 @@ impl Drop for Stylus {
     }
 }
 
-/// From what stands behind the colon of `stylus:127.0.0.1:7700`.
+/// Parses the text after the colon of `stylus:127.0.0.1:7700`.
 impl FromStr for Stylus {
     type Err = String;
     fn from_str(text: &str) -> Result<Self, String> {
@@ -179,7 +178,7 @@ impl FromStr for Stylus {
     }
 }
 
-/// Trocar, and what this crate adds to it.
+/// Trocar with this crate's additions.
 pub fn app() -> App {
     App::new().device::<Stylus>("stylus:ADDRESS:PORT", "the stylus of this crate, over TCP")
 }

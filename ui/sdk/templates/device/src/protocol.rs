@@ -1,24 +1,24 @@
-//! The bytes on the cable.
+//! The wire protocol of the stylus.
 //!
 //! ```text
 //! 0xA5 | kind | length | payload … | CRC-16 of kind, length and payload, low byte first
 //! ```
-//! Numbers are little-endian. A cable loses, flips and invents bytes: whatever does not check is skipped, byte by
-//! byte, until something does.
+//! Numbers are little-endian. A cable loses, flips and inserts bytes: the reader skips byte by byte until a frame
+//! passes its check.
 
 /// Time between two states of the device \[s\].
 pub const PERIOD_SECS: f64 = 1e-3;
 const START: u8 = 0xA5;
 const STATE: u8 = b'S';
 const FORCE: u8 = b'F';
-/// Bytes around a payload.
+/// Bytes of a frame besides its payload.
 const AROUND: usize = 5;
 const STATE_BYTES: usize = 17;
 const FORCE_BYTES: usize = 6;
-/// Bytes that may wait to become frames: some ten states.
+/// Capacity for incomplete frames \[bytes\]: about ten states.
 const ROOM: usize = 256;
 
-/// What the device says.
+/// A state of the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StateFrame {
     /// Counts the states, one per [`PERIOD_SECS`].
@@ -56,7 +56,7 @@ impl StateFrame {
     }
 }
 
-/// What the device is told.
+/// A command to the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ForceFrame {
     /// Force on the hand \[mN\].
@@ -64,7 +64,7 @@ pub struct ForceFrame {
 }
 
 impl ForceFrame {
-    /// Rounded to millinewtons. Rust's conversion saturates, and makes 0 of what is no number.
+    /// Rounded to millinewtons. Rust's conversion saturates, and turns NaN into 0.
     pub fn from_newtons(force: [f64; 3]) -> Self {
         Self { force_mn: force.map(|newtons| (newtons * 1e3).round() as i16) }
     }
@@ -101,7 +101,7 @@ fn crc16(bytes: &[u8]) -> u16 {
     })
 }
 
-/// Finds frames in what comes through the cable, in pieces of any size. Allocates nothing.
+/// Finds frames in a byte stream that arrives in pieces of any size. Allocates nothing.
 pub struct FrameReader {
     bytes: [u8; ROOM],
     filled: usize,
@@ -114,26 +114,26 @@ impl Default for FrameReader {
 }
 
 impl FrameReader {
-    /// Nothing has come yet.
+    /// An empty reader.
     pub fn new() -> Self {
         Self { bytes: [0; ROOM], filled: 0 }
     }
-    /// Where the next bytes go; never empty, since a frame is far smaller than the room.
+    /// The buffer for the next bytes; never empty, since a frame is far smaller than the capacity.
     pub fn room(&mut self) -> &mut [u8] {
         if self.filled == ROOM {
             self.skip(ROOM / 2);
         }
         &mut self.bytes[self.filled..]
     }
-    /// So many bytes have been written into the room.
+    /// Marks so many bytes of the buffer as received.
     pub fn filled(&mut self, bytes: usize) {
         self.filled = (self.filled + bytes).min(ROOM);
     }
-    /// The next state that is whole.
+    /// The next complete state.
     pub fn next_state(&mut self) -> Option<StateFrame> {
         self.next_frame(STATE).map(|payload| StateFrame::decode(&payload))
     }
-    /// The next force that is whole: the device's side of the cable.
+    /// The next complete force: the device's side of the cable.
     pub fn next_force(&mut self) -> Option<ForceFrame> {
         let payload: [u8; FORCE_BYTES] = self.next_frame(FORCE)?;
         let axis = |at: usize| i16::from_le_bytes([payload[at], payload[at + 1]]);
@@ -144,7 +144,7 @@ impl FrameReader {
         let head = [START, kind, PAYLOAD as u8];
         loop {
             let start = self.bytes[..self.filled].iter().position(|byte| *byte == START);
-            // Without a start all of it is noise.
+            // Without a start byte all of it is noise.
             self.skip(start.unwrap_or(self.filled));
             let known = self.filled.min(head.len());
             if self.bytes[..known] != head[..known] {
@@ -156,7 +156,7 @@ impl FrameReader {
             }
             let crc = [self.bytes[3 + PAYLOAD], self.bytes[4 + PAYLOAD]];
             if crc16(&self.bytes[1..3 + PAYLOAD]) != u16::from_le_bytes(crc) {
-                // The start may have been a byte of something else: look behind it, not behind the frame.
+                // The start byte may have been part of something else: continue after it, not after the frame.
                 self.skip(1);
                 continue;
             }
@@ -178,11 +178,11 @@ mod tests {
     use super::*;
 
     fn state(sequence: u16) -> StateFrame {
-        // Positions with the start byte in them: the hardest case for who looks for a start.
+        // Positions that contain the start byte: the hardest case for a reader that searches for it.
         StateFrame { sequence, position_um: [-12_345, 0xA5A5, 165], gripper_mrad: 700, buttons: 0b101 }
     }
 
-    /// Everything that a reader finds in bytes that come in pieces of `piece`.
+    /// All frames that a reader finds in bytes that arrive in pieces of `piece`.
     fn read(bytes: &[u8], piece: usize) -> Vec<StateFrame> {
         let (mut reader, mut found) = (FrameReader::new(), Vec::new());
         for piece in bytes.chunks(piece) {

@@ -1,5 +1,5 @@
-//! The device in live sessions, with its emulator at the other end of the cable. What lives in real time is waited
-//! for; how long it took is nobody's business, since a busy machine would fail the test.
+//! The device in live sessions, with its emulator at the other end of the cable. The tests wait for events without
+//! measuring how long they take: that would fail on a busy machine.
 
 use std::time::{Duration, Instant};
 
@@ -7,14 +7,14 @@ use template_device::app;
 use template_device::emulator::Emulator;
 use trocar::prelude::*;
 
-/// What the driver promises, and its safety keeps \[N\].
+/// The driver's stated limit, which the safety layer enforces \[N\].
 const FORCE_MAX: f64 = 3.0;
 
 fn emulator() -> Emulator {
     Emulator::start("127.0.0.1:0").expect("a free port")
 }
 
-/// The exercise `wall` with the stylus in its hand: a hand presses a rod on a plate, 10 mm below.
+/// The scenario `wall` with the stylus in its hand: a hand presses a rod on a plate, 10 mm below.
 fn press_the_wall(emulator: &Emulator) -> Session {
     let app = app();
     let scenario = app.scenario("wall").expect("it comes with Trocar");
@@ -40,7 +40,7 @@ fn a_hand_feels_the_wall_through_the_cable_and_never_more_than_the_device_bears(
     let session = press_the_wall(&emulator);
     eventually("it moves", &session, |state| state.connected && depth(state) > 0.005);
     eventually("the wall pushes back", &session, |_| emulator.force_max() > 0.3);
-    // The arm aims 10 mm behind the wall; the wall holds it up.
+    // The arm aims 10 mm behind the wall; the wall stops it.
     let until = Instant::now() + Duration::from_millis(500);
     while Instant::now() < until {
         assert!(depth(&session.hands()[0].monitor.sample().state) < 0.018, "the wall does not hold");

@@ -1,4 +1,4 @@
-//! The engine behind its C ABI. All unsafe code of this crate is here; what leaves this file is safe.
+//! Safe bindings to the engine's C ABI. All unsafe code of this crate is here; this file exports only safe functions.
 
 use std::ffi::c_void;
 use std::path::{Path, PathBuf};
@@ -8,19 +8,19 @@ use std::sync::Arc;
 use libloading::{Library, Symbol};
 use thiserror::Error;
 
-/// The version of the ABI that this file speaks: `CHAIN_ABI` in `chain.h`.
+/// The version of the ABI that this file supports: `CHAIN_ABI` in `chain.h`.
 pub const ABI: u32 = 1;
 const OK: i32 = 0;
 
 /// Why an engine cannot be used.
 #[derive(Debug, Error)]
 pub enum EngineError {
-    /// The library is not there, or is none.
+    /// The file does not exist or is no library.
     #[error("{file}: cannot be loaded: {reason}", file = file.display())]
     Load {
         /// The library.
         file: PathBuf,
-        /// What the system says.
+        /// The system's error.
         reason: String,
     },
     /// A function is missing.
@@ -32,7 +32,7 @@ pub enum EngineError {
         /// The function.
         symbol: &'static str,
     },
-    /// Another version.
+    /// Another version of the ABI.
     #[error("{file}: was built for version {found} of the ABI; this program speaks version {ABI}", file = file.display())]
     Abi {
         /// The library.
@@ -40,7 +40,7 @@ pub enum EngineError {
         /// Its version.
         found: u32,
     },
-    /// The engine made no chain of these figures.
+    /// The engine refused these parameters.
     #[error("the engine makes no chain of these figures: {0}")]
     Create(String),
     /// A call failed.
@@ -48,10 +48,10 @@ pub enum EngineError {
     Call {
         /// The function.
         call: &'static str,
-        /// What it answered.
+        /// Its error code.
         code: i32,
     },
-    /// The engine answered with a NaN or an infinity.
+    /// The engine returned a NaN or an infinity.
     #[error("the engine's state is no longer finite")]
     NotFinite,
 }
@@ -74,23 +74,23 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// Loads a library and checks all of it, so that nothing can be missing later.
+    /// Loads a library and checks its version and all functions, so that none can be missing later.
     ///
     /// # Errors
     /// [`EngineError`] names the file, and what is wrong with it.
     pub fn load(file: &Path) -> Result<Arc<Self>, EngineError> {
-        // SAFETY: loading runs the library's initialisers. Whoever names the library, on the command line or in
+        // SAFETY: loading runs the library's initialisers. The user who names the library, on the command line or in
         // the environment, trusts it as much as the program itself.
         let library = unsafe { Library::new(file) }
             .map_err(|error| EngineError::Load { file: file.to_owned(), reason: error.to_string() })?;
         // SAFETY: `chain.h` declares this signature, in every version of the ABI.
         let abi: unsafe extern "C" fn() -> u32 = unsafe { symbol(&library, file, "chain_abi") }?;
-        // SAFETY: it takes nothing and touches nothing.
+        // SAFETY: it takes no arguments and has no side effects.
         let found = unsafe { abi() };
         if found != ABI {
             return Err(EngineError::Abi { file: file.to_owned(), found });
         }
-        // SAFETY: the library says that it is of the version whose `chain.h` declares these signatures.
+        // SAFETY: the library reports the version whose `chain.h` declares these signatures.
         unsafe {
             Ok(Arc::new(Self {
                 create: symbol(&library, file, "chain_create")?,
@@ -109,7 +109,7 @@ impl Engine {
 /// # Safety
 /// `T` must be the signature of the function of that name.
 unsafe fn symbol<T: Copy>(library: &Library, file: &Path, name: &'static str) -> Result<T, EngineError> {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     let found: Result<Symbol<T>, _> = unsafe { library.get(name.as_bytes()) };
     found.map(|symbol| *symbol).map_err(|_| EngineError::Symbol { file: file.to_owned(), symbol: name })
 }
@@ -128,7 +128,7 @@ impl Chain {
     /// `masses` masses of `mass` \[kg\] on springs of `length` \[m\], `stiffness` [N/m] and `damping` [N·s/m].
     ///
     /// # Errors
-    /// When the engine refuses these figures.
+    /// When the engine refuses these parameters.
     pub fn new(
         engine: &Arc<Engine>,
         masses: u32,
@@ -150,29 +150,29 @@ impl Chain {
     /// Sets positions \[m\] and velocities [m/s], three numbers per mass.
     ///
     /// # Errors
-    /// When there are too many or too few.
+    /// When their number is wrong.
     pub fn set(&mut self, positions: &[f64], velocities: &[f64]) -> Result<(), EngineError> {
-        // The engine believes in the number that it is given: both arrays must have it.
+        // The engine trusts the number that it is given: both arrays must have that length.
         if positions.len() != velocities.len() {
             return Err(EngineError::Call { call: "chain_set", code: -1 });
         }
         let numbers = positions.len() as u32;
-        // SAFETY: both arrays have `numbers` numbers; the engine refuses any other number than its own.
+        // SAFETY: both arrays have `numbers` elements; the engine refuses any other number than its own.
         let code = unsafe {
             (self.engine.set)(self.handle.as_ptr(), positions.as_ptr(), velocities.as_ptr(), numbers)
         };
         answered("chain_set", code)
     }
 
-    /// Reads positions \[m\] and velocities [m/s] into buffers, which are used again and again.
+    /// Reads positions \[m\] and velocities [m/s] into buffers, which are reused.
     ///
     /// # Errors
-    /// When the engine fails, or answers with what is no number: a library is outside data like any file.
+    /// When the engine fails, or returns a NaN or an infinity: a library is an untrusted source like any file.
     pub fn get(&self, positions: &mut Vec<f64>, velocities: &mut Vec<f64>) -> Result<(), EngineError> {
         positions.resize(3 * self.masses, 0.0);
         velocities.resize(3 * self.masses, 0.0);
         let numbers = positions.len() as u32;
-        // SAFETY: both buffers have `numbers` numbers, and the engine writes no more.
+        // SAFETY: both buffers have `numbers` elements, and the engine writes no more.
         let code = unsafe {
             (self.engine.get)(self.handle.as_ptr(), positions.as_mut_ptr(), velocities.as_mut_ptr(), numbers)
         };
@@ -187,9 +187,9 @@ impl Chain {
     /// Advances by `seconds`, under `gravity` [m/s²] along z and a force \[N\] on the last mass.
     ///
     /// # Errors
-    /// When the engine refuses the figures.
+    /// When the engine refuses the parameters.
     pub fn step(&mut self, seconds: f64, gravity: f64, force: [f64; 3]) -> Result<(), EngineError> {
-        // SAFETY: `force` has the three numbers that the engine reads.
+        // SAFETY: `force` has the three elements that the engine reads.
         let code = unsafe { (self.engine.step)(self.handle.as_ptr(), seconds, gravity, force.as_ptr()) };
         answered("chain_step", code)
     }

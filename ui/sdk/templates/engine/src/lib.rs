@@ -1,8 +1,8 @@
 //! A foreign engine as a controller: a hanging chain, simulated by a library in C.
 //!
-//! To the framework an engine is a controller like any other: it reads the scene, steps, and writes the scene. What
-//! makes it survive is that the scene, not the engine, has the state: when the engine crashes, hangs or answers
-//! nonsense, a new one is set to what stands in the scene, and goes on.
+//! To the framework an engine is a controller like any other: it reads the scene, steps, and writes the scene. The
+//! scene, not the engine, owns the state: when the engine crashes, hangs or returns invalid values, a new instance is
+//! set to the state in the scene, and goes on.
 
 pub mod ffi;
 
@@ -12,7 +12,7 @@ use std::sync::Arc;
 use ffi::{Chain, Engine, EngineError};
 use trocar::prelude::*;
 
-/// A chain, with all that the engine has to know of it. Stands in the scenario, and changes with each step.
+/// A chain, with all parameters and state of the engine. The scenario contains it, and each step updates it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ChainState {
@@ -26,10 +26,10 @@ pub struct ChainState {
     pub stiffness: f64,
     /// Damping of a spring [N·s/m].
     pub damping: f64,
-    /// Force on the last mass \[N\]. Somebody else may write it: a hand, a person at a console.
+    /// Force on the last mass \[N\]. Others may write it: a hand, a person at a console.
     #[serde(default)]
     pub force: [f64; 3],
-    /// Positions of the masses \[m\], three numbers each; none: hanging straight.
+    /// Positions of the masses \[m\], three numbers each; empty: hanging straight.
     #[serde(default)]
     pub positions: Vec<f64>,
     /// Their velocities [m/s], three numbers each.
@@ -45,12 +45,12 @@ impl Component for ChainState {
 pub struct ChainController {
     owner: Entity,
     chain: Chain,
-    /// What stands in the scene, but for others' changes; its vectors are buffers that are used again.
+    /// The state in the scene, except for changes by others; its vectors are reused as buffers.
     state: ChainState,
 }
 
 impl ChainController {
-    /// A new instance of the engine, set to what the scene says: at the start, and after every failure.
+    /// A new instance of the engine, set to the state in the scene: at the start, and after every failure.
     fn new(engine: &Arc<Engine>, context: &BuildContext<'_>) -> Result<Self, ControllerError> {
         let missing = || ControllerError::Scene("no entity has a chain_state".to_owned());
         let (owner, state) = context.scene.iter::<ChainState>().next().ok_or_else(missing)?;
@@ -75,11 +75,11 @@ impl Controller for ChainController {
         if let Some(state) = scene.get::<ChainState>(self.owner) {
             self.state.force = state.force;
         }
-        // The engine's own time step is its own business; how far it goes is the tick's. A call that never comes
-        // back is seen by the watchdog: this thread is fenced and left behind, and another engine takes over.
+        // The engine chooses its own time step; the tick decides how far it advances. If the call never returns, the
+        // watchdog sees it: this thread is fenced and abandoned, and another engine takes over.
         self.chain.step(tick.period.as_secs_f64(), -9.81, self.state.force).map_err(failed)?;
-        // An error ends this life of the controller before anything of it is written. The next one begins with the
-        // last state that was sound. (Had this check been forgotten, the Model would refuse the batch.)
+        // An error ends this instance of the controller before it writes anything. The next one starts from the last
+        // valid state. (Without this check, the Model would refuse the batch.)
         self.chain.get(&mut self.state.positions, &mut self.state.velocities).map_err(failed)?;
         out.put(self.owner, self.state.clone());
         Ok(())
@@ -90,16 +90,16 @@ fn failed(error: EngineError) -> ControllerError {
     ControllerError::Failed(error.to_string())
 }
 
-/// The library to load: what the environment names, or the one that was built beside this crate. Never what a
-/// scenario names: a file that somebody sends must not choose what code is run.
+/// The library to load: the one named by the environment, or the one built beside this crate. A scenario never names
+/// it: a file from a stranger must not choose which code runs.
 pub fn library_file() -> PathBuf {
     std::env::var_os("CHAIN_ENGINE").map_or_else(|| PathBuf::from(env!("CHAIN_ENGINE_BUILT")), PathBuf::from)
 }
 
-/// Trocar, and what this crate adds to it. The engine is loaded and checked now, not in the middle of a session.
+/// Trocar with this crate's additions. The engine is loaded and checked now, not in the middle of a session.
 ///
 /// # Errors
-/// When the library cannot be used.
+/// When the library is invalid.
 pub fn app(library: &Path) -> Result<App, EngineError> {
     let engine = Engine::load(library)?;
     let build = move |(): &(), context: &BuildContext<'_>| ChainController::new(&engine, context);

@@ -15,7 +15,7 @@ fn main() -> ExitCode {
         Ok(app) => app.run(),
         Err(error) => {
             eprintln!("error: {error}");
-            // The exit code for a file that cannot be used, as for a scenario.
+            // The exit code for an invalid file, as for a scenario.
             ExitCode::from(4)
         }
     }

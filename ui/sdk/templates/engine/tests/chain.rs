@@ -1,4 +1,4 @@
-//! The engine in sessions: it moves, goes on after a failure, and whatever it does wrong stays its own affair.
+//! The engine in sessions: it moves, recovers from failures, and its errors never reach the scene.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -12,7 +12,7 @@ use trocar::prelude::*;
 
 const SCENARIO: &str = include_str!("../scenario.toml");
 
-/// Another engine, made by the same compiler: the real one, with something else in one place.
+/// A modified engine: the real source with one replacement, built by the same compiler.
 fn another_engine(name: &str, source: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let (file, library) = (folder.join(format!("{name}.c")), folder.join(format!("{name}.so")));
@@ -30,7 +30,7 @@ fn another_engine(name: &str, source: &str) -> PathBuf {
     library
 }
 
-/// An engine whose step is another one, which may call the real one.
+/// An engine with another step function, which may call the real one.
 fn with_step(name: &str, step: &str) -> PathBuf {
     let source = format!(
         "#define chain_step real_step\n#include \"chain.c\"\n#undef chain_step\n#include <unistd.h>\n\
@@ -45,7 +45,7 @@ fn started(app: &App, options: &RunOptions) -> (Session, Entity) {
     (start(app, &scenario, options).expect("it starts"), chain)
 }
 
-/// The last mass's x after every tick, and what became of the session.
+/// The last mass's x after every tick, and the session's outcome.
 fn swings(app: &App, seconds: f64, faults: Option<FaultPlan>) -> (Vec<f64>, trocar::session::Finished) {
     let options = RunOptions { lockstep: true, faults, ..RunOptions::default() };
     let (mut session, chain) = started(app, &options);
@@ -66,7 +66,7 @@ fn a_pulled_chain_swings_and_comes_to_rest_where_statics_says() {
     // One mass: a pendulum, pulled aside. At rest the spring points along the sum of weight and pull.
     let mut chain = Chain::new(&engine, 1, 0.1, 0.1, 1e3, 5.0).expect("a chain");
     let (mut positions, mut velocities) = (Vec::new(), Vec::new());
-    // Only the spring damps, and it does not damp the swing: so it is slowed down by hand.
+    // Only the spring has damping, and it does not damp the swing: so the test slows it down.
     for _ in 0..20_000 {
         chain.step(0.002, -9.81, [0.5, 0.0, 0.0]).expect("a step");
         chain.get(&mut positions, &mut velocities).expect("finite");
@@ -88,8 +88,8 @@ fn a_killed_engine_goes_on_from_the_scene_as_if_nothing_had_been() {
     let plan = FaultPlan::new(1).at(secs(0.777)).kill("chain").at(secs(1.555)).kill("chain");
     let (mut killed, finished) = swings(&app, 3.0, Some(plan));
     assert_eq!(finished.outcome.controllers[0].restarts, 2);
-    // The ticks between a death and the next life are missing, and the chain stands still meanwhile. Apart from
-    // that its states are the same bits: they went through the scene and back.
+    // The ticks between the kill and the restart are missing, and the chain stands still meanwhile. Otherwise its
+    // states are bit-identical: they went through the scene and back.
     whole.dedup();
     killed.dedup();
     assert!(whole.starts_with(&killed), "it went on from somewhere else");
@@ -106,7 +106,7 @@ fn an_engine_that_answers_nonsense_is_replaced_and_the_scene_stays_sound() {
     assert!(xs[750..].windows(2).any(|pair| pair[0] != pair[1]), "it goes on");
 }
 
-/// Writes what an engine says without looking at it.
+/// Writes the engine's results without checking them.
 struct Credulous(Chain, Entity, ChainState);
 impl Controller for Credulous {
     fn access(&self) -> Access {
@@ -141,7 +141,7 @@ fn what_a_careless_controller_lets_through_the_model_refuses() {
 
 #[test]
 fn an_engine_that_never_comes_back_is_fenced_and_another_takes_over() {
-    // Only the first instance hangs: the others count on.
+    // Only the first instance hangs: the others keep counting.
     let step = "static int steps; if (++steps == 100) for (;;) usleep(1000); \
                 return real_step(self, seconds, gravity, force);";
     let app = app(&with_step("hangs", step)).expect("an engine");

@@ -1,4 +1,4 @@
-//! One surface out of the drops of a fluid, seen through one eye: depths of balls, how much there is, smoothing, light.
+//! Screen-space fluid surface for one eye: sphere depths, thickness, smoothing, shading.
 
 use std::collections::HashMap;
 
@@ -9,44 +9,44 @@ use crate::gpu::Gpu;
 use crate::gpu::targets::{DEPTH, METRES, NUMBERS, target};
 use crate::particles::Swarm;
 
-/// Optical depths.
+/// Format of optical depths.
 const OPTICAL: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
-/// Lengths.
+/// Format of lengths.
 const WAY: wgpu::TextureFormat = wgpu::TextureFormat::R16Float;
-/// Sizes of pictures that are kept at once.
+/// Most sizes of pictures kept.
 const KEPT_MAX: usize = 4;
 
 /// The picture's format, samples per pixel.
 type Kind = (wgpu::TextureFormat, u32);
 
-/// Pictures that lead to the surface.
+/// Intermediate pictures of the surface.
 struct Pictures {
     size: [u32; 2],
     depth: wgpu::TextureView,
-    /// Distances, and room for those that become of them.
+    /// Distances, and a second texture for the smoothing passes.
     distances: [wgpu::TextureView; 2],
     optical: wgpu::TextureView,
     way: wgpu::TextureView,
-    /// Whose the drops are; for probes only.
+    /// The entities of the drops; for probes only.
     numbers: Option<(wgpu::TextureView, wgpu::BindGroup)>,
     smooth_groups: [wgpu::BindGroup; 2],
     group: wgpu::BindGroup,
 }
 
-/// Where the fluid is drawn over a scene.
+/// The scene that the fluid is drawn over.
 pub(crate) struct Scene<'a> {
     pub(crate) frame: &'a wgpu::BindGroup,
     pub(crate) color: &'a wgpu::TextureView,
     pub(crate) depth: &'a wgpu::TextureView,
     /// Left, top, width, height \[pixels\].
     pub(crate) pane: [u32; 4],
-    /// The part of the pane that has any of it.
+    /// The part of the pane that may contain fluid.
     pub(crate) bounds: [u32; 4],
     pub(crate) kind: Kind,
     pub(crate) care: Care,
 }
 
-/// Draws fluids. Made when there is some for the first time.
+/// Draws fluids. Created when a scene first has some.
 pub(crate) struct FluidPass {
     smooth_layout: wgpu::BindGroupLayout,
     surface_layout: wgpu::BindGroupLayout,
@@ -56,9 +56,9 @@ pub(crate) struct FluidPass {
     columns: wgpu::RenderPipeline,
     /// By samples per pixel.
     thickness: HashMap<u32, (wgpu::BindGroupLayout, wgpu::RenderPipeline)>,
-    /// Depth of the scene that was bound last for each eye.
+    /// The scene depth that was last bound for each eye.
     depths: Vec<Option<(wgpu::TextureView, wgpu::BindGroup)>>,
-    /// What is behind is multiplied, then light is added.
+    /// First multiplies the background by the transmittance, then adds light.
     surfaces: HashMap<Kind, [wgpu::RenderPipeline; 2]>,
     probe: Option<[wgpu::RenderPipeline; 2]>,
     pictures: Vec<Pictures>,
@@ -130,13 +130,13 @@ impl FluidPass {
         }
     }
 
-    /// Sends which drops there are.
+    /// Uploads the list of drops.
     pub(crate) fn send(&mut self, gpu: &Gpu, copies: &ParticleCopies, swarm: &Swarm) {
         swarm.drops(&mut self.order.list);
         self.order.send(gpu, copies);
     }
 
-    /// Draws for one eye, over a scene whose depth is known. How many passes that took.
+    /// Draws for one eye, over a scene of known depth; returns the number of passes.
     pub(crate) fn draw(
         &mut self,
         gpu: &Gpu,
@@ -152,7 +152,7 @@ impl FluidPass {
         let own = &self.pictures[place];
         let bounds = coarse(scene.bounds, pixels, own.size);
         let sight = copies.sight(eye);
-        // The last row and column of texels may reach beyond the pane.
+        // The last row and column of texels may extend beyond the pane.
         let reach = [width, height].map(|side| side as f32 / pixels as f32);
         self.surface(encoder, (scene.frame, sight), own, (bounds, reach), None);
         if let (Some((_, thickness)), Some(Some((_, depth)))) =
@@ -186,7 +186,7 @@ impl FluidPass {
         3 + 2 * ROUNDS as u64
     }
 
-    /// Writes distances and numbers into a probe, over a scene whose depth is known.
+    /// Writes distances and numbers into a probe, over a scene of known depth.
     pub(crate) fn measure(
         &mut self,
         gpu: &Gpu,
@@ -242,7 +242,7 @@ impl FluidPass {
         self.probe = Some(probe);
     }
 
-    /// Leaves the distance of the surface in the first of the pictures.
+    /// Computes the surface's distance into the first of the two textures.
     fn surface(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -340,7 +340,7 @@ impl FluidPass {
         });
     }
 
-    /// Where pictures of that size are among those that are kept.
+    /// Index of the pictures of that size.
     fn pictures(&mut self, gpu: &Gpu, size: [u32; 2]) -> usize {
         if let Some(place) = self.pictures.iter().position(|pictures| pictures.size == size) {
             return place;
@@ -398,7 +398,7 @@ fn begin<'a>(
     })
 }
 
-/// Bounds in texels that are so many pixels wide.
+/// The bounds in texels of so many pixels.
 fn coarse([x, y, width, height]: [u32; 4], pixels: u32, size: [u32; 2]) -> [u32; 4] {
     let (left, top) = (x / pixels, y / pixels);
     let right = (x + width).div_ceil(pixels).min(size[0]);

@@ -1,4 +1,4 @@
-//! Smoke and fluids on the device: copies of the particles, and through which eye they are seen.
+//! Smoke and fluids on the device: copies of the particles, and the view of each eye.
 
 pub mod fluid;
 pub mod smoke;
@@ -12,26 +12,26 @@ use crate::particles::{Particle, Swarm};
 use crate::quality::Quality;
 use crate::view::View;
 
-/// What all shaders of particles begin with.
+/// Common source of all particle shaders.
 const COMMON: &str = concat!(
     include_str!("../../shaders/frame.wgsl"),
     include_str!("../../shaders/tone.wgsl"),
     include_str!("../../shaders/particles.wgsl"),
 );
 
-/// How often the surface of a fluid is smoothed along rows and columns: once leaves stripes.
+/// Smoothing rounds along rows and columns: one alone leaves stripes.
 pub(crate) const ROUNDS: usize = 2;
 
-/// How much work goes into particles.
+/// Quality of the particles.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Care {
-    /// Pixels that a texel of a fluid's own pictures is wide.
+    /// Pixels per texel of a fluid's intermediate pictures.
     pub(crate) pixels: u32,
-    /// Pixels that a texel of smoke is wide.
+    /// Pixels per texel of the smoke picture.
     pub(crate) smoke_pixels: u32,
-    /// Steps to either side while its surface is smoothed.
+    /// Smoothing taps to either side.
     pub(crate) taps: i32,
-    /// Whether only the strongest light shines on it.
+    /// Whether only the strongest light is used.
     pub(crate) one_light: bool,
     /// Whether puffs have a texture.
     pub(crate) wisps: bool,
@@ -56,7 +56,7 @@ impl Care {
     }
 }
 
-/// What holds for one eye, as shaders read it.
+/// Per-eye uniforms, in the layout of the shaders.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 struct GpuSight {
@@ -78,7 +78,7 @@ struct GpuSight {
     smoke_pixels: f32,
 }
 
-/// Particles of one entity have this in common.
+/// Data shared by the particles of one entity.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 struct GpuCloud {
@@ -87,11 +87,11 @@ struct GpuCloud {
     unused: u32,
 }
 
-/// Of what is drawn for one eye.
+/// The view and settings of one eye.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct SightOf<'a> {
     pub(crate) view: &'a View,
-    /// Part of what is drawn into \[pixels\]: left, top, width, height.
+    /// Pane of the target \[pixels\]: left, top, width, height.
     pub(crate) pane: [u32; 4],
     pub(crate) care: Care,
     pub(crate) lights: u32,
@@ -100,7 +100,7 @@ pub(crate) struct SightOf<'a> {
     pub(crate) first_number: u32,
 }
 
-/// Copies of particles: made once, then only what changed is sent.
+/// Copies of particles: created once, then only changes are uploaded.
 pub(crate) struct ParticleCopies {
     pub(crate) sight_layout: wgpu::BindGroupLayout,
     order_layout: wgpu::BindGroupLayout,
@@ -109,7 +109,7 @@ pub(crate) struct ParticleCopies {
     list: Vec<GpuCloud>,
     sent: Vec<GpuCloud>,
     sights: Vec<(wgpu::Buffer, wgpu::BindGroup)>,
-    /// Bytes of particles sent since the start: what changed, not what there is.
+    /// Bytes of particles uploaded since the start.
     pub(crate) bytes_sent: u64,
 }
 
@@ -144,7 +144,7 @@ impl ParticleCopies {
         }
     }
 
-    /// Sends what changed of a swarm that has just followed its scene.
+    /// Uploads the changes of a swarm after its update.
     pub(crate) fn send(&mut self, gpu: &Gpu, swarm: &Swarm) {
         let each = size_of::<Particle>();
         let mut all = false;
@@ -175,7 +175,7 @@ impl ParticleCopies {
         }
     }
 
-    /// Writes through which eye they are seen; each eye has a number of its own within one submission.
+    /// Writes the view of an eye; each eye has its own number within a submission.
     pub(crate) fn set_sight(&mut self, gpu: &Gpu, eye: usize, swarm: &Swarm, of: &SightOf<'_>) {
         while self.sights.len() <= eye {
             let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
@@ -214,13 +214,13 @@ impl ParticleCopies {
         gpu.queue.write_buffer(&self.sights[eye].0, 0, bytemuck::bytes_of(&sight));
     }
 
-    /// The group of an eye that was written.
+    /// The bind group of an eye that was written.
     pub(crate) fn sight(&self, eye: usize) -> &wgpu::BindGroup {
         &self.sights[eye].1
     }
 }
 
-/// Numbers of the particles that are drawn, in order, on the device.
+/// The drawing order on the device: the indices of the drawn particles.
 #[derive(Default)]
 pub(crate) struct Order {
     buffer: Option<(wgpu::Buffer, wgpu::BindGroup)>,
@@ -229,7 +229,7 @@ pub(crate) struct Order {
 }
 
 impl Order {
-    /// Sends the list, unless it is there.
+    /// Uploads the list if it has changed.
     pub(crate) fn send(&mut self, gpu: &Gpu, copies: &ParticleCopies) {
         if self.list.is_empty() || self.list == self.sent {
             return;
@@ -246,7 +246,7 @@ impl Order {
         self.buffer = Some((buffer, group));
     }
 
-    /// Draws so many vertices for each.
+    /// Draws so many vertices for each particle.
     pub(crate) fn draw(&self, pass: &mut wgpu::RenderPass<'_>, vertices: u32) {
         if let (Some((_, group)), false) = (&self.buffer, self.list.is_empty()) {
             pass.set_bind_group(3, group, &[]);
@@ -255,7 +255,7 @@ impl Order {
     }
 }
 
-/// How the depth of the scene is read, with so many samples per pixel.
+/// The shader source that reads the scene's depth, with so many samples per pixel.
 fn scene_depth(samples: u32) -> &'static str {
     if samples > 1 {
         include_str!("../../shaders/scene_depth_4.wgsl")
@@ -264,7 +264,7 @@ fn scene_depth(samples: u32) -> &'static str {
     }
 }
 
-/// A texture that fragments read texel by texel.
+/// The binding of a texture that fragment shaders read by texel.
 fn texels(binding: u32, sample_type: wgpu::TextureSampleType, samples: u32) -> wgpu::BindGroupLayoutEntry {
     wgpu::BindGroupLayoutEntry {
         binding,
@@ -283,7 +283,7 @@ fn layout(gpu: &Gpu, entries: &[wgpu::BindGroupLayoutEntry]) -> wgpu::BindGroupL
     gpu.device.create_bind_group_layout(&descriptor)
 }
 
-/// A group with these at 0, 1, and so on.
+/// A bind group with these at 0, 1, and so on.
 fn group(
     gpu: &Gpu,
     layout: &wgpu::BindGroupLayout,
@@ -303,24 +303,24 @@ fn group(
 fn room(gpu: &Gpu, bytes: usize) -> wgpu::Buffer {
     gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("particles"),
-        // Shaders refuse a list of less than one.
+        // Shaders require at least one element.
         size: bytes.max(size_of::<GpuCloud>()) as u64,
         usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
         mapped_at_creation: false,
     })
 }
 
-/// What a pipeline of particles consists of.
+/// The parts of a particle pipeline.
 #[derive(Clone, Copy)]
 struct Recipe<'a> {
     layouts: &'a [&'a wgpu::BindGroupLayout],
     source: &'a str,
     vertex: &'a str,
     fragment: &'a str,
-    /// How their order is read when it draws particles, rather than everywhere.
+    /// Layout of the drawing order, for a pipeline that draws particles; `None` for one that covers the whole pane.
     each: Option<&'a wgpu::BindGroupLayout>,
     targets: &'a [Option<wgpu::ColorTargetState>],
-    /// Whether depths are written; `None` without any.
+    /// Whether it writes depths; `None` without a depth attachment.
     depth: Option<bool>,
     samples: u32,
 }
@@ -369,7 +369,7 @@ fn pipeline(gpu: &Gpu, recipe: &Recipe<'_>) -> wgpu::RenderPipeline {
     })
 }
 
-/// Adds, with what is there weakened by `left`.
+/// Adds the source to the destination times `left`.
 const fn over(left: wgpu::BlendFactor) -> wgpu::BlendState {
     let component = wgpu::BlendComponent {
         src_factor: wgpu::BlendFactor::One,

@@ -1,4 +1,4 @@
-//! Puffs of smoke, from back to front.
+//! Draws smoke as sorted billboards, from back to front.
 
 use std::collections::HashMap;
 
@@ -11,35 +11,35 @@ use crate::particles::Swarm;
 use crate::texture::noise::{Fbm, seed_of};
 use crate::view::View;
 
-/// Side of the texture of puffs \[texels\].
+/// Side of the puff texture \[texels\].
 const WISPS_SIDE: u32 = 128;
 
-/// Smoke of its own picture.
+/// Format of the low-resolution smoke picture.
 const VEIL: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
-/// Sizes of such pictures that are kept at once.
+/// Most sizes of such pictures kept.
 const KEPT_MAX: usize = 4;
 
 /// The picture's format, samples per pixel.
 type Kind = (wgpu::TextureFormat, u32);
 
-/// What one eye sees of it.
+/// The data of one eye.
 #[derive(Default)]
 struct Eye {
     order: Order,
-    /// The group that the depth of the scene is read from, and that depth.
+    /// The bind group of the scene's depth, and that depth texture.
     depth: Option<(wgpu::TextureView, wgpu::BindGroup)>,
 }
 
-/// Draws smoke. Made when there is some for the first time.
+/// Draws smoke. Created when a scene first has some.
 pub(crate) struct SmokePass {
     /// By samples per pixel.
     depth_layouts: HashMap<u32, wgpu::BindGroupLayout>,
-    /// Straight into pictures.
+    /// Pipelines that draw directly into pictures.
     straight: HashMap<Kind, wgpu::RenderPipeline>,
-    /// Into a picture of its own, beside a scene with so many samples per pixel.
+    /// Pipelines that draw into the low-resolution picture, by the scene's samples per pixel.
     apart: HashMap<u32, wgpu::RenderPipeline>,
     veil_layout: wgpu::BindGroupLayout,
-    /// That picture over the scene.
+    /// Pipelines that composite that picture over the scene.
     veils: HashMap<Kind, wgpu::RenderPipeline>,
     pictures: Vec<([u32; 2], wgpu::TextureView, wgpu::BindGroup)>,
     wisps: wgpu::TextureView,
@@ -75,7 +75,7 @@ impl SmokePass {
         }
     }
 
-    /// Makes what is needed to draw for an eye into pictures of that kind, over a scene of that depth.
+    /// Creates what an eye needs to draw into pictures of that kind, over a scene of that depth.
     pub(crate) fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -138,8 +138,8 @@ impl SmokePass {
         own.order.send(gpu, copies);
     }
 
-    /// Draws for an eye that was prepared into a picture of its own, with fewer pixels than the pane of that size has;
-    /// where that is, for [`Self::draw`].
+    /// Draws for a prepared eye into a picture of lower resolution than the pane; returns its index, for
+    /// [`Self::draw`].
     pub(crate) fn draw_apart(
         &mut self,
         gpu: &Gpu,
@@ -174,8 +174,8 @@ impl SmokePass {
         Some(place)
     }
 
-    /// Draws for an eye that was prepared, in a pass that leaves depths as they are and has the frame and the sight bound;
-    /// from the picture of its own when it has been drawn into one.
+    /// Draws for a prepared eye, in a pass with read-only depth and the frame and sight groups bound; from the
+    /// low-resolution picture if it was drawn there.
     pub(crate) fn draw(&self, pass: &mut wgpu::RenderPass<'_>, eye: usize, kind: Kind, apart: Option<usize>) {
         if let Some((_, _, group)) = apart.and_then(|place| self.pictures.get(place)) {
             if let Some(pipeline) = self.veils.get(&kind) {
@@ -193,7 +193,7 @@ impl SmokePass {
         }
     }
 
-    /// Where the picture of that size is among those that are kept.
+    /// Index of the picture of that size.
     fn picture(&mut self, gpu: &Gpu, size: [u32; 2]) -> usize {
         if let Some(place) = self.pictures.iter().position(|(other, ..)| *other == size) {
             return place;
@@ -219,7 +219,7 @@ fn sampler(binding: u32) -> wgpu::BindGroupLayoutEntry {
     wgpu::BindGroupLayoutEntry { ty, ..smooth_texels(binding) }
 }
 
-/// How much thicker smoke is here than there.
+/// The texture of density variations.
 fn wisps(gpu: &Gpu) -> wgpu::TextureView {
     let noise = Fbm::field(seed_of("smoke"), [4, 4], 4, 0.55, WISPS_SIDE);
     let place = |index: u32| (index as f32 + 0.5) / WISPS_SIDE as f32;

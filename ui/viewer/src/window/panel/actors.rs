@@ -1,4 +1,4 @@
-//! The supervisor tree: how every actor keeps its rate, what its supervisor says of it, and what that one would do.
+//! The supervisor tree: each actor's rate and health, and its supervisor's strategy.
 
 use egui::{RichText, Ui};
 
@@ -78,7 +78,7 @@ fn row(ui: &mut Ui, actor: &Actor) {
     ui.end_row();
 }
 
-/// Three digits, as many as say something.
+/// Three significant digits.
 fn short(value: f64) -> String {
     match value.abs() {
         v if v >= 100.0 || v == 0.0 => format!("{value:.0}"),

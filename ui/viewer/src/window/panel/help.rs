@@ -4,7 +4,7 @@ use egui::{Context, RichText, Ui};
 
 use super::super::keys::{KEYS, MOUSE, name};
 
-/// Over the scene; `open` becomes false when a person closes it.
+/// Shows the list over the scene; `open` becomes false when the user closes it.
 pub(super) fn show(ctx: &Context, open: &mut bool, player: &[(String, String)]) {
     egui::Window::new("keys").open(open).anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0]).show(ctx, |ui| {
         egui::ScrollArea::vertical().max_height(520.0).show(ui, |ui| {

@@ -1,4 +1,4 @@
-//! What there is in the scene, and what the selected one of it consists of.
+//! The inspector: the entities of the scene, and the components of the selected one.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use super::super::view_state::Sight;
 use super::tune::FIELD;
 use super::value;
 
-/// How often values are read: a person reads no faster, and a mesh has many.
+/// Interval at which values are refreshed: fast enough for a reader, and a mesh has many.
 const READ_EVERY: Duration = Duration::from_millis(250);
 /// Most entities in the list.
 const LISTED_MAX: usize = 500;

@@ -1,4 +1,4 @@
-//! The panels around the scene. They show what subjects say, and ask; nothing here changes a scene.
+//! The panels around the scene. They show the subjects' state and send requests; they never change a scene themselves.
 
 mod actors;
 mod help;
@@ -20,17 +20,17 @@ use super::view_state::Sight;
 pub(super) use inspect::Inspector;
 pub(super) use tune::TuningPanel;
 
-/// How long a note stays.
+/// How long a note is shown.
 const NOTE: Duration = Duration::from_secs(6);
-/// How fast time may pass.
+/// The available speeds.
 pub(super) const SPEEDS: [f64; 9] = [0.0625, 0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0];
 
-/// Colours of what is well and what is not.
+/// Colours of good and bad states.
 pub(super) const GOOD: Color32 = Color32::from_rgb(120, 200, 140);
 pub(super) const POOR: Color32 = Color32::from_rgb(235, 190, 90);
 pub(super) const BAD: Color32 = Color32::from_rgb(240, 110, 100);
 
-/// Which panels there are, and what is in them.
+/// Visibility and state of the panels.
 pub(super) struct Panels {
     pub(super) left: bool,
     pub(super) right: bool,
@@ -38,13 +38,13 @@ pub(super) struct Panels {
     pub(super) help: bool,
     pub(super) inspector: Inspector,
     pub(super) tuning: TuningPanel,
-    /// What the controls of a person who plays do.
+    /// The help of the player's controls.
     pub(super) player_help: Vec<(String, String)>,
     notes: Vec<(Instant, Note)>,
     heard: Vec<u64>,
 }
 
-/// What is asked of the window by its panels.
+/// Requests of the panels to the window.
 #[derive(Default)]
 pub(super) struct Wishes(pub(super) Vec<Action>);
 
@@ -63,7 +63,7 @@ impl Panels {
         }
     }
 
-    /// Something of the window's own to tell.
+    /// Shows a note of the window itself.
     pub(super) fn note(&mut self, text: String, bad: bool) {
         if self.notes.len() >= 8 {
             self.notes.remove(0);
@@ -71,7 +71,7 @@ impl Panels {
         self.notes.push((Instant::now(), Note { text, bad }));
     }
 
-    /// Takes over what subjects have said since the last time.
+    /// Collects new notes of the subjects.
     fn listen(&mut self, sights: &mut [Sight]) {
         self.heard.resize(sights.len(), 0);
         for (index, sight) in sights.iter_mut().enumerate() {
@@ -86,7 +86,7 @@ impl Panels {
         self.notes.retain(|(since, _)| since.elapsed() < NOTE);
     }
 
-    /// All panels; what is left of `ui` is the scene's.
+    /// Draws all panels; the scene gets the rest of `ui`.
     pub(super) fn show(&mut self, ui: &mut Ui, sights: &mut [Sight], frames: f64, hands: Hands) -> Wishes {
         let mut wishes = Wishes::default();
         self.listen(sights);
@@ -100,7 +100,7 @@ impl Panels {
                 .show(ui, |ui| actors::show(ui, sights));
         }
         if self.left {
-            // As wide as it is, whatever stands in it: the scene beside it stays as large.
+            // Fixed width, whatever its content, so that the scene keeps its size.
             egui::Panel::left("session").exact_size(240.0).show(ui, |ui| {
                 ui.spacing_mut().slider_width = 70.0;
                 egui::ScrollArea::vertical().show(ui, |ui| {
@@ -122,12 +122,12 @@ impl Panels {
         wishes
     }
 
-    /// What is told over the scene.
+    /// Draws the notes over the scene.
     pub(super) fn show_notes(&self, ui: &Ui) {
         if self.notes.is_empty() {
             return;
         }
-        // So that they go when their time is over.
+        // Redraws, so that they disappear in time.
         ui.ctx().request_repaint_after(Duration::from_millis(500));
         egui::Area::new(egui::Id::unique("notes"))
             .anchor(egui::Align2::CENTER_TOP, [0.0, 12.0])
@@ -143,14 +143,14 @@ impl Panels {
     }
 }
 
-/// Whether a person can take the instruments in hand, and has.
+/// Whether the player can take control of the instruments, and has done so.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Hands {
     pub(super) there: bool,
     pub(super) taken: bool,
 }
 
-/// Asks every subject of the window the same.
+/// Sends the same request to every subject of the window.
 pub(super) fn ask_all(sights: &mut [Sight], ask: &Ask) {
     sights.iter_mut().for_each(|sight| sight.subject.ask(ask.clone()));
 }
@@ -164,13 +164,13 @@ pub(super) fn next_speed(now: f64, by: isize) -> f64 {
     SPEEDS[(at as isize + by).clamp(0, SPEEDS.len() as isize - 1) as usize]
 }
 
-/// Pause or go on, whichever it is.
+/// Pauses or resumes.
 pub(super) fn toggle_course(sights: &mut [Sight]) {
     let runs = sights.iter_mut().any(|sight| sight.subject.standing().course == Course::Running);
     ask_all(sights, if runs { &Ask::Pause } else { &Ask::Resume });
 }
 
-/// Time for people.
+/// A time as text for people.
 pub(super) fn clock(seconds: f64) -> String {
     let minutes = (seconds / 60.0).floor();
     format!("{minutes:.0}:{:04.1}", seconds - 60.0 * minutes)

@@ -1,4 +1,4 @@
-//! The panel at the left: time, exercise, view.
+//! The left panel: time, exercise, view.
 
 use egui::{RichText, Ui};
 
@@ -9,7 +9,7 @@ use crate::overlay::Overlay;
 
 use super::{Hands, SPEEDS, Wishes, ask_all, clock, task, toggle_course};
 
-/// Everything.
+/// Draws the panel.
 pub(super) fn show(ui: &mut Ui, sights: &mut [Sight], frames: f64, hands: Hands, wishes: &mut Wishes) {
     for sight in sights.iter_mut() {
         ui.heading(sight.subject.title());
@@ -45,7 +45,7 @@ pub(super) fn show(ui: &mut Ui, sights: &mut [Sight], frames: f64, hands: Hands,
     });
 }
 
-/// Which key does the same.
+/// The key of an action, as a hint.
 fn hint(action: Action) -> String {
     KEYS.iter().find(|(_, known, _)| *known == action).map(|(chord, ..)| name(chord)).unwrap_or_default()
 }
@@ -137,14 +137,14 @@ fn view(ui: &mut Ui, sights: &mut [Sight]) {
             orbit.field_of_view = degrees.to_radians();
         }
     }
-    // Two recordings are compared from the same place.
+    // Compared recordings share one point of view.
     for other in others {
         (other.eyes, other.stereo, other.quality) = (sight.eyes, sight.stereo, sight.quality);
         other.look = sight.look.clone();
     }
 }
 
-/// Through which camera it is seen, or through all of them, or from where the mouse leads.
+/// The choice of cameras: one, all, or the mouse's own.
 fn camera(ui: &mut Ui, sight: &mut Sight) {
     let cameras = sight.cameras();
     let now = match &sight.look {
@@ -171,7 +171,7 @@ fn camera(ui: &mut Ui, sight: &mut Sight) {
     });
 }
 
-/// What is shown over the scene.
+/// The switches of the overlays.
 fn over(ui: &mut Ui, sights: &mut [Sight]) {
     let Some((sight, others)) = sights.split_first_mut() else { return };
     egui::CollapsingHeader::new("show").show(ui, |ui| {

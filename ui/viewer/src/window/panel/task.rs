@@ -1,11 +1,11 @@
-//! The exercise and the patient, as numbers.
+//! The exercise and the patient in numbers.
 
 use egui::{RichText, Ui};
 use trocar_scene::{Snapshot, TaskState, VitalSigns};
 
 use super::{BAD, GOOD, clock};
 
-/// Phase, progress, time, score, errors; vital signs where a patient has some.
+/// Phase, progress, time, score, errors; vital signs if there is a patient with some.
 pub(super) fn show(ui: &mut Ui, scene: &Snapshot) {
     if let Some((_, task)) = scene.iter::<TaskState>().next() {
         ui.separator();

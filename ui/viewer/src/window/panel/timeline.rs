@@ -1,4 +1,4 @@
-//! The time of a recording, to be led through it.
+//! The timeline of a recording.
 
 use egui::{Color32, Pos2, Rect, Sense, Stroke, Ui, Vec2};
 use trocar_scene::SimTime;
@@ -8,7 +8,7 @@ use super::super::subject::{Ask, Course};
 use super::super::view_state::Sight;
 use super::{BAD, Wishes, ask_all, clock, toggle_course};
 
-/// A line from the beginning to the end, with marks where something happened.
+/// A seek bar from the beginning to the end, with marks at events.
 pub(super) fn show(ui: &mut Ui, sights: &mut [Sight], wishes: &mut Wishes) {
     let Some(first) = sights.first_mut() else { return };
     let standing = first.subject.standing();

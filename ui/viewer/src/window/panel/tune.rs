@@ -1,4 +1,4 @@
-//! Values changed while the session runs: compared as sets, and saved back to the scenario.
+//! The tuning panel: values changed while the session runs, compared as sets, and saved to the scenario.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -11,16 +11,16 @@ use super::super::subject::{Ask, Tune};
 use super::super::view_state::Sight;
 use super::value;
 
-/// Most fields that are found.
+/// Most search results.
 const FOUND_MAX: usize = 60;
-/// How often what is found is read anew.
+/// Interval at which the results' values are refreshed.
 const READ_EVERY: Duration = Duration::from_millis(500);
-/// Width of what is typed into, so that it does not widen the panel \[points\].
+/// Width of text fields, so that they do not widen the panel \[points\].
 pub(super) const FIELD: f32 = 230.0;
-/// Nobody tunes a list of vertices.
+/// Longer lists (of vertices) are not offered.
 const ITEMS_MAX: usize = 16;
 
-/// Fields to change, what is changed, and sets of it.
+/// The search for fields, the changed fields, and the sets.
 #[derive(Default)]
 pub(in super::super) struct TuningPanel {
     find: String,
@@ -95,7 +95,7 @@ impl TuningPanel {
         }
     }
 
-    /// Fields in whose name every word occurs.
+    /// Fields whose names contain every word.
     fn search(&mut self, scene: &Snapshot) {
         let fresh = |(text, since): &(String, Instant)| *text == self.find && since.elapsed() < READ_EVERY;
         if self.read.as_ref().is_some_and(fresh) {
@@ -106,7 +106,7 @@ impl TuningPanel {
     }
 }
 
-/// Numbers and switches of entities that have a name, in whose path every word of `find` occurs.
+/// Numbers and switches of named entities whose paths contain every word of `find`.
 fn fields(scene: &Snapshot, find: &str) -> Vec<(String, Value)> {
     let words: Vec<String> = find.split_whitespace().map(str::to_lowercase).collect();
     let mut found = Vec::new();

@@ -1,12 +1,12 @@
-//! A value of a component, to be read and, where it is a number, to be changed.
+//! A row for a value of a component, editable where it is a number.
 
 use egui::{RichText, Ui};
 use serde_json::Value;
 
-/// Longer lists are told of, not shown.
+/// Longer lists are shown by their length only.
 const ITEMS_MAX: usize = 16;
 
-/// A row for one value below `path`; what a person made of it, if something.
+/// A row for one value below `path`; returns the edited value, if any.
 pub(super) fn show(
     ui: &mut Ui,
     name: &str,
@@ -61,7 +61,7 @@ fn leaf(ui: &mut Ui, name: &str, value: impl FnOnce(&mut Ui)) {
     });
 }
 
-/// One value; whether it was changed.
+/// One value; returns whether it was changed.
 pub(super) fn single(ui: &mut Ui, value: &mut Value, editable: bool) -> bool {
     match value {
         Value::Number(_) => number(ui, value, editable),
@@ -81,7 +81,7 @@ pub(super) fn single(ui: &mut Ui, value: &mut Value, editable: bool) -> bool {
     }
 }
 
-/// A number that the mouse changes by a share of itself; whether it was changed.
+/// A number that dragging changes in proportion; returns whether it was changed.
 fn number(ui: &mut Ui, value: &mut Value, editable: bool) -> bool {
     if let Some(mut whole) = value.as_i64().filter(|_| !value.is_f64()) {
         let changed = ui.add_enabled(editable, egui::DragValue::new(&mut whole)).changed();
@@ -101,7 +101,7 @@ fn number(ui: &mut Ui, value: &mut Value, editable: bool) -> bool {
     false
 }
 
-/// Five digits, without zeros that say nothing.
+/// Five digits, without trailing zeros.
 pub(super) fn readable(value: f64) -> String {
     if value == 0.0 {
         return "0".to_owned();
