@@ -20,6 +20,20 @@ const PROJECTS: [(&str, &str, &str, f64, &str, f64); 5] = [
     ("my-engine", "engine", "scenario.toml", 2.0, "chain", 500.0),
 ];
 
+/// The crates of this repository that take longest to optimise.
+const OURS: [&str; 10] = [
+    "trocar",
+    "trocar-cli",
+    "trocar-collision",
+    "trocar-dynamics",
+    "trocar-engine",
+    "trocar-input",
+    "trocar-kernel",
+    "trocar-scene",
+    "trocar-simulator",
+    "trocar-viewer",
+];
+
 fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
@@ -60,8 +74,11 @@ fn written() -> tempfile::TempDir {
     let profiles = section("[profile.release]\n");
     let members: Vec<String> = PROJECTS.iter().map(|(name, ..)| format!("{name:?}")).collect();
     let members = members.join(", ");
+    // Cargo builds the crates of this repository once more for another workspace. What is shown here needs them to work,
+    // not to be fast.
+    let light = OURS.map(|name| format!("[profile.release.package.{name}]\nopt-level = 1\n")).concat();
     let manifest = format!(
-        "[workspace]\nresolver = \"3\"\nmembers = [\"libraries\", {members}]\n\n[profile.release]\n{profiles}"
+        "[workspace]\nresolver = \"3\"\nmembers = [\"libraries\", {members}]\n\n[profile.release]\n{profiles}\n{light}"
     );
     // Asks for every library as this workspace does. Cargo unites what is asked for, and so takes the libraries that
     // are built already instead of building some of them, and all that depends on them, once more.
