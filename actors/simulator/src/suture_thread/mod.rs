@@ -208,8 +208,8 @@ impl Thread {
     }
 
     /// Advances by `dt` \[s\] on a soft body that another solver integrates: one of the obstacles is a mesh with
-    /// outward triangles whose vertices are the nodes of `surface`. [`SoftSurface::moved`] then tells how these nodes
-    /// moved.
+    /// outward triangles whose vertices are the nodes of `surface`. Read the motion of these nodes from `surface`
+    /// afterwards.
     ///
     /// # Errors
     /// As [`Thread::step`]; the result in `surface` is then meaningless.
