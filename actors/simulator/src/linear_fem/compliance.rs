@@ -101,7 +101,6 @@ impl Boundary {
     ///
     /// # Errors
     /// A node that does not exist; no free node on the surface.
-    /// A node that does not exist; nothing left free on the surface.
     pub fn new(mesh: &TetMesh, fixed: &[u32]) -> Result<Self, PrecomputeError> {
         Self::touched(mesh, fixed, mesh.surface_nodes(), &[])
     }

@@ -92,7 +92,6 @@ impl LinearFem {
     ///
     /// # Errors
     /// Only those of re-adding the existing constraints.
-    /// None but those of what is held, which it was held with before.
     pub fn release_nodes(&mut self, most: usize) -> Result<usize, LinearFemError> {
         if !self.can_release() {
             return Ok(0);

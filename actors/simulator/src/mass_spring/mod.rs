@@ -193,7 +193,6 @@ impl MassSpring {
     ///
     /// # Errors
     /// Invalid network, positions or configuration.
-    /// Whatever is wrong with the network, the positions or the configuration.
     pub fn new(
         network: Network,
         positions: Vec<Point3<f64>>,
@@ -235,7 +234,6 @@ impl MassSpring {
     ///
     /// # Errors
     /// When one of them does not exist.
-    /// When one of them does not exist.
     pub fn pin(&mut self, pinned: &[u32]) -> Result<(), NetworkError> {
         let nodes = self.network.masses.len();
         Faulty::among(pinned.len(), |index| pinned[index] as usize >= nodes)
@@ -269,7 +267,6 @@ impl MassSpring {
     ///
     /// # Errors
     /// An invalid tolerance or limit; the solver is then unchanged.
-    /// A tolerance or a limit that is none; it goes on as before.
     pub fn solve_by(&mut self, by: LinearSolver) -> Result<(), NetworkError> {
         let Integrator::Implicit { newton, .. } = self.config.integrator else { return Ok(()) };
         let config = Config { integrator: Integrator::Implicit { solver: by, newton }, ..self.config };
@@ -285,7 +282,6 @@ impl MassSpring {
     ///
     /// # Errors
     /// What `update` rejects; the solver is then unchanged. A state that does not fit.
-    /// What `update` refuses; the solver is then as it was. A state that does not fit.
     pub fn follow<const N: usize>(
         &mut self,
         patch: &Patch<'_, N>,
@@ -329,7 +325,6 @@ impl MassSpring {
     ///
     /// # Errors
     /// Invalid input, too large a step, or a result that is not finite or too fast; the state is then unchanged.
-    /// When the input is wrong, the step too large, or the result not finite or too fast; the state is then as it was.
     pub fn step(&mut self, dt: f64, input: &Input<'_>) -> Result<Report, StepError> {
         if !(dt > 0.0 && dt.is_finite()) {
             return Err(StepError::Time(dt));

@@ -157,7 +157,6 @@ impl Network {
     ///
     /// # Errors
     /// Invalid mesh or material, elements by their index.
-    /// Whatever is wrong with mesh or material, elements by their index.
     pub fn from_line(
         rest: &[Point3<f64>],
         segments: &[[u32; 2]],
@@ -210,7 +209,6 @@ impl Network {
     ///
     /// # Errors
     /// Invalid mesh or material, elements by their index.
-    /// Whatever is wrong with mesh or material, elements by their index.
     pub fn from_volume(
         rest: &[Point3<f64>],
         tets: &[[u32; 4]],
@@ -223,7 +221,6 @@ impl Network {
     /// remaining elements: they are to be pinned and get a nominal mass.
     ///
     /// # Errors
-    /// As [`from_volume`](Self::from_volume).
     /// As [`from_volume`](Self::from_volume).
     pub fn from_altered_volume(
         rest: &[Point3<f64>],
@@ -268,7 +265,6 @@ impl Network {
     ///
     /// # Errors
     /// Invalid changed elements; the network is then unchanged.
-    /// Whatever is wrong with those that have; the network is then as it was.
     pub fn follow_volume(
         &mut self,
         patch: &Patch<'_, 4>,
@@ -285,7 +281,6 @@ impl Network {
     ///
     /// # Errors
     /// When the other one has another number of nodes.
-    /// When the other has another number of nodes.
     pub fn merge(&mut self, other: &Self) -> Result<(), NetworkError> {
         let (given, expected) = (other.masses.len(), self.masses.len());
         if given != expected {
@@ -325,7 +320,6 @@ impl Network {
     ///
     /// # Errors
     /// The first kind of fault, with all elements concerned.
-    /// The first kind of fault, with every element that has it.
     pub fn check(&self, nodes: usize) -> Result<(), NetworkError> {
         if nodes == 0 {
             return Err(NetworkError::Empty);

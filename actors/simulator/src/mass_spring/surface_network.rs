@@ -32,7 +32,6 @@ impl Network {
     ///
     /// # Errors
     /// Invalid mesh or material, elements by their index.
-    /// Whatever is wrong with mesh or material, elements by their index.
     pub fn from_surface(
         rest: &[Point3<f64>],
         triangles: &[[u32; 3]],
@@ -45,7 +44,6 @@ impl Network {
     /// triangles: they are to be pinned and get a nominal mass.
     ///
     /// # Errors
-    /// As [`from_surface`](Self::from_surface).
     /// As [`from_surface`](Self::from_surface).
     pub fn from_altered_surface(
         rest: &[Point3<f64>],
@@ -84,7 +82,6 @@ impl Network {
     ///
     /// # Errors
     /// Invalid changed elements; the network is then unchanged.
-    /// Whatever is wrong with those that have; the network is then as it was.
     pub fn follow_surface(
         &mut self,
         patch: &Patch<'_, 3>,

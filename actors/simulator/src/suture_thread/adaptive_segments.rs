@@ -18,7 +18,6 @@ const GRADE: f64 = 0.5;
 const TURN_MAX: f64 = 0.5;
 /// An edge is divided when it exceeds its target length by this factor; halves of an edge just above the target would
 /// be needlessly short.
-/// halves would be needlessly short.
 const TOLERATED: f64 = 1.15;
 /// Two edges are merged where their angle is below this \[rad\],
 const STRAIGHT: f64 = 0.1;
