@@ -40,7 +40,7 @@ impl Arrhenius {
         parameter("damage.threshold", self.threshold, -273.15..=1e3, "-273.15 to 1000 °C")
     }
 
-    /// Rate of Ω at a temperature \[°C\]\[1/s\].
+    /// Rate of Ω \[1/s\] at a temperature \[°C\].
     #[inline]
     #[must_use]
     pub fn rate(&self, celsius: f64) -> f64 {

@@ -31,7 +31,7 @@ impl WallSample {
         )
     }
 
-    /// Normal of its triangle for these vertices, of any length \[m²\].
+    /// Normal of its triangle for these vertices, not normalised \[m²\].
     #[must_use]
     pub fn across(&self, positions: &[Point3<f64>]) -> Vector3<f64> {
         let [a, b, c] = self.nodes.map(|node| positions[node as usize]);

@@ -42,7 +42,7 @@ pub(super) struct Row {
     mass: Matrix3<f64>,
     /// Effective mass in the tangential direction in which it is least.
     least_mass: f64,
-    /// Sum of the velocity changes per impulse over all directions \[1/kg\].
+    /// Mean velocity change per impulse over all directions \[1/kg\].
     yields: f64,
     along: f64,
     across: Vector3<f64>,
