@@ -96,7 +96,7 @@ impl WorldView<'_> {
         }
     }
 
-    /// Whether it is movable and awake.
+    /// Whether it may be moving now.
     fn is_awake(&self, thing: Collider) -> bool {
         match thing {
             Collider::Body(entity) => self

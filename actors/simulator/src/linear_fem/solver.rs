@@ -344,8 +344,8 @@ impl LinearFem {
             let through = self.correction.through(&self.boundary, forces);
             let dead = self.dead_mean(weights, direction);
             self.rows.push(Row { held: own, direction: *direction, one_sided, compliance, through, dead });
-            // Couplings with every row, itself last: from the new row's displacements if it is interior, which are known
-            // everywhere; else from the other row's displacements on the surface, where the new row acts.
+            // Couplings with every row, itself last: from the new row's displacements if it is interior, as these are
+            // known everywhere; else from the other row's displacements on the surface, where the new row acts.
             let new = &self.rows[self.rows.len() - 1];
             for row in &self.rows {
                 let entry = match &full {
